@@ -2,7 +2,7 @@
 
     python -m benchmarks [closed_loop] [control_law] [compensation] [command_delay] [accuracy] [mujoco_lugre]
                          [friction_parts] [perturbation] [lockstep] [composition] [speed] [view] [sweep]
-                         [bag_memory] [friction_ramp] [friction_ramp_coverage] [friction_presliding] [identification]
+                         [friction_ramp] [friction_ramp_coverage] [friction_presliding] [identification]
                          [identification_presliding] [identification_time] [excitation_coverage] [excitation_time]
                          [wrong_zeros] [load_parts] [transmission] [published_friction] [bristles] [bristle_kinds]
 
@@ -33,7 +33,6 @@ NAMES = (
     "speed",
     "view",
     "sweep",
-    "bag_memory",
     "friction_ramp",
     "friction_ramp_coverage",
     "friction_presliding",

@@ -1,40 +1,28 @@
-"""Many serialised messages as a few arrays: what is done to each is done by compiled code, for all in one call."""
+"""Many serialised messages as a few arrays, also of series: compiled code does what is done to each, in one call."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+import struct
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
 from numpy.typing import NDArray
 
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.base.errors import ExchangeError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.base.stamps import ENCAPSULATION, HEAD
+from rx90_common.base.stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.kernels.compiled import c_function
 
 Int64Array = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
-
-@c_function(types.int64(types.voidptr, types.voidptr, types.voidptr, types.int64, types.voidptr))
-def _read_stamps(data_at, start_at, size_at, count, stamp_at):  # type: ignore[no-untyped-def]  # addresses
-    """Write the time at the head of each message, ns; 0 for times before 0 and messages that are cut off."""
-    start, size = carray(start_at, (count,), np.int64), carray(size_at, (count,), np.int64)
-    stamp = carray(stamp_at, (count,), np.int64)
-    for i in range(count):
-        stamp[i] = 0
-        if size[i] >= HEAD:
-            message = carray(data_at, (start[i] + HEAD,), np.uint8)[start[i] :]
-            seconds = np.uint32(0)
-            nanoseconds = np.uint32(0)
-            for k in range(4):
-                shift = np.uint32(8 * k if message[1] & 1 else 24 - 8 * k)
-                seconds |= np.uint32(message[ENCAPSULATION + k]) << shift
-                nanoseconds |= np.uint32(message[ENCAPSULATION + 4 + k]) << shift
-            if seconds <= 0x7FFFFFFF:
-                stamp[i] = np.int64(seconds) * NANOSECONDS + np.int64(nanoseconds)
-    return 0
+_TEMPERATURE_HEAD = struct.Struct("<4siII")  # encapsulation, stamp, bytes of the frame_id
+_TEMPERATURE_VALUES = struct.Struct("<dd")  # temperature, variance
+_END_NS = (1 << 31) * NANOSECONDS  # stamps are int32 seconds
 
 
 @c_function(types.int64(types.voidptr, types.voidptr, types.voidptr, types.int64, types.voidptr))
@@ -113,9 +101,14 @@ class MessageBatch:
 
     def stamps_ns(self) -> Int64Array:
         """Return the time at the head of each message, ns, int64 (n,); 0 before 0 and where a message is cut off."""
-        stamp = np.empty(len(self), dtype=np.int64)
-        _read_stamps(*self._addresses(), len(self), stamp.ctypes.data)
-        return stamp
+        stamps = np.zeros(len(self), dtype=np.int64)
+        rows = np.flatnonzero(self.size >= HEAD)
+        heads = self.data[self.start[rows, np.newaxis] + np.arange(HEAD)]
+        times = np.ascontiguousarray(heads[:, ENCAPSULATION:HEAD])
+        little = heads[:, 1:2] & 1 == 1
+        seconds, nanoseconds = np.where(little, times.view("<u4"), times.view(">u4")).astype(np.int64).T
+        stamps[rows] = np.where(seconds < 1 << 31, seconds * NANOSECONDS + nanoseconds, 0)
+        return stamps
 
     def take(self, rows: NDArray[np.intp] | slice) -> MessageBatch:
         """Return a copy of these messages (an index or a slice), which holds no others."""
@@ -125,5 +118,94 @@ class MessageBatch:
         _copy(self.data.ctypes.data, start.ctypes.data, size.ctypes.data, len(size), chosen.data.ctypes.data)
         return chosen
 
-    def _addresses(self) -> tuple[Any, Any, Any]:
-        return self.data.ctypes.data, self.start.ctypes.data, self.size.ctypes.data
+
+def encoded(
+    encoders: Sequence[Callable[[Int64Array], MessageBatch]], source: Int64Array, row: Int64Array
+) -> MessageBatch:
+    """Return the messages with these places in these sources, in this order.
+
+    Args:
+        encoders: of each source, that give its messages of some rows.
+        source: of each message, int64 (n,).
+        row: of it in its source, int64 (n,).
+    """
+    by_source = np.argsort(source, kind="stable")
+    found, counts = np.unique(source, return_counts=True)
+    parts = np.split(row[by_source], np.cumsum(counts)[:-1])
+    batch = MessageBatch.join([encoders[which](part) for which, part in zip(found, parts, strict=True)])
+    place = np.empty_like(by_source)
+    place[by_source] = np.arange(len(by_source))
+    return MessageBatch(batch.data, batch.start[place], batch.size[place])
+
+
+def series_encoder(series: JointSeries) -> JointStateEncoder | TemperatureEncoder:
+    """Return what gives the messages of a series."""
+    return JointStateEncoder(series) if series.temperature is None else TemperatureEncoder(series)
+
+
+class JointStateEncoder:
+    """Gives the messages of a series of joint states.
+
+    Attributes:
+        stamp_ns: of each message, int64 (n,).
+    """
+
+    def __init__(self, series: JointSeries) -> None:
+        self._codec = JointStateCodec(series.names)
+        self._series = series
+        self.stamp_ns = series.stamp_ns
+
+    def encode(self, rows: Int64Array) -> MessageBatch:
+        """Return the messages of these rows."""
+        series = self._series
+        fields = (None if field is None else field[rows] for field in (series.position, series.velocity, series.effort))
+        data = self._codec.encode_many(series.stamp_ns[rows], *fields)
+        count, size = data.shape
+        return MessageBatch(data.reshape(-1), np.arange(count) * size, np.full(count, size))
+
+
+class TemperatureEncoder:
+    """Gives the messages of a series of temperatures.
+
+    Attributes:
+        stamp_ns: of each message, int64 (n,).
+    """
+
+    def __init__(self, series: JointSeries) -> None:
+        assert series.temperature is not None
+        row, self._column = np.nonzero(~np.isnan(series.temperature))
+        self._names = series.names
+        self._values = series.temperature[row, self._column]
+        self.stamp_ns = series.stamp_ns[row]
+
+    def encode(self, rows: Int64Array) -> MessageBatch:
+        """Return these messages.
+
+        Raises:
+            ExchangeError: if a name or a stamp cannot stand in a message.
+        """
+        columns = (field[rows].tolist() for field in (self.stamp_ns, self._column, self._values))
+        return MessageBatch.of(
+            [temperature_cdr(stamp, self._names[k], value) for stamp, k, value in zip(*columns, strict=True)]
+        )
+
+
+def temperature_cdr(stamp_ns: int, name: str, temperature: float) -> bytes:
+    """Return a sensor_msgs/Temperature as CDR, little endian, with variance 0, which stands for an exact value.
+
+    Args:
+        stamp_ns: 0 up to 2^31 seconds.
+        name: of a joint or motor, for the frame_id.
+        temperature: degrees Celsius.
+
+    Raises:
+        ExchangeError: if the name or the stamp cannot stand in a message.
+    """
+    if not 0 <= stamp_ns < _END_NS:
+        raise ExchangeError(f"stamp is {stamp_ns} ns; accepted: 0 to {_END_NS - 1}")
+    if "\0" in name:
+        raise ExchangeError(f"name {quoted(name)}; accepted: text without NUL")
+    text = name.encode() + b"\0"
+    head = _TEMPERATURE_HEAD.pack(LITTLE_ENDIAN, *divmod(stamp_ns, NANOSECONDS), len(text)) + text
+    padding = -(len(head) - len(LITTLE_ENDIAN)) % 8
+    return head + bytes(padding) + _TEMPERATURE_VALUES.pack(temperature, 0.0)

@@ -12,17 +12,19 @@ import numpy as np
 from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionMode
-from rosbags.rosbag2.storage_mcap import PendingChunk
+from rosbags.rosbag2.storage_mcap import McapWriter, PendingChunk
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from rx90_common.bags.batch import Int64Array, MessageBatch
-from rx90_common.bags.files.mcap_writing import ChecksummedMcapWriter
 from rx90_common.kernels.compiled import c_function
 
 _CHUNK_BYTES: Final = 1 << 20  # a chunk that is larger is closed, as rosbags does
 _CHUNK, _MESSAGE, _MESSAGE_INDEX = 0x06, 0x05, 0x07
 _RECORD_HEAD: Final = 9  # op code and length
 _MESSAGE_HEAD: Final = 22  # channel, sequence number, log time, time of publication
+_FOOTER = struct.Struct("<QQI")  # places of summary and offsets, checksum
+_CRC = struct.Struct("<I")
+_MAGIC_BYTES = 8  # at the end of a file
 _NONE_YET = 2**63 - 1  # what rosbags has for the start of an empty chunk
 
 
@@ -48,8 +50,8 @@ def _write_records(data_at, start_at, size_at, channel_at, log_at, count, to_at)
     return 0
 
 
-class BulkMcapWriter(ChecksummedMcapWriter):
-    """rosbags' MCAP writer; messages come by `write_many` alone."""
+class BulkMcapWriter(McapWriter):
+    """rosbags' MCAP writer; messages come by `write_many` alone, and chunks and summary get checksums."""
 
     def __init__(self, path: Path, compression: CompressionMode) -> None:
         super().__init__(path, compression)
@@ -122,6 +124,17 @@ class BulkMcapWriter(ChecksummedMcapWriter):
         # Last: what cannot be written stays pending.
         self.chunk = PendingChunk(_NONE_YET, 0, BytesIO(), chunk.msgs)
         self._index = {}
+
+    def close(self, version: int, metadata: str) -> None:
+        """Write the summary and close the file."""
+        super().close(version, metadata)
+        with self.path.open("r+b") as stream:
+            stream.seek(-_FOOTER.size - _MAGIC_BYTES, 2)
+            summary, _, _ = _FOOTER.unpack(stream.read(_FOOTER.size))
+            stream.seek(summary)
+            crc = crc32(stream.read()[: -_CRC.size - _MAGIC_BYTES])
+            stream.seek(-_CRC.size - _MAGIC_BYTES, 2)
+            stream.write(_CRC.pack(crc))
 
     def _write(self, code: int, *parts: bytes) -> int:
         """Write a record to the file; return where it begins."""

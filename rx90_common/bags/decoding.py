@@ -1,7 +1,8 @@
-"""Turn the messages of one JointState topic into arrays, thousands of equally laid out ones at a time."""
+"""Turn the messages of one topic into arrays: temperatures, or joint states, thousands of equal layout at a time."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -93,10 +94,6 @@ class SeriesBuilder:
         self._patterns: list[_MessagePattern] = []
         self._rows: dict[_Key, list[_Rows]] = {}
         self._decoded = 0
-
-    def begins_row(self, _message: bytes) -> bool:
-        """Return whether this message, as the next one, would begin a row: always, as it is one."""
-        return True
 
     def add(self, message: bytes, stamp_ns: int | None = None) -> None:
         """Add the next message.
@@ -220,3 +217,49 @@ class SeriesBuilder:
 
 def _arrays(present: tuple[bool, bool, bool]) -> str:
     return ", ".join(field for field, there in zip(FIELDS, present, strict=True) if there) or "no arrays"
+
+
+class TemperatureBuilder:
+    """Collects the messages of one Temperature topic; its series has a row for each moment, a column for each name.
+
+    A message holds one temperature, of the joint or winding that its frame_id names. What has no message in a row is
+    NaN there, and a NaN becomes no message. The variance of a message is not kept.
+
+    Args:
+        topic: absolute topic name.
+        deserialize: by rosbags; gives an object with the message's fields.
+    """
+
+    def __init__(self, topic: str, deserialize: Callable[[bytes], Any]) -> None:
+        self._topic, self._deserialize = topic, deserialize
+        self._names: dict[str, None] = {}  # in the order of their first messages
+        self._stamps: list[int] = []
+        self._rows: list[dict[str, float]] = []
+        self._moment: int | None = None  # of the last row, by the header
+
+    def add(self, message: bytes, stamp_ns: int | None = None) -> None:
+        """Add the next message.
+
+        Args:
+            message: as the bag holds it.
+            stamp_ns: time to take for the stamp of a row that it begins; None for that in its header.
+
+        Raises:
+            BagError: if it is no Temperature.
+        """
+        read = self._deserialize(message)
+        moment, name = message_time_ns(read.header.stamp), str(read.header.frame_id)
+        if moment != self._moment or name in self._rows[-1]:
+            self._moment = moment
+            self._stamps.append(moment if stamp_ns is None else stamp_ns)
+            self._rows.append({})
+        self._names.setdefault(name)
+        self._rows[-1][name] = float(read.temperature)
+
+    def build(self) -> list[JointSeries]:
+        """Return the series; none without messages."""
+        if not self._rows:
+            return []
+        values = [[row.get(name, math.nan) for name in self._names] for row in self._rows]
+        stamps = np.array(self._stamps, dtype=np.int64)
+        return [JointSeries(self._topic, tuple(self._names), stamps, temperature=np.array(values, dtype=np.float64))]

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from rx90_common.bags.decoding import SeriesBuilder
+from rx90_common.bags.decoding import SeriesBuilder, TemperatureBuilder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.storage import BagReader, BagTopic
-from rx90_common.bags.temperatures import TemperatureBuilder
 from rx90_common.bags.topics import absolute
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
@@ -163,7 +162,7 @@ def read_joint_bag(
 def _read(
     bag: BagReader, topics: Sequence[BagTopic], record_time: bool, progress: Callable[[int, int], None] = _silent
 ) -> dict[str, list[JointSeries]]:
-    builders = {topic: series_builder(bag, topic) for topic in topics}
+    builders = {topic: _series_builder(bag, topic) for topic in topics}
     total = sum(topic.count for topic in topics)
     try:
         for number, (topic, log_ns, data) in enumerate(bag.messages(topics), 1):
@@ -178,21 +177,20 @@ def _read(
         raise error if text.startswith(path) else BagError(f"{path}: {text}") from error
 
 
-def series_builder(bag: BagReader, topic: BagTopic, names: Sequence[str] = ()) -> SeriesBuilder | TemperatureBuilder:
-    """Return what makes series of a topic's messages; of temperatures, `names` have columns in any case."""
+def _series_builder(bag: BagReader, topic: BagTopic) -> SeriesBuilder | TemperatureBuilder:
     deserialize = partial(bag.deserialize, topic)
     if topic.is_joint_state:
         unit = bag.effort_units.get(topic.name, "")
         return SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit)
-    return TemperatureBuilder(topic.name, deserialize, names)
+    return TemperatureBuilder(topic.name, deserialize)
 
 
 def series_topics(topics: Iterable[BagTopic]) -> str:
     """Return the names of those topics that hold series, by type, for a message."""
     series = {topic.name: topic.is_joint_state for topic in topics if topic.holds_series}
     joints, others = ([name for name in sorted(series) if series[name] is kind] for kind in (True, False))
-    told = f"; Temperature topics: {listed(others)}" if others else ""
-    return f"JointState topics: {listed(joints) or 'none'}{told}"
+    temperatures = f"; Temperature topics: {listed(others)}" if others else ""
+    return f"JointState topics: {listed(joints) or 'none'}{temperatures}"
 
 
 def picked(path: Path, there: Sequence[BagTopic], topics: Sequence[str]) -> list[BagTopic]:
@@ -209,3 +207,22 @@ def picked(path: Path, there: Sequence[BagTopic], topics: Sequence[str]) -> list
             what = f"{plain(name)} is {others[0]}" if others else f"no topic {plain(name)}"
             raise BagError(f"{plain(path)}: {what}; {series_topics(there)}")
     return [by_name[name] for name in wanted]
+
+
+def picked_with_messages(bag: BagReader, topics: Sequence[str] | None) -> list[BagTopic]:
+    """Return those of a bag's topics that are wanted, or all JointState and Temperature topics with messages.
+
+    Raises:
+        BagError: if one is not there as JointState or Temperature, or has no messages; or if there are none.
+    """
+    if topics is None:
+        chosen = [topic for topic in bag.topics if topic.holds_series and topic.count]
+        if not chosen:
+            there = listed(topic.name for topic in bag.topics) or "nothing"
+            raise BagError(f"{plain(bag.path)}: holds no joint states or temperatures, only {there}")
+        return chosen
+    chosen = picked(bag.path, bag.topics, topics)
+    for topic in chosen:
+        if not topic.count:
+            raise BagError(f"{plain(bag.path)}: no messages in {plain(topic.name)}")
+    return chosen

@@ -4,28 +4,40 @@ from __future__ import annotations
 
 import heapq
 import re
+import shutil
 from collections import Counter
 from collections.abc import Collection, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache
 from operator import itemgetter
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Any, TypeAlias
 
+from backports import zstd
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from rx90_common.bags.files.contents import DamagedError, StorageFile
-from rx90_common.bags.files.opening import ACCEPTED, open_file
-from rx90_common.bags.metadata import FILE, BagMetadata, check_counts, read_metadata
+from rx90_common.bags.mcap_file import MCAP_MAGIC, McapFile, cut_off
+from rx90_common.bags.storage_files import ZSTD_MAGIC, DamagedError, Ros1File, SqliteFile, full_type
 from rx90_common.bags.topics import JOINT_STATE, TEMPERATURE
-from rx90_common.base.errors import BagError
+from rx90_common.base.config import load_yaml
+from rx90_common.base.errors import BagError, ConfigError, write_error
 from rx90_common.base.quoting import listed, plain
+
+ACCEPTED = "a rosbag2 folder, an .mcap, .db3 or ROS 1 .bag file, also with .zstd"
+StorageFile: TypeAlias = McapFile | SqliteFile | Ros1File
 
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _PART = re.compile(r"(.+)_([0-9]+)(\..+)", re.DOTALL)  # of a recording that was split: NAME_0.mcap, NAME_1.mcap, ...
 _CDR, _ROS1 = "cdr", "ros1"
+_COPY_BYTES = 1 << 20
+FILE = "metadata.yaml"
+
+EFFORT_UNIT = "rx90_emulator effort unit of "
+"""Begins the key in rosbag2's custom_data that says in which unit the efforts of a topic are."""
+_MOST_MESSAGES = 1 << 62
 
 
 @dataclass(frozen=True)
@@ -92,12 +104,12 @@ class BagReader:
     def __enter__(self) -> BagReader:
         with ExitStack() as stack:
             metadata = self._find_files()
-            self._storages = [self._open_file(file, stack) for file in self.files]
+            self._storages = [self._open(file, stack) for file in self.files]
             if metadata is not None:
                 held = Counter[tuple[str, str]]()
                 for topic in self.topics:
                     held[topic.name, topic.msgtype] += topic.count
-                check_counts(self.path, metadata, +held)
+                _check_counts(self.path, metadata, +held)
                 self.effort_units = metadata.effort_units
             self._stack = stack.pop_all()
         return self
@@ -154,7 +166,7 @@ class BagReader:
                 f"({type(error).__name__})"
             ) from error
 
-    def _find_files(self) -> BagMetadata | None:
+    def _find_files(self) -> _Metadata | None:
         """Find the storage files; return the metadata if there are any."""
         if not self.path.is_dir():
             if self.path.is_fifo() or self.path.is_socket():  # to open it would wait for a writer
@@ -163,7 +175,7 @@ class BagReader:
             return None
         there = sorted(file for file in self.path.iterdir() if file.name.endswith(_SUFFIXES))
         if (self.path / FILE).exists():
-            metadata = read_metadata(self.path)
+            metadata = _read_metadata(self.path)
             self.files = [self.path / name for name in metadata.files]
             missing = [file.name for file in self.files if not file.is_file()]
             if missing:
@@ -192,9 +204,9 @@ class BagReader:
             )
         return [self.path / part[0] for part in sorted(parts, key=lambda part: int(part[2]))]
 
-    def _open_file(self, file: Path, stack: ExitStack) -> StorageFile:
+    def _open(self, file: Path, stack: ExitStack) -> StorageFile:
         try:
-            return open_file(file, stack)
+            return _open_storage(file, stack)
         except (DamagedError, BagError) as error:
             raise self._refusal(file, error) from error
         except OSError as error:
@@ -218,6 +230,124 @@ class BagReader:
     def _refusal(self, file: Path, error: Exception) -> BagError:
         what = "is damaged: " if isinstance(error, DamagedError) else ""
         return BagError(f"{plain(self.path)}: {plain(file.name)} {what}{error}")
+
+
+_BEGINNINGS = ((MCAP_MAGIC, McapFile), (b"SQLite format 3\0", SqliteFile), (b"#ROSBAG V2.0\n", Ros1File))
+
+
+def _open_storage(path: Path, stack: ExitStack) -> StorageFile:
+    """Open a storage file by what it begins with; one that is compressed is decompressed to a temporary file first.
+
+    Args:
+        path: of the file, whatever it is called.
+        stack: closes it.
+
+    Raises:
+        BagError: if it is no storage file, or was not closed.
+        DamagedError: if it contradicts itself.
+        Rx90Error: if there is no room to decompress it.
+    """
+    for suffix in ("-journal", "-wal"):  # reading a database with one alone would show a torn state
+        with suppress(OSError):  # there is none, or its name would be too long to be one
+            if Path(f"{path}{suffix}").stat().st_size:
+                raise BagError(
+                    f"was not closed (its recorder was killed?); sqlite3 restores {path.name} up to its last commit "
+                    "when it is opened for writing, and 'ros2 bag reindex' then writes the metadata"
+                )
+    reason = cut_off(path)
+    if reason is not None:
+        raise BagError(reason)
+    with path.open("rb") as stream:
+        beginning = stream.read(max(len(known) for known, _ in _BEGINNINGS))
+    if not beginning:
+        raise BagError("is empty")
+    if beginning.startswith(ZSTD_MAGIC):
+        target = Path(stack.enter_context(TemporaryDirectory(prefix="rx90_bag_"))) / path.stem
+        _decompress_file(path, target)
+        inner = _open_storage(target, stack)
+        inner.compression = "zstd files"
+        return inner
+    for known, kind in _BEGINNINGS:
+        if beginning.startswith(known):
+            file: StorageFile = kind(path)
+            stack.callback(file.close)
+            return file
+    raise BagError(f"is no bag, or damaged at its beginning; accepted: {ACCEPTED}")
+
+
+def _decompress_file(source: Path, target: Path) -> None:
+    with source.open("rb") as raw, zstd.open(raw, "rb") as content:
+        try:
+            with target.open("wb") as stream:
+                shutil.copyfileobj(content, stream, _COPY_BYTES)
+        except (zstd.ZstdError, EOFError) as error:
+            raise DamagedError(f"{error}") from error
+        except OSError as error:
+            raise write_error(target, error) from error
+
+
+@dataclass(frozen=True)
+class _Metadata:
+    """What metadata.yaml says; quality of service and times are not looked at.
+
+    Attributes:
+        files: names of the storage files, in their order.
+        counts: messages by topic name and type, without those that have none.
+        total: messages in all.
+        effort_units: of topics whose efforts are not in the unit that their names say.
+    """
+
+    files: tuple[str, ...]
+    counts: Counter[tuple[str, str]]
+    total: int
+    effort_units: dict[str, str]
+
+
+def _read_metadata(folder: Path) -> _Metadata:
+    """Read the metadata.yaml of a folder.
+
+    Raises:
+        BagError: naming folder, key, value and what is accepted.
+    """
+    try:
+        root = load_yaml(folder / FILE, "the metadata of a rosbag2 folder").section("rosbag2_bagfile_information")
+        counts: Counter[tuple[str, str]] = Counter()
+        for topic in root.sections("topics_with_message_count"):
+            about = topic.section("topic_metadata")
+            count = topic.integer("message_count", 0, _MOST_MESSAGES)
+            if count:
+                counts[about.text("name"), full_type(about.text("type"))] += count
+        files = tuple(PurePosixPath(file).name for file in root.texts("relative_file_paths"))
+        custom = root.content.get("custom_data")
+        units = {
+            str(key).removeprefix(EFFORT_UNIT): plain(value)
+            for key, value in (custom.items() if isinstance(custom, dict) else ())
+            if str(key).startswith(EFFORT_UNIT)
+        }
+        return _Metadata(files, counts, root.integer("message_count", 0, _MOST_MESSAGES), units)
+    except ConfigError as error:
+        raise BagError(f"{plain(folder)}: {str(error).removeprefix(f'{plain(folder)}/')}") from error
+
+
+def _check_counts(path: Path, metadata: _Metadata, held: Counter[tuple[str, str]]) -> None:
+    """Compare the metadata with what the storage files hold.
+
+    Raises:
+        BagError: naming the first topic that differs.
+    """
+    remedy = "'ros2 bag reindex' writes it anew, and each storage file can be read by its own path"
+    for key in sorted(metadata.counts.keys() | held.keys()):
+        if metadata.counts[key] != held[key]:
+            topic, msgtype = map(plain, key)
+            raise BagError(
+                f"{plain(path)}: {FILE} says {metadata.counts[key]} messages of {topic} ({msgtype}), "
+                f"the storage holds {held[key]}; {remedy}"
+            )
+    if metadata.total != metadata.counts.total():
+        raise BagError(
+            f"{plain(path)}: {FILE} says {metadata.total} messages in all, "
+            f"its topics add up to {metadata.counts.total()}; {remedy}"
+        )
 
 
 @cache

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
-from rx90_common.bags.changes import ParameterChange, changes_of
 from rx90_common.bags.ordering import OTHER_CLOCK_NS
+from rx90_common.bags.recorded import ParameterChange, TrajectoryCount, changes_of
 from rx90_common.bags.storage import BagReader, BagTopic
 from rx90_common.bags.topics import JOINT_TRAJECTORY, tells_changes
-from rx90_common.bags.trajectories import TrajectoryCount
 from rx90_common.bags.writing import typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain

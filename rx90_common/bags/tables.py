@@ -8,9 +8,8 @@ from dataclasses import asdict
 from itertools import groupby
 from typing import Any
 
-from rx90_common.bags.alignment import Side
-from rx90_common.bags.changes import ParameterChange
-from rx90_common.bags.comparison import BagComparison, TopicComparison, ValueDifference, Verdict
+from rx90_common.bags.comparison import BagComparison, Side, TopicComparison, ValueDifference, Verdict
+from rx90_common.bags.recorded import ParameterChange
 from rx90_common.bags.summary import BagSummary, TopicSummary
 from rx90_common.base.quoting import counted, listed, plain
 from rx90_common.base.rates import NANOSECONDS

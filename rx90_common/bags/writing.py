@@ -26,10 +26,10 @@ from rosbags.rosbag2 import StoragePlugin, WriterError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from rx90_common.bags.batch import Int64Array, MessageBatch
+from rx90_common.bags.batch import Int64Array, MessageBatch, encoded, series_encoder
 from rx90_common.bags.bulk_storage import BulkMcapWriter, BulkSqlite3Writer, BulkWriter
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.metadata import EFFORT_UNIT
+from rx90_common.bags.storage import EFFORT_UNIT
 from rx90_common.bags.topics import (
     JOINT_TRAJECTORY,
     PARAMETER_EVENT,
@@ -37,10 +37,10 @@ from rx90_common.bags.topics import (
     STRING,
     absolute,
 )
-from rx90_common.bags.whole import encoded, named_at_the_end, series_encoder
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_bag_name
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.process.files import hidden_beside
 
 STORAGES: Final = ("mcap", "sqlite3")
 
@@ -290,14 +290,14 @@ def parameters_message(topic: str, node: str, values: Mapping[str, int]) -> RawM
     types = typestore().types
     empty: dict[str, Any] = {f"{kind}_array_value": np.zeros(0, dtype) for kind, dtype in _VALUE_ARRAYS.items()}
 
-    def told(name: str, number: int) -> Any:
+    def parameter(name: str, number: int) -> Any:
         value = types["rcl_interfaces/msg/ParameterValue"](
             type=_INTEGER, bool_value=False, integer_value=number, double_value=0.0, string_value="",
             string_array_value=[], **empty,
         )  # fmt: skip
         return types["rcl_interfaces/msg/Parameter"](name, value)
 
-    new = [told(name, number) for name, number in values.items()]
+    new = [parameter(name, number) for name, number in values.items()]
     message = types[PARAMETER_EVENT](types["builtin_interfaces/msg/Time"](0, 0), node, new, [], [])
     return RawMessage(
         topic, PARAMETER_EVENT, 0, bytes(typestore().serialize_cdr(message, PARAMETER_EVENT)), transient_local=True
@@ -320,6 +320,34 @@ def trajectory_message(topic: str, start_ns: int, content: dict[str, Any]) -> Ra
     message = types[JOINT_TRAJECTORY](header, content["joint_names"], [point(values) for values in content["points"]])
     cdr = bytes(typestore().serialize_cdr(message, JOINT_TRAJECTORY))
     return RawMessage(topic, JOINT_TRAJECTORY, start_ns, cdr, transient_local=True)
+
+
+@contextmanager
+def named_at_the_end(path: Path) -> Iterator[Path]:
+    """Yield where to write a bag, which the storage file is named after, and give it its name when that is done.
+
+    Raises:
+        BagError: if something has that name, it is too long, or its place does not take a folder.
+        BagWriteError: if the disk is full.
+    """
+    if os.path.lexists(path):
+        raise BagError(f"{plain(path)} exists already, not overwriting.")
+    check_bag_name(path)
+    made = [folder for folder in path.parents if not folder.exists()]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with hidden_beside(path) as folder:
+            yield folder / path.name
+            (folder / path.name).rename(path)
+    except OSError as error:
+        if os.path.lexists(path):  # somebody else was faster
+            raise BagError(f"{plain(path)} exists already, not overwriting.") from error
+        kind = BagWriteError if error.errno in DISK_ERRORS else BagError
+        raise kind(f"{plain(path)}: cannot be written ({error.strerror})") from error
+    finally:
+        with suppress(OSError):  # those that hold the bag
+            for folder in made:
+                folder.rmdir()
 
 
 def write_joint_states(

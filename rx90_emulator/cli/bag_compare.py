@@ -80,7 +80,7 @@ def alignment(text: str) -> int | str:
     Raises:
         BagError: for other words, and times that no stamp has.
     """
-    from rx90_common.bags.time_shift import START, TRAJECTORY
+    from rx90_common.bags.recorded import START, TRAJECTORY
 
     if text in (START, TRAJECTORY):
         return text

@@ -38,7 +38,7 @@ def main(args: argparse.Namespace) -> None:
         told = f"--format {args.format} with the file {plain(args.output)}"
         raise ConfigError(f"{told}; accepted: with a folder, for the suffix of a file says its format")
     # Here, because --help must not wait for them.
-    from rx90_common.bags.exporting.exporting import export_bag
+    from rx90_common.bags.exporting import export_bag
     from rx90_emulator.cli.progress import progress_bar
 
     with progress_bar("export") as progress:

@@ -7,14 +7,10 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import counted, plain
 from rx90_emulator.cli.options import new_folder
-
-if TYPE_CHECKING:
-    from rx90_common.bags.importing.mapping import LogMapping
 
 HELP = "make a bag from a CSV log; a file says what its columns hold"
 EPILOG = """\
@@ -50,25 +46,27 @@ def main(args: argparse.Namespace) -> None:
         Rx90Error: if it cannot be done.
     """
     # Here, because --help must not wait for them.
-    from rx90_common.bags.importing.exact import exported_logs
-    from rx90_common.bags.importing.importing import import_logs
-    from rx90_common.bags.importing.mapping import LogMapping
+    from rx90_common.bags.importing import corrupt_text, exported_logs, import_logs
+    from rx90_common.bags.mapping import LogMapping
     from rx90_emulator.cli.progress import progress_bar
 
     if len(args.logs) == 1 and args.logs[0].is_dir():
         if args.mapping is not None:
             raise ConfigError(f"--mapping {plain(args.mapping)}: a folder has its own; accepted: none of the two")
-        _import_exact(exported_logs(args.logs[0]), args)
-        return
-    mapping = LogMapping.load(_mapping_file(args))
-    if mapping.exact and len(args.logs) == 1:
-        _import_exact([(args.logs[0], mapping)], args)
-        return
+        logs = [([log], mapping) for log, mapping in exported_logs(args.logs[0])]
+    else:
+        logs = [(args.logs, LogMapping.load(_mapping_file(args)))]
     with progress_bar("import") as progress:
-        done = import_logs(
-            args.logs, args.bag, mapping, skip_corrupt=args.skip_corrupt, storage=args.storage, progress=progress
-        )
-    print(f"{done.text}\nbag: {plain(args.bag)}")
+        done = import_logs(logs, args.bag, skip_corrupt=args.skip_corrupt, storage=args.storage, progress=progress)
+    for one, (_, mapping) in zip(done, logs, strict=True):
+        if not mapping.exact:
+            print(one.text)
+            continue
+        for topic, joints, messages in one.topics:
+            print(f"{plain(topic)}: {counted(joints, 'joint')}, {counted(messages, 'message')}")
+        if one.corrupt:
+            print(f"{plain(one.paths[0])}: left out: {corrupt_text(one.corrupt)}")
+    print(f"bag: {plain(args.bag)}")
 
 
 def _mapping_file(args: argparse.Namespace) -> Path:
@@ -83,18 +81,3 @@ def _mapping_file(args: argparse.Namespace) -> Path:
             f"--mapping is missing, and there is no {plain(beside)}; accepted: a file that says what the columns hold"
         )
     return beside
-
-
-def _import_exact(logs: list[tuple[Path, LogMapping]], args: argparse.Namespace) -> None:
-    from rx90_common.bags.importing.exact import import_exact
-    from rx90_common.bags.importing.importing import corrupt_text
-    from rx90_emulator.cli.progress import progress_bar
-
-    with progress_bar("import") as progress:
-        tables = import_exact(logs, args.bag, args.storage, progress, skip_corrupt=args.skip_corrupt)
-    for one in tables:
-        for topic, joints, messages in one.topics:
-            print(f"{plain(topic)}: {counted(joints, 'joint')}, {counted(messages, 'message')}")
-        if one.corrupt:
-            print(f"{plain(one.path)}: left out: {corrupt_text(one.corrupt)}")
-    print(f"bag: {plain(args.bag)}")

@@ -40,7 +40,7 @@ def main(args: argparse.Namespace) -> None:
         Rx90Error: if it cannot be done.
     """
     # Here, because --help must not wait for them.
-    from rx90_common.bags.plotting.plotting import bag_page, check_suffix, joined, picture_title, plot_bags, robots_text
+    from rx90_common.bags.plotting import bag_page, check_suffix, joined, picture_title, plot_bags, robots_text
     from rx90_common.report.picture import write_picture
     from rx90_emulator.cli.bag_compare import alignment
     from rx90_emulator.cli.progress import progress_bar

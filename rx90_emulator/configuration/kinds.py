@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from friction_bench.rig.rig_file import RIG, load_rig
-from rx90_common.bags.importing.mapping import MAPPING, LogMapping
+from rx90_common.bags.mapping import MAPPING, LogMapping
 from rx90_common.bags.tolerance import TOLERANCES, load_rules
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import JsonSchema, Number, Switch

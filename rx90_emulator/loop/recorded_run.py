@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.bags.changes import read_changes, read_values
 from rx90_common.bags.reading import read_joint_states
-from rx90_common.bags.robot_name import check_robot
-from rx90_common.bags.trajectories import read_trajectories
+from rx90_common.bags.recorded import check_robot, read_changes, read_trajectories, read_values
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, TrajectoryError, check_type
 from rx90_common.base.quoting import plain, quoted

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.bags.reading import BagReader
-from rx90_common.bags.robot_name import check_robot
+from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, IdentificationError

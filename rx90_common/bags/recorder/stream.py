@@ -1,10 +1,13 @@
-"""Recorded topics: their subscriptions, and the counts that prove nothing was lost."""
+"""Recorded topics: their subscriptions, their types, and the counts that prove nothing was lost."""
 
 from __future__ import annotations
 
+import importlib
+import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,21 +17,111 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos
 
-from rx90_common.bags.ordering import TimeSource
-from rx90_common.bags.recorder.definition import begins_with_header, definition, message_class
-from rx90_common.bags.recorder.sequence import SequenceCounter
-from rx90_common.bags.recorder.taking import SingleTaker, Taken, Taker, bulk_taker
+from rx90_common.bags.batch import Int64Array, MessageBatch
+from rx90_common.bags.ordering import Arrived, TimeSource
+from rx90_common.bags.recorded import TrajectoryCount
 from rx90_common.bags.topics import CLOCK, JOINT_STATE, JOINT_TRAJECTORY, TRANSFORMS, tells_changes
-from rx90_common.bags.trajectories import TrajectoryCount
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
+from rx90_common.base.requirements import missing_module
 from rx90_common.exchange.arrivals import Gathering
 from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
 _NEVER = 1 << 63  # ns
 _PAUSE = 0.002  # s; what comes meanwhile at 30,000 messages a second fits into a socket as Linux makes it by default
+_MOST_AT_ONCE = 512  # messages of a take
+_INFO = ("publication_sequence_number", "received_timestamp", "source_timestamp")
+_BASE = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
+"""What .msg files call the types that the classes name as IDL does."""
+_SEQUENCE = re.compile(r"sequence<(?P<kind>.+?)(, (?P<most>\d+))?>")
+_ARRAY = re.compile(r"(?P<kind>.+)\[(?P<count>\d+)\]")
+_STRING = re.compile(r"(?P<kind>w?string)<(?P<most>\d+)>")
+
+
+@dataclass
+class WriterCount:
+    """What came from one writer: its first and last sequence number, messages received and missed."""
+
+    first: int
+    last: int
+    received: int = 1
+    lost: int = 0
+
+
+class SequenceCounter:
+    """Counts the messages of one topic per writer.
+
+    A message names its sequence number but not its writer. Every writer counts its own messages from 1 and
+    leaves no gap. A number that continues no writer's count is therefore the first one received of a new writer, as
+    long as fewer writers are known than were matched, or else proof of a loss.
+
+    Args:
+        matched: returns how many writers were ever matched.
+        transient_local: a writer's first message may have any number, as it keeps only the newest ones.
+    """
+
+    def __init__(self, matched: Callable[[], int], *, transient_local: bool) -> None:
+        self.writers: list[WriterCount] = []
+        self._matched = matched
+        self._known_before = 0
+        self._must_start_at_one = False
+        self._transient_local = transient_local
+        self._current: WriterCount | None = None
+
+    @property
+    def received(self) -> int:
+        """Return how many messages were received."""
+        return sum(writer.received for writer in self.writers)
+
+    @property
+    def lost(self) -> int:
+        """Return how many messages were sent and not received."""
+        return sum(writer.lost for writer in self.writers)
+
+    def start(self) -> None:
+        """From now on a writer that newly appears must be heard from its first message on."""
+        self._known_before = self._matched()
+        self._must_start_at_one = not self._transient_local
+
+    def add(self, number: int) -> None:
+        """Count the message with this sequence number."""
+        current = self._current
+        if current is None or number != current.last + 1:
+            current = self._find(number)
+            if current is None:
+                return
+        current.last = number
+        current.received += 1
+
+    def add_many(self, numbers: Int64Array) -> None:
+        """Count messages with these sequence numbers, in this order."""
+        current = self._current
+        count = len(numbers)
+        if current is not None and count and numbers[0] == current.last + 1 and bool((np.diff(numbers) == 1).all()):
+            current.last += count
+            current.received += count
+            return
+        for number in numbers.tolist():
+            self.add(number)
+
+    def _find(self, number: int) -> WriterCount | None:
+        """Return the writer whose count `number` continues; None when it opened a new count."""
+        for writer in self.writers:
+            if writer.last + 1 == number:
+                self._current = writer
+                return writer
+        behind = [writer for writer in self.writers if writer.last < number]
+        if number == 1 or not behind or len(self.writers) < self._matched():
+            late = self._must_start_at_one and len(self.writers) >= self._known_before
+            self._current = WriterCount(number, number, lost=number - 1 if late else 0)
+            self.writers.append(self._current)
+            return None
+        nearest = max(behind, key=lambda writer: writer.last)
+        nearest.lost += number - nearest.last - 1
+        self._current = nearest
+        return nearest
 
 
 class Streams:
@@ -104,7 +197,6 @@ class Stream:
 
     Attributes:
         definition: the text of its type, if bags of this project do not know it; else empty.
-        in_bulk: whether messages are taken many at a time.
         repeated: messages that were the one before them once more.
         sent_ns: when the message taken last was sent, by its publisher's wall clock.
 
@@ -148,9 +240,7 @@ class Stream:
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
         gathering.include(self.subscription)
-        bulk = bulk_taker(self.subscription, topic)
-        self.in_bulk = bulk is not None
-        self._taker: Taker = bulk or SingleTaker(self.subscription, kind)
+        self._kind = kind
         kinds = QoSSubscriptionEventType
         self._matched = self._event(kinds.RCL_SUBSCRIPTION_MATCHED)
         self._message_lost = self._event(kinds.RCL_SUBSCRIPTION_MESSAGE_LOST)
@@ -171,39 +261,34 @@ class Stream:
         self.counter.start()
         self._ready_ns = time.time_ns()
 
-    def take(self) -> Taken:
-        """Return messages that have come, counted, not more than some hundred; none if there are none.
-
-        Raises:
-            BagError: if the middleware refuses.
-        """
-        taken = self._taker.take()
-        self.counter.add_many(taken.numbers)
-        if len(taken.sent_ns):
-            self.sent_ns = int(taken.sent_ns[-1])
+    def take(self) -> Arrived:
+        """Return messages that have come, counted, not more than some hundred; none if there are none."""
+        found: list[tuple[bytes, dict[str, int]]] = []
+        handle: Any = self.subscription.handle
+        with handle:
+            while len(found) < _MOST_AT_ONCE and (message := handle.take_message(self._kind, True)) is not None:
+                found.append(message)
+        numbers, received_ns, sent_ns = (np.array([info[name] for _, info in found], dtype=np.int64) for name in _INFO)
+        self.counter.add_many(numbers)
+        if found:
+            self.sent_ns = int(sent_ns[-1])
         if self.msgtype == JOINT_TRAJECTORY:
-            self._count_trajectories(taken)
-        return self._without_repetitions(taken) if self._dated and len(taken.messages) else taken
+            self._count_trajectories(found)
+        messages = MessageBatch.of([raw for raw, _ in found])
+        if self._dated and found:
+            # Nodes send one again while time stands still, and where it may have been lost: it is no second sample.
+            again = messages.repeats(self._newest)
+            self._newest = found[-1][0]
+            if again.any():
+                self.repeated += int(again.sum())
+                messages, received_ns = messages.take(np.flatnonzero(~again)), received_ns[~again]
+        return Arrived(self.index, self.time_source, messages, received_ns)
 
-    def _count_trajectories(self, taken: Taken) -> None:
-        for message, sent_ns in zip(taken.messages, taken.sent_ns.tolist(), strict=True):
-            if not self._latched or sent_ns >= self._ready_ns:  # else it was accepted before the recording
+    def _count_trajectories(self, found: Sequence[tuple[bytes, dict[str, int]]]) -> None:
+        for message, info in found:
+            if not self._latched or info["source_timestamp"] >= self._ready_ns:  # else accepted before the recording
                 with suppress(Exception):  # rosbags has no error of its own for bytes that are no message
                     self._trajectories.add(self.topic, typestore().deserialize_cdr(message, self.msgtype))
-
-    def _without_repetitions(self, taken: Taken) -> Taken:
-        """Leave out, and count, messages that are the one before them once more, to the bit, stamp included.
-
-        Nodes send one again while time stands still, and where it may have been lost: it is no second sample.
-        """
-        messages = taken.messages
-        again = messages.repeats(self._newest)
-        self._newest = messages[len(messages) - 1]
-        if not again.any():
-            return taken
-        self.repeated += int(again.sum())
-        kept = np.flatnonzero(~again)
-        return Taken(messages.take(kept), taken.numbers[kept], taken.received_ns[kept], taken.sent_ns[kept])
 
     def matched(self) -> int:
         """Return how many publishers were ever matched."""
@@ -247,3 +332,69 @@ def _one_type(topic: str, endpoints: Sequence[Any]) -> str:
 
 def _never_called(_: bytes) -> None:
     """Stand where rclpy wants a callback; the message reader reads by itself."""
+
+
+def message_class(topic: str, msgtype: str) -> Any:
+    """Return the class of a message type.
+
+    Raises:
+        BagError: if the type is not installed, with how to get it where that is known.
+    """
+    package, _, name = msgtype.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except ImportError as error:
+        raise BagError(f"{topic} has type {msgtype}: {missing_module(error) or error}") from error
+    except AttributeError as error:
+        raise BagError(f"{topic} has type {msgtype}, which the {package} that is installed does not have") from error
+
+
+def definition(kind: Any, known: Collection[str]) -> str:
+    """Return the text of a message class, and of what it consists of, as rosbag2 puts it into bags.
+
+    Constants, defaults and comments are not in it: messages do not carry them.
+
+    Args:
+        kind: the class.
+        known: types whose text is not wanted.
+    """
+    texts: dict[str, str] = {}
+    _collect(kind, frozenset(known), texts)
+    own, *others = texts.items()
+    return own[1] + "".join(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others)
+
+
+def begins_with_header(kind: Any) -> bool:
+    """Return whether the first field of a message class is a std_msgs/Header."""
+    return next(iter(kind.get_fields_and_field_types().values()), None) == "std_msgs/Header"
+
+
+def _collect(kind: Any, known: frozenset[str], texts: dict[str, str]) -> None:
+    package = kind.__module__.split(".")[0]
+    name = f"{package}/{kind.__name__}"
+    if name in texts:
+        return
+    fields = kind.get_fields_and_field_types()
+    texts[name] = "".join(f"{_field_type(described)} {field}\n" for field, described in fields.items())
+    for described in fields.values():
+        element = _element(described)
+        inner_package, slash, inner = element.partition("/")
+        if slash and f"{inner_package}/msg/{inner}" not in known:
+            _collect(message_class(name, f"{inner_package}/msg/{inner}"), known, texts)
+
+
+def _element(described: str) -> str:
+    """Return the type of what a field holds, or holds many of."""
+    found = _SEQUENCE.fullmatch(described) or _ARRAY.fullmatch(described)
+    return found["kind"] if found else described
+
+
+def _field_type(described: str) -> str:
+    """Return the type of a field as .msg files have it."""
+    if found := _SEQUENCE.fullmatch(described):
+        return f"{_field_type(found['kind'])}[{'<=' + found['most'] if found['most'] else ''}]"
+    if found := _ARRAY.fullmatch(described):
+        return f"{_field_type(found['kind'])}[{found['count']}]"
+    if found := _STRING.fullmatch(described):
+        return f"{found['kind']}<={found['most']}"
+    return _BASE.get(described, described)

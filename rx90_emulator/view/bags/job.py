@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from rx90_common.bags.time_shift import time_shift
+from rx90_common.bags.recorded import time_shift
 from rx90_common.base.quoting import one_line
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from rx90_common.bags.changes import ParameterChange, changes_of
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import BagReader, BagTopic
-from rx90_common.bags.robot_name import check_robot
+from rx90_common.bags.recorded import ParameterChange, changes_of, check_robot
 from rx90_common.bags.topics import FIELDS, tells_changes
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from zlib import crc32
 
 import numpy as np
 import pytest
@@ -10,18 +11,39 @@ from bag_making import STORAGES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapWriter
 
 from rx90_common.bags.batch import MessageBatch
 from rx90_common.bags.bulk_storage import BulkWriter
-from rx90_common.bags.files.mcap_writing import ChecksummedMcapWriter
 from rx90_common.bags.writing import typestore
 from rx90_common.base.stamps import cdr_stamp_ns
+
+
+class ChecksummedWriter(McapWriter):
+    """rosbags' mcap writer with the checksums that it leaves out, by the layout in mcap's specification."""
+
+    def close_chunk(self) -> None:
+        """Write the chunk; its checksum comes after it, behind the record's head, two times and a size."""
+        crc, start = crc32(self.chunk.bio.getvalue()), self.bio.tell()
+        super().close_chunk()
+        end = self.bio.tell()
+        self.bio.seek(start + 9 + 24)
+        self.bio.write(crc.to_bytes(4, "little"))
+        self.bio.seek(end)
+
+    def close(self, version: int, metadata: str) -> None:
+        """Write the summary; the footer says where it begins, and has its checksum."""
+        super().close(version, metadata)
+        content = bytearray(self.path.read_bytes())
+        summary = int.from_bytes(content[-28:-20], "little")
+        content[-12:-8] = crc32(content[summary:-12]).to_bytes(4, "little")
+        self.path.write_bytes(content)
 
 
 class Theirs(Writer):
     """rosbags' writer, message by message; checksums are put in afterwards."""
 
-    STORAGE_PLUGINS = Writer.STORAGE_PLUGINS | {StoragePlugin.MCAP: ChecksummedMcapWriter}
+    STORAGE_PLUGINS = Writer.STORAGE_PLUGINS | {StoragePlugin.MCAP: ChecksummedWriter}
 
 
 CHANNELS = (("/a", "std_msgs/msg/String"), ("/b", "sensor_msgs/msg/JointState"), ("/c", "std_msgs/msg/String"))

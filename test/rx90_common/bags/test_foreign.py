@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import yaml
 from bag_making import JOINT_STATE, ROS1, ROS2, STORAGES, joint_state, series
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from rx90_common.bags.reading import BagReader, read_joint_series, read_joint_states
@@ -19,6 +21,13 @@ from rx90_common.bags.writing import write_joint_states
 from rx90_emulator.cli.frame import run
 
 STAMPS = list(range(0, 40_000_000, 1_000_000))
+INDEXES = {
+    "all": IndexType.ALL,
+    "none of messages": IndexType.CHUNK,
+    "none of chunks": IndexType.MESSAGE,
+    "no chunks": IndexType.ALL,
+    "no summary": IndexType.NONE,
+}
 
 
 def write_foreign(path: Path, storage: str = "mcap", compression: CompressionMode = CompressionMode.NONE) -> Path:
@@ -102,6 +111,38 @@ def test_types_that_cannot_be_parsed_and_compressed_bags(
     assert "not compared, as they are no JointState or Temperature: /add/_service_event\n" in capsys.readouterr().out
     assert run("rx90_bag", ["info", str(bag)]) == 0
     assert f"{bag}: {kind}{f' ({words})' * bool(words)}, " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("index", ["all", "none of messages", "none of chunks", "no chunks", "no summary"])
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD])
+def test_an_mcap_file_is_read_by_whatever_index_it_has(
+    tmp_path: Path, index: str, compression: CompressionType
+) -> None:
+    """Files of the mcap project's writer, with less and less of an index, of another profile, with other topics."""
+    path = tmp_path / "bag.mcap"
+    summary = index != "no summary"
+    writer = McapWriter(
+        str(path), chunk_size=500, compression=compression, index_types=INDEXES[index],
+        use_chunking=index != "no chunks", use_statistics=summary, use_summary_offsets=summary,
+        repeat_channels=summary, repeat_schemas=summary,
+    )  # fmt: skip
+    writer.start(profile="")
+    joints, other = (
+        writer.register_channel(topic, encoding, writer.register_schema(kind, schema, b""))
+        for topic, kind, encoding, schema in (
+            ("/joint_states", JOINT_STATE, "cdr", "ros2msg"),
+            ("/other", "Other", "json", "jsonschema"),
+        )
+    )
+    for stamp in STAMPS[::-1]:
+        data = bytes(ROS2.serialize_cdr(joint_state(stamp, ["a"], [stamp * 1e-9]), JOINT_STATE))
+        writer.add_message(joints, log_time=stamp, publish_time=stamp, data=data)
+        writer.add_message(other, log_time=stamp, publish_time=stamp, data=b"{}")
+    writer.finish()
+    assert read_joint_states(path, "joint_states").stamp_ns.tolist() == STAMPS
+    assert {(t.topic, t.encoding, t.count) for t in summarise(path).topics} == {
+        ("/joint_states", "cdr", 40), ("/other", "json", 40),
+    }  # fmt: skip
 
 
 def test_several_files_are_read_as_one(tmp_path: Path) -> None:

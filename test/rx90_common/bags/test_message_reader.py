@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from rx90_common.bags.batch import MessageBatch
-from rx90_common.bags.ordering import TimeSource
-from rx90_common.bags.recorder import message_reader
-from rx90_common.bags.recorder.taking import Taken
+from rx90_common.bags.ordering import Arrived, TimeSource
+from rx90_common.bags.recorder import recording
 from rx90_common.base.errors import BagWriteError
 
 SENT_BEFORE = 9  # one a round: these take longer than a topic that is quiet is waited for
@@ -31,21 +30,21 @@ class Publisher:
         self._calls = 0
         self._begin_ns = time.time_ns()
 
-    def take(self) -> Taken:
+    def take(self) -> Arrived:
         """Return a message and, in the next call, none."""
         self._calls += 1
         if self._calls % 2 == 0:
-            return Taken(MessageBatch.of([]), *np.empty((3, 0), dtype=np.int64))
+            return Arrived(0, self.time_source, MessageBatch.of([]), np.empty(0, dtype=np.int64))
         self.taken += 1
         self.sent_ns = self._begin_ns if self.taken <= SENT_BEFORE else time.time_ns()
-        return Taken(MessageBatch.of([b"%d" % self.taken]), *np.array([[self.taken], [0], [self.sent_ns]]))
+        return Arrived(0, self.time_source, MessageBatch.of([b"%d" % self.taken]), np.zeros(1, dtype=np.int64))
 
 
 def test_a_publisher_that_goes_on_is_read_up_to_the_end_that_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """All that was sent before the end is read, however late it comes; then the recorder ends, busy topics or not."""
-    monkeypatch.setattr(message_reader, "_MAX_DRAIN_S", LONG)
+    monkeypatch.setattr(recording, "_MAX_DRAIN_S", LONG)
     publisher: Any = Publisher()
-    reader = message_reader.MessageReader()
+    reader = recording.MessageReader()
     reader.add(publisher)
     reader.start()
     begin = time.monotonic()
@@ -63,7 +62,7 @@ class Deadlock(Publisher):
         super().__init__()
         self.reached, self.freed = threading.Event(), threading.Event()
 
-    def take(self) -> Taken:
+    def take(self) -> Arrived:
         """Return a message; then stand still until the test is over."""
         if self.taken:
             self.reached.set()
@@ -73,9 +72,9 @@ class Deadlock(Publisher):
 
 def test_a_reader_that_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """Who waits for the end learns where it stands, in one line, after all that it had read; nothing comes twice."""
-    monkeypatch.setattr(message_reader, "_MAX_END_S", 0.01)
+    monkeypatch.setattr(recording, "_MAX_END_S", 0.01)
     stream: Any = Deadlock()
-    reader = message_reader.MessageReader()
+    reader = recording.MessageReader()
     reader.add(stream)
     reader.start()
     assert stream.reached.wait(LONG)

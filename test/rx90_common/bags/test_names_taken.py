@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 from bag_making import series
 
-from rx90_common.bags.exporting.exporting import named_when_done
+from rx90_common.bags.exporting import named_when_done
 from rx90_common.bags.reading import read_bag
-from rx90_common.bags.whole import named_at_the_end
-from rx90_common.bags.writing import BagWriter, write_joint_states
+from rx90_common.bags.writing import BagWriter, named_at_the_end, write_joint_states
 from rx90_common.base.errors import BagError
 from rx90_emulator.cli.frame import run
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.plotting.plotting import TopicPlot, plot_bags
+from rx90_common.bags.plotting import TopicPlot, plot_bags
 from rx90_common.bags.writing import RawMessage, string_message, write_joint_states
 from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import Curve, Panel, Plot

@@ -380,7 +380,7 @@ STUCK = """
 import sys, threading
 from rx90_common.exchange.environment import prepare
 prepare()
-from rx90_common.bags.recorder import message_reader, stream
+from rx90_common.bags.recorder import recording, stream
 from rx90_emulator.cli.frame import execute
 take = stream.Stream.take
 def stuck(self):
@@ -390,7 +390,7 @@ def stuck(self):
         threading.Event().wait()
     return taken
 stream.Stream.take = stuck
-message_reader._MAX_END_S = 0.5
+recording._MAX_END_S = 0.5
 sys.exit(execute('rx90_bag', sys.argv[1:]))
 """
 

@@ -16,7 +16,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from rosbags.typesys import Stores, get_typestore
 
-from rx90_common.bags.recorder import definition
+from rx90_common.bags.recorder import stream
 from rx90_common.bags.writing import BagWriter, offered_qos
 from rx90_common.base.errors import BagError
 from rx90_common.process.interrupts import StopRequest
@@ -170,7 +170,7 @@ def test_definitions_say_what_the_types_are(name: str) -> None:
     """The text of a class has the type hash (REP 2016) that Jazzy's own definition has."""
     from rosbags.typesys import get_types_from_msg
 
-    text = definition.definition(definition.message_class("t", name), ())
+    text = stream.definition(stream.message_class("t", name), ())
     own, jazzy = get_typestore(Stores.EMPTY), get_typestore(Stores.ROS2_JAZZY)
     own.register(get_types_from_msg(text, name))
     assert own.hash_rihs01(name) == jazzy.hash_rihs01(name)
@@ -193,7 +193,7 @@ def test_a_type_that_is_not_there_is_one_line(msgtype: str, words: str, monkeypa
         for module in [module for module in sys.modules if module.partition(".")[0] == package]:
             monkeypatch.delitem(sys.modules, module)
     with pytest.raises(BagError) as refusal:
-        definition.message_class("/t", msgtype)
+        stream.message_class("/t", msgtype)
     assert str(refusal.value).startswith(f"/t has type {msgtype}")
     assert words in str(refusal.value)
     assert "\n" not in str(refusal.value)

@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rx90_common.bags.recorder.sequence import SequenceCounter
+from rx90_common.bags.recorder.stream import SequenceCounter
 
 
 @given(st.sets(st.integers(1, 300), min_size=1))

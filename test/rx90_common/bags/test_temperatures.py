@@ -12,12 +12,10 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 import rx90_emulator as rx
-from rx90_common.bags.exporting import blocks
-from rx90_common.bags.exporting.exporting import export_bag
-from rx90_common.bags.importing import exact, spool
-from rx90_common.bags.plotting.plotting import plot_bags
-from rx90_common.bags.storage import BagReader
-from rx90_common.bags.temperatures import temperature_cdr
+from rx90_common.bags import exporting, log_table
+from rx90_common.bags.batch import temperature_cdr
+from rx90_common.bags.exporting import export_bag
+from rx90_common.bags.plotting import plot_bags
 from rx90_common.base.errors import BagError, ExchangeError
 from rx90_common.report.plot import Curve
 from rx90_emulator.cli.frame import run
@@ -102,9 +100,8 @@ def test_temperatures_come_back_from_csv(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Exported and imported again, in several blocks, each message is there to the last bit, and compare says same."""
-    monkeypatch.setattr(blocks, "_BLOCK", 10)
-    monkeypatch.setattr(exact, "BLOCK", 5)
-    monkeypatch.setattr(spool, "BLOCK", 4)
+    monkeypatch.setattr(exporting, "_ROWS_AT_ONCE", 10)
+    monkeypatch.setattr(log_table, "_BLOCK", 5)
     again = tmp_path / "again"
     assert run("rx90_bag", ["export", str(bag), "--output", str(tmp_path / "out")]) == 0
     assert run("rx90_bag", ["import", str(tmp_path / "out"), str(again)]) == 0
@@ -121,26 +118,21 @@ def test_temperatures_come_back_from_csv(
     assert "/temperatures: same, 21 messages compared" in capsys.readouterr().out
 
 
-def test_names_that_come_and_go_leave_blocks_short_and_rows_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One that falls silent, and one first told of after many blocks, have a column from the first row to the last."""
-    monkeypatch.setattr(blocks, "_BLOCK", 10)
+def test_names_that_come_and_go_leave_rows_whole(tmp_path: Path) -> None:
+    """One that falls silent, and one first told of after many rows, have a column from the first row to the last."""
     told = [
         (stamp, name, float(VALUES[k, column]))
         for k, stamp in enumerate(STAMPS)
         for column, name in enumerate(NAMES)
         if {"joint_1": True, "joint_5_6": k >= 15, "motor_1": k < 4}[name]
     ]
-    with BagReader(write(tmp_path / "run", told)) as bag:
-        found = list(blocks.read_blocks(bag, [t for t in bag.topics if t.msgtype == TEMPERATURE]))
-    assert {one.names for one in found} == {("joint_1", "motor_1", "joint_5_6")}
-    assert max(one.messages for one in found) <= 10 + 2
-    assert np.concatenate([one.stamp_ns for one in found]).tolist() == STAMPS
+    found = rx.read_bag(write(tmp_path / "run", told))["temperatures"]
+    assert found.names == ("joint_1", "motor_1", "joint_5_6")
+    assert found.stamp_ns.tolist() == STAMPS
     expected = np.full((20, 3), np.nan)
     expected[:, 0], expected[:4, 1], expected[15:, 2] = VALUES[:, 0], VALUES[:4, 2], VALUES[15:, 1]
-    columns = [one.temperature for one in found if one.temperature is not None]
-    assert np.concatenate(columns).tobytes() == expected.tobytes()
+    assert found.temperature is not None
+    assert found.temperature.tobytes() == expected.tobytes()
 
 
 def test_tables_of_temperatures_have_names_and_units(bag: Path, tmp_path: Path) -> None:

@@ -19,9 +19,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 
 from rx90_common.bags import writing
+from rx90_common.bags.batch import JointStateEncoder
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.topics import JOINT_STATE
-from rx90_common.bags.whole import JointStateEncoder
 from rx90_common.bags.writing import BagWriter, RawMessage, offered_qos, string_message, write_joint_states
 from rx90_common.base.errors import FAILED, REFUSED, BagError, BagWriteError
 

@@ -10,8 +10,8 @@ from typing import BinaryIO
 import numpy as np
 import pytest
 
-from rx90_common.bags.changes import ParameterChange
 from rx90_common.bags.reading import read_bag
+from rx90_common.bags.recorded import ParameterChange
 from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import BagError
 from rx90_common.base.share import config_path

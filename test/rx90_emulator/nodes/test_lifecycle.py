@@ -20,7 +20,7 @@ from ros_client import Client, seconds
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from rx90_common.bags.changes import read_values
+from rx90_common.bags.recorded import read_values
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_emulator.loop.setup import Setup
 

@@ -9,10 +9,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from rx90_common.bags.changes import ParameterChange
 from rx90_common.bags.comparison import compare_bags
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.time_shift import START, time_shift
+from rx90_common.bags.recorded import START, ParameterChange, time_shift
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError
 from rx90_common.description.robot_files import RobotFiles

@@ -1,0 +1,221 @@
+"""What a bag says beside its series: robot, parameters, trajectories; and by what two bags are laid over each other."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.storage import BagReader, BagTopic
+from rx90_common.bags.topics import JOINT_TRAJECTORY, POINT_FIELDS, STRING, tells_changes
+from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.base.stamps import message_time_ns
+from rx90_common.exchange.topics import COMMANDED_TRAJECTORY, OF_ACTION, TRAJECTORY_ACCEPTED
+
+START: Final = "start"
+TRAJECTORY: Final = "trajectory"
+
+_DESCRIPTION = "robot_description"
+_NAME = re.compile(r"""<robot\b[^>]*?\bname\s*=\s*["']([^"']*)["']""")
+_VALUES = (
+    "", "bool", "integer", "double", "string",
+    "byte_array", "bool_array", "integer_array", "double_array", "string_array",
+)  # fmt: skip
+"""The fields of a rcl_interfaces/ParameterValue by its type, without the ending."""
+
+
+def robot_of(path: Path | str) -> str | None:
+    """Return the name in the first description of a robot in a bag; None if there is no description, or no name in it.
+
+    Raises:
+        BagError: if the bag cannot be read.
+    """
+    with BagReader(path) as bag:
+        topics = [t for t in bag.topics if t.msgtype == STRING and t.name.rpartition("/")[2] == _DESCRIPTION]
+        first = next(bag.messages(topics), None) if topics else None
+        found = first and _NAME.search(str(bag.deserialize(first[0], first[2]).data))
+    return found[1] if found else None
+
+
+def check_robot(path: Path | str, robot: str) -> None:
+    """Check that a bag is of a robot: that the first description in it, if there is one, bears its name.
+
+    Raises:
+        BagError: if the bag cannot be read, or is another robot's.
+    """
+    found = robot_of(path)
+    if found not in (None, robot):
+        raise BagError(
+            f"{plain(path)}: recorded of the robot {quoted(found)}, not of {quoted(robot)}; accepted: a bag of "
+            "that robot, or --robot with the bag's"
+        )
+
+
+@dataclass(frozen=True)
+class ParameterChange:
+    """A parameter of a node that was changed while it ran; it counts from this stamp on. The value is JSON."""
+
+    node: str
+    name: str
+    value: str
+    stamp_ns: int
+
+
+def changes_of(event: Any) -> list[ParameterChange]:
+    """Return what a rcl_interfaces/ParameterEvent tells."""
+    stamp = message_time_ns(event.stamp)
+    return [ParameterChange(event.node, each.name, _value(each.value), stamp) for each in event.changed_parameters]
+
+
+def read_changes(path: Path | str) -> list[ParameterChange]:
+    """Return the changes that a bag tells, in the order of its messages.
+
+    Raises:
+        BagError: if the bag cannot be read.
+    """
+    return [change for event in _events(path) for change in changes_of(event)]
+
+
+def read_values(path: Path | str) -> dict[str, Any]:
+    """Return the values that a bag tells of parameters as its nodes began, by their names: numbers, lists of these, ...
+
+    Raises:
+        BagError: if the bag cannot be read.
+    """
+    return {each.name: json.loads(_value(each.value)) for event in _events(path) for each in event.new_parameters}
+
+
+def _events(path: Path | str) -> list[Any]:
+    with BagReader(path) as bag:
+        topics = [topic for topic in bag.topics if tells_changes(topic.name, topic.msgtype)]
+        return [bag.deserialize(topic, data) for topic, _, data in bag.messages(topics)] if topics else []
+
+
+def _value(value: Any) -> str:
+    """Return what a rcl_interfaces/ParameterValue holds as JSON, null for nothing."""
+    held = getattr(value, f"{_VALUES[value.type]}_value") if 0 < value.type < len(_VALUES) else None
+    return json.dumps(held.tolist() if isinstance(held, np.ndarray) else held)
+
+
+class TrajectoryCount:
+    """Holds the trajectories that controllers accepted against those that came on their topics.
+
+    Who sends one trajectory and ends may never have learned of a recorder that listens as well; the controller has got
+    it, keeps it for all who listen, and is asked here.
+    """
+
+    def __init__(self) -> None:
+        self._came: dict[str, Counter[bytes]] = {}
+        self._accepted: dict[str, Counter[bytes]] = {}
+
+    def add(self, topic: str, message: Any) -> None:
+        """Count a JointTrajectory of any topic."""
+        controller, _, name = topic.rpartition("/")
+        if name == COMMANDED_TRAJECTORY:
+            self._came.setdefault(controller, Counter())[_digest(message)] += 1
+        elif name == TRAJECTORY_ACCEPTED and message.header.frame_id != OF_ACTION:
+            self._accepted.setdefault(controller, Counter())[_digest(message)] += 1
+
+    def missing(self, topics: Collection[str]) -> dict[str, int]:
+        """Return how many trajectories did not come, by the topic that they were sent on, of those that are given."""
+        none = Counter[bytes]()
+        counts = {
+            f"{controller}/{COMMANDED_TRAJECTORY}": (accepted - self._came.get(controller, none)).total()
+            for controller, accepted in self._accepted.items()
+        }
+        return {topic: count for topic, count in counts.items() if count and topic in topics}
+
+
+def _digest(message: Any) -> bytes:
+    """Return a digest of joints and points, whatever the header."""
+    whole = hashlib.sha256(repr(tuple(message.joint_names)).encode())
+    for point in message.points:
+        since = point.time_from_start
+        vectors = [np.asarray(getattr(point, field), dtype=np.float64) for field in POINT_FIELDS]
+        whole.update(repr((since.sec, since.nanosec, *map(len, vectors))).encode())
+        for vector in vectors:
+            whole.update(vector.tobytes())
+    return whole.digest()
+
+
+@dataclass(frozen=True)
+class RecordedTrajectory:
+    """A trajectory that a controller took.
+
+    Attributes:
+        start_ns: when it starts.
+        message: the JointTrajectory; without points the arm was to stop.
+    """
+
+    start_ns: int
+    message: Any
+
+
+def read_trajectories(path: Path | str) -> list[RecordedTrajectory]:
+    """Return the trajectories of a bag in the order of their start.
+
+    They are those of the controller's topic `trajectory_accepted`, whose stamps are start times.
+
+    Raises:
+        BagError: if the bag cannot be read, has no such topic, or two controllers' ones.
+    """
+    with BagReader(path) as bag:
+        topic = _trajectory_topic(path, bag.topics)
+        found = [bag.deserialize(topic, data) for _, _, data in bag.messages([topic])]
+    trajectories = [RecordedTrajectory(message_time_ns(m.header.stamp), m) for m in found]
+    return sorted(trajectories, key=lambda one: one.start_ns)
+
+
+def _trajectory_topic(path: Path | str, topics: Sequence[BagTopic]) -> BagTopic:
+    kind = [topic for topic in topics if topic.msgtype == JOINT_TRAJECTORY]
+    fitting = [topic for topic in kind if topic.name.rpartition("/")[2] == TRAJECTORY_ACCEPTED]
+    if len(fitting) > 1:
+        names = listed(sorted(topic.name for topic in fitting))
+        raise BagError(f"{plain(path)}: has the trajectories of several controllers, {names}; accepted: those of one")
+    if not fitting or not fitting[0].count:
+        raise BagError(
+            f"{plain(path)}: no trajectory in it; accepted: a bag with rx90_controller/{TRAJECTORY_ACCEPTED}, which "
+            "rx90_bag record and rx90_run write"
+        )
+    return fitting[0]
+
+
+class Begins(Protocol):
+    """A bag as far as it was read, that knows when it begins."""
+
+    @property
+    def path(self) -> Path:
+        """Return its path."""
+
+    @property
+    def begin_ns(self) -> int:
+        """Return its first stamp, ns; raises BagError if there is none."""
+
+
+def time_shift(align: int | str, first: Begins, second: Begins) -> int:
+    """Return what to add to the stamps of the second of two bags, ns; `align` as in `Scope`.
+
+    Raises:
+        BagError: if a bag has no trajectory, for TRAJECTORY, or no message, for START.
+    """
+    if isinstance(align, int):
+        return align
+    if align == TRAJECTORY:
+        return read_trajectories(first.path)[-1].start_ns - read_trajectories(second.path)[-1].start_ns
+    return first.begin_ns - second.begin_ns
+
+
+def moved(series: dict[str, list[JointSeries]], shift_ns: int) -> dict[str, list[JointSeries]]:
+    """Return the series with stamps that much later, ns."""
+    if not shift_ns:
+        return series
+    return {topic: [replace(one, stamp_ns=one.stamp_ns + shift_ns) for one in found] for topic, found in series.items()}
