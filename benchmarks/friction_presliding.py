@@ -30,7 +30,7 @@ from friction_bench.presliding.campaign import Campaign
 from friction_bench.presliding.drift import CYCLES, DriftVerdict
 from friction_bench.presliding.evaluation import PreslidingResult, evaluate
 from friction_bench.presliding.follow import follow
-from friction_bench.presliding.planning import CampaignPlan, runs
+from friction_bench.presliding.job import CampaignPlan, runs
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.native import firmware_directory

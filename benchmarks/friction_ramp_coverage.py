@@ -27,7 +27,7 @@ from benchmarks.quick_ramps import QuickRig
 from benchmarks.report import merge, print_table
 from friction_bench.experiment.evaluation import evaluate
 from friction_bench.experiment.identification import IntervalEstimate, RampFriction
-from friction_bench.experiment.planning import plan_from, run_planned
+from friction_bench.experiment.job import plan_from, run_planned
 from friction_bench.experiment.record import RampRecord
 from friction_bench.rig.plant import JointFriction
 from friction_bench.rig.rig_file import Rig, load_rig

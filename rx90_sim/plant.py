@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NoReturn
 
 import numpy as np
@@ -11,14 +12,179 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, DivergenceError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
+from rx90_common.description.elasticity import LINK
 from rx90_common.description.robot import RobotModel
-from rx90_common.friction import ELEMENT_COUNT, FrictionSet
+from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE, manipulator_record
+from rx90_common.friction import ELEMENT_COUNT, FrictionElement, FrictionSet
+from rx90_common.friction.arm_elements import fill_arm_parts
+from rx90_common.friction.element import element_arrays, elements_dtype
+from rx90_common.friction.parts.record import parts_dtype, parts_state_dtype
+from rx90_common.friction.parts.scatter import check_seed
+from rx90_common.kernels.elementary_arrays import exponential_of
+from rx90_sim.cogging import COGGING_DTYPE, COGGING_STATE_DTYPE, fill_cogging
+from rx90_sim.current_sensor import SENSOR_DTYPE, SENSOR_STATE_DTYPE, fill_sensor
 from rx90_sim.joint_temperatures import JointTemperatures
-from rx90_sim.plant_data import STATE_DTYPE, plant_record
 from rx90_sim.plant_step import friction_states, plant_reset, plant_step
+from rx90_sim.plant_steps import MOST_STEPS, plant_steps
+from rx90_sim.transmission import TRANSMISSION_DTYPE, TRANSMISSION_STATE_DTYPE
+from rx90_sim.winding import WINDING_DTYPE, fill_windings
 
 _NO_COMMAND = np.zeros(6)
 _MOST_CORRECTIONS = 50
+PLANT_DTYPE = np.dtype(
+    [
+        ("arm", MANIPULATOR_DTYPE),
+        ("friction", elements_dtype(ELEMENT_COUNT)),
+        ("brake", elements_dtype(ELEMENT_COUNT)),  # a closed brake is a stiff bristle element on its motor
+        ("parts", parts_dtype(ELEMENT_COUNT)),
+        ("gear", np.float64, 6),
+        ("peak_torque", np.float64, 6),
+        ("resolution", np.float64, 6),  # of the encoder, motor side, rad
+        ("observer_position", np.float64),  # gains of the velocity observer
+        ("observer_velocity", np.float64),
+        ("lower", np.float64, 6),
+        ("upper", np.float64, 6),
+        ("stop_stiffness", np.float64, 6),
+        ("stop_damping", np.float64, 6),
+        ("period", np.float64),
+        ("substeps", np.int64),
+        ("speed_limit", np.float64, 6),
+        ("transmission", TRANSMISSION_DTYPE),
+        ("cogging", COGGING_DTYPE),
+        ("winding", WINDING_DTYPE),
+        ("sensor", SENSOR_DTYPE),
+    ],
+    align=True,
+)
+
+STATE_DTYPE = np.dtype(
+    [
+        ("q", np.float64, 6),
+        ("v", np.float64, 6),
+        ("z", np.float64, ELEMENT_COUNT),
+        ("brake_z", np.float64, ELEMENT_COUNT),
+        ("brakes_closed", np.int64),
+        ("acceleration", np.float64, 6),  # mean over the last step
+        ("drive_torque", np.float64, 6),  # joint side, Nm
+        ("motor_torque", np.float64, 6),
+        ("motor_position", np.float64, 6),  # what the encoder says
+        ("motor_velocity", np.float64, 6),  # what the observer makes of it
+        ("observer", np.float64, 6),  # the observer's position
+        ("saturated", np.int64, 6),  # ticks in which a motor gave less than its command
+        # Workspace of a step; the factor of the mass matrix is also the next step's predictor.
+        ("body", BODY_DTYPE),
+        ("mass_matrix", np.float64, (6, 6)),
+        ("factor", np.float64, (6, 6)),
+        ("bias", np.float64, 6),
+        ("q_mid", np.float64, 6),
+        ("v_mid", np.float64, 6),
+        ("rhs", np.float64, 6),
+        ("transmission", TRANSMISSION_STATE_DTYPE),
+        ("cogging", COGGING_STATE_DTYPE),
+        ("sensor", SENSOR_STATE_DTYPE),
+        ("temperature", np.float64, 6),  # of the windings, degrees Celsius
+        # Of friction elements with parts alone.
+        ("parts", parts_state_dtype(ELEMENT_COUNT)),
+        ("after_friction", np.float64, 6),  # workspace: drive torque less friction, Nm
+    ],
+    align=True,
+)
+
+
+def plant_record(
+    robot: RobotModel,
+    drives: DriveParameters,
+    friction: FrictionSet,
+    rates: Rates,
+    substeps: int | None = None,
+    seed: int = 0,
+) -> np.ndarray[Any, Any]:
+    """Return the plant's constants, shape (1,), dtype PLANT_DTYPE.
+
+    Args:
+        robot: the arm.
+        drives: gears, motors, brakes, spring, end stops.
+        friction: the seven elements.
+        rates: of the loops.
+        substeps: plant steps in a tick; None for as many as the arm needs (rx90_sim.plant_steps).
+        seed: of all that is random in the plant.
+
+    Raises:
+        ConfigError: if `substeps` is not at least 1 or less than the arm needs, the observer is faster than the tick
+            allows, the friction follows the load faster than the step, or the seed is not a whole number from 0 to
+            LARGEST_SEED.
+    """
+    _check(drives, rates, substeps, seed)
+    arm = manipulator_record(robot.chain, drives)
+    substeps = plant_steps(robot, drives, friction, arm, rates.period, substeps)
+    _check_relax_times(friction, rates.period / substeps)
+    record = np.zeros(1, PLANT_DTYPE)
+    plant = record[0]
+    plant["arm"] = arm[0]
+    _fill_transmission(plant["transmission"], drives)
+    fill_cogging(plant["cogging"], drives.cogging, drives.gear)
+    fill_windings(plant["winding"], drives.winding, drives.torque_constant)
+    if plant["transmission"]["flexible"]:
+        plant["arm"]["rotor"] = 0.0  # the rotors move on their own
+    plant["friction"] = element_arrays(friction.elements)[0]
+    fill_arm_parts(plant["parts"], friction.elements, drives.gear, drives.motor_heat, rates.period, seed)
+    fill_sensor(plant["sensor"], drives.current_sensor, drives.torque_constant, rates.period, seed)
+    _fill_brakes(plant["brake"], drives)
+    plant["gear"] = drives.gear
+    plant["peak_torque"] = drives.peak_torque
+    plant["resolution"] = 2.0 * math.pi / drives.encoder_counts
+    pole = exponential_of(-2.0 * math.pi * drives.velocity_bandwidth * rates.period)
+    plant["observer_position"] = 1.0 - pole * pole
+    plant["observer_velocity"] = (1.0 - pole) * (1.0 - pole) / rates.period
+    plant["lower"], plant["upper"] = robot.lower, robot.upper
+    plant["stop_stiffness"], plant["stop_damping"] = drives.stop_stiffness, drives.stop_damping
+    plant["period"], plant["substeps"] = rates.period, substeps
+    plant["speed_limit"] = 10.0 * robot.max_velocity
+    return record
+
+
+def _check(drives: DriveParameters, rates: Rates, substeps: int | None, seed: int) -> None:
+    """Refuse what does not fit the tick."""
+    if substeps is not None and not (isinstance(substeps, int | np.integer) and 1 <= substeps <= MOST_STEPS):
+        raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1, up to {MOST_STEPS}")
+    if drives.velocity_bandwidth >= rates.base_hz / 2:
+        raise ConfigError(
+            f"velocity_bandwidth is {drives.velocity_bandwidth} Hz; accepted: below half the base rate, "
+            f"{rates.base_hz / 2:g} Hz"
+        )
+    check_seed(seed)
+
+
+def _check_relax_times(friction: FrictionSet, step: float) -> None:
+    for name, element in zip(friction.names, friction.elements, strict=True):
+        if element.load is not None and element.load.relax_time < step:
+            raise ConfigError(
+                f"friction.{name}.load.relax_time is {element.load.relax_time:g} s; accepted: at least the plant's "
+                f"step, {step:g} s"
+            )
+
+
+def _fill_transmission(transmission: Any, drives: DriveParameters) -> None:
+    elasticity = drives.elasticity
+    elastic = elasticity.elastic
+    transmission["flexible"], transmission["elastic"] = elastic.any(), elastic
+    transmission["link_friction"] = elasticity.friction_side == LINK
+    transmission["rotor"] = drives.rotor_inertia
+    transmission["stiffness"] = np.where(elastic, elasticity.stiffness, 0.0)
+    transmission["damping"] = elasticity.damping
+    transmission["half_play"] = 0.5 * elasticity.backlash
+
+
+def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
+    """Write the brakes, bristle elements with the inputs of the friction elements.
+
+    Motor 6 turns with joints 5 and 6 together, so its brake is the seventh; on joint 6 alone there is none.
+    """
+    data = zip(drives.brake_torque, drives.brake_stiffness, drives.brake_damping, strict=True)
+    brakes = element_arrays([FrictionElement(tau, tau, tau, tau, 1.0, 1.0, c0, c1, 0.0) for tau, c0, c1 in data])
+    brake["tau_c"] = brake["tau_s"] = brake["alpha"] = 1.0
+    for name in brakes.dtype.names or ():
+        brake[name][..., [0, 1, 2, 3, 4, 6]] = brakes[name][0]
 
 
 class Plant:

@@ -163,7 +163,12 @@ def test_the_house_is_found() -> None:
     assert {path.parent.name for path in ROOT.glob("*/__init__.py")} == {*PACKAGES, "benchmarks"}
     assert "rx90_common.friction.bristle" in reached("rx90_emulator.loop.closed_loop")
     assert "rx90_emulator.cli.line" in arrows("rx90_emulator.cli.frame")
-    assert ros("rx90_common.exchange.node_tools") == {"rclpy", "diagnostic_msgs", "rcl_interfaces"}
+    assert ros("rx90_common.exchange.node_tools") == {
+        "rclpy",
+        "diagnostic_msgs",
+        "rcl_interfaces",
+        "type_description_interfaces",
+    }
 
 
 def test_arrows_point_down() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
@@ -19,8 +20,8 @@ from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
-from rx90_common.exchange.newest import Newest
 from rx90_common.exchange.ros_start import reason
+from rx90_common.exchange.subscribing import TakenByHand, never_called
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import SAMPLED, TIME_MODE, TRAJECTORY_ACCEPTED
 
@@ -28,6 +29,64 @@ _NODES = 20  # that may all speak at once
 _SAMPLES = 100  # in a second
 _TICKS = 1000  # of the position loop in a second
 _SERVICE = "joint_trajectory"  # any name below the controller's
+
+
+class Newest:
+    """A subscription that keeps the newest messages; others cost no processor time but the middleware's.
+
+    Best effort: the publisher neither waits for this subscription nor sends again what it has missed.
+
+    Args:
+        node: owner; an executor may spin it.
+        kind: class of the messages.
+        topic: relative or absolute name.
+        raw: take the bytes as they are.
+        latched: also what was published before; then reliable.
+        depth: how many are kept.
+    """
+
+    def __init__(
+        self, node: Node, kind: Any, topic: str, *, raw: bool = False, latched: bool = False, depth: int = 1
+    ) -> None:
+        profile = QoSProfile(
+            depth=depth,
+            reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        )
+        self._node = node
+        self._kind, self._raw, self._depth = kind, raw, depth
+        self._subscription = node.create_subscription(
+            kind, topic, never_called, profile, raw=raw, callback_group=TakenByHand()
+        )
+
+    @property
+    def topic(self) -> str:
+        """Return the resolved name of the topic."""
+        return str(self._subscription.topic_name)
+
+    @property
+    def publishers(self) -> int:
+        """Return how many publishers the topic has."""
+        return int(self._subscription.get_publisher_count())
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._node.destroy_subscription(self._subscription)
+
+    def take_all(self) -> list[Any]:
+        """Return the messages that came since the last call, as far as they were kept, the newest last."""
+        messages = []
+        for _ in range(self._depth):
+            taken = self._subscription.handle.take_message(self._kind, self._raw)
+            if taken is None:
+                break
+            messages.append(taken[0])
+        return messages
+
+    def take(self) -> Any:
+        """Return the newest message that came since the last call, None if none did."""
+        messages = self.take_all()
+        return messages[-1] if messages else None
 
 
 class JointSample(NamedTuple):

@@ -10,9 +10,11 @@ whatever was in memory there and up to 15 unused bytes at the end; apart from th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
 from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
@@ -21,16 +23,135 @@ from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import ENCAPSULATION, HEAD, STAMP_BYTES
 from rx90_common.exchange.cdr_body import CdrBody
-from rx90_common.exchange.frame import MARGIN, NO_MATCH, read_frame, write_frame
-from rx90_common.exchange.joint_state_parser import parse_joint_state
+from rx90_common.exchange.cdr_reader import CdrReader
+from rx90_common.kernels.compiled import c_function
 
 _MAX_STAMP_NS = (1 << 31) * NANOSECONDS - 1
 _FLOAT64 = np.dtype("<f8")
-_BODY = MARGIN + ENCAPSULATION  # where a message's body begins in memory
 
 
 # stamp in ns and three arrays of shape (n,) in the codec's order, None when empty
 JointStateValues = tuple[int, Array | None, Array | None, Array | None]
+# shape: bytes of the message, numbers in a block, and for each of three blocks where it begins in memory, or -1.
+# The message begins at byte 4 of its memory, so that the numbers, aligned from byte 4 of the message on, are aligned.
+MARGIN = 4
+_BODY = MARGIN + ENCAPSULATION  # where a message's body begins in memory
+SHAPE_LENGTH = 5
+NO_MATCH = -1
+
+_BLOCKS = 3
+_STAMP_AT = MARGIN + ENCAPSULATION
+Arrays = tuple[NDArray[np.float64] | None, NDArray[np.float64] | None, NDArray[np.float64] | None]
+
+
+def parse_joint_state(raw: bytes, names: Sequence[str]) -> tuple[int, Arrays]:
+    """Return stamp_ns and (position, velocity, effort) in the order of `names`, None for an empty array.
+
+    Raises:
+        ExchangeError: see `JointStateCodec.decode`.
+    """
+    reader = CdrReader(raw)
+    stamp_ns = reader.stamp_ns()
+    reader.string("header.frame_id")
+    found = [reader.string(f"name[{i}]") for i in range(reader.count("name", least_bytes=4))]
+    order = _order(found, names)
+    position, velocity, effort = (
+        _pick(reader.doubles(field), order, field, names) for field in ("position", "velocity", "effort")
+    )
+    reader.finish()
+    return stamp_ns, (position, velocity, effort)
+
+
+def _order(found: list[str], names: Sequence[str]) -> list[int]:
+    """Return where each of `names` stands in the message."""
+    for name in found:
+        if name not in names:
+            raise ExchangeError(f"joint name {quoted(name)} is unknown; accepted: {', '.join(names)}")
+        if found.count(name) > 1:
+            raise ExchangeError(f"joint name {quoted(name)} is repeated; accepted: {', '.join(names)}, each once")
+    missing = [name for name in names if name not in found]
+    if missing:
+        raise ExchangeError(f"joint name {quoted(missing[0])} is missing; accepted: {', '.join(names)}, each once")
+    return [found.index(name) for name in names]
+
+
+def _pick(
+    values: NDArray[np.float64], order: list[int], field: str, names: Sequence[str]
+) -> NDArray[np.float64] | None:
+    if not values.size:
+        return None
+    if values.size != len(names):
+        raise ExchangeError(f"{field} has {values.size} elements; accepted: {len(names)} or none")
+    picked = values[order]
+    finite = np.isfinite(picked)
+    if not finite.all():
+        bad = int(np.argmin(finite))
+        raise ExchangeError(f"{field} of {names[bad]} is {picked[bad]}; accepted: a finite number")
+    return picked
+
+
+@c_function(types.int64(types.voidptr, types.voidptr, types.voidptr, types.voidptr, types.voidptr))
+def read_frame(raw_at, expected_at, mask_at, memory_at, shape_at):  # type: ignore[no-untyped-def]  # addresses
+    """Copy a message to `memory` and return its stamp, ns, or NO_MATCH if it is not of the expected form.
+
+    Args:
+        raw_at: the message, as long as the frame.
+        expected_at: the frame's constant bytes.
+        mask_at: 255 where a byte must be the expected one, else 0.
+        memory_at: where to copy it, MARGIN bytes further.
+        shape_at: the frame's shape, int64.
+    """
+    shape = carray(shape_at, (SHAPE_LENGTH,), np.int64)
+    size = shape[0]
+    raw = carray(raw_at, (size,), np.uint8)
+    expected, mask = carray(expected_at, (size,), np.uint8), carray(mask_at, (size,), np.uint8)
+    memory = carray(memory_at, (MARGIN + size,), np.uint8)
+    different = np.uint8(0)
+    for i in range(size):
+        different |= (raw[i] ^ expected[i]) & mask[i]
+        memory[MARGIN + i] = raw[i]
+    if different != 0:
+        return NO_MATCH
+    stamp = carray(memory_at, (_STAMP_AT // 4 + 2,), np.uint32)
+    seconds, nanoseconds = np.int64(stamp[_STAMP_AT // 4]), np.int64(stamp[_STAMP_AT // 4 + 1])
+    if seconds > 0x7FFFFFFF or nanoseconds >= NANOSECONDS:
+        return NO_MATCH
+    numbers = carray(memory_at, ((MARGIN + size) // 8,), np.float64)
+    for block in range(_BLOCKS):
+        at = shape[2 + block]
+        if at >= 0:
+            for i in range(at // 8, at // 8 + shape[1]):
+                if not math.isfinite(numbers[i]):
+                    return NO_MATCH
+    return seconds * NANOSECONDS + nanoseconds
+
+
+@c_function(types.int64(types.int64, types.voidptr, types.voidptr, types.voidptr, types.voidptr, types.voidptr))
+def write_frame(stamp_ns, memory_at, first_at, second_at, third_at, shape_at):  # type: ignore[no-untyped-def]  # addresses
+    """Write stamp and numbers into a frame whose constant bytes are in `memory` already.
+
+    Args:
+        stamp_ns: the stamp, ns.
+        memory_at: the frame, MARGIN bytes before it.
+        first_at: numbers of the first block; not looked at if the frame has none.
+        second_at: of the second.
+        third_at: of the third.
+        shape_at: the frame's shape, int64.
+    """
+    shape = carray(shape_at, (SHAPE_LENGTH,), np.int64)
+    size, count = shape[0], shape[1]
+    stamp = carray(memory_at, (_STAMP_AT // 4 + 2,), np.uint32)
+    stamp[_STAMP_AT // 4] = stamp_ns // NANOSECONDS
+    stamp[_STAMP_AT // 4 + 1] = stamp_ns % NANOSECONDS
+    numbers = carray(memory_at, ((MARGIN + size) // 8,), np.float64)
+    for block in range(_BLOCKS):
+        at = shape[2 + block] // 8
+        if shape[2 + block] >= 0:
+            address = first_at if block == 0 else second_at if block == 1 else third_at
+            values = carray(address, (count,), np.float64)
+            for i in range(count):
+                numbers[at + i] = values[i]
+    return 0
 
 
 class _Layout:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import re
 import sys
 import threading
 import traceback
@@ -12,21 +13,23 @@ from pathlib import PurePath
 from typing import Any, Protocol, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.duration import Duration, Infinite
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.utilities import try_shutdown
+from type_description_interfaces.srv import GetTypeDescription
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, RobotFiles
-from rx90_common.exchange.node_services import answer_all_requests
 from rx90_common.exchange.parameter_changes import OF_ROS, with_real_numbers
 from rx90_common.exchange.qos import CLOCK_QOS
 from rx90_common.exchange.qos_overrides import PREFIX, overridable_topics, publish
@@ -39,6 +42,10 @@ _SETTLED_LOOKS = 10  # of 50 ms
 _RECEIVED_LOOKS = 40  # of 50 ms
 _SWITCH_INTERVAL = 5e-4
 _Value = TypeVar("_Value", bool, int, float, str, list[float])
+_TYPES = {kind.value for kind in Parameter.Type}
+
+
+_TYPE_HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 
 
 def declare(
@@ -335,3 +342,62 @@ def _asked(profile: QoSProfile) -> QoSProfile:
         durability=profile.durability,
         **{name: time for name, time in times.items() if time < Infinite},
     )
+
+
+def answer_all_requests(node: Node) -> None:
+    """Let the services refuse what rclpy cannot take.
+
+    It does not survive a value of a type that does not exist. A type hash that is none is printed as it is by rcl, with
+    its line breaks.
+    """
+    for service in node.services:
+        if service.srv_type is SetParameters:
+            service.callback = _one_by_one(service.callback)
+        elif service.srv_type is SetParametersAtomically:
+            service.callback = _all_or_none(service.callback)
+        elif service.srv_type is GetTypeDescription:
+            service.callback = _of_a_type(service.callback)
+
+
+def _one_by_one(set_parameters: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    def answer(request: Any, response: Any) -> Any:
+        for parameter in request.parameters:
+            refused = _refusal(parameter)
+            if refused is None:
+                set_parameters(SetParameters.Request(parameters=[parameter]), response)
+            else:
+                response.results.append(refused)
+        return response
+
+    return answer
+
+
+def _all_or_none(set_parameters: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    def answer(request: Any, response: Any) -> Any:
+        for parameter in request.parameters:
+            refused = _refusal(parameter)
+            if refused is not None:
+                response.result = refused
+                return response
+        return set_parameters(request, response)
+
+    return answer
+
+
+def _of_a_type(describe: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    def answer(request: Any, response: Any) -> Any:
+        if _TYPE_HASH.fullmatch(request.type_hash):
+            return describe(request, response)
+        response.successful = False
+        response.failure_reason = f"type_hash is {quoted(request.type_hash)}; accepted: RIHS01_ and 64 digits"
+        return response
+
+    return answer
+
+
+def _refusal(parameter: Any) -> SetParametersResult | None:
+    kind = parameter.value.type
+    if kind in _TYPES:
+        return None
+    reason = f"parameter {quoted(parameter.name)} has a value of type {kind}; accepted: {min(_TYPES)} to {max(_TYPES)}"
+    return SetParametersResult(successful=False, reason=reason)

@@ -19,7 +19,6 @@ from rx90_common.base.quoting import plain
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Curve, Dots, Level, Mark, Panel, Plot
 from rx90_emulator.loop.catalogue import SWITCH
-from rx90_emulator.sweep.effects import MainEffect, main_effect
 from rx90_emulator.sweep.store import about, read_results
 
 _WORST, _RMS = "path_error_worst", "path_error_rms"
@@ -29,6 +28,60 @@ _MOST_ROWS = 40  # parameters in the table
 _MOST_DOTS = 8000  # in all panels
 _MOST_WORST = 10
 _SHOWN_VALUES = 6  # parameters of a worst run
+_MOST_LEVELS = 12  # different values that are levels by themselves; more are put into bins
+_BINS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class MainEffect:
+    """Means of a metric over the runs that share a value of a parameter, or lie in one part of its range.
+
+    Attributes:
+        name: of the parameter's column.
+        values: mean value of the parameter at each level, increasing, (levels,).
+        means: mean of the metric there, (levels,).
+        runs: number of runs that set the parameter.
+        share: of the metric's variance over these runs that the levels explain, adjusted for their number (epsilon
+            squared; Kelley 1935); 0 where chance alone would explain as much, NaN with one level.
+    """
+
+    name: str
+    values: Array
+    means: Array
+    runs: int
+    share: float
+
+    @property
+    def span(self) -> float:
+        """Return the largest mean less the smallest."""
+        return float(np.ptp(self.means))
+
+
+def main_effect(name: str, values: Array, metric: Array) -> MainEffect:
+    """Return the main effect of a parameter.
+
+    Args:
+        name: of it.
+        values: of each run, (runs,); NaN where a run does not set it.
+        metric: of each run, (runs,); NaN where it failed.
+    """
+    known = np.isfinite(values) & np.isfinite(metric)
+    x, y = values[known], metric[known]
+    distinct = np.unique(x)
+    if len(distinct) <= _MOST_LEVELS:
+        level = np.searchsorted(distinct, x)
+    else:
+        level = np.searchsorted(np.quantile(x, np.arange(1, _BINS) / _BINS), x, side="right")
+    _, level, counts = np.unique(level, return_inverse=True, return_counts=True)
+    means, centres = (np.bincount(level, weights=each) / counts for each in (y, x))
+    within = float(np.sum((y - means[level]) ** 2))
+    total = float(np.sum((y - y.mean()) ** 2)) if len(y) else 0.0
+    share = np.nan
+    if len(counts) > 1:
+        # With one run at each level there is nothing to tell their scatter from the effect.
+        scatter = within * (len(y) - 1) / (len(y) - len(counts)) if len(y) > len(counts) else 0.0
+        share = max(0.0, 1.0 - scatter / total) if total else 0.0
+    return MainEffect(name, centres, means, len(y), share)
 
 
 class SweptColumn(NamedTuple):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
@@ -17,7 +20,6 @@ from rx90_common.exchange.qos import TICK_QOS
 from rx90_common.exchange.throttle import ThrottledLog
 from rx90_common.exchange.tick_channel import MakeChannel
 from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
-from rx90_sim.node.heartbeat import Heartbeat
 from rx90_sim.node.held_command import HeldCommand
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.publications import Publications
@@ -27,6 +29,35 @@ from rx90_sim.plant import Plant
 
 _WAIT_SLICE = 0.1  # s
 _MATCH_ATTEMPTS = 100  # of 50 ms
+_PERIOD = 0.25  # s on the wall clock
+
+
+class Heartbeat:
+    """Repeats what was published last for as long as the tick stays the same; for the thread that ticks.
+
+    Latching would not do: only subscribers that ask for it are told, and those would get as many old samples as the
+    queue of a recorder is deep.
+
+    Args:
+        repeat: publishes the newest samples again, to the bit.
+        clock: the steady clock, s.
+    """
+
+    def __init__(self, repeat: Callable[[], None], clock: Callable[[], float] = time.monotonic) -> None:
+        self._repeat, self._clock = repeat, clock
+        self._tick: int | None = None
+        self._due = 0.0
+
+    def beat(self, tick: int) -> None:
+        """Repeat the samples if that is due; called again and again while tick `tick` does not end."""
+        now = self._clock()
+        if tick != self._tick:
+            self._tick = tick
+        elif now >= self._due:
+            self._repeat()
+        else:
+            return
+        self._due = now + _PERIOD
 
 
 class Ticks:

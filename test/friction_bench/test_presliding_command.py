@@ -186,7 +186,7 @@ def test_a_measurement_that_ends_early_keeps_all_readings(
         return follow(client, law, label, some if label == "drift" else keep)
 
     monkeypatch.setattr(job, "follow", follow_some)
-    monkeypatch.setattr("friction_bench.presliding.planning.RATES", (6.0,))
+    monkeypatch.setattr("friction_bench.presliding.job.RATES", (6.0,))
     words = ["--kinds", "drift", "--cycles", "300", "--output", str(tmp_path / "run")]
     assert run("friction_presliding", words) == code
     assert capsys.readouterr().err.splitlines()[-1] == line
@@ -214,7 +214,7 @@ def test_a_joint_beyond_the_rigs_codes_gets_a_report_that_says_so(
     torques: str, rate: float, reason: str, shown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where the motor cannot break the joint away, or a code does, page and estimates say so; the exit code is 1."""
-    monkeypatch.setattr("friction_bench.presliding.planning.RATES", (rate,))
+    monkeypatch.setattr("friction_bench.presliding.job.RATES", (rate,))
     file, out = rig_file(tmp_path, "LuGre"), tmp_path / "run"
     text = file.read_text()
     assert text.count("tau_c: 2.0, tau_s: 2.5") == 1

@@ -18,7 +18,7 @@ from friction_bench.presliding.five_laws import COULOMB as COULOMB_LAW
 from friction_bench.presliding.five_laws import ELASTO_PLASTIC, LUGRE, MAXWELL_SLIP, LoopBlock, settled, torque_along
 from friction_bench.presliding.five_laws import STRIBECK as STRIBECK_LAW
 from friction_bench.presliding.follow import follow
-from friction_bench.presliding.plots import drift_plot
+from friction_bench.presliding.report import drift_plot
 from friction_bench.presliding.sliding import SlidingFriction, SlidingReadings, fit_sliding_friction
 from friction_bench.presliding.stick_slip import SteadySliding
 from friction_bench.presliding.trace import Trace

@@ -14,7 +14,7 @@ from benchmarks.friction_ramp_coverage import random_rig, truth_of
 from benchmarks.quick_ramps import QuickRig
 from friction_bench.experiment.asymptote import integrated_ou_covariance
 from friction_bench.experiment.identification import identify_ramps
-from friction_bench.experiment.planning import plan_from
+from friction_bench.experiment.job import plan_from
 from friction_bench.experiment.ramp import run_ramp
 from friction_bench.experiment.ramp_model import RampModel
 from friction_bench.experiment.record import RampRecord

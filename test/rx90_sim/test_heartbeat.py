@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rx90_sim.node.heartbeat import Heartbeat
+from rx90_sim.node.ticks import Heartbeat
 
 
 def test_a_tick_that_does_not_end_is_repeated_a_few_times_a_second() -> None:

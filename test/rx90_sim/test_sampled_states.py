@@ -10,7 +10,7 @@ import pytest
 
 from rx90_common.base.rates import Rates
 from rx90_common.base.stamps import cdr_stamp_ns
-from rx90_sim.node import sampled_states
+from rx90_sim.node import publications
 
 TICKS = 400_000  # a hundred seconds of simulated time at 4 kHz
 
@@ -40,9 +40,9 @@ def looked_on(monkeypatch: pytest.MonkeyPatch, pace: float, jitter: float = 0.0)
         joint_states=lambda: states,
         friction_states=lambda: states,
     )
-    sampled = sampled_states.SampledStates(node, plant, Rates())  # type: ignore[arg-type]
+    sampled = publications.SampledStates(node, plant, Rates())  # type: ignore[arg-type]
     wall = 1e3
-    monkeypatch.setattr(sampled_states.time, "monotonic", lambda: wall)
+    monkeypatch.setattr(publications.time, "monotonic", lambda: wall)
     for tick in range(0, TICKS, 4):
         wall = 1e3 + tick / 4000.0 / pace + jitter * (tick // 40 % 2)
         sampled.publish_due(tick)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rx90_common.base.rates import Rates
-from rx90_sim.node import temperatures
+from rx90_sim.node import publications
 
 TOLD = tuple[int, str, float]
 
@@ -24,7 +24,7 @@ class KeepingPublisher:
         """Return how many listen."""
         return self.listening
 
-    def publish(self, message: temperatures.Temperature) -> None:
+    def publish(self, message: publications.Temperature) -> None:
         """Keep stamp, ns, name and value."""
         head = message.header
         self.told.append((head.stamp.sec * 10**9 + head.stamp.nanosec, head.frame_id, message.temperature))
@@ -34,14 +34,14 @@ class KeepingPublisher:
 def arm(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """Return the topic, at 4 Hz of 2000 ticks in a second, with an element and six windings that are warm."""
     publisher = KeepingPublisher()
-    monkeypatch.setattr(temperatures, "publish", lambda *_: publisher)
+    monkeypatch.setattr(publications, "publish", lambda *_: publisher)
     plant = SimpleNamespace(
         friction_names=[f"element_{k}" for k in range(7)],
         temperatures=SimpleNamespace(elements=(2,), now=np.arange(30.0, 37.0)),
         constants={"winding": np.array([(1,)], dtype=[("used", int)])},
         state={"temperature": np.arange(50.0, 56.0)[None]},
     )
-    topic = temperatures.Temperatures(None, plant, Rates(2000, 1000, 4))  # type: ignore[arg-type]
+    topic = publications.Temperatures(None, plant, Rates(2000, 1000, 4))  # type: ignore[arg-type]
     return SimpleNamespace(topic=topic, publisher=publisher)
 
 

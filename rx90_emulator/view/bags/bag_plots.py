@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
+from typing import NamedTuple
 
+import numpy as np
+from viser import uplot
+
+from rx90_common.base.arrays import Array
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.report.plot import COLOURS
-from rx90_emulator.view.bags.curves import CurvesPlot, RecordedCurve
+from rx90_common.report.plot import COLOURS, Curve, Panel
 from rx90_emulator.view.bags.difference import Difference
 from rx90_emulator.view.bags.recording import Recording
+from rx90_emulator.view.bags.times import since
 from rx90_emulator.view.bags.track import Track
 from rx90_emulator.view.page import Page
+from rx90_emulator.view.plots import TIME_AXIS, extent_series, parts_of
 
 _ALL = "all joints"
 _SPANS = ("0.02", "0.1", "0.5", "2", "10", "60")
@@ -20,6 +26,136 @@ _LEAST = {"[mm]": 0.01, "[mrad]": 0.01, "[rad]": 0.01, "[rad/s]": 0.02, "[Nm]": 
 _HINT = "Each point of a plot is the least or largest value in its share of the width: no peak is left out."
 _OF_THE_TIP = "#111111"
 _SECOND = "dashed: the second bag"
+_BUCKETS = 300  # about one for each pixel of a plot
+_CURSOR = "#888888"
+_MOST_PARTS = 8  # of a curve with gaps
+
+
+class RecordedCurve(NamedTuple):
+    """One column of a field of a track.
+
+    Attributes:
+        label: in the plot's legend and for `choose`.
+        track: with the values.
+        field: of the track.
+        column: of the field.
+        scale: what values are multiplied by, to the unit of the plot.
+        color: as #rrggbb.
+        dashed: for the second recording.
+    """
+
+    label: str
+    track: Track
+    field: str
+    column: int
+    scale: float
+    color: str
+    dashed: bool = False
+
+
+class CurvesPlot:
+    """Curves over a span of time, with a vertical line at the time that is shown.
+
+    Args:
+        page: to draw in, within a `plot_tab`.
+        title: with the unit.
+        curves: at least one.
+        origin_ns: where the abscissa is 0.
+        least: length of the ordinate; what is less than the eye is to see, as noise at rest, is flat.
+        height: pixels.
+    """
+
+    def __init__(
+        self,
+        page: Page,
+        title: str,
+        curves: Sequence[RecordedCurve],
+        origin_ns: int,
+        *,
+        least: float = 1.0,
+        height: int = 185,
+    ) -> None:
+        self._curves, self._origin, self._least = tuple(curves), origin_ns, least
+        self._title = title
+        page.panels[title] = self.panel
+        self._chosen = [True] * len(self._curves)
+        self._parts = min(_MOST_PARTS, 1 + max(len(curve.track.gaps()) for curve in self._curves))
+        self._span = (0, 0)
+        self._points: tuple[Array, list[Array]] = (np.zeros(0), [])
+        self._plot = page.gui.add_uplot(
+            tuple(np.zeros(2) for _ in range(3 + self._parts * len(self._curves))),
+            self._series(),
+            title=title,
+            scales={"x": uplot.Scale(time=False)},
+            axes=(TIME_AXIS, uplot.Axis(size=56)),
+            legend=uplot.Legend(show=False),
+            padding=(0, 12, 0, 0),
+            height=height,
+        )
+
+    def choose(self, wanted: Callable[[str], bool]) -> None:
+        """Show those curves alone whose label `wanted` holds for; all, where it holds for none."""
+        chosen = [wanted(curve.label) for curve in self._curves]
+        self._chosen = chosen if any(chosen) else [True] * len(chosen)
+        self._plot.series = self._series()
+
+    def draw(self, begin_ns: int, end_ns: int, shown_ns: int) -> None:
+        """Draw the span from `begin_ns` to `end_ns`, with the line at `shown_ns`."""
+        if (begin_ns, end_ns) != self._span:
+            self._span = (begin_ns, end_ns)
+            self._points = self._envelopes(begin_ns, end_ns)
+        time, values = self._points
+        seen = [part[np.isfinite(part)] for part, chosen in zip(values, self._chosen, strict=True) if chosen]
+        finite = np.concatenate(seen)
+        low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+        short = max(0.0, self._least - (high - low)) / 2.0
+        low, high = low - short, high + short
+        shown = since(shown_ns, self._origin)
+        place = int(np.searchsorted(time, shown))
+        line, extent = np.full(len(time) + 2, np.nan), np.full(len(time) + 2, low)
+        line[place : place + 2] = extent[:2] = low, high
+        columns = []
+        for curve in values:
+            for part in parts_of(curve, self._parts):
+                columns.append(np.insert(part, place, [np.interp(shown, time, part)] * 2))
+        self._plot.data = (np.insert(time, place, [shown, shown]), extent, *columns, line)
+
+    def panel(self) -> Panel:
+        """Return what is to be seen as a plot for a file: the least and the largest values of each pixel's time."""
+        time, values = self._points
+        marks = [
+            Curve(time, value, f"{curve.label}{' (second bag)' * curve.dashed}", curve.color, 1.0,
+                  "dashed" if curve.dashed else "solid")
+            for curve, value, chosen in zip(self._curves, values, self._chosen, strict=False)
+            if chosen
+        ]  # fmt: skip
+        return Panel(marks, "", "time [s]", self._title)
+
+    def _envelopes(self, begin_ns: int, end_ns: int) -> tuple[Array, list[Array]]:
+        found = {}
+        for curve in self._curves:
+            key = (id(curve.track), curve.field)
+            if key not in found:
+                found[key] = curve.track.envelope(curve.field, begin_ns, end_ns, _BUCKETS)
+        time_ns = found[id(self._curves[0].track), self._curves[0].field][0]
+        columns = [curve.scale * found[id(curve.track), curve.field][1][:, curve.column] for curve in self._curves]
+        return (time_ns - self._origin) / NANOSECONDS, columns
+
+    def _series(self) -> tuple[uplot.Series, ...]:
+        """Return how the columns are drawn: time, what the ordinate must show, the parts of each curve, and the line.
+
+        uPlot draws a line across NaN, hence the parts.
+        """
+        lines = []
+        for curve, chosen in zip(self._curves, self._chosen, strict=True):
+            series = uplot.Series(
+                label=curve.label, stroke=curve.color, width=1.5, show=chosen, auto=False, points={"show": False}
+            )
+            if curve.dashed:
+                series["dash"] = (6, 4)
+            lines += [series] * self._parts
+        shown = uplot.Series(label="shown", stroke=_CURSOR, width=1.0, auto=False, points={"show": False})
+        return (uplot.Series(label="time [s]"), extent_series(), *lines, shown)
 
 
 class BagPlots:

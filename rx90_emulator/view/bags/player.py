@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from time import monotonic
+from typing import NamedTuple
 
 import numpy as np
 import viser
+from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.description.chain import RigidChain
 from rx90_common.description.robot import RobotModel
+from rx90_common.description.tip import tip_position
+from rx90_controller.lines.task import SETTLING
 from rx90_emulator.view.arm import ArmScene
 from rx90_emulator.view.bags.bag_plots import BagPlots
-from rx90_emulator.view.bags.controls import PlayControls
 from rx90_emulator.view.bags.difference import Difference
-from rx90_emulator.view.bags.facts import difference_text, joint_differences, path_error_text, recording_text
-from rx90_emulator.view.bags.path import path_error_track, tip_path
 from rx90_emulator.view.bags.playback import Playback
 from rx90_emulator.view.bags.recording import Recording
 from rx90_emulator.view.bags.times import seconds, since
-from rx90_emulator.view.bags.track import Track
+from rx90_emulator.view.bags.track import Track, blocks
+from rx90_emulator.view.changes import from_user, on_change, put
 from rx90_emulator.view.line import legend_html, line_colors
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.plot_export import PlotExport
@@ -29,6 +34,216 @@ _AROUND_PERIOD = 0.15
 _WHOLE_PERIOD = 0.4
 _GHOST = (0, 114, 178)
 _PIECES = 3000  # of the tip's way
+_SPEEDS = ("0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1", "2", "5", "10")
+_STEP, _DIGITS = 1e-3, 3  # s, of the slider
+_HOLDS_STILL = 0.4  # s after the slider was moved by hand, in which it is not moved by the page
+_MOST_MARKS = 12
+_MOST_CHANGES = 30
+_MOST_GAPS = 5
+_AT_REST = 1e-4  # m/s, of the set-points: below it they have no direction of their own
+PATH_ERROR = "path error"
+
+
+class TipPath(NamedTuple):
+    """Where the tip has been.
+
+    Attributes:
+        points: (m, 3) in the order of time, m; NaN in gaps.
+        error: (m - 1,) largest path error on the way from each point to the next, m; NaN where none counts.
+    """
+
+    points: Array
+    error: Array
+
+
+def path_error_track(recording: Recording, chain: RigidChain) -> Track | None:
+    """Return the distance of the tip from the path of its set-points under PATH_ERROR, m; None without set-points.
+
+    It is the distance from the set-point of the same time, without its part along the path, which is the lag. It counts
+    as `LineTask.counted` says of a line: while the set-points move and until the arm has settled, where their path has
+    the direction of their last motion. Elsewhere it is NaN.
+    """
+    arm, reference = recording.arm, recording.reference
+    if reference is None:
+        return None
+    direction, counted = _directions(reference, chain)
+    error = np.empty((len(arm.time_ns), 1))
+    for rows in blocks(len(arm.time_ns)):
+        time_ns = arm.time_ns[rows]
+        target = tip_position(chain, reference.at("position", time_ns))
+        off = tip_position(chain, arm.values["position"][rows]) - target
+        place = np.searchsorted(reference.time_ns, time_ns, side="right") - 1
+        across = off - np.sum(off * direction[place], axis=1)[:, None] * direction[place]
+        error[rows, 0] = np.where(counted[place] & (place >= 0), np.linalg.norm(across, axis=1), np.nan)
+    return Track((PATH_ERROR,), arm.time_ns, {"position": error}, arm.gap_ns)
+
+
+def _directions(reference: Track, chain: RigidChain) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the direction of the path at each set-point, shape (n, 3), and whether its path error counts, (n,)."""
+    count = len(reference.time_ns)
+    tips = np.empty((count, 3))
+    for rows in blocks(count):
+        tips[rows] = tip_position(chain, reference.values["position"][rows])
+    way = np.diff(tips, axis=0, append=tips[-1:])
+    length = np.linalg.norm(way, axis=1)
+    moving = length > _AT_REST * np.diff(reference.time_ns, append=reference.time_ns[-1] + 1) / NANOSECONDS
+    last = np.maximum.accumulate(np.where(moving, np.arange(count), -1))
+    ended = reference.time_ns[np.minimum(last + 1, count - 1)]
+    counted = (last >= 0) & (reference.time_ns - ended <= SETTLING * NANOSECONDS)
+    return np.asarray(way[last] / np.where(length[last] > 0.0, length[last], 1.0)[:, None]), counted
+
+
+def tip_path(arm: Track, error: Track | None, chain: RigidChain, pieces: int) -> TipPath:
+    """Return the way of the tip in at most `pieces` pieces of equal time; of each the largest path error."""
+    count = max(1, min(pieces, len(arm.time_ns) - 1))
+    edges = arm.begin_ns + ((arm.end_ns - arm.begin_ns) * np.arange(count + 1, dtype=np.int64)) // count
+    points = tip_position(chain, arm.at("position", edges))
+    if error is None:
+        return TipPath(points, np.full(count, np.nan))
+    _, values = error.envelope("position", arm.begin_ns, arm.end_ns, count)
+    return TipPath(points, np.fmax(values[0::2, 0], values[1::2, 0]))
+
+
+def recording_text(recording: Recording, robot: str, origin_ns: int) -> str:
+    """Return what a bag holds: robot, times, topics with their rates, gaps, and what it lacks.
+
+    Args:
+        recording: of a bag.
+        robot: its name.
+        origin_ns: where the page's time is 0.
+    """
+    arm = recording.arm
+    lasting = (arm.end_ns - arm.begin_ns) / NANOSECONDS
+    gaps = arm.gaps()
+    lines = [
+        f"**{_escaped(recording.path.name)}** ({recording.kind}), robot {_escaped(robot)}, "
+        f"{lasting:.3f} s from stamp {seconds(arm.begin_ns)} s"
+    ]
+    lines += [f"- Not in it: {', '.join(recording.lacking)}"] if recording.lacking else []
+    lines += [f"- {_escaped(note)}" for note in recording.notes]
+    if len(gaps):
+        shown = ", ".join(f"{seconds(a - origin_ns)} to {seconds(b - origin_ns)} s" for a, b in gaps[:_MOST_GAPS])
+        more = f" and {len(gaps) - _MOST_GAPS:,} more" if len(gaps) > _MOST_GAPS else ""
+        lines.append(f"- Gaps, in which no arm is drawn: {shown}{more}")
+    lines.append("")
+    steps = len(arm.time_ns) - 1
+    for topic in recording.topics:
+        rate = f", {topic.count * steps / ((steps + 1) * lasting):.4g} Hz" if topic.is_joint_state else ""
+        lines.append(f"- {_escaped(topic.name)}: {topic.count:,}{rate}")
+    return "\n".join(lines + _changes(recording, origin_ns))
+
+
+def _changes(recording: Recording, origin_ns: int) -> list[str]:
+    if not recording.changes:
+        return []
+    lines = ["", "| at s | parameter changed | to |", "|---:|---|---|"]
+    for change in recording.changes[:_MOST_CHANGES]:
+        name = _escaped(f"{change.node} {change.name}")
+        lines.append(f"| {seconds(change.stamp_ns - origin_ns)} | {name} | {_escaped(change.value)} |")
+    left = len(recording.changes) - _MOST_CHANGES
+    return lines + ([f"| | and {left:,} more: rx90_bag info | |"] if left > 0 else [])
+
+
+def path_error_text(name: str, error: Track, origin_ns: int) -> str:
+    """Return the largest path error of a recording and when it was, on the time of the page."""
+    values = error.values["position"][:, 0]
+    if not np.isfinite(values).any():
+        return f"{_escaped(name)}: its set-points never move"
+    row = int(np.nanargmax(values))
+    at = seconds(int(error.time_ns[row]) - origin_ns)
+    return f"{_escaped(name)}: largest path error {1e3 * values[row]:.3f} mm, at {at} s"
+
+
+def difference_text(found: Difference, names: Sequence[str], origin_ns: int, shift_ns: int) -> str:
+    """Return how far two recordings differ, and how they were compared.
+
+    Args:
+        found: of the recordings.
+        names: of both bags.
+        origin_ns: where the page's time is 0.
+        shift_ns: what the stamps of the second were moved by.
+    """
+    first, second = map(_escaped, names)
+    tip = found.worst_tip
+    lines = [
+        f"**{second}** (ghost) less **{first}**: tips at most {1e3 * tip.value:.4g} mm apart, at "
+        f"{seconds(tip.time_ns - origin_ns)} s"
+    ]
+    if found.exact < 1.0:
+        lines += ["", f"- {1.0 - found.exact:.1%} of the stamps of {first} fall between two of {second}: interpolated"]
+    if shift_ns:
+        lines += ["", f"- Stamps of {second} were moved by {shift_ns / NANOSECONDS:+.9f} s"]
+    return "\n".join(lines)
+
+
+def joint_differences(found: Difference, origin_ns: int) -> str:
+    """Return the largest difference of each joint as a table; `origin_ns` is where the page's time is 0."""
+    lines = ["| joint | largest, mrad | at s |", "|---|---:|---:|"]
+    for name, worst in zip(found.joints.names, found.worst_joints, strict=True):
+        lines.append(f"| {_escaped(name)} | {1e3 * worst.value:.4g} | {seconds(worst.time_ns - origin_ns)} |")
+    return "\n".join(lines)
+
+
+def _escaped(text: str) -> str:
+    """Return text from outside that Markdown takes as it is."""
+    return "".join(f"\\{c}" if c in r"\`*_{}[]<>()#+-!|" else c for c in plain(text))
+
+
+class PlayControls:
+    """Slider, buttons and choices for a playback.
+
+    Args:
+        page: to draw in, within a `tab`.
+        playback: that they control.
+        marks: times, s, that stand below the slider.
+    """
+
+    def __init__(self, page: Page, playback: Playback, marks: Sequence[float]) -> None:
+        gui = page.gui
+        self._playback = playback
+        self._moved_at = 0.0
+        self._set_to = 0.0
+        self._slider = gui.add_slider(
+            "time, s", 0.0, max(playback.end, _STEP), _STEP, initial_value=0.0,
+            marks=tuple(marks[:_MOST_MARKS]) or None,
+        )  # fmt: skip
+        self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
+        self._speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1", hint="recorded seconds in each second")
+        self._loop = gui.add_checkbox("loop", initial_value=False, hint="begin again at the end")
+        on_change(self._slider, self._scrubbed, page)
+        self._play.on_click(from_user(self._toggle, page))
+
+    def go_to(self, time: float) -> None:
+        """Show a time, s, and stay there."""
+        self._playback.playing = False
+        self._playback.seek(time)
+        self._set(self._playback.time)
+
+    def follow(self, now: float) -> None:
+        """Take what was chosen on the page, and show what the playback does; `now` is the steady clock's time, s."""
+        self._playback.speed = float(self._speed.value)
+        self._playback.loop = bool(self._loop.value)
+        # Another value than was set is one that a user has just chosen, and is taken first.
+        if self._slider.value == self._set_to and now - self._moved_at > _HOLDS_STILL:
+            self._set(self._playback.time)
+        label = "Pause" if self._playback.playing else "Play"
+        if self._play.label != label:
+            self._play.label = label
+            self._play.icon = viser.Icon.PLAYER_PAUSE if self._playback.playing else viser.Icon.PLAYER_PLAY
+
+    def _set(self, time: float) -> None:
+        self._set_to = round(time, _DIGITS)
+        put(self._slider, self._set_to)
+
+    def _scrubbed(self) -> None:
+        self._set_to, self._moved_at = self._slider.value, monotonic()
+        self._playback.seek(self._set_to)
+
+    def _toggle(self) -> None:
+        if self._playback.playing:
+            self._playback.playing = False
+        else:
+            self._playback.play()
 
 
 class BagPlayer:

@@ -5,25 +5,30 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from rx90_common.bags.decoding import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import BagReader, BagTopic
 from rx90_common.bags.recorded import ParameterChange, changes_of, check_robot
-from rx90_common.bags.topics import FIELDS, tells_changes
+from rx90_common.bags.topics import FIELDS, absolute, tells_changes
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
+from rx90_common.description.urdf import JOINT_COUNT
+from rx90_common.description.wrist import coupling_matrix
+from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES, SAMPLED
 from rx90_emulator.identification.records.layout import BagLayout
 from rx90_emulator.measured.options import MeasuredLayout
-from rx90_emulator.view.bags.collecting import SeriesCollector
-from rx90_emulator.view.bags.layout import arm_layout
 from rx90_emulator.view.bags.track import Track
 
 _FRICTION, _REFERENCE = "friction_states", "reference"
@@ -31,6 +36,154 @@ _SHOWN = {_FRICTION: ("effort",), _REFERENCE: ("position",)}
 """What is read beside the arm's own states: friction torque, and set-points."""
 _SLACK = 0.05  # rad beyond a joint's range: end stops give way
 _STEP = 8192  # messages between two looks at the progress bar
+_JOINT_STATES = "joint_states"
+_ONCE_MORE = f"/{SAMPLED}/{_JOINT_STATES}"
+_SIZES = dict.fromkeys(("names", "gear", "torque_constant", "zero"), JOINT_COUNT) | {"coupling": JOINT_COUNT**2}
+_BLOCK = 1 << 16  # messages
+
+
+class SeriesCollector:
+    """Gathers some arrays of one set of joints of a topic, block by block.
+
+    Args:
+        bag: open.
+        topic: of it.
+        fields: which arrays, where the messages carry them.
+        names: the joints, in this order; None for those of the first message.
+        record_time: whether the times at which messages were recorded are taken for their stamps.
+    """
+
+    def __init__(
+        self, bag: BagReader, topic: BagTopic, fields: Sequence[str], names: Sequence[str] | None, record_time: bool
+    ) -> None:
+        self.topic = topic
+        self._make = partial(
+            SeriesBuilder, topic.name, partial(bag.deserialize, topic), cdr=not topic.is_ros1,
+            effort_unit=bag.effort_units.get(topic.name, ""),
+        )  # fmt: skip
+        self._builder = self._make()
+        self._pending = 0
+        self._fields = fields
+        self._names = names
+        self._record_time = record_time
+        self._other_names: tuple[str, ...] = ()
+        self._parts: list[JointSeries] = []
+
+    def add(self, log_ns: int, message: bytes) -> None:
+        """Add the next message.
+
+        Raises:
+            BagError: if it is no JointState whose arrays are of one length.
+        """
+        self._builder.add(message, log_ns if self._record_time else None)
+        self._pending += 1
+        if self._pending == _BLOCK:
+            self._take_block()
+
+    def series(self) -> JointSeries | None:
+        """Return what was gathered; None if there are no messages.
+
+        Raises:
+            BagError: if no message names the wanted joints, or an array is there in some messages and not in others.
+        """
+        self._take_block()
+        if not self._parts:
+            if self._other_names and self._names is not None:
+                other = len(self._other_names) != len(self._names)
+                raise BagError(
+                    f"{self.topic.name} is of {listed(self._other_names)}; accepted: a bag with "
+                    f"{listed(self._names)}, --robot with the bag's, or --names with what it calls these joints"
+                    + other
+                    * f"; every arm here has {len(self._names)} joints"
+                )
+            return None
+        return self._joined()
+
+    def _take_block(self) -> None:
+        found, self._builder, self._pending = self._builder.build(), self._make(), 0
+        for series in found:
+            if self._names is None:
+                self._names = series.names
+            if set(self._names) <= set(series.names):
+                chosen = series.select(self._names)
+                fields = {field: values for field, values in chosen.fields.items() if field in self._fields}
+                unit = chosen.effort_unit
+                self._parts.append(JointSeries(chosen.topic, chosen.names, chosen.stamp_ns, **fields, effort_unit=unit))
+                return
+            self._other_names = series.names
+
+    def _joined(self) -> JointSeries:
+        """Return one series; each part is let go of as it is copied."""
+        fields = tuple(self._parts[0].fields)
+        if any(tuple(part.fields) != fields for part in self._parts):
+            raise BagError(f"{self.topic.name}: carries {', '.join(fields)} in some messages and not in others")
+        count = sum(len(part.stamp_ns) for part in self._parts)
+        stamps = np.empty(count, dtype=np.int64)
+        names, unit = self._parts[0].names, self._parts[0].effort_unit
+        whole = {field: np.empty((count, len(names))) for field in fields}
+        end = 0
+        self._parts.reverse()
+        while self._parts:
+            part = self._parts.pop()
+            rows = slice(end, end := end + len(part.stamp_ns))
+            stamps[rows] = part.stamp_ns
+            for field, values in part.fields.items():
+                whole[field][rows] = values
+        return JointSeries(self.topic.name, names, stamps, **whole, effort_unit=unit)
+
+
+def arm_layout(bag: BagReader, robot: RobotModel, files: RobotFiles, options: MeasuredLayout) -> BagLayout:
+    """Return what to read of a bag; by default `joint_states` in any namespace, else `motor_states`.
+
+    Raises:
+        BagError: for a bag without joint angles, or with those of several arms, and options of another size.
+        ConfigError: if the drives file is not acceptable, which is read for the gears of motors.
+        IdentificationError: if gears and coupling do not fit together.
+    """
+    topic = _topic(bag, options.topic)
+    for name, size in _SIZES.items():
+        values = getattr(options, name)
+        if values is not None and len(values) != size:
+            raise BagError(f"--{name.replace('_', '-')}: {len(values)} values; accepted: {size}")
+    motors = topic.name.rpartition("/")[2] == MOTOR_STATES
+    messages = tuple(options.names or (MOTOR_NAMES if motors else robot.joint_names))
+    if options.gear is None and not motors:
+        if options.coupling is not None:
+            raise BagError("--coupling without --gear; accepted: for the motors' states, with their --gear")
+        layout = BagLayout(topic.name, messages, robot.joint_names)
+    else:
+        gear = load_drives(files.drives).gear if options.gear is None else np.array(options.gear, dtype=np.float64)
+        coupling = (
+            coupling_matrix() if options.coupling is None else np.reshape(options.coupling, (JOINT_COUNT, JOINT_COUNT))
+        )
+        layout = BagLayout.motor_side(topic.name, messages, robot.joint_names, gear, coupling)
+    return replace(
+        layout, record_time=options.record_time, zero=_array(options.zero),
+        torque_constant=_array(options.torque_constant),
+    )  # fmt: skip
+
+
+def _array(values: Sequence[float] | None) -> Array | None:
+    return None if values is None else np.array(values, dtype=np.float64)
+
+
+def _topic(bag: BagReader, wanted: str | None) -> BagTopic:
+    held = [topic for topic in bag.topics if topic.is_joint_state and topic.count]
+    there = listed(topic.name for topic in held) or "none"
+    if wanted is not None:
+        fitting = [topic for topic in held if topic.name == absolute(wanted)]
+    else:
+        fitting = [topic for topic in held if topic.name.rpartition("/")[2] == _JOINT_STATES]
+        # Of those recorded with what the simulation publishes once more for who looks on.
+        fitting = [topic for topic in fitting if not topic.name.endswith(_ONCE_MORE)] or fitting
+        fitting = fitting or [topic for topic in held if topic.name.rpartition("/")[2] == MOTOR_STATES]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        arms = listed(topic.name for topic in fitting)
+        raise BagError(f"{plain(bag.path)}: holds the states of several arms, {arms}; accepted: --topic with one")
+    what = f"no messages in {plain(absolute(wanted))}" if wanted else f"neither {_JOINT_STATES} nor {MOTOR_STATES}"
+    raise BagError(f"{plain(bag.path)}: {what}; JointState topics with messages: {there}; accepted: --topic with one")
 
 
 @dataclass(frozen=True, eq=False)

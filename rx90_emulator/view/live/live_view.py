@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+import html
 import math
 import time
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import viser
+from viser import uplot
 
+from rx90_common.base.arrays import Array
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.tip import tip_position
-from rx90_common.exchange.arm_watch import Trajectory
+from rx90_common.exchange.arm_watch import JointSample, NodeStatus, Trajectory
 from rx90_common.exchange.topics import HURRIES
+from rx90_common.friction.friction_set import element_names
+from rx90_common.report.plot import COLOURS, GREY, Curve, Panel
 from rx90_controller.lines.task import LineTask
+from rx90_emulator.loop.line import PathAccuracy
 from rx90_emulator.view.arm import ArmScene
+from rx90_emulator.view.changes import from_user
 from rx90_emulator.view.line import LineScene, legend_html
-from rx90_emulator.view.live.live_plots import LivePlots
-from rx90_emulator.view.live.run_comparison import RunComparison
 from rx90_emulator.view.live.source import LiveSource
-from rx90_emulator.view.live.status import diagnostics_html, status_html
 from rx90_emulator.view.page import Page
+from rx90_emulator.view.plots import LoopPlot, RollingPlot, extent_series, ordinate
 from rx90_emulator.view.state import ArmState
+from rx90_emulator.view.widgets import block
 
 _POSE_PERIOD = 1.0 / 30.0  # s
 _PLOT_PERIOD = 0.2
@@ -28,6 +35,269 @@ _STATUS_PERIOD = 0.25
 _PACED = 1.05  # simulated s in one of the wall clock, of a simulation that keeps to it
 _NO_TRAJECTORY = Trajectory(0.0, np.empty(0), np.empty((0, 6)), np.empty(0, dtype=np.bool_))
 _MAGNIFIED = ("1", "10", "100")  # the first is what is drawn at first
+_COLORS = ("#2b8a3e", "#e67700", "#c92a2a", "#868e96")  # good, warning, error, stale
+_SIMULATION, _CONTROLLER = "brakes", "enabled"  # values that only this node has
+_CELL = "padding:1px 0.6em 1px 0"
+_FIRST_SHOWN = 3  # joints; all seven at once are hard to tell apart
+_GAPS = 5  # in 10 s; more are drawn across
+_MISSING = 0.01  # s; a line across so many ticks would be none of friction
+_NONE = "none"
+_PLACES = 300  # along the line, about one for each pixel
+_LEAST = 0.01  # mm
+_TITLE = "path error along the line [mm]"
+_ALONG = "along the line [mm]"
+_WORDS = (
+    "Hold a run, change something, and send the line again: both are drawn over the way, and their numbers stand here."
+)
+
+
+class RunComparison:
+    """A plot of the path error over the way, two numbers of each run, and the trace that is held.
+
+    Args:
+        page: to build in.
+    """
+
+    def __init__(self, page: Page) -> None:
+        self._newest: PathAccuracy | None = None
+        self._held: PathAccuracy | None = None
+        self._line: LineScene | None = None
+        self._drawn: tuple[object, ...] = ()
+        with page.plot_tab("Path"):
+            series = uplot.Series(label="held", stroke=GREY, width=1.5, auto=False)
+            newest = uplot.Series(label="newest", stroke=COLOURS[0], width=1.5, auto=False)
+            self._plot = page.gui.add_uplot(
+                (np.array([0.0, 1.0]), np.zeros(2), *[np.full(2, np.nan)] * 2),
+                (uplot.Series(label=_ALONG), extent_series(), series, newest),
+                title=_TITLE,
+                scales=ordinate(_LEAST, 0.0),
+                axes=(uplot.Axis(label=_ALONG, size=30, labelSize=18), uplot.Axis(size=56)),
+                legend=uplot.Legend(show=False),
+                padding=(0, 12, 0, 0),
+                height=240,
+            )
+            self._numbers = page.gui.add_html(block(_WORDS))
+            self._hold = page.gui.add_button("Hold the newest run", disabled=True)
+            self._release = page.gui.add_button("Let the held run go", visible=False)
+        page.panels[_TITLE] = self.panel
+        self._hold.on_click(from_user(self.hold, page))
+        self._release.on_click(from_user(self.release, page))
+
+    def hold(self) -> None:
+        """Keep the newest run, and its trace."""
+        self._held = self._newest
+        if self._line is not None:
+            self._line.hold()
+        self._release.visible = self._held is not None
+
+    def release(self) -> None:
+        """Forget the run that is held."""
+        self._held, self._release.visible = None, False
+        if self._line is not None:
+            self._line.release()
+
+    def draw(self, line: LineScene) -> None:
+        """Draw the newest run along a line beside the one that is held, if anything has changed."""
+        if self._held is not None and not line.holds:
+            self.release()  # of another line
+        self._line, self._newest = line, line.meter.run
+        times = np.empty(0) if self._newest is None else self._newest.times[[0, -1]]
+        shown = (self._held, *times.tolist(), line.meter)
+        if shown == self._drawn:
+            return
+        self._drawn = shown
+        self._hold.disabled = self._newest is None
+        runs = [run for run in (self._held, self._newest) if run is not None]
+        length = max((float(run.along.max()) for run in runs), default=1.0)
+        way = np.linspace(0.0, length * 1e3, _PLACES)
+        curves = [_over(way, run) for run in (self._held, self._newest)]
+        extent = np.zeros(_PLACES)
+        extent[0] = max((run.worst * 1e3 for run in runs), default=0.0)
+        self._plot.data = (way, extent, *curves)
+        self._numbers.content = block(_comparison(self._held, self._newest) if runs else _WORDS)
+
+    def panel(self) -> Panel:
+        """Return both runs, sample by sample, as a plot for a file."""
+        both = (("held", self._held, GREY), ("newest", self._newest, COLOURS[0]))
+        curves = [
+            Curve(run.along * 1e3, run.perpendicular * 1e3, name, colour)
+            for name, run, colour in both
+            if run is not None
+        ]
+        return Panel(curves, "", _ALONG, "path error [mm]", from_zero=True)
+
+
+def _over(way: Array, run: PathAccuracy | None) -> Array:
+    """Return the largest path error at each place of the way, mm; NaN where the run has not come to, or is none."""
+    if run is None:
+        return np.full(len(way), np.nan)
+    place = np.clip(np.rint(run.along * 1e3 / way[-1] * (len(way) - 1)).astype(np.int64), 0, len(way) - 1)
+    largest = np.full(len(way), np.nan)
+    np.fmax.at(largest, place, run.perpendicular * 1e3)
+    known = np.isfinite(largest)
+    return np.asarray(np.interp(way, way[known], largest[known], right=np.nan))
+
+
+def _comparison(held: PathAccuracy | None, newest: PathAccuracy | None) -> str:
+    rows = []
+    for name, run in (("held", held), ("newest", newest)):
+        if run is not None:
+            at = float(run.along[np.argmax(run.perpendicular)])
+            rows.append((name, f"{run.worst * 1e3:.4f}", f"{at * 1e3:.0f}", f"{run.rms * 1e3:.4f}"))
+    if held is not None and newest is not None:
+        rows.append(("newest / held", f"{newest.worst / held.worst:.3f}", "", f"{newest.rms / held.rms:.3f}"))
+    head = "".join(f"<th>{word}</th>" for word in ("path error", "largest, mm", "at, mm", "RMS, mm"))
+    cells = ("".join(f"<td>{word}</td>" for word in row) for row in rows)
+    lines = "".join(f"<tr>{row}</tr>" for row in cells)
+    return f'<table style="width:100%;text-align:left"><tr>{head}</tr>{lines}</table>'
+
+
+class LivePlots:
+    """Rolling plots in two tabs, and a choice of joints.
+
+    Args:
+        page: to show them on.
+        robot: whose joints they are of.
+    """
+
+    def __init__(self, page: Page, robot: RobotModel) -> None:
+        self._page = page
+        joints = robot.joint_names
+        self._names = element_names(joints)
+        with page.plot_tab("Friction"):
+            self._friction = RollingPlot(page, "friction torque [Nm]", self._names, least=1.0)
+            self._deflection = RollingPlot(page, "bristle deflection [\u00b5rad]", self._names, least=10.0)
+            self._loop = LoopPlot(
+                page, "friction against velocity", "velocity [rad/s]", "friction torque [Nm]", least=(0.01, 1.0)
+            )
+            self._looped = page.gui.add_dropdown("joint of the loop", (*self._names, _NONE))
+        with page.plot_tab("Motion"):
+            self._velocity = RollingPlot(page, "joint velocity [rad/s]", joints, least=0.01)
+            self._torque = RollingPlot(page, "drive torque [Nm]", joints, least=5.0)
+            self._error = RollingPlot(
+                page,
+                "path error of the laser spot [mm]",
+                ("laser spot",),
+                legend=False,
+                gaps=_GAPS,
+                least=0.01,
+                low=0.0,
+            )
+        self._looped.on_update(lambda _: page.later(self._loop.clear))
+        self._time = self._loop_time = -1.0
+
+    @property
+    def shows_loop(self) -> bool:
+        """Return whether there is a loop to be drawn."""
+        return self._looped.value != _NONE
+
+    def add_choice(self) -> None:
+        """Add the choice of joints, in the container that is being filled."""
+        with self._page.gui.add_folder("Joints in the plots", expand_by_default=False):
+            boxes = [self._page.gui.add_checkbox(name, index < _FIRST_SHOWN) for index, name in enumerate(self._names)]
+
+        def choose() -> None:
+            shown = [index for index, box in enumerate(boxes) if box.value]
+            for plot in (self._friction, self._deflection, self._velocity, self._torque):
+                plot.choose(shown)
+
+        for box in boxes:
+            box.on_update(lambda _: self._page.later(choose))
+        choose()
+
+    def add(self, state: ArmState, error: float) -> None:
+        """Add a state, and the path error of the spot, m, NaN where none counts."""
+        if state.time == self._time:
+            return  # it stands still
+        self._time = state.time
+        self._velocity.add(state.time, state.velocity)
+        self._torque.add(state.time, state.torque)
+        self._error.add(state.time, [error * 1e3])
+        if state.friction is not None:
+            self._friction.add(state.time, state.friction.torque)
+            self._deflection.add(state.time, state.friction.deflection * 1e6)
+
+    def add_to_loop(self, samples: Sequence[JointSample], *, at_ticks: bool) -> None:
+        """Add what came of the friction elements; where ticks are missing the loop begins anew."""
+        if not samples or not self.shows_loop:
+            return
+        times = np.array([self._loop_time, *(sample.time for sample in samples)])
+        steps = np.diff(times)
+        breaks = np.flatnonzero((steps < 0.0) | (at_ticks & (steps > _MISSING)))
+        if len(breaks):
+            self._loop.clear()
+            samples = samples[breaks[-1] :]
+        self._loop_time = samples[-1].time
+        column = self._names.index(self._looped.value)
+        states = np.array([(sample.velocity[column], sample.effort[column]) for sample in samples])
+        self._loop.add(*states.T)
+
+    def draw(self) -> None:
+        """Send what is new."""
+        for plot in (self._friction, self._deflection, self._loop, self._velocity, self._torque, self._error):
+            plot.draw()
+
+
+def status_html(source: LiveSource, state: ArmState | None, error: str, now: float) -> str:
+    """Return a table: what is connected, time and pace, brakes, controller, trajectory, path error.
+
+    Args:
+        source: of the nodes.
+        state: the newest; None before the first.
+        error: path error in words.
+        now: the steady clock's time, s.
+    """
+    problem = source.problem(now)
+    if state is None or problem:
+        return _table([("", _colored(problem, 1))])
+    simulation, controller = source.node(_SIMULATION), source.node(_CONTROLLER)
+    rows = [
+        ("simulation", _word(simulation)),
+        ("time", f"{state.time:.2f} s, {source.pace(now):.2f} &times; real time"),
+        ("brakes", html.escape(simulation.values[_SIMULATION]) if simulation else "unknown"),
+        ("controller", _word(controller)),
+        ("trajectory", _trajectory(source, state)),
+        ("path error", error),
+    ]
+    return _table(rows)
+
+
+def diagnostics_html(nodes: dict[str, NodeStatus]) -> str:
+    """Return all that the nodes have said of themselves."""
+    if not nodes:
+        return _table([("", "nothing on /diagnostics yet")])
+    parts = []
+    for name, status in sorted(nodes.items()):
+        values = [(html.escape(key), html.escape(value)) for key, value in status.values.items()]
+        parts.append(f"<b>{html.escape(name)}</b>: {_word(status)}{_table(values)}")
+    return "".join(f'<div style="padding:0.2em 0.6em;font-size:0.8em">{part}</div>' for part in parts)
+
+
+def _table(rows: Iterable[tuple[str, str]]) -> str:
+    cells = "".join(
+        f'<tr><td style="{_CELL};color:#868e96;white-space:nowrap;vertical-align:top">{name}</td>'
+        f'<td style="{_CELL}">{value}</td></tr>'
+        for name, value in rows
+    )
+    return f'<table style="font-size:0.85em;padding:0.2em 0.6em;border-spacing:0">{cells}</table>'
+
+
+def _word(status: NodeStatus | None) -> str:
+    return "not heard yet" if status is None else _colored(status.message, status.level)
+
+
+def _colored(text: str, level: int) -> str:
+    color = _COLORS[min(level, len(_COLORS) - 1)]
+    return f'<span style="color:{color};font-weight:600">{html.escape(text)}</span>'
+
+
+def _trajectory(source: LiveSource, state: ArmState) -> str:
+    span = source.watch.trajectory
+    if span is None or state.time > span.end:
+        return "none"
+    if state.time < span.begin:
+        return f"begins in {span.begin - state.time:.1f} s"
+    return f"{state.time - span.begin:.1f} of {span.end - span.begin:.1f} s"
 
 
 class LiveView:

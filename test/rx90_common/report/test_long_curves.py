@@ -41,7 +41,7 @@ def dense_page(plot: Plot) -> str:
     """Return the page of a bag that shows a plot."""
     plots = [{"plot": plot, "topic": "t", "messages": (1,), "differences": []}]
     values = {"names": ["a"], "paths": ["a"], "robots": "", "plots": plots}
-    return render_page("rx90_common.bags.plotting", "bag.html.j2", **values)
+    return render_page("rx90_common.bags", "bag.html.j2", **values)
 
 
 def test_each_column_keeps_its_extremes() -> None:

@@ -10,7 +10,7 @@ from rx90_common.base.rates import Rates
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.nominal import linearise, nominal_motion, nominal_torque
+from rx90_emulator.perturbation.model import linearise, nominal_motion, nominal_torque
 
 Array = NDArray[np.float64]
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))

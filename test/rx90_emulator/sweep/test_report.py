@@ -13,8 +13,7 @@ import scipy.stats
 from rx90_common.base.errors import SweepError
 from rx90_common.report.plot import Curve, Panel
 from rx90_emulator.cli.frame import run
-from rx90_emulator.sweep.effects import main_effect
-from rx90_emulator.sweep.report import SweepFigures, distribution_plot
+from rx90_emulator.sweep.report import SweepFigures, distribution_plot, main_effect
 from rx90_emulator.sweep.store import ResultStore
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 

@@ -18,8 +18,7 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.measured.options import MeasuredLayout
 from rx90_emulator.view.bags.difference import difference
-from rx90_emulator.view.bags.facts import difference_text, recording_text
-from rx90_emulator.view.bags.path import path_error_track, tip_path
+from rx90_emulator.view.bags.player import difference_text, path_error_track, recording_text, tip_path
 from rx90_emulator.view.bags.recording import Recording, open_recording
 from rx90_emulator.view.bags.track import Track
 

@@ -16,9 +16,8 @@ from rx90_controller.lines.task import load_task
 from rx90_emulator.loop.line import path_accuracy
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.measured.options import MeasuredLayout
-from rx90_emulator.view.bags import collecting
-from rx90_emulator.view.bags.facts import path_error_text
-from rx90_emulator.view.bags.path import path_error_track
+from rx90_emulator.view.bags import recording as reading
+from rx90_emulator.view.bags.player import path_error_text, path_error_track
 from rx90_emulator.view.bags.recording import Recording, open_recording
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reference" / "reference_task"
@@ -46,7 +45,7 @@ def positions(path: Path, topic: str) -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_bag_of_the_suite_is_read_whole(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
     """Joint angles, set-points and friction are those that rosbags reads, however the messages fall into blocks."""
-    monkeypatch.setattr(collecting, "_BLOCK", 37)
+    monkeypatch.setattr(reading, "_BLOCK", 37)
     recording = opened(REFERENCE, shipped)
     assert recording.lacking == ()
     assert recording.reference is not None

@@ -13,7 +13,7 @@ from PIL import Image
 
 from rx90_common.report.plot import Curve, Panel
 from rx90_emulator.view.line import LineScene
-from rx90_emulator.view.live.run_comparison import RunComparison
+from rx90_emulator.view.live.live_view import RunComparison
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.plot_export import PlotExport, table
 from rx90_emulator.view.plots import RollingPlot

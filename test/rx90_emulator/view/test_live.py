@@ -22,7 +22,7 @@ from rx90_common.exchange.arm_watch import JointSample, Trajectory
 from rx90_common.process.children import ChildProcess
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.live import source
-from rx90_emulator.view.live.live_plots import LivePlots
+from rx90_emulator.view.live.live_view import LivePlots
 from rx90_emulator.view.page import Page
 
 Open = Callable[..., BrowserPage]

@@ -24,7 +24,7 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.errors import ConfigError
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.arm import ArmScene
-from rx90_emulator.view.bags.curves import CurvesPlot, RecordedCurve
+from rx90_emulator.view.bags.bag_plots import CurvesPlot, RecordedCurve
 from rx90_emulator.view.bags.track import Track
 from rx90_emulator.view.line import LineScene, error_colors
 from rx90_emulator.view.page import Page, reached_by_others

@@ -15,8 +15,14 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_PARAMETERS
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.panel.element_model import break_away, changed, presliding_loop, stribeck_curve
-from rx90_emulator.view.panel.element_values import read_values, typed_values
+from rx90_emulator.view.panel.element_form import (
+    break_away,
+    changed,
+    presliding_loop,
+    read_values,
+    stribeck_curve,
+    typed_values,
+)
 
 ELEMENT = FrictionElement(25.0, 24.0, 32.0, 36.0, 0.05, 1.3, 1e5, 100.0, 14.0, alpha=0.7)
 

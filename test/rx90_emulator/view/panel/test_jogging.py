@@ -16,8 +16,7 @@ from rx90_controller.lines.approach import Approach
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.panel import jog_sliders
-from rx90_emulator.view.panel.jog_sliders import JogSliders
-from rx90_emulator.view.panel.jogging import JogTarget, jog, slider_range
+from rx90_emulator.view.panel.jog_sliders import JogSliders, JogTarget, jog, slider_range
 from rx90_emulator.view.panel.newest import NewestOnly
 
 ZERO = np.zeros(6)
