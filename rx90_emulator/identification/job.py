@@ -16,7 +16,7 @@ from rx90_emulator.identification.output.files import check_targets
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.report import check_page, report_page
 from rx90_emulator.identification.output.summary import check_summary, identification_summary
-from rx90_emulator.identification.presliding.element_kinds import kind_steps
+from rx90_emulator.identification.presliding.kinds import kind_steps
 from rx90_emulator.identification.progress import steps
 from rx90_emulator.identification.result.identification import FrictionIdentification
 

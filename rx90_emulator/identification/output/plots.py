@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Panel, Plot
-from rx90_emulator.identification.presliding.element_kinds import ElementKind
 from rx90_emulator.identification.presliding.fit import HysteresisLoop
+from rx90_emulator.identification.presliding.kinds import ElementKind
 from rx90_emulator.identification.result.identification import FrictionIdentification
 from rx90_emulator.identification.result.validation import Validation
 from rx90_emulator.identification.sliding.fit import CurvePoints

@@ -19,8 +19,8 @@ from rx90_emulator.identification.output.plots import (
     validation_plot,
 )
 from rx90_emulator.identification.output.summary import which
-from rx90_emulator.identification.presliding.element_kinds import decisions
-from rx90_emulator.identification.presliding.kinds import MOST_MOTIONS, MOST_OF_BAG, TOLD
+from rx90_emulator.identification.presliding.kind_model import MOST_MOTIONS, MOST_OF_BAG
+from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE, decisions
 from rx90_emulator.identification.result.identification import (
     FrictionIdentification,
     IdentifiedElement,
@@ -98,7 +98,7 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         families=[trial.family.name for kind in compared[:1] if kind.choice for trial in kind.choice.trials],
         most_motions=MOST_MOTIONS,
         most_of_bag=MOST_OF_BAG,
-        told=TOLD,
+        told=DISTINGUISHABLE_SE,
         kind_loops=[kind_plot(kind) for kind in compared],
         correlations=correlation_plots(result),
     )

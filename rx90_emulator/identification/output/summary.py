@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from rx90_emulator.identification.presliding.element_kinds import ElementKind, decisions
+from rx90_emulator.identification.presliding.kinds import ElementKind, decisions
 from rx90_emulator.identification.result.identification import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.result.validation import Validation
 

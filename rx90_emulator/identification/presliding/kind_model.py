@@ -16,11 +16,18 @@ from rx90_common.friction.bristles.step import bristles_dtype
 from rx90_common.friction.element import element_arrays
 from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
 from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE, follow_bristles
-from rx90_emulator.identification.presliding.band import BLOCK, band_spectrum, block_means
-from rx90_emulator.identification.presliding.micro_motion import MicroMotion, load_of
+from rx90_emulator.identification.presliding.group_model import JointGroup
+from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMotion, band_spectrum, block_means, load_of
+from rx90_emulator.identification.records.record import BagSource
 
 LONGEST: Final = 2.0
 """s of a micro-motion that are compared: they hold some six of its slowest waves."""
+
+MOST_MOTIONS: Final = 5
+"""Micro-motions of a joint that are compared, the largest ones."""
+
+MOST_OF_BAG: Final = 3
+"""The same of joints that share elements, of each bag."""
 
 ATTRACTION: Final = "attraction"
 """The number of Maxwell slip that presliding does not show."""
@@ -237,3 +244,43 @@ def largest_motions(motions: Sequence[MicroMotion], break_away: Array, most: int
         return len(motion.velocity) * motion.step < LONGEST, -load_of(motion, break_away)
 
     return sorted(motions, key=rank)[:most]
+
+
+@dataclass(frozen=True, eq=False)
+class MovedGroup:
+    """The largest micro-motions of joints that share their friction elements with no other joint.
+
+    Attributes:
+        elements: indices of its e elements.
+        motions: the largest first; MOST_MOTIONS at most of a single element, else MOST_OF_BAG of each bag.
+        c0: of LuGre's bristles, Nm/rad, shape (e,).
+        sources: their bags.
+    """
+
+    elements: tuple[int, ...]
+    motions: tuple[KindMotion, ...]
+    c0: Array
+    sources: tuple[BagSource, ...]
+
+    @classmethod
+    def of(
+        cls, group: JointGroup, motions: Sequence[MicroMotion], sliding: Sequence[FrictionElement], c0: Array
+    ) -> MovedGroup:
+        """Return them of all micro-motions of a group.
+
+        Args:
+            group: the joints.
+            motions: of them, one or more.
+            sliding: the elements' sliding regime.
+            c0: as the attribute.
+        """
+        break_away = np.abs(group.inputs).T @ np.array([one.tau_c_positive for one in sliding])
+        if len(group.elements) == 1:
+            largest = largest_motions(motions, break_away, MOST_MOTIONS)
+        else:  # one direction of motion moves some elements only, and each is recorded in a bag of its own
+            bags: dict[str, list[MicroMotion]] = {}
+            for motion in motions:
+                bags.setdefault(motion.record.sha256, []).append(motion)
+            largest = [motion for bag in bags.values() for motion in largest_motions(bag, break_away, MOST_OF_BAG)]
+        compared = tuple(KindMotion.of(motion, group.inputs, sliding) for motion in largest)
+        return cls(group.elements, compared, c0, tuple(dict.fromkeys(motion.record.bag for motion in largest)))

@@ -18,8 +18,8 @@ from rx90_emulator.identification.model.estimates import (
 )
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.model.robot import RecordedRobot
-from rx90_emulator.identification.presliding.element_kinds import ElementKind, choose_kinds
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
+from rx90_emulator.identification.presliding.kinds import ElementKind, choose_kinds
 from rx90_emulator.identification.records.record import BagSource, JointRecord
 from rx90_emulator.identification.result.validation import Validation
 from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding

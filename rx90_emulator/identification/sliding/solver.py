@@ -10,12 +10,14 @@ from scipy.optimize import least_squares, lsq_linear
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.friction.parameters import ALPHA_BOUNDS
 from rx90_emulator.identification.sliding import stribeck
-from rx90_emulator.identification.sliding.drift import Drift
-from rx90_emulator.identification.sliding.misfit import Misfit
-from rx90_emulator.identification.sliding.normal_equations import NormalForm, PlateauTorques
-from rx90_emulator.identification.sliding.residuals import Residuals
-from rx90_emulator.identification.sliding.rows import SlidingRows
-from rx90_emulator.identification.sliding.weights import Weights, speed_design_effect
+from rx90_emulator.identification.sliding.equations import (
+    NormalForm,
+    PlateauTorques,
+    SlidingRows,
+    Weights,
+    speed_design_effect,
+)
+from rx90_emulator.identification.sliding.quality import Drift, Misfit, Residuals
 
 _ROUNDS = 4  # of iteratively reweighted least squares
 _DELTA_RANGE = (0.2, 5.0)

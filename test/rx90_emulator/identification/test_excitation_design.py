@@ -18,17 +18,19 @@ from rx90_common.base.errors import DONE, REFUSED, IdentificationError
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import excitation_job
 from rx90_emulator.identification.excitation import filtering, identify, instruments
-from rx90_emulator.identification.experiments.engine import run_on_engine
-from rx90_emulator.identification.experiments.excitation.design import ExcitationPlan, plan_excitation
+from rx90_emulator.identification.experiments.excitation.design import (
+    ExcitationPlan,
+    FourierSeries,
+    RunSearch,
+    plan_excitation,
+    random_starts,
+)
 from rx90_emulator.identification.experiments.excitation.information import ExcitationColumns
-from rx90_emulator.identification.experiments.excitation.limits import MotionLimits
+from rx90_emulator.identification.experiments.excitation.limits import MotionLimits, SelfCollision, Workspace
 from rx90_emulator.identification.experiments.excitation.options import Criterion, ExcitationOptions, Wall
-from rx90_emulator.identification.experiments.excitation.search import RunSearch, random_starts
-from rx90_emulator.identification.experiments.excitation.self_collision import SelfCollision
-from rx90_emulator.identification.experiments.excitation.series import FourierSeries
 from rx90_emulator.identification.experiments.excitation.table import describe_excitation
-from rx90_emulator.identification.experiments.excitation.workspace import Workspace
 from rx90_emulator.identification.experiments.folder import read_index, write_index
+from rx90_emulator.identification.experiments.job import run_on_engine
 from rx90_emulator.identification.experiments.plan import Kind
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.loop.setup import Setup

@@ -20,9 +20,8 @@ from rx90_emulator.identification.presliding.fit import PreslidingFit
 from rx90_emulator.identification.records.record import BagSource, JointRecord
 from rx90_emulator.identification.result.identification import FrictionIdentification, IdentifiedElement
 from rx90_emulator.identification.sliding.blocks import find_blocks
-from rx90_emulator.identification.sliding.drift import Drift
 from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
-from rx90_emulator.identification.sliding.residuals import Residuals
+from rx90_emulator.identification.sliding.quality import Drift, Residuals
 
 Array = NDArray[np.float64]
 Friction = Callable[[Array], Array]
