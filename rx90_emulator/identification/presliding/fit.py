@@ -36,7 +36,7 @@ from rx90_emulator.identification.presliding.micro_motion import (
     find_micro_motions,
     most_informative,
 )
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records.record import JointRecord, check_joints
 
 _RELATIVE_STEP = 1e-4  # relative step of difference quotients
 _MIN_MOTION_CLUSTERS = 3  # motions, below which they are too few to be clusters
@@ -301,11 +301,7 @@ def identify_presliding(
     Raises:
         IdentificationError: for other joints than the arm's, a record that is too slow, and no reversal at all.
     """
-    for record in records:
-        if tuple(record.names) != tuple(arm.names):
-            raise IdentificationError(
-                f"{record.source}: joints {', '.join(record.names)}; accepted: {', '.join(arm.names)}"
-            )
+    check_joints(records, arm.names)
     groups = joint_groups(arm)
     joints = [group.joints for group in groups]
     motions = [motion for record in records for motion in find_micro_motions(record, arm, joints, torque_delay)]

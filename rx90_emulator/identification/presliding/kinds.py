@@ -26,6 +26,7 @@ from scipy import stats
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import counted, listed
+from rx90_common.friction.held_out import HeldOutErrors
 from rx90_common.friction.parts.bristles import BristlesPart
 from rx90_emulator.identification.model.estimates import LARGEST_DEVIATION, PRESLIDING, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
@@ -244,9 +245,8 @@ def _choices(
     sets: Sequence[tuple[KindFamily, ...]], predictions: Mapping[tuple[KindFamily, ...], _Prediction], families: int
 ) -> list[KindChoice]:
     """Return the choice of each element; the sets are those for its families, element by element."""
-    noise = float(np.median(np.min([one.power for one in predictions.values()], axis=0)))
-    scores = {some: np.log(one.power + noise) for some, one in predictions.items()}
-    best = min(scores, key=lambda some: float(scores[some].sum()))
+    errors = HeldOutErrors({some: one.power for some, one in predictions.items()})
+    best = errors.best()
     motions = predictions[best].whole.model.motions
     friction = sum(float(np.sum((motion.target / predictions[best].whole.model.scale) ** 2)) for motion in motions)
     found = []
@@ -256,8 +256,7 @@ def _choices(
         trials = []
         for some in sets[place * families : (place + 1) * families]:
             # Of sets with the same kind here, which differ elsewhere, that which predicts best.
-            same = [each for each in predictions if each[place] == some[place]]
-            chosen = min(same, key=lambda each: float(scores[each].sum()))
+            chosen = errors.best(each for each in predictions if each[place] == some[place])
             one = predictions[chosen]
             trials.append(
                 KindTrial(
@@ -265,17 +264,11 @@ def _choices(
                     one.whole.seen(place, largest),
                     one.estimates(place),
                     float(np.sqrt(one.power.sum() / friction)),
-                    _behind(scores[chosen] - scores[best]),
+                    errors.behind(chosen, best),
                 )
             )
         found.append(KindChoice(tuple(trials), positions[largest]))
     return found
-
-
-def _behind(difference: Array) -> float:
-    """Return the mean of differences line by line over its standard error."""
-    spread = float(np.std(difference)) * np.sqrt(difference.size)
-    return float(difference.sum() / spread) if spread > 0.0 else 0.0
 
 
 def jackknife_estimates(

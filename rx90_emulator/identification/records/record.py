@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -114,6 +115,19 @@ class JointRecord:
             )
         fields = {name: getattr(self, name)[rows] for name in ("time", "position", "velocity", "torque")}
         return replace(self, **fields)
+
+
+def check_joints(records: Sequence[JointRecord], names: Sequence[str]) -> None:
+    """Refuse a record of other joints than an arm's.
+
+    Raises:
+        IdentificationError: naming the bag, its joints and the arm's.
+    """
+    for record in records:
+        if tuple(record.names) != tuple(names):
+            raise IdentificationError(
+                f"{record.source}: joints {', '.join(record.names)}; accepted: {', '.join(names)}"
+            )
 
 
 def spikes(values: Array) -> NDArray[np.bool_]:

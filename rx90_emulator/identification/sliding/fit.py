@@ -15,7 +15,7 @@ from rx90_common.base.quoting import quoted
 from rx90_emulator.identification.model.estimates import SLIDING, VISCOUS_EXPONENT, ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.model.zeros import ZeroCheck
-from rx90_emulator.identification.records.record import BagSource, JointRecord
+from rx90_emulator.identification.records.record import BagSource, JointRecord, check_joints
 from rx90_emulator.identification.sliding import stribeck
 from rx90_emulator.identification.sliding.blocks import BagUse, Blocks, find_blocks, unused_speeds
 from rx90_emulator.identification.sliding.equations import SlidingRows, sliding_rows
@@ -247,11 +247,7 @@ def identify_sliding(
         IdentificationError: for other joints than the arm's; for no sweep; for too few speeds or a single direction of
             a required element, or of all elements; and for torques that do not oppose the motion.
     """
-    for record in records:
-        if record.names != arm.names:
-            raise IdentificationError(
-                f"{record.source}: joints {', '.join(record.names)}; accepted: {', '.join(arm.names)}"
-            )
+    check_joints(records, arm.names)
     for name in required:
         if name not in arm.element_names:
             raise IdentificationError(f"element {quoted(name)}; accepted: {', '.join(arm.element_names)}")

@@ -19,7 +19,7 @@ from rx90_common.description.urdf import JOINT_COUNT
 from rx90_common.description.wrist import coupling_matrix
 from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES, SAMPLED
 from rx90_emulator.identification.records.layout import BagLayout
-from rx90_emulator.measured.options import MeasuredLayout
+from rx90_emulator.identification.validation.options import MeasuredLayout
 
 _JOINT_STATES = "joint_states"
 _ONCE_MORE = f"/{SAMPLED}/{_JOINT_STATES}"

@@ -22,7 +22,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.records.layout import BagLayout
-from rx90_emulator.measured.options import MeasuredLayout
+from rx90_emulator.identification.validation.options import MeasuredLayout
 from rx90_emulator.view.bags.collecting import SeriesCollector
 from rx90_emulator.view.bags.layout import arm_layout
 from rx90_emulator.view.bags.track import Track

@@ -16,7 +16,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import DONE, REFUSED, IdentificationError
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification import excitation_job
+from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation import filtering, identify, instruments
 from rx90_emulator.identification.experiments.excitation.design import (
     ExcitationPlan,
@@ -386,7 +386,7 @@ def test_a_folder_of_excitation_runs_is_identified_as_such(
     for one in runs:
         (tmp_path / one.name).mkdir()
     seen: list[object] = []
-    monkeypatch.setattr(excitation_job, "run_excitation", lambda *given, **_: seen.append(given) or True)
+    monkeypatch.setattr(identification_job, "run_excitation", lambda *given, **_: seen.append(given) or True)
     write_index(tmp_path, runs)
     assert run("rx90_identify", [str(tmp_path), "--output", str(tmp_path / "out")]) == DONE
     (given,) = seen

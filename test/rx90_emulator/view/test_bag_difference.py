@@ -16,8 +16,8 @@ from rx90_common.bags.time_shift import START, time_shift
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError
 from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.identification.validation.options import MeasuredLayout
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.measured.options import MeasuredLayout
 from rx90_emulator.view.bags.difference import difference
 from rx90_emulator.view.bags.facts import difference_text, recording_text
 from rx90_emulator.view.bags.path import path_error_track, tip_path
