@@ -168,7 +168,7 @@ def identify_records(
         own, sources = _presliding(second, kinds[e] if kinds else None)
         sources |= dict.fromkeys(first.parameters, first.sources)
         element = replace(_merged(first, own, other, {}), bristles=kinds[e].bristles if kinds else None)
-        given = None if kinds and kinds[e].told else other
+        given = None if kinds and kinds[e].decided else other
         elements.append(IdentifiedElement.of(element, {**first.parameters, **own}, sources, given))
     return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name, kinds=kinds)
 

@@ -317,7 +317,7 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         families=[trial.family.name for kind in compared[:1] if kind.choice for trial in kind.choice.trials],
         most_motions=MOST_MOTIONS,
         most_of_bag=MOST_OF_BAG,
-        told=DISTINGUISHABLE_SE,
+        distinguishable_se=DISTINGUISHABLE_SE,
         kind_loops=[kind_plot(kind) for kind in compared],
         correlations=correlation_plots(result),
     )

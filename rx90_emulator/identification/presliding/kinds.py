@@ -83,7 +83,7 @@ class KindTrial:
         return self.fit.bristles
 
     @property
-    def told(self) -> bool:
+    def distinguishable(self) -> bool:
         """Return whether the data tell it from the best kind."""
         return self.behind > DISTINGUISHABLE_SE
 
@@ -108,7 +108,7 @@ class KindChoice:
     @property
     def possible(self) -> tuple[KindTrial, ...]:
         """Return the trials that the data cannot tell from the best, which is among them."""
-        return tuple(trial for trial in self.trials if not trial.told)
+        return tuple(trial for trial in self.trials if not trial.distinguishable)
 
     @property
     def kind(self) -> str | None:
@@ -324,17 +324,17 @@ class ElementKind:
         """Return "LuGre", "elasto-plastic", "Maxwell slip", "cannot tell", or "not compared"."""
         if self.choice is None:
             return "not compared"
-        return self.choice.best.family.kind if self.told else "cannot tell"
+        return self.choice.best.family.kind if self.decided else "cannot tell"
 
     @property
-    def told(self) -> bool:
+    def decided(self) -> bool:
         """Return whether the data tell it, LuGre's too."""
         return self.choice is not None and not self.reason
 
     @property
     def trial(self) -> KindTrial | None:
         """Return the trial whose bristles take the place of LuGre's; None where LuGre's stay."""
-        if self.choice is None or not self.told or self.choice.best.bristles is None:
+        if self.choice is None or not self.decided or self.choice.best.bristles is None:
             return None
         return self.choice.best
 

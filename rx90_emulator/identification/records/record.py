@@ -15,10 +15,10 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 
 _WALL_CLOCK = 946_684_800.0  # s, the year 2000: stamps before count from another beginning
-_NEIGHBOURS = 5  # samples in the running median
-_OUTLIER = 4.0  # times the 99th percentile of the distances from it
-_SPIKE = 0.02  # and this share of the signal's range
-_ALONE = 0.25  # share of a spike's distance that its neighbours stay below
+_MEDIAN_SAMPLES = 5  # samples in the running median
+_OUTLIER_FACTOR = 4.0  # times the 99th percentile of the distances from it
+_MIN_SPIKE_SHARE = 0.02  # and this share of the signal's range
+_NEIGHBOUR_SHARE = 0.25  # share of a spike's distance that its neighbours stay below
 
 
 @dataclass(frozen=True)
@@ -141,9 +141,11 @@ def spikes(values: Array) -> NDArray[np.bool_]:
     Returns:
         Whether any column has one, shape (m,).
     """
-    distance = np.abs(values - median_filter(values, size=(_NEIGHBOURS, 1), mode="nearest"))
+    distance = np.abs(values - median_filter(values, size=(_MEDIAN_SAMPLES, 1), mode="nearest"))
     usual = np.percentile(distance, 99.0, axis=0)
     low, high = np.percentile(values, (1.0, 99.0), axis=0)
-    far = distance > _OUTLIER * usual + _SPIKE * (high - low) + 1e-9
+    far = distance > _OUTLIER_FACTOR * usual + _MIN_SPIKE_SHARE * (high - low) + 1e-9
     beside = np.pad(distance, ((1, 1), (0, 0)))
-    return np.asarray((far & (_ALONE * distance > beside[:-2]) & (_ALONE * distance > beside[2:])).any(axis=1))
+    return np.asarray(
+        (far & (_NEIGHBOUR_SHARE * distance > beside[:-2]) & (_NEIGHBOUR_SHARE * distance > beside[2:])).any(axis=1)
+    )

@@ -172,7 +172,7 @@ LEAST_SPEEDS = 5
 A viscous exponent takes another speed.
 """
 _STRIBECK_COLUMNS = np.array([2, 3, 5, 6])  # parameters of the fit that are identifiable by a Stribeck effect only
-_EXPONENT_SCORE = 2.0  # standard deviations by which a step from the linear fit moves an exponent
+_MIN_EXPONENT_SCORE = 2.0  # standard deviations by which a step from the linear fit moves an exponent
 _LINE_POINTS = 100
 _DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"
 _SAME_SPEED_RATIO = 1.1  # ratio of speeds up to which they count as one
@@ -187,7 +187,6 @@ class CurvePoints:
         torque: measured torque less the rigid arm's and the other elements', Nm, shape (p,).
         deviation: standard deviation of its noise, Nm, shape (p,).
         fitted: torque by the identified parameters, Nm, shape (p,).
-        source: number of the record, shape (p,).
         time: in the series, s, shape (p,).
         line: the identified curve over the measured speeds, in either direction: velocity, torque, and the standard
             deviation of the torque that follows from that of the parameters, shape (3, k).
@@ -197,7 +196,6 @@ class CurvePoints:
     torque: Array
     deviation: Array
     fitted: Array
-    source: NDArray[np.int64]
     time: Array
     line: Array
 
@@ -308,7 +306,9 @@ def _solution(
     _check_signs(records, arm, linear)
     linear = _drop_insignificant_stribeck(rows, linear)
     # Most data are linear, and a step from their solution says so for a fraction of a fit.
-    free[:, stribeck.EXPONENT] = slides & _enough_speeds_for_exponent(rows) & (linear.bend > _EXPONENT_SCORE)
+    free[:, stribeck.EXPONENT] = (
+        slides & _enough_speeds_for_exponent(rows) & (linear.exponent_score > _MIN_EXPONENT_SCORE)
+    )
     solution = linear
     while free[:, stribeck.EXPONENT].any():
         solution = _drop_insignificant_stribeck(rows, fit_curves(rows, free))
@@ -401,15 +401,12 @@ def _curve(solution: SlidingSolution, element: int) -> CurvePoints:
     plateau, number = np.unique(rows.plateau[mine], return_inverse=True)
     power = np.bincount(number, gain[mine] ** 2, len(plateau))
     velocity = np.bincount(number, gain[mine] ** 2 * rows.velocity[mine, element], len(plateau)) / power
-    source = np.zeros(len(plateau), dtype=np.int64)
-    source[number] = rows.source[mine]
     time = np.bincount(number, rows.time[mine], len(plateau)) / np.bincount(number, minlength=len(plateau))
     return CurvePoints(
         velocity=velocity,
         torque=np.bincount(number, gain[mine] * left, len(plateau)) / power,
         deviation=np.sqrt(np.bincount(number, (gain * solution.noise)[mine] ** 2, len(plateau))) / power,
         fitted=stribeck.torque(velocity, solution.parameters[element]),
-        source=source,
         time=time,
         line=_line(solution, element, velocity),
     )

@@ -258,8 +258,7 @@ class FitQuality:
         share: of it in the RMS friction torque.
         chi2: sum of the squared residuals over those of the blocks' noise, for each degree of freedom; 1 where nothing
             but that noise is left.
-        bands: slowest and fastest speed, rad/s, mean residual along the motion, and its standard deviation by the
-            scatter of the plateaus, Nm, number of plateaus; shape (k, 5).
+        bands: slowest and fastest speed, rad/s, mean residual along the motion, Nm; shape (k, 3).
         agreement: of residuals at neighbouring speeds, in standard deviations.
         misfit: whether that is no accident.
         widening: largest factor on a deviation because of it.
@@ -326,7 +325,7 @@ class FitQuality:
         text = f"fit of {name}: residual {self.rms:.3g} Nm RMS, {self.share:.2%} of its friction, chi2 {self.chi2:.3g}"
         text += " per degree of freedom"
         if self.misfit:
-            by_speed = ", ".join(f"{low:.3g}-{high:.3g}: {mean:+.2g}" for low, high, mean, _, _ in self.bands.tolist())
+            by_speed = ", ".join(f"{low:.3g}-{high:.3g}: {mean:+.2g}" for low, high, mean in self.bands.tolist())
             text += (
                 f"; the curve does NOT FIT: residuals at neighbouring speeds agree by {self.agreement:.1f} standard "
                 f"deviations, which makes deviations up to {self.widening:.1f} times wider; residual by speed, Nm at "
@@ -342,7 +341,7 @@ class FitQuality:
             "share": _digits(self.share),
             "chi2_per_degree_of_freedom": _digits(self.chi2),
             "misfit": self.misfit,
-            "residual_by_speed": [[_digits(value) for value in band[:3]] for band in self.bands.tolist()],
+            "residual_by_speed": [[_digits(value) for value in band] for band in self.bands.tolist()],
         }
         if not math.isnan(self.drift):
             found["drift"] = {
@@ -371,14 +370,9 @@ def _digits(value: float) -> float:
 
 
 def _bands(speed: Array, along: Array) -> Array:
-    """Return bands of speed with mean residual, its deviation and the number of plateaus, shape (k, 5)."""
+    """Return slowest and fastest speed and mean residual of bands of speed, shape (k, 3)."""
     place = np.log(speed)
     width = max(float(np.ptp(place)), 1e-9) / _BANDS
     number = np.minimum(((place - place.min()) / width).astype(np.int64), _BANDS - 1)
-    rows = []
-    for k in np.unique(number).tolist():
-        mine = along[number == k]
-        scatter = float(mine.std(ddof=1)) / math.sqrt(len(mine)) if len(mine) > 1 else math.nan
-        inside = speed[number == k]
-        rows.append((float(inside.min()), float(inside.max()), float(mine.mean()), scatter, float(len(mine))))
-    return np.array(rows)
+    inside = [number == k for k in np.unique(number).tolist()]
+    return np.array([(speed[one].min(), speed[one].max(), along[one].mean()) for one in inside])

@@ -72,9 +72,9 @@ def test_a_joint_without_micro_oscillations_takes_c0_and_bristles(
     assert "With c0 the bristles of hinge are those of that file" in file.with_suffix(".html").read_text("utf-8")
 
 
-LUGRE = SimpleNamespace(told=True, trial=None, bristles=None)
-OPEN = SimpleNamespace(told=False, trial=None, bristles=None)
-TOLD = SimpleNamespace(told=True, bristles=PARTS[1], sources=())
+LUGRE = SimpleNamespace(decided=True, trial=None, bristles=None)
+OPEN = SimpleNamespace(decided=False, trial=None, bristles=None)
+TOLD = SimpleNamespace(decided=True, bristles=PARTS[1], sources=())
 
 
 @pytest.mark.parametrize(

@@ -374,8 +374,8 @@ def plan_excitation(
     for number in range(options.runs):
         name = f"excitation_{number + 1}"
         run = _run(search, name, Kind.EXCITATION, number, options, step)
-        told = _information(columns, run.series, search.duration)
-        search = replace(search, before=search.before + told)
+        information = _information(columns, run.series, search.duration)
+        search = replace(search, before=search.before + information)
         runs.append(run)
     if options.validation:
         alone = replace(search, before=np.zeros((count, count)))

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -55,8 +55,8 @@ class SelfCollision:
         """Return the pairs of an arm whose runs begin at home, rad, shape (n,)."""
         model, shapes = robot.model, pin.buildGeomFromUrdfString(robot.model, _without_meshes(robot), pin.COLLISION)
         objects = shapes.geometryObjects
-        pairs = [(a, b) for a, b in combinations(range(len(objects)), 2)
-                 if abs(_joint(model, objects[a]) - _joint(model, objects[b])) > 1]  # fmt: skip
+        joint = [_parent_joint(model.frames[one.parentFrame]) for one in objects]
+        pairs = [(a, b) for a, b in combinations(range(len(objects)), 2) if abs(joint[a] - joint[b]) > 1]
         every = cls._with(model, shapes, pairs, ())
         near = every.distances(np.asarray(home, dtype=np.float64)[None, :])[0] < SELF_CLEARANCE
         names = [" and ".join(objects[k].name.rpartition("_")[0] for k in pair) for pair in pairs]
@@ -112,10 +112,8 @@ class SelfCollision:
         return found
 
 
-def _joint(model: Any, shape: Any) -> int:
-    """Return the number of the joint that moves a shape, 0 for the base."""
-    frame = model.frames[shape.parentFrame]
-    # Pinocchio 2 calls it `parent`.
+def _parent_joint(frame: Any) -> int:
+    """Return the number of the joint that moves a frame, 0 for the base; Pinocchio 2 calls it `parent`."""
     return int(frame.parentJoint if hasattr(frame, "parentJoint") else frame.parent)
 
 
@@ -165,18 +163,10 @@ class ArmShapes:
     @classmethod
     def of(cls, robot: RobotModel) -> ArmShapes:
         """Return the shapes of an arm with its tool."""
-        kept, meshes = _shapes(robot)
-        return cls(
-            robot,
-            tuple(shape.name for shape in kept),
-            np.array([shape.link for shape in kept]),
-            np.array([shape.center for shape in kept]),
-            np.array([shape.axes for shape in kept]),
-            np.array([shape.half for shape in kept]),
-            np.array([shape.disk for shape in kept]),
-            np.array([shape.ball for shape in kept]),
-            meshes,
-        )
+        shapes, meshes = _shapes(robot)
+        names, *columns = zip(*shapes, strict=True)
+        link, center, axes, half, disk, ball = (np.array(column) for column in columns)
+        return cls(robot, tuple(map(str, names)), link, center, axes, half, disk, ball, meshes)
 
     def frames(self, position: Array) -> tuple[Array, Array, Array]:
         """Return rotations (m, n, 3, 3), centres (m, n, 3) and axes (m, n, 3) of joints at positions, shape (m, n)."""
@@ -263,14 +253,8 @@ class Workspace:
         return found
 
 
-class _Shape(NamedTuple):
-    name: str
-    link: int
-    center: Array
-    axes: Array
-    half: Array
-    disk: float
-    ball: float
+_Shape = tuple[str, int, Array, Array, Array, float, float]
+"""What `ArmShapes` has of one shape: name, link, center, axes, half, disk, ball."""
 
 
 def _shapes(robot: RobotModel) -> tuple[list[_Shape], tuple[str, ...]]:
@@ -281,21 +265,19 @@ def _shapes(robot: RobotModel) -> tuple[list[_Shape], tuple[str, ...]]:
     joints = np.cumsum(chain.origin, axis=0)
     points = [*((name, k, np.zeros(3)) for k, name in enumerate(robot.joint_names)),
               (robot.tcp_frame, len(joints) - 1, chain.tcp_position)]  # fmt: skip
-    found = [_Shape(name, joint, center, np.eye(3), np.zeros(3), 0.0, 0.0) for name, joint, center in points]
+    found: list[_Shape] = [(name, joint, at, np.eye(3), np.zeros(3), 0.0, 0.0) for name, joint, at in points]
     meshes = []
     for link in ET.fromstring(robot.urdf).findall("link"):
         name = str(link.get("name"))
         frame = model.getFrameId(name, pin.BODY)
-        known = model.frames[frame]
-        # Pinocchio 2 calls it `parent`.
-        joint = (known.parentJoint if hasattr(known, "parentJoint") else known.parent) - 1
+        joint = _parent_joint(model.frames[frame]) - 1
         for collision in [] if joint < 0 else link.findall("collision"):
             here = data.oMf[frame] * _placement(collision.find("origin"))
             size = _size(collision.find("geometry"))
             if size is None:
                 meshes.append(name)
             else:
-                found.append(_Shape(name, joint, here.translation - joints[joint], here.rotation.copy(), *size))
+                found.append((name, joint, here.translation - joints[joint], here.rotation.copy(), *size))
     return found, tuple(dict.fromkeys(meshes))
 
 
