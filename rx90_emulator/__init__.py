@@ -69,22 +69,21 @@ if TYPE_CHECKING:
     from rx90_emulator.identification.excitation.identify import identify_excitation
     from rx90_emulator.identification.excitation.payload import Payload, read_payloads
     from rx90_emulator.identification.excitation.result import ExcitationIdentification
-    from rx90_emulator.identification.excitation_job import write_excitation
     from rx90_emulator.identification.experiments.folder import IdentificationBags
     from rx90_emulator.identification.experiments.job import plan_experiments, record_on_engine
     from rx90_emulator.identification.experiments.plan import Experiment
-    from rx90_emulator.identification.friction_check import check_friction
-    from rx90_emulator.identification.identify import identify_friction
-    from rx90_emulator.identification.job import write_identification
+    from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction
+    from rx90_emulator.identification.job import write_excitation, write_identification, write_measured
     from rx90_emulator.identification.model.options import (
         ExcitationTolerances,
         RobotOptions,
         ValidationTolerances,
     )
-    from rx90_emulator.identification.output.excitation.summary import excitation_summary
-    from rx90_emulator.identification.output.summary import identification_summary
-    from rx90_emulator.identification.result.identification import FrictionIdentification
-    from rx90_emulator.identification.result.validation import Validation
+    from rx90_emulator.identification.output.excitation_report import excitation_summary
+    from rx90_emulator.identification.output.report import identification_summary, measured_summary
+    from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured
+    from rx90_emulator.identification.validation.options import MeasuredLayout, MeasuredTolerances
+    from rx90_emulator.identification.validation.prediction import Validation
     from rx90_emulator.loop.application import with_parameters
     from rx90_emulator.loop.catalogue import parameters
     from rx90_emulator.loop.closed_loop import simulate
@@ -93,11 +92,6 @@ if TYPE_CHECKING:
     from rx90_emulator.loop.setup import Setup, load_setup
     from rx90_emulator.loop.trajectory_file import load_trajectory
     from rx90_emulator.loop.working_day import RepeatedLine, repeat_line
-    from rx90_emulator.measured.compare import compare_measured
-    from rx90_emulator.measured.comparison import MeasuredComparison
-    from rx90_emulator.measured.job import write_measured
-    from rx90_emulator.measured.options import MeasuredLayout, MeasuredTolerances
-    from rx90_emulator.measured.summary import measured_summary
     from rx90_emulator.sweep.execution import read_sweep, run_sweep
     from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
     from rx90_emulator.sweep.plan_file import load_sweep_plan
@@ -191,9 +185,9 @@ __all__ = [
 
 _HOMES = {
     "rx90_common.bags.comparison": "BagComparison Scope TopicComparison Verdict compare_bags compare_series",
-    "rx90_common.bags.tables": "comparison_text",
     "rx90_common.bags.joint_series": "JointSeries",
     "rx90_common.bags.reading": "read_bag read_joint_states",
+    "rx90_common.bags.tables": "comparison_text",
     "rx90_common.bags.tolerance": "Tolerances",
     "rx90_common.bags.writing": "write_joint_states",
     "rx90_common.base.errors": "Rx90Error Rx90Warning",
@@ -212,18 +206,17 @@ _HOMES = {
     "rx90_emulator.identification.excitation.identify": "identify_excitation",
     "rx90_emulator.identification.excitation.payload": "Payload read_payloads",
     "rx90_emulator.identification.excitation.result": "ExcitationIdentification",
-    "rx90_emulator.identification.excitation_job": "write_excitation",
     "rx90_emulator.identification.experiments.folder": "IdentificationBags",
     "rx90_emulator.identification.experiments.job": "plan_experiments record_on_engine",
     "rx90_emulator.identification.experiments.plan": "Experiment",
-    "rx90_emulator.identification.friction_check": "check_friction",
-    "rx90_emulator.identification.identify": "identify_friction",
-    "rx90_emulator.identification.job": "write_identification",
+    "rx90_emulator.identification.identify": "check_friction identify_friction FrictionIdentification",
+    "rx90_emulator.identification.job": "write_excitation write_identification write_measured",
     "rx90_emulator.identification.model.options": "ExcitationTolerances RobotOptions ValidationTolerances",
-    "rx90_emulator.identification.output.excitation.summary": "excitation_summary",
-    "rx90_emulator.identification.output.summary": "identification_summary",
-    "rx90_emulator.identification.result.identification": "FrictionIdentification",
-    "rx90_emulator.identification.result.validation": "Validation",
+    "rx90_emulator.identification.output.excitation_report": "excitation_summary",
+    "rx90_emulator.identification.output.report": "measured_summary identification_summary",
+    "rx90_emulator.identification.validation.measured": "compare_measured MeasuredComparison",
+    "rx90_emulator.identification.validation.options": "MeasuredLayout MeasuredTolerances",
+    "rx90_emulator.identification.validation.prediction": "Validation",
     "rx90_emulator.loop.application": "with_parameters",
     "rx90_emulator.loop.catalogue": "parameters",
     "rx90_emulator.loop.closed_loop": "simulate",
@@ -232,11 +225,6 @@ _HOMES = {
     "rx90_emulator.loop.setup": "Setup load_setup",
     "rx90_emulator.loop.trajectory_file": "load_trajectory",
     "rx90_emulator.loop.working_day": "RepeatedLine repeat_line",
-    "rx90_emulator.measured.compare": "compare_measured",
-    "rx90_emulator.measured.comparison": "MeasuredComparison",
-    "rx90_emulator.measured.job": "write_measured",
-    "rx90_emulator.measured.options": "MeasuredLayout MeasuredTolerances",
-    "rx90_emulator.measured.summary": "measured_summary",
     "rx90_emulator.sweep.execution": "read_sweep run_sweep",
     "rx90_emulator.sweep.plan": "Block SweepBase SweepPlan SweptParameter",
     "rx90_emulator.sweep.plan_file": "load_sweep_plan",

@@ -16,6 +16,7 @@ __all__ = [
     "element",
     "friction_file",
     "friction_set",
+    "held_out",
     "load_friction",
     "parameters",
     "tracing",

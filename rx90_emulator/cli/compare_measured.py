@@ -9,7 +9,7 @@ from pathlib import Path
 from rx90_common.base.errors import DONE, VERDICT_NO
 from rx90_common.base.quoting import one_line
 from rx90_emulator.cli.options import POSITIVE, add_message_arguments, add_record_arguments, add_robot_arguments, place
-from rx90_emulator.measured.options import MeasuredLayout, MeasuredTolerances
+from rx90_emulator.identification.validation.options import MeasuredLayout, MeasuredTolerances
 
 _EPILOG = """\
 set-points are those of the bag (rx90_controller/reference), else its measured path, smoothed without delay. Arms of
@@ -50,7 +50,7 @@ def main(options: argparse.Namespace) -> int:
     """
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.measured.job import run_comparison
+    from rx90_emulator.identification.job import run_comparison
 
     layout = MeasuredLayout(**{name: getattr(options, name) for name in MeasuredLayout.__dataclass_fields__})
     tolerances = MeasuredTolerances(

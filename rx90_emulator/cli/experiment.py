@@ -144,7 +144,7 @@ def main(options: argparse.Namespace) -> None:
         plan = plan_experiments(setup, options.group, quick=options.quick, speeds=options.speeds)
         print(describe(plan, setup), flush=True)
     else:
-        from rx90_emulator.identification.experiments.excitation.job import describe_excitation, plan_with_progress
+        from rx90_emulator.identification.experiments.excitation.table import describe_excitation, plan_with_progress
 
         runs = plan_with_progress(setup, excitation)
         plan = runs.experiments

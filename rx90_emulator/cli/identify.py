@@ -139,7 +139,7 @@ def _tolerances(options: argparse.Namespace) -> ValidationTolerances:
 
 
 def _excitation(options: argparse.Namespace, robot: RobotOptions) -> bool:
-    from rx90_emulator.identification.excitation_job import run_excitation
+    from rx90_emulator.identification.job import run_excitation
 
     others = [options.folder, *options.sliding, *options.presliding, options.friction, options.report]
     unused = [str(one) for one in others if one is not None]

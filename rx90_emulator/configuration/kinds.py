@@ -21,7 +21,7 @@ from rx90_controller.law.parameters import CONTROLLER, load_controller
 from rx90_controller.lines.task import TASK, load_task
 from rx90_emulator.identification.excitation.payload import PAYLOADS, read_payloads
 from rx90_emulator.identification.experiments.folder import EXPERIMENTS, read_index
-from rx90_emulator.identification.experiments.poses import POSES, Poses
+from rx90_emulator.identification.experiments.plan import POSES, Poses
 from rx90_emulator.loop.trajectory_file import TRAJECTORY, load_trajectory
 from rx90_emulator.sweep.plan_file import PLAN, load_sweep_plan
 from rx90_emulator.sweep.sweep import Sweep

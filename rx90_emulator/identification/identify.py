@@ -1,27 +1,268 @@
-"""From bags to identified friction, for Python users and the command alike."""
+"""From bags to identified friction, or to a verdict on a given one, for Python users and the command alike."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import quoted
+from rx90_common.base.share import resolve_config
+from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.friction.friction_set import refuse_parts
 from rx90_emulator.identification.experiments.folder import IdentificationBags, read_emulated, read_index
+from rx90_emulator.identification.model.estimates import (
+    PARAMETERS,
+    PRESLIDING,
+    SLIDING,
+    VISCOUS_EXPONENT,
+    ElementEstimate,
+    ParameterEstimate,
+)
 from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
+from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
+from rx90_emulator.identification.presliding.kinds import ElementKind, choose_kinds
 from rx90_emulator.identification.records.reading import read_record
-from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.result.identification import FrictionIdentification, identify_records
-from rx90_emulator.identification.result.validation import validate
+from rx90_emulator.identification.records.record import BagSource, JointRecord
+from rx90_emulator.identification.result.identification import IdentifiedElement
+from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
+from rx90_emulator.identification.validation.prediction import Validation, validate
 
-_RATES = {"sliding": 250.0, "presliding": None, "validation": 1000.0}
-"""Hz that records are averaged to: plateaus are averaged anyway, and the validation looks below 40 Hz."""
-_BEYOND = 2.0  # times the range of a joint: travel that no offset of its zero explains
+_READING_RATES = {"sliding": 250.0, "presliding": None}
+_DEFAULT_READING_RATE = 1000.0
+"""Hz that records are averaged to, by use: plateaus are averaged anyway, a validation looks below 40 Hz, and an arm's
+motion holds nothing near 1 kHz."""
+_MAX_TRAVEL_SHARE = 2.0  # of a joint's range: more travel is explained by no offset of its zero
+_ANY_BRISTLE = {"c0": 1e4, "c1": 0.0}
 _DEFAULT_ROBOT = RobotOptions()
 _DEFAULT_TOLERANCES = ValidationTolerances()
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionIdentification:
+    """The identified friction of an arm.
+
+    Attributes:
+        arm: whose elements these are.
+        elements: in the order of the arm's.
+        sliding: the fit of the sliding regime.
+        presliding: the fit of the presliding regime.
+        fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
+        bags: what was read, by use: sliding, presliding, validation.
+        validations: comparisons with bags that were not used.
+        kinds: of the elements' bristles; empty where it was not asked for.
+        truth: of emulated runs, the elements that made them, by name; empty where none are known.
+    """
+
+    arm: RigidArm
+    elements: tuple[IdentifiedElement, ...]
+    sliding: SlidingFit
+    presliding: PreslidingFit
+    fallback_name: str | None = None
+    bags: tuple[tuple[str, BagSource], ...] = ()
+    validations: tuple[Validation, ...] = ()
+    kinds: tuple[ElementKind, ...] = ()
+    truth: Mapping[str, FrictionElement] = field(default_factory=dict)
+
+    @property
+    def lugre(self) -> tuple[FrictionElement, ...]:
+        """Return the elements to simulate with."""
+        return tuple(one.element for one in self.elements)
+
+    @property
+    def friction(self) -> FrictionSet:
+        """Return the friction to simulate this project's robot with.
+
+        Raises:
+            ConfigError: for another robot's number of elements.
+        """
+        return FrictionSet(self.arm.element_names, self.lugre)
+
+    @property
+    def with_given_bristles(self) -> tuple[str, ...]:
+        """Return the elements whose bristles are those of the fallback, of another kind than LuGre's."""
+        named = zip(self.arm.element_names, self.elements, strict=True)
+        return tuple(name for name, one in named if one.given_bristles)
+
+    @property
+    def confirmed(self) -> bool:
+        """Return whether every validation agrees; True without any."""
+        return all(check.passed for check in self.validations)
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Return the elements of which the bags identify any parameter."""
+        named = zip(self.arm.element_names, self.elements, strict=True)
+        return tuple(name for name, one in named if any(each.identifiable for each in one.estimates.values()))
+
+    @property
+    def scope(self) -> str:
+        """Return what a verdict is about, " for joint_3, with 54 of 63 values assumed"; "" where none is assumed."""
+        estimates = [each for one in self.elements for each in one.estimates.values()]
+        assumed = sum(not each.identifiable for each in estimates)
+        return f" for {', '.join(self.told)}, with {assumed} of {len(estimates)} values assumed" if assumed else ""
+
+    @property
+    def unidentifiable(self) -> dict[str, dict[str, list[str]]]:
+        """Return the parameters that the bags do not identify, by reason and element."""
+        lacking: dict[str, dict[str, list[str]]] = {}
+        for name, one in zip(self.arm.element_names, self.elements, strict=True):
+            for parameter, estimate in one.estimates.items():
+                if not estimate.identifiable:
+                    lacking.setdefault(estimate.reason, {}).setdefault(name, []).append(parameter)
+        return lacking
+
+
+def shown_parameters(result: FrictionIdentification) -> tuple[str, ...]:
+    """Return the parameters that tables show: the viscous exponent only where an element has one."""
+    return tuple(name for name in PARAMETERS if any(name in one.estimates for one in result.elements))
+
+
+def identify_records(
+    sliding: Sequence[JointRecord],
+    presliding: Sequence[JointRecord],
+    robot: RecordedRobot,
+    progress: Callable[[str], None] = lambda _: None,
+    *,
+    bristle_kinds: bool = False,
+) -> FrictionIdentification:
+    """Identify the friction of all elements of an arm from records.
+
+    Args:
+        sliding: sweeps at constant velocity.
+        presliding: micro-oscillations; without any, c0 and c1 are not identifiable.
+        robot: rigid-body model, fallback values and the torques' delay.
+        progress: called with the name of each step before it.
+        bristle_kinds: whether the kind of each element's bristles is found, too; without, they are LuGre's.
+
+    Returns:
+        The result, without bags and validations.
+
+    Raises:
+        IdentificationError: if the data do not fit or do not suffice.
+    """
+    arm = robot.arm
+    fallback = robot.fallback or (None,) * len(arm.element_names)
+    progress("sliding regime")
+    slides = identify_sliding(sliding, arm, zero=robot.zero)
+    progress("presliding regime")
+    if presliding:
+        # The sliding regime of an element does not depend on its c0 and c1.
+        known = [_merged(one, {}, other, _ANY_BRISTLE) for one, other in zip(slides.estimates, fallback, strict=True)]
+        seven = len(SLIDING)  # a viscous exponent does not show in presliding
+        covariances = [estimate.covariance()[:seven, :seven] for estimate in slides.estimates]
+        cycles = identify_presliding(presliding, arm, known, robot.torque_delay, covariances, robot.plant_period)
+    else:
+        reason = "no bag with micro-oscillations was given"
+        cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names), (), 0)
+    kinds = choose_kinds(cycles, arm, progress) if bristle_kinds else ()
+    elements = []
+    for e, (first, second, other) in enumerate(zip(slides.estimates, cycles.estimates, fallback, strict=True)):
+        own, sources = _presliding(second, kinds[e] if kinds else None)
+        sources |= dict.fromkeys(first.parameters, first.sources)
+        element = replace(_merged(first, own, other, {}), bristles=kinds[e].bristles if kinds else None)
+        given = None if kinds and kinds[e].decided else other
+        elements.append(IdentifiedElement.of(element, {**first.parameters, **own}, sources, given))
+    return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name, kinds=kinds)
+
+
+def _presliding(
+    lugre: ElementEstimate, kind: ElementKind | None
+) -> tuple[dict[str, ParameterEstimate], dict[str, tuple[BagSource, ...]]]:
+    """Return the estimates of the presliding regime, and the bags of each: those of other bristles where they are told.
+
+    c0 and c1 belong to the bristles: a stiffness that goes with LuGre's is not that of others.
+    """
+    if kind is None or kind.trial is None:
+        return dict(lugre.parameters), dict.fromkeys(lugre.parameters, lugre.sources)
+    return kind.trial.estimates, dict.fromkeys(kind.trial.estimates, kind.sources)
+
+
+def _merged(
+    sliding: ElementEstimate,
+    presliding: Mapping[str, ParameterEstimate],
+    fallback: FrictionElement | None,
+    given: Mapping[str, float],
+) -> FrictionElement:
+    """Return the element; parameters that are not identifiable come from `given`, else from the fallback."""
+    estimates = {**sliding.parameters, **presliding}
+    values: dict[str, Any] = dict(given)
+    for name in PARAMETERS:
+        estimate = estimates.get(name)
+        if estimate is not None and estimate.identifiable:
+            values[name] = estimate.value
+        elif name == VISCOUS_EXPONENT and estimate is None:
+            values[name] = 1.0
+        elif name not in values:
+            if fallback is None:
+                reason = "" if estimate is None else f" ({estimate.reason})"
+                raise IdentificationError(
+                    f"{sliding.element}: {name} is not identifiable from these bags{reason}; accepted: bags from which "
+                    "it is, or --fallback with a friction file for such values"
+                )
+            values[name] = float(getattr(fallback, name))
+    for sign in ("positive", "negative"):
+        # A fallback's static torque may lie below an identified Coulomb torque.
+        values[f"tau_s_{sign}"] = max(values[f"tau_s_{sign}"], values[f"tau_c_{sign}"])
+    if fallback is not None:
+        values["omega_d"] = fallback.omega_d
+    return FrictionElement(**values)
+
+
+def check_friction(
+    friction: FrictionFile | Path | str,
+    bags: Sequence[Path | str],
+    robot: RobotOptions = _DEFAULT_ROBOT,
+    tolerances: ValidationTolerances = _DEFAULT_TOLERANCES,
+    progress: Callable[[str], None] = lambda _: None,
+) -> tuple[Validation, ...]:
+    """Compare the torques that a friction file predicts along recorded motions with the recorded ones.
+
+    The rest of the arm is as `robot` describes it: links, rotors, coupling, spring.
+
+    Args:
+        friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.
+        bags: one or more runs, none of them twice.
+        robot: that the bags come from; by default this project's.
+        tolerances: what counts as agreement.
+        progress: called twice for each bag, before it is read and before it is compared.
+
+    Returns:
+        A comparison for each bag; `passed` is its verdict.
+
+    Raises:
+        IdentificationError: for bags, elements or options that do not fit each other.
+        BagError: for a bag that cannot be read.
+        ConfigError: for a file that cannot be used.
+    """
+    paths = [Path(bag) for bag in bags]
+    if not paths:
+        raise IdentificationError("no bag to hold the friction against; accepted: --validation BAG ...")
+    by_use = {"validation": paths}
+    check_given_once(by_use)
+    file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
+    source = RecordedRobot.load(robot)
+    names = source.arm.element_names
+    lugre = file.select(names)
+    for name in file.elements:
+        if name not in names:
+            raise IdentificationError(
+                f"{file.path or '--friction'}: element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
+            )
+    where = f"{file.path or '--friction'}: elements."
+    refuse_parts(file.elements, "a validation by recorded torques", where, held=("bristles",))
+    checks = []
+    for record in read_records(by_use, source, progress)["validation"]:
+        progress(record.source.name)
+        checks.append(validate(source, lugre, None, record, tolerances))
+    return tuple(checks)
 
 
 def identify_friction(
@@ -52,7 +293,12 @@ def identify_friction(
         ConfigError: for a file of the robot that cannot be used.
     """
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(Path(bags))
-    _check_bags(chosen, bristle_kinds=bristle_kinds)
+    if not chosen.sliding:
+        raise IdentificationError("no bag with sweeps at constant velocity; accepted: a folder, or --sliding BAG ...")
+    if bristle_kinds and not chosen.presliding:
+        raise IdentificationError("--bristle-kinds without micro-oscillations; accepted: with --presliding BAG ...")
+    by_use = {use: getattr(chosen, use) for use in ("sliding", "presliding", "validation")}
+    check_given_once(by_use)
     source = RecordedRobot.load(robot)
     truth = read_emulated([*chosen.sliding, *chosen.presliding])
     if not chosen.presliding and source.fallback is None:
@@ -60,7 +306,7 @@ def identify_friction(
             "no bag with micro-oscillations, and nothing to take c0 and c1 from; accepted: --presliding BAG ..., or "
             "--fallback FILE"
         )
-    records = _read(chosen, source, progress)
+    records = read_records(by_use, source, progress)
     result = identify_records(records["sliding"], records["presliding"], source, progress, bristle_kinds=bristle_kinds)
     checks = []
     for record in records["validation"]:
@@ -70,50 +316,57 @@ def identify_friction(
     return replace(result, bags=used, validations=tuple(checks), truth=truth)
 
 
-def _check_bags(bags: IdentificationBags, *, bristle_kinds: bool) -> None:
-    if not bags.sliding:
-        raise IdentificationError("no bag with sweeps at constant velocity; accepted: a folder, or --sliding BAG ...")
-    if bristle_kinds and not bags.presliding:
-        raise IdentificationError("--bristle-kinds without micro-oscillations; accepted: with --presliding BAG ...")
-    for use, paths in vars(bags).items():
-        places = [bag.resolve() for bag in paths]
-        for bag in paths:
-            if places.count(bag.resolve()) > 1:
-                raise IdentificationError(f"{bag}: given twice for --{use}; accepted: each bag once")
-
-
-def _read(
-    bags: IdentificationBags, robot: RecordedRobot, progress: Callable[[str], None]
+def read_records(
+    bags: Mapping[str, Sequence[Path]], robot: RecordedRobot, progress: Callable[[str], None]
 ) -> dict[str, list[JointRecord]]:
-    """Return the records by use; all bags are read before anything is fitted, so that a bad one is refused soon."""
-    everything = [(use, path) for use, paths in vars(bags).items() for path in paths]
+    """Return the records of bags by use, all read before anything is fitted, so that a bad one is refused soon.
+
+    Args:
+        bags: by use, such as sliding or validation; no bag twice for the same use.
+        robot: that they come from.
+        progress: called with the name of each bag before it is read.
+
+    Raises:
+        IdentificationError: for angles that no joint of the robot goes through, and for a validation bag whose content,
+            under whatever name, has another use, too.
+        BagError: for a bag that cannot be read.
+    """
+    everything = [(use, path) for use, paths in bags.items() for path in paths]
     layouts = [robot.layout(path, fast=use != "sliding") for use, path in everything]
-    records: dict[str, list[JointRecord]] = {use: [] for use in vars(bags)}
+    records: dict[str, list[JointRecord]] = {use: [] for use in bags}
     for (use, path), layout in zip(everything, layouts, strict=True):
         progress(path.name)
-        record = read_record(path, layout, _RATES[use])
-        check_range(record, robot)
+        record = read_record(path, layout, _READING_RATES.get(use, _DEFAULT_READING_RATE))
+        _check_range(record, robot)
         records[use].append(record)
-    _check_unused(records)
-    return records
-
-
-def check_range(record: JointRecord, robot: RecordedRobot) -> None:
-    """Refuse angles that no joint of the URDF goes through: degrees, or a motor's."""
-    for name, travel, width in zip(record.names, np.ptp(record.position, axis=0), robot.arm.ranges(), strict=True):
-        if 0.0 < _BEYOND * width < travel:
-            raise IdentificationError(
-                f"{record.source}: {name} moves through {travel:.3g} rad, in its URDF through {width:.3g} rad at most; "
-                "accepted: angles of the joints in rad, or of the motors with their --gear"
-            )
-
-
-def _check_unused(records: Mapping[str, Sequence[JointRecord]]) -> None:
-    """Refuse a validation bag whose content, under whatever name, the identification rests on."""
-    used = {record.sha256: record.source for record in (*records["sliding"], *records["presliding"])}
+    used = {record.sha256: record.source for use, some in records.items() if use != "validation" for record in some}
     for record in records["validation"]:
         if record.sha256 in used:
             other = "" if used[record.sha256] == record.source else f" as {used[record.sha256]}"
             raise IdentificationError(
                 f"{record.source}: also used for the identification{other}; accepted: another bag for the validation"
+            )
+    return records
+
+
+def check_given_once(bags: Mapping[str, Sequence[Path]]) -> None:
+    """Refuse a bag that is given twice for the same use.
+
+    Raises:
+        IdentificationError: naming bag and option.
+    """
+    for use, paths in bags.items():
+        places = [bag.resolve() for bag in paths]
+        for bag, place in zip(paths, places, strict=True):
+            if places.count(place) > 1:
+                raise IdentificationError(f"{bag}: given twice for --{use}; accepted: each bag once")
+
+
+def _check_range(record: JointRecord, robot: RecordedRobot) -> None:
+    """Refuse angles that no joint of the URDF goes through: degrees, or a motor's."""
+    for name, travel, width in zip(record.names, np.ptp(record.position, axis=0), robot.arm.ranges(), strict=True):
+        if 0.0 < _MAX_TRAVEL_SHARE * width < travel:
+            raise IdentificationError(
+                f"{record.source}: {name} moves through {travel:.3g} rad, in its URDF through {width:.3g} rad at most; "
+                "accepted: angles of the joints in rad, or of the motors with their --gear"
             )

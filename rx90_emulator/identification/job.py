@@ -1,24 +1,121 @@
-"""What `rx90_identify` does, apart from its options: imported once these are understood, for it takes seconds."""
+"""What `rx90_identify` and `rx90_compare_measured` do, apart from their options: imported once these are understood."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
-from rx90_common.base.errors import IdentificationError
+from tqdm import tqdm
+
+from rx90_common.base.errors import IdentificationError, check_place, write_error
+from rx90_common.base.versions import versions
+from rx90_common.description.robot_files import FILES, MODEL_FILES, RobotFiles
 from rx90_common.process.files import write_all, write_text
+from rx90_emulator.identification.excitation.identify import count_steps, identify_excitation
+from rx90_emulator.identification.excitation.payload import read_payloads
+from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.experiments.folder import IdentificationBags, read_index
-from rx90_emulator.identification.friction_check import check_friction
-from rx90_emulator.identification.identify import identify_friction
-from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
+from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction
+from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions, ValidationTolerances
 from rx90_emulator.identification.model.robot import RecordedRobot
-from rx90_emulator.identification.output.files import check_targets
+from rx90_emulator.identification.output.excitation_report import excitation_page, excitation_summary
 from rx90_emulator.identification.output.friction_file import friction_text
-from rx90_emulator.identification.output.report import check_page, report_page
-from rx90_emulator.identification.output.summary import check_summary, identification_summary
-from rx90_emulator.identification.presliding.element_kinds import kind_steps
-from rx90_emulator.identification.progress import steps
-from rx90_emulator.identification.result.identification import FrictionIdentification
+from rx90_emulator.identification.output.parameters_file import parameters_text
+from rx90_emulator.identification.output.report import (
+    check_page,
+    check_summary,
+    identification_summary,
+    measured_page,
+    measured_summary,
+    report_page,
+)
+from rx90_emulator.identification.output.robot_files import robot_files
+from rx90_emulator.identification.presliding.kinds import kind_steps
+from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured, simulated_setup
+from rx90_emulator.identification.validation.options import MeasuredLayout, MeasuredTolerances
+from rx90_emulator.loop.setup import Setup
+
+_BAR = "{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
+
+
+@contextmanager
+def steps(total: int) -> Iterator[Callable[[str], None]]:
+    """Show a progress bar of `total` steps; call what is yielded with the name of each step before it."""
+    with ExitStack() as shown:
+        bars: list[tqdm[Any]] = []
+
+        def step(text: str) -> None:
+            if not bars:  # only now: what is refused before the first step needs no bar
+                bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, disable=None, file=sys.stderr)))
+            bars[0].set_description_str(text)
+            bars[0].update()
+
+        yield step
+
+
+def check_targets(files: Sequence[Path], *, force: bool) -> None:
+    """Refuse files that could not be written in the end, before anything long begins.
+
+    Raises:
+        IdentificationError: for a file that exists without `force`, is none that can be replaced, or whose folder
+            is missing.
+        Rx90Error: for a folder that takes no file, as `check_place` says.
+    """
+    for file in files:
+        folder = file.absolute().parent
+        try:
+            file.lstat()
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            raise write_error(file, error) from error
+        if file.exists() and not file.is_file():
+            kind = "a folder" if file.is_dir() else "no regular file"
+            raise IdentificationError(f"{file} is {kind}; accepted: the name of a file")
+        if file.exists() and not force:
+            raise IdentificationError(f"{file} exists; accepted: another name, or --force to replace it")
+        if not folder.is_dir():
+            raise IdentificationError(f"{file}: the folder {folder} does not exist; accepted: a file in one that does")
+        check_place(file)
+
+
+def check_folder(folder: Path, names: Iterable[str], *, force: bool) -> None:
+    """Refuse a folder that these files could not be written into in the end, as `check_targets` does for files.
+
+    The folder need not exist, the one above it must. What else is in it stays.
+
+    Raises:
+        IdentificationError: for what is no folder, a file that exists without `force`, or a place that takes none.
+    """
+    if folder.is_dir():
+        check_targets([folder / name for name in names], force=force)
+    elif folder.exists():
+        raise IdentificationError(f"{folder} is no folder; accepted: the name of a folder")
+    else:
+        check_targets([folder], force=force)
+
+
+def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
+    """Write all files into a folder or none; a folder that is not there is made.
+
+    Raises:
+        Rx90Error: if that fails; every file that existed is as it was.
+    """
+    made = not folder.is_dir()
+    try:
+        folder.mkdir(exist_ok=True)
+        write_all({folder / name: text.encode() for name, text in texts.items()})
+    except BaseException as error:
+        if made:
+            with suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, OSError):
+            raise write_error(folder, error) from error
+        raise
 
 
 def write_identification(
@@ -117,3 +214,139 @@ def run_check(
     if report is not None:
         print(f"report: {report}")
     return all(check.passed for check in checks)
+
+
+REPORT, PARAMETERS = "report.html", "parameters.yaml"
+_FILES = (REPORT, PARAMETERS, *FILES.values())
+
+
+def write_excitation(result: ExcitationIdentification, folder: Path | str, *, force: bool = False) -> Path:
+    """Write what was identified into a folder, all files or none, and return it.
+
+    The folder holds `report.html`, `parameters.yaml` and the files that the simulation loads.
+
+    Args:
+        result: what was identified.
+        folder: made if it is not there; other files in it stay.
+        force: whether files that exist are replaced.
+
+    Raises:
+        IdentificationError: for files that exist, or a place that takes no folder.
+        OutputError: for files that cannot be written.
+    """
+    folder = Path(folder)
+    check_folder(folder, _FILES, force=force)
+    date = datetime.now(timezone.utc)
+    robot, note = robot_files(result, date)
+    page = excitation_page(result, date, versions(), (*robot, note))
+    check_folder(folder, _FILES, force=force)  # again: another identification may have written there meanwhile
+    write_folder(folder, {**robot, REPORT: page, PARAMETERS: parameters_text(result, date, versions())})
+    return folder
+
+
+def run_excitation(
+    bags: Sequence[Path],
+    robot: RobotOptions,
+    validation: Sequence[Path],
+    tolerances: ExcitationTolerances,
+    output: Path,
+    *,
+    bristles: bool = False,
+    payload: Path | None = None,
+    load_part: bool = False,
+    prior: float | None = None,
+    force: bool = False,
+) -> bool:
+    """Identify with a progress bar, write the folder, print a summary, and return whether no validation run disagrees.
+
+    Args:
+        bags: as in `identify_excitation`, as are robot, validation, tolerances and bristles.
+        robot: that they come from.
+        validation: runs to predict.
+        tolerances: of the validation.
+        output: folder; checked before anything long begins.
+        bristles: whether they are tried.
+        payload: file of known payloads.
+        load_part: whether they tell load parts of the friction, not drive gains.
+        prior: relative standard deviation of the description's inertials.
+        force: whether files that exist are replaced.
+
+    Raises:
+        Rx90Error: for what cannot be done; nothing has been written then.
+    """
+    check_folder(output, _FILES, force=force)
+    payloads = {} if payload is None else read_payloads(payload)
+    total = count_steps(len(bags), len(validation), bristles=bristles, payloads=bool(payloads))
+    with steps(total) as step:
+        result = identify_excitation(
+            bags,
+            robot,
+            validation,
+            tolerances,
+            bristles=bristles,
+            payloads=payloads,
+            load_part=load_part,
+            prior=prior,
+            progress=step,
+        )
+    folder = write_excitation(result, output, force=force)
+    print(f"{excitation_summary(result)}\n{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
+    return result.confirmed
+
+
+_STEPS = 3
+
+
+def write_measured(result: MeasuredComparison, setup: Setup, page: Path | str, *, force: bool = False) -> Path:
+    """Write the report of a comparison and return its name.
+
+    Args:
+        result: of the comparison.
+        setup: that was simulated.
+        page: HTML file.
+        force: whether a file that exists is replaced.
+
+    Raises:
+        IdentificationError: for a file that exists, or whose folder is missing.
+        OutputError: for a file that cannot be written.
+    """
+    page = Path(page)
+    check_targets((page,), force=force)
+    files = () if setup.files is None else tuple(setup.files.text(role) for role in MODEL_FILES)
+    write_text(page, measured_page(result, files, datetime.now(timezone.utc)))
+    return page
+
+
+def run_comparison(
+    bag: Path,
+    files: RobotFiles,
+    layout: MeasuredLayout,
+    tolerances: MeasuredTolerances,
+    bandwidth: float | None = None,
+    page: Path | None = None,
+    *,
+    force: bool = False,
+) -> bool:
+    """Compare with a progress bar, write the report if it is asked for, print a table, and return the verdict.
+
+    Args:
+        bag: as in `compare_measured`, as are layout, tolerances and bandwidth.
+        files: of the robot.
+        layout: what the bag holds.
+        tolerances: what counts as agreement.
+        bandwidth: of the set-points, Hz.
+        page: report to write; checked before anything long begins.
+        force: whether a report that exists is replaced.
+
+    Raises:
+        Rx90Error: for what cannot be done; nothing has been written then.
+    """
+    if page is not None:
+        check_targets((page,), force=force)
+    setup = simulated_setup(files)
+    with steps(_STEPS) as step:
+        result = compare_measured(bag, setup, layout, tolerances, bandwidth=bandwidth, progress=step)
+    print(measured_summary(result))
+    if page is not None:
+        print(f"report: {write_measured(result, setup, page, force=force)}")
+    return result.passed

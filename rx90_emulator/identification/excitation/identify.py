@@ -36,13 +36,11 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import ExcitationIdentification, base_parameters
 from rx90_emulator.identification.excitation.torques import TorqueValidation, run_torques, trends
 from rx90_emulator.identification.excitation.zeros import check_zeros
-from rx90_emulator.identification.identify import check_range
+from rx90_emulator.identification.identify import check_given_once, read_records
 from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
-from rx90_emulator.identification.records.reading import read_record
 from rx90_emulator.identification.records.record import JointRecord
 
-_RATE = 1000.0  # Hz that records are averaged to at most: far above what an arm's motion holds
 _REFERENCE = "rx90_controller/reference"
 _NO_PAYLOADS: Mapping[str, Payload] = MappingProxyType({})
 _DEFAULT_ROBOT = RobotOptions()
@@ -88,16 +86,18 @@ def identify_excitation(
         ConfigError: for a file of the robot that cannot be used.
     """
     used, unused = [Path(bag) for bag in bags], [Path(bag) for bag in validation]
-    _check_bags(used, unused)
+    if not used:
+        raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
+    by_use = {"excitation": used, "validation": unused}
+    check_given_once(by_use)
     carried = payloads_of([*used, *unused], payloads)
     if robot.torque_delay:
         raise IdentificationError(
             f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
         )
     source = RecordedRobot.load(robot, massless=True)
-    records = _read([*used, *unused], source, progress)
-    fitted, unseen = records[: len(used)], records[len(used) :]
-    _check_unused(fitted, unseen)
+    records = read_records(by_use, source, progress)
+    fitted, unseen = records["excitation"], records["validation"]
     progress("filters and equations")
     bandwidths = Bandwidths.of(fitted)
     problem = _problem(fitted, source, bandwidths, carried)
@@ -150,7 +150,7 @@ def identify_excitation(
         zeros=zeros,
         gains=gains,
         loads=loads,
-        bags=tuple(("excitation" if record in fitted else "validation", record.bag) for record in records),
+        bags=tuple((use, record.bag) for use, some in records.items() for record in some),
     )
 
 
@@ -158,39 +158,6 @@ def count_steps(bags: int, validation: int, *, bristles: bool = False, payloads:
     """Return how often `identify_excitation` calls `progress` for so many bags and validation runs."""
     choices = 1 + payloads  # of the friction's parts: known payloads take one for the drive gains or load parts
     return bags + 2 * validation + 3 + choices * (1 + stages(ALL_PARTS if bristles else WITHOUT_BRISTLES))
-
-
-def _check_bags(used: Sequence[Path], unused: Sequence[Path]) -> None:
-    if not used:
-        raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
-    for option, bags in (("excitation", used), ("validation", unused)):
-        places = [bag.resolve() for bag in bags]
-        for bag, place in zip(bags, places, strict=True):
-            if places.count(place) > 1:
-                raise IdentificationError(f"{bag}: given twice for --{option}; accepted: each bag once")
-
-
-def _read(bags: Sequence[Path], robot: RecordedRobot, progress: Callable[[str], None]) -> list[JointRecord]:
-    """Return the records; all bags are read before anything is fitted, so that a bad one is refused soon."""
-    layouts = [robot.layout(bag, fast=True) for bag in bags]
-    records = []
-    for bag, layout in zip(bags, layouts, strict=True):
-        progress(bag.name)
-        record = read_record(bag, layout, _RATE)
-        check_range(record, robot)
-        records.append(record)
-    return records
-
-
-def _check_unused(fitted: Sequence[JointRecord], unseen: Sequence[JointRecord]) -> None:
-    """Refuse a validation bag whose content, under whatever name, the identification rests on."""
-    used = {record.sha256: record.source for record in fitted}
-    for record in unseen:
-        if record.sha256 in used:
-            raise IdentificationError(
-                f"{record.source}: also used for the identification, as {used[record.sha256]}; accepted: another bag "
-                "for the validation"
-            )
 
 
 def _problem(

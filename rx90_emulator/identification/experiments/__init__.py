@@ -1,3 +1,3 @@
 """Dedicated motions from which friction can be identified: planned, checked, and run on the engine or the nodes."""
 
-__all__ = ["folder", "job", "load", "motion", "plan", "poses"]
+__all__ = ["folder", "job", "load", "motion", "plan"]

@@ -11,14 +11,37 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from rx90_common.bags.topics import absolute
+from rx90_common.bags.writing import string_message, write_joint_states
 from rx90_common.base.errors import IdentificationError
 from rx90_common.exchange.topics import MOTOR_NAMES
-from rx90_emulator.identification.experiments.engine import run_on_engine
-from rx90_emulator.identification.experiments.folder import make_folder, write_emulated, write_index
+from rx90_emulator.identification.experiments.folder import TOPICS, make_folder, write_emulated, write_index
 from rx90_emulator.identification.experiments.load import check_load
-from rx90_emulator.identification.experiments.plan import Experiment, PlanOptions, make_plan
-from rx90_emulator.identification.experiments.poses import Poses
+from rx90_emulator.identification.experiments.plan import Experiment, PlanOptions, Poses, make_plan
+from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
+
+_SETTLING_S = 0.2  # s, after the end
+
+
+def run_on_engine(setup: Setup, experiment: Experiment, bag: Path, storage: str = "mcap") -> None:
+    """Simulate one experiment and write its bag.
+
+    Raises:
+        BagError: if the bag exists or cannot be written.
+        DivergenceError: naming joint and tick.
+    """
+    result = simulate(
+        setup,
+        experiment.points,
+        duration=experiment.duration + _SETTLING_S,
+        record_fast="motor_states" in TOPICS[experiment.kind],
+    )
+    wanted = [absolute(topic) for topic in TOPICS[experiment.kind]]
+    series = [one for one in result.series.values() if one.topic in wanted]
+    description = string_message("/robot_description", setup.robot.urdf)
+    write_joint_states(bag, series, storage=storage, messages=[description])
+
 
 _QUICK: dict[str, Any] = {
     "speeds": 8, "travel": 0.016, "presliding_cycles": (2e-3,), "tone_amplitudes": (4e-5,), "burst": 3.0

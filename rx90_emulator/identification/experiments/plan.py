@@ -6,25 +6,142 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from enum import Enum
+from pathlib import Path
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import Numbers, Rows
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.groups import Group
 from rx90_common.base.quoting import quoted
+from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
+from rx90_common.description.robot_files import RobotFiles
+from rx90_common.description.wrist import coupling_matrix
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.experiments.motion import Motion
-from rx90_emulator.identification.experiments.poses import Poses
-from rx90_emulator.identification.experiments.speeds import sweep_speeds
 from rx90_emulator.identification.sliding.fit import LEAST_SPEEDS
 
-_MOST_SPEEDS = 1000  # two hours for each group
-_SHORTEST, _LONGEST = 0.7, 4.0  # s at a speed: the servo loops need 0.25 s to settle
-_VALIDATION_SHARES = (0.3, 0.12, 0.04)  # of the joints' speeds, in turn
-_SLACK = 0.02  # rad, from a sweep to the joints' limits
-_LEAST_TRAVEL = 0.016  # rad at a speed: three times what a bristle needs to settle
+Pose = tuple[float, ...]
+
+
+def _positions(about: str) -> Group:
+    return Group(about, keys={"positions": Rows("Joint positions, six for each pose.", "rad", count=6)})
+
+
+POSES = Group(
+    "Where the experiments of an identification take place.",
+    keys={
+        "home": Group(
+            "Where every experiment begins and ends.",
+            keys={"position": Numbers("Six joint positions.", "rad", count=6)},
+        ),
+        "sweeps": _positions("Where the sweeps take place."),
+        "validation": _positions("Between which the validation moves."),
+    },
+)
+"""What a poses file holds."""
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Joint positions, rad, each of shape (6,).
+
+    Attributes:
+        home: where every experiment begins and ends.
+        sweeps: where the sweeps take place, at least one.
+        validation: between which the validation moves.
+    """
+
+    home: Pose
+    sweeps: tuple[Pose, ...]
+    validation: tuple[Pose, ...]
+
+    @classmethod
+    def load(cls, file: Path) -> Poses:
+        """Read a poses file.
+
+        Raises:
+            ConfigError: naming file, key, value and what is accepted.
+        """
+        content = POSES.read(load_yaml(file))
+        return cls(content["home"]["position"], content["sweeps"]["positions"], content["validation"]["positions"])
+
+    @classmethod
+    def shipped(cls) -> Poses:
+        """Return those of the RX90B."""
+        return cls.load(RobotFiles().required("poses"))
+
+    def check(self, robot: RobotModel) -> None:
+        """Check that an arm reaches the poses.
+
+        Raises:
+            IdentificationError: naming pose, joint, value and limits.
+        """
+        if not self.sweeps:
+            raise IdentificationError("no pose; accepted: one or more")
+        sweeps = ((f"pose {i + 1}", pose) for i, pose in enumerate(self.sweeps))
+        validation = ((f"pose {i + 1} of the validation", pose) for i, pose in enumerate(self.validation))
+        for what, pose in (("home", self.home), *sweeps, *validation):
+            _check_pose(robot, what, pose)
+
+
+def _check_pose(robot: RobotModel, what: str, pose: Sequence[float]) -> None:
+    if len(pose) != len(robot.joint_names):
+        raise IdentificationError(f"{what} has {len(pose)} angles; accepted: {len(robot.joint_names)}")
+    for name, value, low, high in zip(robot.joint_names, pose, robot.lower, robot.upper, strict=True):
+        if not low <= value <= high:
+            raise IdentificationError(
+                f"{what}: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
+            )
+
+
+_SAMPLING_PERIOD = Rates().position_period  # s, that of joint_states too
+_MAX_LOG_SHIFT = 0.1  # of the logarithm of a speed, at most
+_SPEED_CANDIDATES = 401
+_BEAT_DENOMINATORS = (1, 2, 3, 4)
+_AVERAGED_OUT = 0.25  # distance from a beat, times the denominator, beyond which the ripple averages out
+
+
+def sweep_speeds(direction: Array, lowest: float, highest: float, count: int, drives: DriveParameters) -> Array:
+    """Return the speeds of a direction's sweeps.
+
+    Args:
+        direction: joint velocities at speed 1, shape (6,).
+        lowest: about the slowest, rad/s.
+        highest: the fastest at most, rad/s.
+        count: how many.
+        drives: gears and encoders.
+
+    Returns:
+        Speeds, rad/s, increasing, shape (count,).
+    """
+    turns = drives.gear * (coupling_matrix() @ direction)
+    steps = np.abs(turns) * drives.encoder_counts / (2.0 * math.pi) * _SAMPLING_PERIOD
+    steps = steps[steps > 0.0]
+    spacing = math.log(highest / lowest) / (count - 1)
+    shift = np.linspace(-1.0, 0.0, _SPEED_CANDIDATES) * min(_MAX_LOG_SHIFT, 0.9 * spacing)
+    nominal = np.geomspace(lowest, highest, count)
+    return np.array([_quietest(speed * np.exp(shift), steps) for speed in nominal])
+
+
+def _quietest(speeds: Array, steps: Array) -> float:
+    """Return the speed at which the motors, with `steps` in a period at speed 1, shape (k,), beat least."""
+    phase = np.outer(speeds, steps)
+    distances = [np.abs(d * phase - np.round(d * phase)) for d in _BEAT_DENOMINATORS]
+    least = np.minimum(np.min(distances, axis=(0, 2)), _AVERAGED_OUT)
+    # Of equally good ones the nearest to the nominal speed, which is the last.
+    return float(speeds[np.flatnonzero(least >= least.max() - 1e-12)[-1]])
+
+
+_MAX_SPEEDS = 1000  # two hours for each group
+_MIN_HOLD_S, _MAX_HOLD_S = 0.7, 4.0  # s at a speed: the servo loops need 0.25 s to settle
+_VALIDATION_SPEED_SHARES = (0.3, 0.12, 0.04)  # of the joints' speeds, in turn
+_LIMIT_MARGIN = 0.02  # rad, from a sweep to the joints' limits
+_MIN_TRAVEL = 0.016  # rad at a speed: three times what a bristle needs to settle
 
 
 class Kind(str, Enum):
@@ -76,10 +193,10 @@ class PlanOptions:
             value = getattr(self, spec.name)
             if isinstance(value, float) and not (math.isfinite(value) and value > 0.0):
                 raise IdentificationError(f"{spec.name} is {value}; accepted: a number > 0")
-        if self.travel < _LEAST_TRAVEL:
-            raise IdentificationError(f"travel is {self.travel} rad; accepted: {_LEAST_TRAVEL} or more")
-        if not LEAST_SPEEDS <= self.speeds <= _MOST_SPEEDS:
-            raise IdentificationError(f"{self.speeds} speeds; accepted: {LEAST_SPEEDS} to {_MOST_SPEEDS}")
+        if self.travel < _MIN_TRAVEL:
+            raise IdentificationError(f"travel is {self.travel} rad; accepted: {_MIN_TRAVEL} or more")
+        if not LEAST_SPEEDS <= self.speeds <= _MAX_SPEEDS:
+            raise IdentificationError(f"{self.speeds} speeds; accepted: {LEAST_SPEEDS} to {_MAX_SPEEDS}")
         if self.highest_share > 1.0:
             raise IdentificationError(f"highest_share is {self.highest_share}; accepted: a number in (0, 1]")
         if len(self.presliding_cycles) != len(self.tone_amplitudes) or not self.tones:
@@ -171,13 +288,13 @@ def _sliding(robot: RobotModel, drives: DriveParameters, options: PlanOptions, d
 
 def _held(options: PlanOptions, speed: float) -> float:
     """Return for how long a speed is held, s."""
-    return float(np.clip(options.travel / abs(speed), _SHORTEST, _LONGEST))
+    return float(np.clip(options.travel / abs(speed), _MIN_HOLD_S, _MAX_HOLD_S))
 
 
 def _fastest(robot: RobotModel, options: PlanOptions, direction: Direction) -> float:
     """Return the fastest sweep, rad/s: less than the share of the speed limit where the joints' ranges ask for it."""
     speed = options.highest_share * float(robot.max_velocity[direction.vector != 0.0].min())
-    while np.any(np.abs(_travel(options, direction, speed)) > robot.upper - robot.lower - 2.0 * _SLACK):
+    while np.any(np.abs(_travel(options, direction, speed)) > robot.upper - robot.lower - 2.0 * _LIMIT_MARGIN):
         speed *= 0.98
     return speed
 
@@ -193,7 +310,7 @@ def _start(robot: RobotModel, options: PlanOptions, direction: Direction, pose: 
     """Return where a sweep at a signed speed begins, so that its travel is centred on the pose."""
     travel = _travel(options, direction, speed)
     # Near a limit the travel moves away from it.
-    low, high = robot.lower + _SLACK, robot.upper - _SLACK
+    low, high = robot.lower + _LIMIT_MARGIN, robot.upper - _LIMIT_MARGIN
     begin = np.asarray(pose) - travel / 2.0
     return np.clip(begin, low + np.maximum(0.0, -travel), high - np.maximum(0.0, travel))
 
@@ -222,7 +339,7 @@ def _validation(robot: RobotModel, options: PlanOptions) -> Experiment:
     """Return moves of all joints at once that no other experiment has: fast, slow, with reversals."""
     motion = Motion(options.poses.home)
     for number, pose in enumerate(options.poses.validation):
-        share = _VALIDATION_SHARES[number % len(_VALIDATION_SHARES)]
+        share = _VALIDATION_SPEED_SHARES[number % len(_VALIDATION_SPEED_SHARES)]
         motion.move(pose, robot.max_velocity * share, options.acceleration)
         motion.rest(0.15)
     wave = np.array([0.02, -0.015, 0.02, -0.03, 0.03, -0.02])

@@ -1,3 +1,3 @@
-"""What an identification writes: friction file, report with plots, summary for the terminal."""
+"""What an identification, or a comparison with a measured run, writes: files, reports, summaries for the terminal."""
 
-__all__ = ["files", "friction_file", "report", "summary"]
+__all__ = ["excitation_report", "friction_file", "parameters_file", "report", "robot_files"]

@@ -3,34 +3,245 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.optimize import least_squares
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.parameters import LINEAR_SPEED
 from rx90_emulator.identification.model.estimates import (
     LARGEST_DEVIATION,
     PRESLIDING,
+    SLIDING,
     ElementEstimate,
     ParameterEstimate,
 )
 from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.presliding.band import block_means
-from rx90_emulator.identification.presliding.group_model import JointGroup, joint_groups
-from rx90_emulator.identification.presliding.kind_model import KindMotion, largest_motions
-from rx90_emulator.identification.presliding.kinds import MOST_MOTIONS, MOST_OF_BAG
-from rx90_emulator.identification.presliding.micro_motion import MicroMotion, find_micro_motions, most_informative
-from rx90_emulator.identification.presliding.solver import GroupSolution, fit_group
-from rx90_emulator.identification.records.record import BagSource, JointRecord
+from rx90_emulator.identification.presliding.group_model import (
+    INERTIA_DEVIATION,
+    Clusters,
+    GroupResidual,
+    JointGroup,
+    joint_groups,
+)
+from rx90_emulator.identification.presliding.kind_model import MovedGroup
+from rx90_emulator.identification.presliding.micro_motion import (
+    MicroMotion,
+    band_spectrum,
+    block_means,
+    find_micro_motions,
+    most_informative,
+)
+from rx90_emulator.identification.records.record import JointRecord, check_joints
 
-_NEAR_SLIDING = 0.75  # of an element's Coulomb torque: beyond it small errors of the motion deflect bristles far
-_ALL_SLIDING = 0.95  # of it: bristles slide
-_MISFIT = 0.3  # of the friction torque
-_WRONG_INERTIA = 2.0  # standard deviations of the inertia's errors if the prior held
-_REACTIONS = "its joints were moved by the reactions of others alone; accepted: micro-oscillations of their own"
+_RELATIVE_STEP = 1e-4  # relative step of difference quotients
+_MIN_MOTION_CLUSTERS = 3  # motions, below which they are too few to be clusters
+_MIN_RESIDUAL_LEVERAGE = 1e-3  # lower bound of 1 - leverage: a motion's own start deflection has none
+_MIN_INFORMATION = 0.1  # of the prior deviation of the inertia, that the data must take off it
+_MIN_RELATIVE_SD = (0.002, 0.01)  # relative, of c0 and c1: encoder steps, and 10 us of timing, show in no residual
+
+
+def group_covariance(residual: GroupResidual, x: Array, sliding_covariance: Array | None) -> tuple[Array, Array]:
+    """Return the covariance of the parameters at the solution, and the scores of the inertia's errors.
+
+    Args:
+        residual: of the fit.
+        x: solution, shape (p,).
+        sliding_covariance: of the sliding regime, element by element in the order of SLIDING, shape (7 e, 7 e); None
+            if it is known.
+
+    Returns:
+        Covariance, shape (p, p), and what `_inertia_scores` returns, shape (k, n).
+    """
+    values, jacobian = residual(x), residual.jacobian(x)
+    clusters = residual.clusters()[: 1 if len(residual.motions) < _MIN_MOTION_CLUSTERS else 2]
+    covariance = _cluster_robust(jacobian, values, clusters)
+    if sliding_covariance is not None:
+        slopes = np.linalg.lstsq(jacobian, -_by_sliding(residual, x, values), rcond=None)[0]
+        covariance = covariance + slopes @ sliding_covariance @ slopes.T
+    parameters = residual.parameters
+    floor = np.append(np.tile(_MIN_RELATIVE_SD, parameters.elements), np.zeros(x.size - parameters.bristles))
+    covariance = covariance + np.diag(floor) ** 2
+    return covariance, _inertia_scores(residual, x, jacobian, covariance)
+
+
+def _cluster_robust(jacobian: Array, residual: Array, groupings: Sequence[Clusters]) -> Array:
+    """Return the covariance by the noise, widened where clusters of residuals show more than noise would.
+
+    The noise is white in the band, and it is what lies between the spectral lines of the motions. Errors of the model
+    lie on the lines and grow with the amplitude; cluster-robust (sandwich) estimates show them. These are the
+    bias-reduced linearisation of Bell and McCaffrey (CR2; Survey Methodology 28, 2002), which is unbiased where there
+    is only noise, also with few clusters of unequal leverage.
+
+    Args:
+        jacobian: shape (q, p).
+        residual: shape (q,).
+        groupings: number of the cluster of each residual, each shape (q,); the one that shows most counts.
+    """
+    values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
+    inverse_root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) @ vectors.T
+    noise = inverse_root @ inverse_root
+    wide = np.ones(len(noise))
+    for numbers in groupings:
+        variance = np.zeros(len(noise))
+        for number in range(int(numbers.max()) + 1):
+            rows = numbers == number
+            own = jacobian[rows] @ inverse_root
+            leverage, turn = np.linalg.eigh(own.T @ own)
+            adjusted = turn / np.sqrt(np.maximum(1.0 - leverage, _MIN_RESIDUAL_LEVERAGE)) @ turn.T
+            variance += (inverse_root @ (adjusted @ (own.T @ residual[rows]))) ** 2
+        wide = np.maximum(wide, np.sqrt(variance / np.diag(noise)))
+    return np.asarray(noise * np.outer(wide, wide))
+
+
+def _by_sliding(residual: GroupResidual, x: Array, here: Array) -> Array:
+    """Return the derivatives of the residuals by the sliding parameters, element by element, shape (q, 7 e).
+
+    A bristle's start, in parts of its deflection in steady sliding, is left where it is.
+    """
+    columns = []
+    for n, element in enumerate(residual.friction.sliding):
+        for name in SLIDING:
+            # The Coulomb torque goes down, which keeps it below the static one.
+            step = getattr(element, name) * (-_RELATIVE_STEP if name.startswith("tau_c") else _RELATIVE_STEP)
+            moved = replace(element, **{name: getattr(element, name) + step})
+            changed = replace(residual, friction=residual.friction.with_element(n, moved))
+            columns.append((changed(x) - here) / step if step else np.zeros_like(here))
+    return np.column_stack(columns)
+
+
+def _inertia_scores(residual: GroupResidual, x: Array, jacobian: Array, covariance: Array) -> Array:
+    """Return the errors of the mass matrix over the deviations that they would have if the prior held, shape (k, n).
+
+    The prior shrinks the errors towards zero: where it holds, their variance is the prior's less the posterior's. What
+    the covariance has beyond noise may be errors of the model instead of the inertia, and is added.
+    """
+    own = slice(residual.parameters.bristles, residual.parameters.shared)
+    posterior = np.diag(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True))[own]
+    beyond = np.maximum(np.diag(covariance)[own] - posterior, 0.0)
+    least = (_MIN_INFORMATION * INERTIA_DEVIATION) ** 2
+    scores = np.zeros_like(x)
+    scores[own] = x[own] / np.sqrt(np.maximum(INERTIA_DEVIATION**2 - posterior, least) + beyond)
+    return residual.parameters.inertia_errors(scores)
+
+
+_PASSES = 3  # of the fit, each with the noise that the one before shows
+_MAX_EVALUATIONS = 30  # of the residuals in one pass, at most
+
+
+@dataclass(frozen=True, eq=False)
+class GroupSolution:
+    """What the fit of a group of k joints with e elements found.
+
+    Attributes:
+        values: c0, Nm/rad, and c1, Nm s/rad, of the elements, shape (e, 2).
+        covariance: of ln c0 and ln c1, element by element, shape (2 e, 2 e).
+        inertia: errors of the group's rows of the mass matrix, in parts of sqrt(M_jj M_ii), shape (k, n).
+        inertia_score: the same over the standard deviations that they would have if the prior held, shape (k, n).
+        torque: block means of the friction torque at the joints, Nm, of each micro-motion, shape (b, k).
+        loads: amplitude of each bristle's torque over its Coulomb torque, of each micro-motion, shape (motions, e).
+        misfit: RMS of each joint's torque residuals beyond noise over that of its friction torque, shape (k,).
+    """
+
+    values: Array
+    covariance: Array
+    inertia: Array
+    inertia_score: Array
+    torque: tuple[Array, ...]
+    loads: Array
+    misfit: Array
+
+
+def fit_group(
+    motions: Sequence[MicroMotion],
+    inputs: Array,
+    sliding: Sequence[FrictionElement],
+    sliding_covariance: Array | None = None,
+    plant_period: float | None = None,
+) -> GroupSolution:
+    """Fit the elements of a group of joints to all its micro-motions (Levenberg-Marquardt).
+
+    Args:
+        motions: of the group, one or more.
+        inputs: joint velocities to input velocities of the group's elements, shape (e, k).
+        sliding: the elements with their sliding regime; c0 and c1 are not used.
+        sliding_covariance: of that regime, element by element in the order of SLIDING, shape (7 e, 7 e); None if it
+            is known.
+        plant_period: as in `identify_presliding`.
+    """
+    residual = GroupResidual.of(motions, inputs, sliding)
+    parameters = residual.parameters
+    guess = first_guess(motions, inputs, sliding)
+    x = np.concatenate([np.log(guess).ravel(), np.zeros(parameters.size - parameters.bristles)])
+    for _ in range(_PASSES):
+        x = _minimise(residual, x, 1e-3)
+        residual = residual.with_measured_noise(x)
+        if plant_period is not None:
+            residual = residual.with_predicted_speeds(x, [motion.velocity for motion in motions], plant_period)
+    x = _minimise(residual, x, 1e-6)
+    covariance, scores = group_covariance(residual, x, sliding_covariance)
+    return GroupSolution(
+        values=parameters.values(x),
+        covariance=covariance[: parameters.bristles, : parameters.bristles],
+        inertia=parameters.inertia_errors(x),
+        inertia_score=scores,
+        torque=tuple(residual.friction.torque(x, index) for index in range(len(motions))),
+        loads=residual.friction.loads(x),
+        misfit=residual.misfit(x),
+    )
+
+
+def _minimise(residual: GroupResidual, start: Array, tolerance: float) -> Array:
+    result = least_squares(
+        residual,
+        start,
+        residual.jacobian,
+        method="lm",
+        max_nfev=_MAX_EVALUATIONS,
+        xtol=tolerance,
+        ftol=tolerance**1.5,
+    )
+    return np.asarray(result.x)
+
+
+def first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[FrictionElement]) -> Array:
+    """Return c0 and c1 by linear regression of the torque on deflection and velocity, shape (e, 2).
+
+    A bristle's stiffness falls with its deflection, so this c0 is low; it is where the fit begins.
+
+    Args:
+        motions: of the group.
+        inputs: joint velocities to input velocities of the elements, shape (e, k).
+        sliding: the elements.
+    """
+    elements, k = inputs.shape
+    matrix, torque = [], []
+    for motion in motions:
+        deflection = np.cumsum(motion.velocity, axis=0) * motion.step @ inputs.T
+        speed = motion.velocity @ inputs.T
+        rest = band_spectrum(block_means(motion.drive - motion.acceleration @ motion.mass.T), motion.step)[0]
+        columns = band_spectrum(block_means(np.hstack([deflection, speed])), motion.step)[0]
+        for i in range(k):
+            matrix.append(columns * np.tile(inputs[:, i], 2))
+            torque.append(rest[:, i])
+    solution = np.linalg.lstsq(np.vstack(matrix), np.concatenate(torque), rcond=1e-6)[0]
+    viscous = np.array([e.c2 * LINEAR_SPEED ** (e.alpha - 1.0) for e in sliding])
+    weakest = np.array([e.tau_c_positive for e in sliding]) / 2e-3
+    c0 = np.maximum(1.2 * solution[:elements], weakest)
+    return np.column_stack([c0, np.maximum(solution[elements:] - viscous, 2e-4 * c0)])
+
+
+_NEARLY_SLIDING_LOAD = 0.75  # of an element's Coulomb torque: beyond it small errors of the motion deflect bristles far
+_SLIDING_LOAD = 0.95  # of it: bristles slide
+_MAX_MISFIT = 0.3  # of the friction torque
+_MAX_INERTIA_SCORE = 2.0  # standard deviations of the inertia's errors if the prior held
+_MOVED_BY_REACTIONS = (
+    "its joints were moved by the reactions of others alone; accepted: micro-oscillations of their own"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,46 +259,6 @@ class HysteresisLoop:
     position: Array
     torque: Array
     simulated_torque: Array
-
-
-@dataclass(frozen=True, eq=False)
-class MovedGroup:
-    """The largest micro-motions of joints that share their friction elements with no other joint.
-
-    Attributes:
-        elements: indices of its e elements.
-        motions: the largest first; MOST_MOTIONS at most of a single element, else MOST_OF_BAG of each bag.
-        c0: of LuGre's bristles, Nm/rad, shape (e,).
-        sources: their bags.
-    """
-
-    elements: tuple[int, ...]
-    motions: tuple[KindMotion, ...]
-    c0: Array
-    sources: tuple[BagSource, ...]
-
-    @classmethod
-    def of(
-        cls, group: JointGroup, motions: Sequence[MicroMotion], sliding: Sequence[FrictionElement], c0: Array
-    ) -> MovedGroup:
-        """Return them of all micro-motions of a group.
-
-        Args:
-            group: the joints.
-            motions: of them, one or more.
-            sliding: the elements' sliding regime.
-            c0: as the attribute.
-        """
-        break_away = np.abs(group.inputs).T @ np.array([one.tau_c_positive for one in sliding])
-        if len(group.elements) == 1:
-            largest = largest_motions(motions, break_away, MOST_MOTIONS)
-        else:  # one direction of motion moves some elements only, and each is recorded in a bag of its own
-            bags: dict[str, list[MicroMotion]] = {}
-            for motion in motions:
-                bags.setdefault(motion.record.sha256, []).append(motion)
-            largest = [motion for bag in bags.values() for motion in largest_motions(bag, break_away, MOST_OF_BAG)]
-        compared = tuple(KindMotion.of(motion, group.inputs, sliding) for motion in largest)
-        return cls(group.elements, compared, c0, tuple(dict.fromkeys(motion.record.bag for motion in largest)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,11 +301,7 @@ def identify_presliding(
     Raises:
         IdentificationError: for other joints than the arm's, a record that is too slow, and no reversal at all.
     """
-    for record in records:
-        if tuple(record.names) != tuple(arm.names):
-            raise IdentificationError(
-                f"{record.source}: joints {', '.join(record.names)}; accepted: {', '.join(arm.names)}"
-            )
+    check_joints(records, arm.names)
     groups = joint_groups(arm)
     joints = [group.joints for group in groups]
     motions = [motion for record in records for motion in find_micro_motions(record, arm, joints, torque_delay)]
@@ -155,7 +322,7 @@ def identify_presliding(
         if not own:
             if seen:
                 for e in group.elements:
-                    estimates[e] = ElementEstimate.unknown(arm.element_names[e], PRESLIDING, _REACTIONS)
+                    estimates[e] = ElementEstimate.unknown(arm.element_names[e], PRESLIDING, _MOVED_BY_REACTIONS)
             continue
         elements = [sliding[e] for e in group.elements]
         chosen = _chosen(own, group, elements, plant_period)
@@ -183,7 +350,7 @@ def _chosen(
     if len(sliding) == 1:
         return chosen
     loads = fit_group(chosen, group.inputs, sliding, None, plant_period).loads.max(axis=1)
-    return [motion for motion, load in zip(chosen, loads, strict=True) if load < _NEAR_SLIDING] or chosen
+    return [motion for motion, load in zip(chosen, loads, strict=True) if load < _NEARLY_SLIDING_LOAD] or chosen
 
 
 def _estimate(
@@ -214,19 +381,19 @@ def _doubt(solution: GroupSolution, place: int, inputs: Array, names: Sequence[s
         names: of these joints.
     """
     load = float(solution.loads[:, place].min())
-    if load > _ALL_SLIDING:
+    if load > _SLIDING_LOAD:
         return f"its bristles slide in every micro-oscillation: {load:.2g} of the Coulomb torque or more"
     # A wrong inertia of one joint also biases the elements that it shares with its neighbours.
     scores = np.abs(solution.inertia_score).max(axis=1)
     worst = int(np.argmax(scores))
-    if scores[worst] > _WRONG_INERTIA:
+    if scores[worst] > _MAX_INERTIA_SCORE:
         error = 100.0 * float(np.abs(solution.inertia[worst]).max())
         return (
             f"the inertia at {names[worst]} would be {error:.0f} % off the description's: a payload, a rotor or the "
             "torque's delay may be missing"
         )
     for joint in np.flatnonzero(inputs).tolist():
-        if solution.misfit[joint] > _MISFIT:
+        if solution.misfit[joint] > _MAX_MISFIT:
             return (
                 f"the model misses {100.0 * solution.misfit[joint]:.0f} % of the friction torque of {names[joint]}: "
                 "another delay of the torque, another inertia, or no bristles"

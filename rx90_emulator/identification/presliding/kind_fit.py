@@ -19,15 +19,15 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction.parts.bristles import BristlesPart, MaxwellSlip
 from rx90_emulator.identification.presliding.kind_model import ATTRACTION, KindFamily, KindMotion
 
-_INERTIA = 0.05  # prior standard deviation of its relative errors
-_START = 1.0  # prior standard deviation of a start deflection over that of steady sliding
-_MOST_START = 1.2  # of it
+_INERTIA_SD = 0.05  # prior standard deviation of its relative errors
+_START_SD = 1.0  # prior standard deviation of a start deflection over that of steady sliding
+_MAX_START = 1.2  # of it
 _STARTS = (-0.8, -0.4, 0.0, 0.4, 0.8)
-_DAMPING = 1e-3  # s, c1 over c0 where a fit begins
-_EVALUATIONS, _FEWER = 15, 6  # of the residuals, Jacobian apart: from a guess, and from a solution nearby
-_TOGETHER = 0.6  # of them, where elements share joints: a fit is long, and there are many
+_DAMPING_RATIO_S = 1e-3  # s, c1 over c0 where a fit begins
+_MAX_EVALUATIONS, _MAX_REFINEMENTS = 15, 6  # of the residuals, Jacobian apart: from a guess, and from a solution nearby
+_SHARED_EFFORT = 0.6  # of them, where elements share joints: a fit is long, and there are many
 _TOLERANCE = 1e-4  # relative, of the parameters and of the residual power
-_DIFFERENCE = 1e-4  # step of difference quotients, of parameters of the order of 1
+_PARAMETER_STEP = 1e-4  # step of difference quotients, of parameters of the order of 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +81,8 @@ class _One(NamedTuple):
     def moved(self, column: int) -> _One:
         """Return it a little further in the number of a column: ln c0, or the kind's own."""
         if column == 0:
-            return self._replace(stiffness=self.stiffness + _DIFFERENCE)
-        return self._replace(shape=self.shape + _DIFFERENCE * (np.arange(self.shape.size) == column - 1))
+            return self._replace(stiffness=self.stiffness + _PARAMETER_STEP)
+        return self._replace(shape=self.shape + _PARAMETER_STEP * (np.arange(self.shape.size) == column - 1))
 
 
 @dataclass(frozen=True)
@@ -166,20 +166,20 @@ class GroupTorque:
     def residual(self, x: Array) -> Array:
         """Return the residuals of all motions, then those of the prior."""
         parts = [self.of_motion(x, index).ravel() for index in range(len(self.motions))]
-        return np.concatenate([*parts, self.layout.inertia(x) / _INERTIA, x[self.layout.shared :] / _START])
+        return np.concatenate([*parts, self.layout.inertia(x) / _INERTIA_SD, x[self.layout.shared :] / _START_SD])
 
     def jacobian(self, x: Array) -> Array:
         """Return the derivatives of `residual`."""
         rows = [-(self._slopes(x, i) / self.scale[:, None]).reshape(-1, x.size) for i in range(len(self.motions))]
         first, pairs = self.layout.bristles, self.layout.pairs
         own = np.zeros((x.size - first, x.size))
-        own[:, first:] = np.diag(np.where(np.arange(len(own)) < pairs, 1.0 / _INERTIA, 1.0 / _START))
+        own[:, first:] = np.diag(np.where(np.arange(len(own)) < pairs, 1.0 / _INERTIA_SD, 1.0 / _START_SD))
         return np.vstack([*rows, own])
 
     def solved(self, x: Array, most: int) -> GroupFit:
         """Return the fit that begins at such parameters, with so many evaluations of the residuals at most."""
         if len(self.families) > 1:
-            most = round(_TOGETHER * most)
+            most = round(_SHARED_EFFORT * most)
         result = least_squares(
             self.residual, x, self.jacobian, method="lm", max_nfev=most, xtol=_TOLERANCE, ftol=_TOLERANCE
         )
@@ -206,11 +206,11 @@ class GroupTorque:
         for n, (one, start) in enumerate(zip(layout.elements(x), layout.starts(x)[index], strict=True)):
             here = self._spectrum(one, n, index, start)
             moved = [one.moved(c) for c in range(1 + self.families[n].count)]
-            slopes = [(self._spectrum(each, n, index, start) - here) / _DIFFERENCE for each in moved]
+            slopes = [(self._spectrum(each, n, index, start) - here) / _PARAMETER_STEP for each in moved]
             slopes.insert(1, self._spectrum(one._replace(damping=one.damping + 1.0), n, index, start) - here)
             last = first + layout.sizes[n]
             found[:, :, first:last] = np.column_stack(slopes)[:, None, :] * motion.inputs[n][:, None]
-            by_start = (self._spectrum(one, n, index, start + _DIFFERENCE) - here) / _DIFFERENCE
+            by_start = (self._spectrum(one, n, index, start + _PARAMETER_STEP) - here) / _PARAMETER_STEP
             found[:, :, layout.shared + index * len(self.families) + n] = np.outer(by_start, motion.inputs[n])
             first = last
         found[:, :, first : layout.shared] = motion.inertial
@@ -241,11 +241,11 @@ class GroupFit:
             c0: where the fit begins, Nm/rad, shape (e,).
         """
         scale = np.median(np.abs(np.concatenate([motion.target for motion in motions])), axis=0) + 1e-12
-        model = GroupTorque(tuple(families), _DAMPING * c0, tuple(motions), scale)
+        model = GroupTorque(tuple(families), _DAMPING_RATIO_S * c0, tuple(motions), scale)
         rest, found = np.zeros(model.layout.pairs + len(motions) * len(families)), []
         for shapes in _guesses(families):
             parts = [np.concatenate([[np.log(c), 1.0], shape]) for c, shape in zip(c0, shapes, strict=True)]
-            found.append(model.solved(model.with_first_starts(np.concatenate([*parts, rest])), _EVALUATIONS))
+            found.append(model.solved(model.with_first_starts(np.concatenate([*parts, rest])), _MAX_EVALUATIONS))
         return min(found, key=lambda fit: fit.cost)
 
     def without(self, index: int) -> GroupFit:
@@ -253,7 +253,7 @@ class GroupFit:
         layout, motions = self.model.layout, self.model.motions
         starts = np.delete(layout.starts(self.x), index, axis=0)
         model = replace(self.model, motions=(*motions[:index], *motions[index + 1 :]))
-        return model.solved(np.concatenate([self.x[: layout.shared], starts.ravel()]), _FEWER)
+        return model.solved(np.concatenate([self.x[: layout.shared], starts.ravel()]), _MAX_REFINEMENTS)
 
     def left_over(self, motion: KindMotion, starts: Array) -> Array:
         """Return the residual spectrum of another motion from the start deflections that fit it best.
@@ -276,7 +276,7 @@ class GroupFit:
 
         guesses = [starts, *(np.full(len(starts), each) for each in _STARTS)]
         first = min(guesses, key=lambda x: float(np.sum(residual(x) ** 2)))
-        best = least_squares(residual, first, slopes, method="lm", max_nfev=_EVALUATIONS, xtol=_TOLERANCE).x
+        best = least_squares(residual, first, slopes, method="lm", max_nfev=_MAX_EVALUATIONS, xtol=_TOLERANCE).x
         return model.of_motion(np.concatenate([fixed, best]), 0)
 
     def starts_of(self, index: int) -> Array:
@@ -317,4 +317,4 @@ def _guesses(families: Sequence[KindFamily]) -> list[tuple[Array, ...]]:
 
 
 def _clipped(start: float) -> float:
-    return float(np.clip(start, -_MOST_START, _MOST_START))
+    return float(np.clip(start, -_MAX_START, _MAX_START))

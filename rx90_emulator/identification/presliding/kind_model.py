@@ -16,18 +16,25 @@ from rx90_common.friction.bristles.step import bristles_dtype
 from rx90_common.friction.element import element_arrays
 from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
 from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE, follow_bristles
-from rx90_emulator.identification.presliding.band import BLOCK, band_spectrum, block_means
-from rx90_emulator.identification.presliding.micro_motion import MicroMotion, load_of
+from rx90_emulator.identification.presliding.group_model import JointGroup
+from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMotion, band_spectrum, block_means, load_of
+from rx90_emulator.identification.records.record import BagSource
 
-LONGEST: Final = 2.0
+MAX_COMPARED_S: Final = 2.0
 """s of a micro-motion that are compared: they hold some six of its slowest waves."""
+
+MOST_MOTIONS: Final = 5
+"""Micro-motions of a joint that are compared, the largest ones."""
+
+MOST_OF_BAG: Final = 3
+"""The same of joints that share elements, of each bag."""
 
 ATTRACTION: Final = "attraction"
 """The number of Maxwell slip that presliding does not show."""
 
-_KEPT = 16  # spectra of a motion: those of a difference quotient begin at the same deflection
-_COARSEST = 5.1e-4  # s, of a step: at 33 Hz the mean over it is 0.1 % off
-_RATE = 200.0  # 1/s: the sliding curve hardly shows in presliding, and its attraction not at all
+_CACHED_SPECTRA = 16  # spectra of a motion: those of a difference quotient begin at the same deflection
+_MAX_STEP_S = 5.1e-4  # s, of a step: at 33 Hz the mean over it is 0.1 % off
+_ATTRACTION_RATE = 200.0  # 1/s: the sliding curve hardly shows in presliding, and its attraction not at all
 
 
 @dataclass(frozen=True)
@@ -78,7 +85,7 @@ class KindFamily:
         stiffness, share = (_parts(half) for half in np.split(np.clip(shape, -8.0, 8.0), 2))
         # Blocks have no order of their own: in that in which they slip, fits without one motion each are compared.
         order = np.argsort(share / stiffness, kind="stable")
-        return MaxwellSlip(tuple(stiffness[order].tolist()), tuple(share[order].tolist()), _RATE * coulomb)
+        return MaxwellSlip(tuple(stiffness[order].tolist()), tuple(share[order].tolist()), _ATTRACTION_RATE * coulomb)
 
 
 def _parts(logarithms: Array) -> Array:
@@ -111,7 +118,7 @@ class ElementTrace:
     def of(cls, element: FrictionElement, speed: Array, step: float) -> ElementTrace:
         """Return the trace of an element with such input velocities, rad/s, in steps of a record, s."""
         plain = replace(element.without_parts(), c1=1.0, c2=0.0)
-        steps = BLOCK // 2 if 2.0 * step <= _COARSEST else BLOCK
+        steps = BLOCK // 2 if 2.0 * step <= _MAX_STEP_S else BLOCK
         held = speed[: len(speed) // BLOCK * BLOCK].reshape(-1, BLOCK // steps).mean(axis=1)
         return cls(plain, held, step * BLOCK / steps, steps)
 
@@ -133,7 +140,7 @@ class ElementTrace:
         """
         key = (kind, c0, start)
         if key not in self._known:
-            if len(self._known) >= _KEPT:
+            if len(self._known) >= _CACHED_SPECTRA:
                 del self._known[next(iter(self._known))]
             self._known[key] = band_spectrum(self.bristles(*key), self.step * self.steps / BLOCK)[0]
         return self._known[key]
@@ -199,7 +206,7 @@ class KindMotion:
             inputs: as the attribute.
             sliding: the elements' sliding regime; c0 and c1 are not used.
         """
-        used = slice(round(LONGEST / motion.step))
+        used = slice(round(MAX_COMPARED_S / motion.step))
         speed, acceleration = motion.velocity[used] @ inputs.T, motion.acceleration[used]
         viscous = np.column_stack([one.viscous_torque(speed[:, n]) for n, one in enumerate(sliding)])
         torque = motion.drive[used] - acceleration @ motion.mass.T - viscous @ inputs
@@ -225,7 +232,7 @@ def _inertia_errors(motion: MicroMotion, acceleration: Array) -> list[Array]:
 
 
 def largest_motions(motions: Sequence[MicroMotion], break_away: Array, most: int) -> list[MicroMotion]:
-    """Return the motions with most friction torque, the largest first, but those shorter than LONGEST at the end.
+    """Return the motions with most friction torque, the largest first, those shorter than MAX_COMPARED_S at the end.
 
     Args:
         motions: of one group of k joints.
@@ -234,6 +241,46 @@ def largest_motions(motions: Sequence[MicroMotion], break_away: Array, most: int
     """
 
     def rank(motion: MicroMotion) -> tuple[bool, float]:
-        return len(motion.velocity) * motion.step < LONGEST, -load_of(motion, break_away)
+        return len(motion.velocity) * motion.step < MAX_COMPARED_S, -load_of(motion, break_away)
 
     return sorted(motions, key=rank)[:most]
+
+
+@dataclass(frozen=True, eq=False)
+class MovedGroup:
+    """The largest micro-motions of joints that share their friction elements with no other joint.
+
+    Attributes:
+        elements: indices of its e elements.
+        motions: the largest first; MOST_MOTIONS at most of a single element, else MOST_OF_BAG of each bag.
+        c0: of LuGre's bristles, Nm/rad, shape (e,).
+        sources: their bags.
+    """
+
+    elements: tuple[int, ...]
+    motions: tuple[KindMotion, ...]
+    c0: Array
+    sources: tuple[BagSource, ...]
+
+    @classmethod
+    def of(
+        cls, group: JointGroup, motions: Sequence[MicroMotion], sliding: Sequence[FrictionElement], c0: Array
+    ) -> MovedGroup:
+        """Return them of all micro-motions of a group.
+
+        Args:
+            group: the joints.
+            motions: of them, one or more.
+            sliding: the elements' sliding regime.
+            c0: as the attribute.
+        """
+        break_away = np.abs(group.inputs).T @ np.array([one.tau_c_positive for one in sliding])
+        if len(group.elements) == 1:
+            largest = largest_motions(motions, break_away, MOST_MOTIONS)
+        else:  # one direction of motion moves some elements only, and each is recorded in a bag of its own
+            bags: dict[str, list[MicroMotion]] = {}
+            for motion in motions:
+                bags.setdefault(motion.record.sha256, []).append(motion)
+            largest = [motion for bag in bags.values() for motion in largest_motions(bag, break_away, MOST_OF_BAG)]
+        compared = tuple(KindMotion.of(motion, group.inputs, sliding) for motion in largest)
+        return cls(group.elements, compared, c0, tuple(dict.fromkeys(motion.record.bag for motion in largest)))

@@ -15,8 +15,9 @@ element is told only if others of it predict worse whatever kinds its neighbours
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -24,30 +25,32 @@ from scipy import stats
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import counted
+from rx90_common.base.quoting import counted, listed
+from rx90_common.friction.held_out import HeldOutErrors
 from rx90_common.friction.parts.bristles import BristlesPart
 from rx90_emulator.identification.model.estimates import LARGEST_DEVIATION, PRESLIDING, ParameterEstimate
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.presliding.fit import PreslidingFit
+from rx90_emulator.identification.presliding.group_model import joint_groups
 from rx90_emulator.identification.presliding.kind_fit import GroupFit, KindFit
-from rx90_emulator.identification.presliding.kind_model import ATTRACTION, FAMILIES, KindFamily, KindMotion
+from rx90_emulator.identification.presliding.kind_model import ATTRACTION, FAMILIES, KindFamily, KindMotion, MovedGroup
+from rx90_emulator.identification.records.record import BagSource
 
-LEAST_MOTIONS: Final = 3
+MIN_MOTIONS: Final = 3
 """Micro-motions of a joint, below which nothing is left to be predicted."""
 
-MOST_MOTIONS: Final = 5
-"""Micro-motions of a joint that are compared, the largest ones."""
-
-MOST_OF_BAG: Final = 3
-"""The same of joints that share elements, of each bag."""
-
-MOST_TOGETHER: Final = 3
+MAX_ELEMENTS: Final = 3
 """Elements that are compared together; with each more, the sets of kinds are three times as many."""
 
-TOLD: Final = 3.0
+DISTINGUISHABLE_SE: Final = 3.0
 """Standard errors by which a kind must predict worse than the best one to be told from it."""
 
-_FLOOR = {"c0": 0.002, "c1": 0.01}  # relative: encoder steps, and 10 us of timing, show in no residual
-_FLOOR_TOGETHER = {"c0": 0.02, "c1": 0.05}  # of elements that share joints: errors of others are alike in all motions
-_FLOOR_OF_PARTS = 0.02  # of numbers in parts: errors of the sliding regime are the same in all motions
+_MIN_RELATIVE_SD = {"c0": 0.002, "c1": 0.01}  # relative: encoder steps, and 10 us of timing, show in no residual
+_MIN_RELATIVE_SD_SHARED = {
+    "c0": 0.02,
+    "c1": 0.05,
+}  # of elements that share joints: errors of others are alike in all motions
+_MIN_SD_OF_PARTS = 0.02  # of numbers in parts: errors of the sliding regime are the same in all motions
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +83,9 @@ class KindTrial:
         return self.fit.bristles
 
     @property
-    def told(self) -> bool:
+    def distinguishable(self) -> bool:
         """Return whether the data tell it from the best kind."""
-        return self.behind > TOLD
+        return self.behind > DISTINGUISHABLE_SE
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +108,7 @@ class KindChoice:
     @property
     def possible(self) -> tuple[KindTrial, ...]:
         """Return the trials that the data cannot tell from the best, which is among them."""
-        return tuple(trial for trial in self.trials if not trial.told)
+        return tuple(trial for trial in self.trials if not trial.distinguishable)
 
     @property
     def kind(self) -> str | None:
@@ -122,7 +125,7 @@ class KindChoice:
 
 def least_motions(elements: int) -> int:
     """Return the micro-motions of joints with so many elements, below which their kinds are not compared."""
-    return max(LEAST_MOTIONS, 2 * elements)
+    return max(MIN_MOTIONS, 2 * elements)
 
 
 def choose_kinds_of(
@@ -161,7 +164,7 @@ def choose_kinds_of(
 
 def steps_of(elements: int, families: Sequence[KindFamily]) -> int:
     """Return how often `choose_kinds_of` calls `progress`."""
-    searched = len(_searched(families)) ** elements if 1 < elements <= MOST_TOGETHER else 0
+    searched = len(_searched(families)) ** elements if 1 < elements <= MAX_ELEMENTS else 0
     return searched + elements * len(families)
 
 
@@ -234,7 +237,7 @@ class _Prediction:
 
     def estimates(self, place: int) -> dict[str, ParameterEstimate]:
         """Return what was fitted of an element with the deviations of the jackknife over the motions."""
-        floor = _FLOOR if len(self.whole.model.families) == 1 else _FLOOR_TOGETHER
+        floor = _MIN_RELATIVE_SD if len(self.whole.model.families) == 1 else _MIN_RELATIVE_SD_SHARED
         return jackknife_estimates(self.whole.element(place), [fit.element(place) for fit in self.without], floor)
 
 
@@ -242,9 +245,8 @@ def _choices(
     sets: Sequence[tuple[KindFamily, ...]], predictions: Mapping[tuple[KindFamily, ...], _Prediction], families: int
 ) -> list[KindChoice]:
     """Return the choice of each element; the sets are those for its families, element by element."""
-    noise = float(np.median(np.min([one.power for one in predictions.values()], axis=0)))
-    scores = {some: np.log(one.power + noise) for some, one in predictions.items()}
-    best = min(scores, key=lambda some: float(scores[some].sum()))
+    errors = HeldOutErrors({some: one.power for some, one in predictions.items()})
+    best = errors.best()
     motions = predictions[best].whole.model.motions
     friction = sum(float(np.sum((motion.target / predictions[best].whole.model.scale) ** 2)) for motion in motions)
     found = []
@@ -254,8 +256,7 @@ def _choices(
         trials = []
         for some in sets[place * families : (place + 1) * families]:
             # Of sets with the same kind here, which differ elsewhere, that which predicts best.
-            same = [each for each in predictions if each[place] == some[place]]
-            chosen = min(same, key=lambda each: float(scores[each].sum()))
+            chosen = errors.best(each for each in predictions if each[place] == some[place])
             one = predictions[chosen]
             trials.append(
                 KindTrial(
@@ -263,17 +264,11 @@ def _choices(
                     one.whole.seen(place, largest),
                     one.estimates(place),
                     float(np.sqrt(one.power.sum() / friction)),
-                    _behind(scores[chosen] - scores[best]),
+                    errors.behind(chosen, best),
                 )
             )
         found.append(KindChoice(tuple(trials), positions[largest]))
     return found
-
-
-def _behind(difference: Array) -> float:
-    """Return the mean of differences line by line over its standard error."""
-    spread = float(np.std(difference)) * np.sqrt(difference.size)
-    return float(difference.sum() / spread) if spread > 0.0 else 0.0
 
 
 def jackknife_estimates(
@@ -290,7 +285,7 @@ def jackknife_estimates(
     spread = student * np.sqrt((len(rows) - 1.0) * np.var(rows, axis=0))
     found = {
         name: ParameterEstimate(
-            value, float(np.hypot(deviation, floor[name] * value if name in floor else _FLOOR_OF_PARTS))
+            value, float(np.hypot(deviation, floor[name] * value if name in floor else _MIN_SD_OF_PARTS))
         )
         for (name, value), deviation in zip(values.items(), spread, strict=True)
     }
@@ -301,3 +296,145 @@ def jackknife_estimates(
     if whole.family.blocks:
         found[f"bristles.{ATTRACTION}"] = ParameterEstimate.unknown("it does not show in presliding")
     return found
+
+
+_MAX_MISSED = 0.5  # of the friction torque, by the kind that predicts best, noise included
+_MAX_INERTIA_ERROR = 0.1  # relative error of the joint's inertia
+_MAX_REACH = 2.0  # of a block, in parts of the travel: there and back, a block with half of it slips
+
+
+@dataclass(frozen=True, eq=False)
+class ElementKind:
+    """What is known of the kind of an element's bristles.
+
+    Attributes:
+        element: its name.
+        reason: why no kind is told; "" where one is.
+        choice: what was tried; None where nothing could be.
+        moved: the micro-motions that were compared; None where there are none.
+    """
+
+    element: str
+    reason: str
+    choice: KindChoice | None = None
+    moved: MovedGroup | None = None
+
+    @property
+    def decision(self) -> str:
+        """Return "LuGre", "elasto-plastic", "Maxwell slip", "cannot tell", or "not compared"."""
+        if self.choice is None:
+            return "not compared"
+        return self.choice.best.family.kind if self.decided else "cannot tell"
+
+    @property
+    def decided(self) -> bool:
+        """Return whether the data tell it, LuGre's too."""
+        return self.choice is not None and not self.reason
+
+    @property
+    def trial(self) -> KindTrial | None:
+        """Return the trial whose bristles take the place of LuGre's; None where LuGre's stay."""
+        if self.choice is None or not self.decided or self.choice.best.bristles is None:
+            return None
+        return self.choice.best
+
+    @property
+    def bristles(self) -> BristlesPart | None:
+        """Return the bristles that the element gets; None is LuGre's."""
+        return None if self.trial is None else self.trial.bristles
+
+    @property
+    def sources(self) -> tuple[BagSource, ...]:
+        """Return the bags that it rests on."""
+        return () if self.moved is None else self.moved.sources
+
+    @property
+    def text(self) -> str:
+        """Return the decision with how sure it is, or why there is none."""
+        if self.choice is None or self.reason:
+            return f"{self.decision}: {self.reason}"
+        return f"{self.decision}, told from the others by {self.choice.margin:.1f} standard errors or more"
+
+    @cached_property
+    def largest(self) -> tuple[Array, dict[str, Array]]:
+        """Return position, rad from the mean, and torque of the bristles, Nm, of the largest micro-motion compared.
+
+        The torques are the measured one, that of the best kind and those of the best trial of each other kind, by name.
+        """
+        assert self.choice is not None
+        return _compared(self.choice)
+
+
+def choose_kinds(
+    fit: PreslidingFit, arm: RigidArm, progress: Callable[[str], None] = lambda _: None
+) -> tuple[ElementKind, ...]:
+    """Return the kind of bristles of each element, in the arm's order.
+
+    Args:
+        fit: with LuGre's bristles, of the arm.
+        arm: whose elements these are.
+        progress: called `kind_steps(arm)` times, with what is done next.
+    """
+    groups = {moved.elements: moved for moved in fit.groups}
+    found: dict[str, ElementKind] = {}
+    for group in joint_groups(arm):
+        names = [arm.element_names[e] for e in group.elements]
+        found |= {kind.element: kind for kind in _of_group(names, groups.get(group.elements), progress)}
+    return tuple(found[name] for name in arm.element_names)
+
+
+def decisions(kinds: Iterable[ElementKind]) -> list[tuple[str, str]]:
+    """Return what became of each element in words, elements of which the same is said together."""
+    together: dict[str, list[str]] = {}
+    for kind in kinds:
+        together.setdefault(kind.text, []).append(kind.element)
+    return [(", ".join(names), text) for text, names in together.items()]
+
+
+def kind_steps(arm: RigidArm) -> int:
+    """Return how many steps `choose_kinds` takes."""
+    return sum(steps_of(len(group.elements), FAMILIES) for group in joint_groups(arm))
+
+
+def _of_group(names: Sequence[str], moved: MovedGroup | None, progress: Callable[[str], None]) -> list[ElementKind]:
+    least, count = least_motions(len(names)), 0 if moved is None else len(moved.motions)
+    if moved is None or count < least or len(names) > MAX_ELEMENTS:
+        for _ in range(steps_of(len(names), FAMILIES)):
+            progress(f"{listed(names)}: bristles")
+        reason = f"{count} micro-oscillations; {least} or more tell kinds apart"
+        if len(names) > MAX_ELEMENTS:
+            reason = f"{len(names)} elements share joints; accepted: {MAX_ELEMENTS} at most"
+        return [ElementKind(name, reason) for name in names]
+    choices = choose_kinds_of(
+        moved.motions, moved.c0, FAMILIES, lambda place, kind: progress(f"{names[place]}: {kind}")
+    )
+    return [ElementKind(name, _doubt(one), one, moved) for name, one in zip(names, choices, strict=True)]
+
+
+def _doubt(choice: KindChoice) -> str:
+    """Return why no kind is told; "" if one is."""
+    best = choice.best
+    if best.missed > _MAX_MISSED:
+        return f"even the best kind, {best.family.name}, misses {100.0 * best.missed:.0f} % of the friction torque"
+    if choice.kind is None:
+        return f"the data do not tell {listed([trial.family.name for trial in choice.possible])} apart"
+    if abs(best.fit.inertia) > _MAX_INERTIA_ERROR:
+        error = 100.0 * abs(best.fit.inertia)
+        return f"the joint's inertia would be {error:.0f} % off the description's: a payload or a rotor may be missing"
+    travel = float(np.ptp(choice.position))
+    if best.fit.reach > _MAX_REACH * travel:
+        return (
+            f"Maxwell slip predicts best, but a block would slip only after {1e3 * best.fit.reach:.2g} mrad, and the "
+            f"micro-oscillations went through {1e3 * travel:.2g} mrad"
+        )
+    return ""
+
+
+def _compared(choice: KindChoice) -> tuple[Array, dict[str, Array]]:
+    shown: dict[str, KindTrial] = {}
+    for trial in sorted(choice.trials, key=lambda trial: trial.behind):
+        shown.setdefault(trial.family.kind, trial)
+    torques = {"measured": choice.best.seen[0]}
+    torques |= {trial.family.name: trial.seen[1] for trial in shown.values()}
+    position = choice.position
+    return position - position.mean(), {name: torque - torque.mean() for name, torque in torques.items()}

@@ -22,12 +22,12 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.identification.records.layout import BagLayout
 from rx90_emulator.identification.records.record import JointRecord, spikes
 
-_BANDWIDTH = 40.0  # Hz, of velocities differentiated from positions
-_FACTOR = 2.0  # largest ratio between a velocity and the change of its position
-_WINDOW = 0.1  # s, over which they are compared
-_STANDS = 1e-2  # rad/s, RMS, below which they are not compared
-_QUANTISED = 1000  # distinct velocities, below which they count as quantised
-_LARGEST = 1e9  # rad, rad/s, Nm or A
+_BANDWIDTH_HZ = 40.0  # Hz, of velocities differentiated from positions
+_MAX_VELOCITY_RATIO = 2.0  # largest ratio between a velocity and the change of its position
+_COMPARED_S = 0.1  # s, over which they are compared
+_REST_SPEED = 1e-2  # rad/s, RMS, below which they are not compared
+_MIN_DISTINCT_VELOCITIES = 1000  # distinct velocities, below which they count as quantised
+_MAX_VALUE = 1e9  # rad, rad/s, Nm or A
 _STORAGE = (".mcap", ".db3", ".bag")
 
 
@@ -68,7 +68,11 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     if velocity is None:
         velocity = _velocity(time, position)
     else:
-        poor = [k for k in range(len(layout.names)) if len(np.unique(velocity[:, k])) < min(_QUANTISED, len(time) / 4)]
+        poor = [
+            k
+            for k in range(len(layout.names))
+            if len(np.unique(velocity[:, k])) < min(_MIN_DISTINCT_VELOCITIES, len(time) / 4)
+        ]
         velocity[:, poor] = _velocity(time, position[:, poor])
         _check_velocity(path, layout, time, position, velocity)
     if layout.turns is not None:
@@ -106,10 +110,10 @@ def _required(path: Path, series: JointSeries, field: str) -> Array:
 def _check_size(path: Path, series: JointSeries, name: str, values: Array | None) -> None:
     """Refuse numbers that no joint reaches, and efforts so small that their squares are none."""
     most = 0.0 if values is None else float(np.abs(values).max(initial=0.0))
-    if most > _LARGEST or (name == "effort" and 0.0 < most < 1.0 / _LARGEST):
-        least = f"{1.0 / _LARGEST:g} to " if name == "effort" else "up to "
+    if most > _MAX_VALUE or (name == "effort" and 0.0 < most < 1.0 / _MAX_VALUE):
+        least = f"{1.0 / _MAX_VALUE:g} to " if name == "effort" else "up to "
         raise IdentificationError(
-            f"{path}: {series.topic}: the largest {name} is {most:.3g}; accepted: {least}{_LARGEST:g}"
+            f"{path}: {series.topic}: the largest {name} is {most:.3g}; accepted: {least}{_MAX_VALUE:g}"
         )
 
 
@@ -156,24 +160,24 @@ def _velocity(time: Array, position: Array) -> Array:
     period = float(np.median(np.diff(time)))
     even = np.arange(time[0], time[-1] + period / 2.0, period)
     smooth = np.column_stack([np.interp(even, time, column) for column in position.T])
-    if 0.4 / period > _BANDWIDTH and len(even) > 30:
-        smooth = sosfiltfilt(butter(2, _BANDWIDTH, fs=1.0 / period, output="sos"), smooth, axis=0)
+    if 0.4 / period > _BANDWIDTH_HZ and len(even) > 30:
+        smooth = sosfiltfilt(butter(2, _BANDWIDTH_HZ, fs=1.0 / period, output="sos"), smooth, axis=0)
     slope = np.gradient(smooth, period, axis=0)
     return np.column_stack([np.interp(time, even, column) for column in slope.T])
 
 
 def _check_velocity(path: Path, layout: BagLayout, time: Array, position: Array, velocity: Array) -> None:
     """Refuse velocities whose integrals over a window differ from the change of position in size or sign."""
-    size = max(1, round(_WINDOW * (len(time) - 1) / max(time[-1] - time[0], 1e-9)))
+    size = max(1, round(_COMPARED_S * (len(time) - 1) / max(time[-1] - time[0], 1e-9)))
     edges = np.arange(0, len(time), size)
     travelled = cumulative_trapezoid(velocity, time, axis=0, initial=0)
     lasting = np.diff(time[edges])
     whole = lasting < 2.0 * np.median(lasting) if len(lasting) else np.zeros(0, dtype=np.bool_)  # no gap in it
     distance, integral = (np.diff(values[edges], axis=0)[whole] for values in (position, travelled))
     power = (distance**2).sum(axis=0)
-    for k in np.flatnonzero(power > len(distance) * (_STANDS * _WINDOW) ** 2).tolist():
+    for k in np.flatnonzero(power > len(distance) * (_REST_SPEED * _COMPARED_S) ** 2).tolist():
         factor = float(distance[:, k] @ integral[:, k] / power[k])
-        if not 1.0 / _FACTOR < factor < _FACTOR:
+        if not 1.0 / _MAX_VELOCITY_RATIO < factor < _MAX_VELOCITY_RATIO:
             raise IdentificationError(
                 f"{path}: {layout.topic}: the velocity of {quoted(layout.messages[k])} is {factor:.3g} times the "
                 "change of its position; accepted: rad and rad/s, of the same sign"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -14,10 +15,10 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 
 _WALL_CLOCK = 946_684_800.0  # s, the year 2000: stamps before count from another beginning
-_NEIGHBOURS = 5  # samples in the running median
-_OUTLIER = 4.0  # times the 99th percentile of the distances from it
-_SPIKE = 0.02  # and this share of the signal's range
-_ALONE = 0.25  # share of a spike's distance that its neighbours stay below
+_MEDIAN_SAMPLES = 5  # samples in the running median
+_OUTLIER_FACTOR = 4.0  # times the 99th percentile of the distances from it
+_MIN_SPIKE_SHARE = 0.02  # and this share of the signal's range
+_NEIGHBOUR_SHARE = 0.25  # share of a spike's distance that its neighbours stay below
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,19 @@ class JointRecord:
         return replace(self, **fields)
 
 
+def check_joints(records: Sequence[JointRecord], names: Sequence[str]) -> None:
+    """Refuse a record of other joints than an arm's.
+
+    Raises:
+        IdentificationError: naming the bag, its joints and the arm's.
+    """
+    for record in records:
+        if tuple(record.names) != tuple(names):
+            raise IdentificationError(
+                f"{record.source}: joints {', '.join(record.names)}; accepted: {', '.join(names)}"
+            )
+
+
 def spikes(values: Array) -> NDArray[np.bool_]:
     """Return which rows of samples hold a spike: far from the running median, while both neighbours are not.
 
@@ -127,9 +141,11 @@ def spikes(values: Array) -> NDArray[np.bool_]:
     Returns:
         Whether any column has one, shape (m,).
     """
-    distance = np.abs(values - median_filter(values, size=(_NEIGHBOURS, 1), mode="nearest"))
+    distance = np.abs(values - median_filter(values, size=(_MEDIAN_SAMPLES, 1), mode="nearest"))
     usual = np.percentile(distance, 99.0, axis=0)
     low, high = np.percentile(values, (1.0, 99.0), axis=0)
-    far = distance > _OUTLIER * usual + _SPIKE * (high - low) + 1e-9
+    far = distance > _OUTLIER_FACTOR * usual + _MIN_SPIKE_SHARE * (high - low) + 1e-9
     beside = np.pad(distance, ((1, 1), (0, 0)))
-    return np.asarray((far & (_ALONE * distance > beside[:-2]) & (_ALONE * distance > beside[2:])).any(axis=1))
+    return np.asarray(
+        (far & (_NEIGHBOUR_SHARE * distance > beside[:-2]) & (_NEIGHBOUR_SHARE * distance > beside[2:])).any(axis=1)
+    )

@@ -1,3 +1,3 @@
-"""The identified friction of all elements, and its validation on bags that were not used."""
+"""What is known of each parameter of the identified elements."""
 
-__all__ = ["identification", "validation"]
+__all__ = ["identification"]

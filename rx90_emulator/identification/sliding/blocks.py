@@ -1,8 +1,8 @@
-"""Block means of the plateaus of records, each block judged by its own velocity."""
+"""Block means of the plateaus of records, each block judged by its own velocity, and what of each bag was used."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
 
@@ -11,32 +11,114 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records.record import BagSource, JointRecord
 from rx90_emulator.identification.sliding.plateaus import LEAST_BINS, SCALES, Bins, accelerates, plateau_ranges
-from rx90_emulator.identification.sliding.usage import (
-    ACCELERATES,
-    CHANGES,
-    LITTLE_TRAVEL,
-    REASONS,
-    RESTS,
-    RESTS_TRAVEL,
-    SETTLES,
-    SHORT,
-    UNSTEADY,
-    USED,
-    BagUse,
-)
+
+USED = "used"
+RESTS = "at rest"
+CHANGES = "changes of velocity"
+ACCELERATES = "steady acceleration or a crest"
+SETTLES = "settling"
+SHORT = "too short"
+LITTLE_TRAVEL = "travel of less than 10 mrad"
+UNSTEADY = "blocks of another velocity"
+REASONS = (CHANGES, RESTS, LITTLE_TRAVEL, SETTLES, SHORT, ACCELERATES, UNSTEADY, USED)
+"""What a sample was used for, or why not."""
+RESTS_TRAVEL = 1e-3
+"""Travel below which nothing moves, rad."""
+_MIN_LISTED_S = 0.05  # s: shorter times are not listed
+_MIN_UNUSED_S = 0.5  # s from which a stretch that was not used tells of a speed that is lacking
+
+
+@dataclass(frozen=True, eq=False)
+class BagUse:
+    """What was used of one bag of sweeps.
+
+    Attributes:
+        bag: the bag.
+        stretches: of constant velocity that were used.
+        seconds: in these.
+        speeds: rad/s, of each element the slowest and the fastest that was used, 0 without any, shape (n_el, 2).
+        left_out: seconds by the reason for which they were not used.
+        unused: mean speeds of the elements, rad/s, in stretches that were not used, shape (u, n_el); 0 at rest.
+    """
+
+    bag: BagSource
+    stretches: int
+    seconds: float
+    speeds: Array
+    left_out: Mapping[str, float]
+    unused: Array
+
+    @classmethod
+    def of(cls, record: JointRecord, elements: Array, state: NDArray[np.intp], velocities: Sequence[Array]) -> BagUse:
+        """Return the account of a record.
+
+        Args:
+            record: whose account it is.
+            elements: E, joint velocities to input velocities of the friction elements, shape (n_el, n).
+            state: of each sample, its place in REASONS, shape (m,).
+            velocities: of each stretch's blocks, the elements' where they slide, 0 elsewhere, rad/s, shape (b, n_el).
+        """
+        period = float(np.median(np.diff(record.time))) if len(record.time) > 1 else 0.0
+        speeds = np.zeros((len(elements), 2))
+        for e in range(len(elements)):
+            mine = [abs(float(v[:, e].mean())) for v in velocities if v[:, e].any()]
+            if mine:
+                speeds[e] = min(mine), max(mine)
+        seconds = {why: float(np.sum(state == k)) * period for k, why in enumerate(REASONS)}
+        used = seconds.pop(USED)
+        lacking = ~np.isin(state, [REASONS.index(why) for why in (USED, RESTS, SETTLES)])
+        edges = np.flatnonzero(np.diff(lacking, prepend=False, append=False)).reshape(-1, 2)
+        unused = np.zeros((0, len(elements)))
+        for begin, end in edges.tolist():
+            lasted = float(record.time[end - 1] - record.time[begin])
+            travel = np.abs(elements @ (record.position[end - 1] - record.position[begin]))
+            if lasted >= _MIN_UNUSED_S and travel.max() > RESTS_TRAVEL:
+                unused = np.vstack([unused, np.where(travel > RESTS_TRAVEL, travel / lasted, 0.0)])
+        return cls(record.bag, len(velocities), used, speeds, seconds, unused)
+
+    def text(self, names: Sequence[str]) -> str:
+        """Return it as a line.
+
+        Args:
+            names: of the elements.
+        """
+        ranges = [
+            f"{name} {low:.3g}" + (f" to {high:.3g}" if f"{low:.3g}" != f"{high:.3g}" else "")
+            for name, (low, high) in zip(names, self.speeds.tolist(), strict=True)
+            if high
+        ]
+        used = (
+            f"{self.seconds:.3g} s in {self.stretches} stretches, {', '.join(ranges)} rad/s"
+            if self.stretches
+            else "NOTHING"
+        )
+        rest = ", ".join(f"{seconds:.3g} s {reason}" for reason, seconds in self.reasons)
+        return f"used {used}" + (f"; left out {rest}" if rest else "")
+
+    @property
+    def reasons(self) -> list[tuple[str, float]]:
+        """Return why how many seconds were not used, the most first."""
+        return sorted(((why, s) for why, s in self.left_out.items() if s >= _MIN_LISTED_S), key=lambda pair: -pair[1])
+
+
+def unused_speeds(usage: Sequence[BagUse], element: int, slowest: float) -> Array:
+    """Return the speeds of an element below the slowest one that was used, rad/s, sorted, shape (k,)."""
+    speeds = np.sort(np.concatenate([np.zeros(0), *(use.unused[:, element] for use in usage)]))
+    return np.asarray(speeds[(speeds > 0.0) & (speeds < slowest)])
+
 
 _SETTLE_TIME = 0.25  # s, for the servo loops after a change of velocity; their integrators' pole is near 20 /s
 _SETTLE_SHARE = 0.5  # of a plateau, within which the bristles must settle for the element to count as sliding
-_LONGEST_BLOCK = 0.25  # s
-_LONGEST_TRAVEL = 0.02  # rad in a block: the rigid torque is linear in it but for a negligible rest
-_SHORTEST_BLOCK = 8  # samples
-_LONG_HALF = 1.0  # s
-_AROUND = (0.2, 1.0)  # s before and behind a short stretch, at least and at most, that tell whether it is one
-_NEARLY = 0.15  # of the velocity that it may change by there
-_OUTLIER = 5.0  # standard deviations from a block's median
-_OWN_VELOCITY = 0.75  # of the plateau's velocity that a block's may be off by
+_MAX_BLOCK_S = 0.25  # s
+_MAX_BLOCK_TRAVEL = 0.02  # rad in a block: the rigid torque is linear in it but for a negligible rest
+_MIN_BLOCK_SAMPLES = 8  # samples
+_MIN_HALF_S = 1.0  # s
+_CONTEXT_WINDOW_S = (0.2, 1.0)  # s before and behind a short stretch, at least and at most, that tell whether it is one
+_VELOCITY_TOLERANCE = 0.15  # of the velocity that it may change by there
+_OUTLIER_SD = 5.0  # standard deviations from a block's median
+_BLOCK_VELOCITY_TOLERANCE = 0.75  # of the plateau's velocity that a block's may be off by
 
 SETTLE_DISTANCE = 5e-3
 """Travel after which a bristle has its steady deflection, rad: ten times g or more for joints of this class."""
@@ -163,7 +245,7 @@ class _Cut:
             return
         halves = (start + rows.stop) // 2, rows.stop - 1
         # The first half may be a slow start; of a wave's crest a short half would look straight.
-        long = float(record.time[halves[1]] - record.time[halves[0]]) >= _LONG_HALF
+        long = float(record.time[halves[1]] - record.time[halves[0]]) >= _MIN_HALF_S
         for begin in (start, halves[0])[: 1 + long]:
             kept = slice(begin, rows.stop)
             if not self._accelerates(kept, size, sliding, long=long):
@@ -206,13 +288,13 @@ class _Cut:
         """Add the blocks of a settled plateau."""
         record = self._record
         count = kept.stop - kept.start
-        if count < _SHORTEST_BLOCK:
+        if count < _MIN_BLOCK_SAMPLES:
             self._mark(kept, SHORT)
             return
         duration = float(record.time[kept.stop - 1] - record.time[kept.start])
         speed = np.abs(self._elements @ (record.position[kept.stop - 1] - record.position[kept.start])) / duration
-        length = min(_LONGEST_BLOCK, _LONGEST_TRAVEL / max(float(speed.max()), 1e-9))
-        size = min(max(_SHORTEST_BLOCK, int(length * (count - 1) / duration)), count)
+        length = min(_MAX_BLOCK_S, _MAX_BLOCK_TRAVEL / max(float(speed.max()), 1e-9))
+        size = min(max(_MIN_BLOCK_SAMPLES, int(length * (count - 1) / duration)), count)
         rows = kept.start + np.arange(count // size * size).reshape(-1, size)
         self._mark(kept, SHORT)
         self._mark(rows, UNSTEADY)
@@ -252,7 +334,7 @@ class _Cut:
         usual = (record.position[rows[-1, -1]] - record.position[rows[0, 0]]) @ elements
         usual = usual / (record.time[rows[-1, -1]] - record.time[rows[0, 0]])
         for own in (travel, record.velocity[rows].mean(axis=1) @ elements):
-            steady |= (np.abs(own - usual) <= _OWN_VELOCITY * np.abs(usual)).all(axis=1)
+            steady |= (np.abs(own - usual) <= _BLOCK_VELOCITY_TOLERANCE * np.abs(usual)).all(axis=1)
         return steady
 
 
@@ -264,13 +346,17 @@ def _around(record: JointRecord, elements: Array, kept: slice, size: int) -> sli
     """
     usual = (record.velocity[kept] @ elements.T).mean(axis=0)
     period = float(record.time[kept.stop - 1] - record.time[kept.start]) / (kept.stop - 1 - kept.start)
-    least, most = (round(seconds / period / size) for seconds in _AROUND)
+    least, most = (round(seconds / period / size) for seconds in _CONTEXT_WINDOW_S)
     bins = [0, 0]
     for side, (begin, step) in enumerate(((kept.start - size, -size), (kept.stop, size))):
         for k in range(most):
             at = begin + k * step
             part = record.velocity[max(at, 0) : at + size] @ elements.T
-            if at < 0 or len(part) < size or (np.abs(part.mean(axis=0) - usual) > _NEARLY * np.abs(usual)).any():
+            if (
+                at < 0
+                or len(part) < size
+                or (np.abs(part.mean(axis=0) - usual) > _VELOCITY_TOLERANCE * np.abs(usual)).any()
+            ):
                 break
             bins[side] += 1
     if min(bins) < max(1, least):
@@ -291,7 +377,7 @@ def _robust_mean(samples: Array) -> tuple[Array, Array]:
     middle = np.median(samples, axis=1, keepdims=True)
     distance = np.abs(samples - middle)
     spread = 1.4826 * np.median(distance, axis=1, keepdims=True)
-    good = distance <= _OUTLIER * spread + 1e-12
+    good = distance <= _OUTLIER_SD * spread + 1e-12
     used = good.sum(axis=1)
     return np.where(good, samples, 0.0).sum(axis=1) / used, used.min(axis=1).astype(np.float64)
 
@@ -299,6 +385,6 @@ def _robust_mean(samples: Array) -> tuple[Array, Array]:
 def _clipped_covariance(steps: Array) -> Array:
     """Return the second moment of the rows, shape (n, n), without rows that hold an outlier."""
     spread = 1.4826 * np.median(np.abs(steps), axis=0)
-    good = (np.abs(steps) <= _OUTLIER * spread + 1e-12).all(axis=1)
+    good = (np.abs(steps) <= _OUTLIER_SD * spread + 1e-12).all(axis=1)
     rows = steps[good] if good.any() else steps
     return np.asarray(rows.T @ rows / len(rows))

@@ -7,38 +7,175 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import quoted
-from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate
+from rx90_emulator.identification.model.estimates import SLIDING, VISCOUS_EXPONENT, ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.model.zeros import ZeroCheck
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records.record import BagSource, JointRecord, check_joints
 from rx90_emulator.identification.sliding import stribeck
-from rx90_emulator.identification.sliding.blocks import Blocks, find_blocks
-from rx90_emulator.identification.sliding.identifiability import (
-    element_estimate,
-    natural_covariance,
-    with_viscous_exponent,
-    without_stribeck,
-)
+from rx90_emulator.identification.sliding.blocks import BagUse, Blocks, find_blocks, unused_speeds
+from rx90_emulator.identification.sliding.equations import SlidingRows, sliding_rows
 from rx90_emulator.identification.sliding.quality import FitQuality
-from rx90_emulator.identification.sliding.rows import SlidingRows, sliding_rows
 from rx90_emulator.identification.sliding.solver import SlidingSolution, fit_curves, predicted
-from rx90_emulator.identification.sliding.usage import BagUse
 from rx90_emulator.identification.sliding.zeros import Instants, check_zeros, known_joints
+
+_SIGNIFICANT_SD = 3.0  # standard deviations of the Stribeck rise from 0
+_MAX_RELATIVE_SD = 0.3  # relative standard deviation up to which a parameter is identifiable
+_MAX_CORRELATION = 0.98  # correlation from which two parameters cannot be separated
+_SYSTEMATIC_SD = 1e-3
+"""Relative standard deviation that repetition does not show: the mean of a sampled torque, rippling in step with the
+sampling, is off by so much even far from a beat (measured on the engine, whose parameters are known)."""
+_FITTED = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c2", "omega_s", "delta", "alpha")
+"""The parameters of the fit by the names that they determine."""
+_STRIBECK = ("tau_s_positive", "tau_s_negative", "omega_s", "delta")
+_OMEGA_S = 5  # place in the fit
+_MIN_EXPONENT_SHIFT = 0.02  # distance of a viscous exponent from 1 that counts
+
+
+def without_stribeck(solution: SlidingSolution) -> Mask:
+    """Return which elements show no Stribeck effect, shape (n_el,): no significant rise, or omega_s at its bound."""
+    flat = np.zeros(len(solution.free), dtype=np.bool_)
+    for e in np.flatnonzero(solution.free[:, stribeck.SHAPE].all(axis=1)).tolist():
+        rise = solution.parameters[e, stribeck.RISE]
+        deviation = np.sqrt(np.diag(_block(solution, e)))[stribeck.RISE]
+        # At a bound the deviation means nothing; a rise of 0 is on it.
+        flat[e] = bool((rise < _SIGNIFICANT_SD * deviation).all()) or bool(solution.at_bound[e, _OMEGA_S])
+    return flat
+
+
+def with_viscous_exponent(solution: SlidingSolution) -> Mask:
+    """Return which elements show a viscous exponent other than 1, shape (n_el,): significantly so, and not at a bound.
+
+    The deviations are those of the result: a misfit that plateaus or speeds share does not count as evidence.
+    """
+    bent = np.zeros(len(solution.free), dtype=np.bool_)
+    for e in np.flatnonzero(solution.free[:, stribeck.EXPONENT]).tolist():
+        away = abs(float(np.exp(solution.parameters[e, stribeck.EXPONENT])) - 1.0)
+        deviation = float(np.sqrt(natural_covariance(solution, e)[-1, -1]))
+        at_bound = bool(solution.at_bound[e, stribeck.EXPONENT])
+        bent[e] = away > max(_MIN_EXPONENT_SHIFT, _SIGNIFICANT_SD * deviation) and not at_bound
+    return bent
+
+
+def element_estimate(
+    solution: SlidingSolution,
+    names: Sequence[str],
+    element: int,
+    sources: tuple[BagSource, ...],
+    usage: Sequence[BagUse],
+) -> ElementEstimate:
+    """Return the estimates of one element that was fitted.
+
+    Args:
+        solution: of the fit.
+        names: of all elements.
+        element: index of this one.
+        sources: the bags.
+        usage: what was used of each.
+    """
+    values = stribeck.natural(solution.parameters[element])
+    covariance = natural_covariance(solution, element)
+    estimates = {}
+    names_here = (*SLIDING, VISCOUS_EXPONENT) if solution.free[element, stribeck.EXPONENT] else SLIDING
+    covariance = covariance[: len(names_here), : len(names_here)]
+    for name, deviation in zip(names_here, np.sqrt(np.diag(covariance)).tolist(), strict=True):
+        estimate = ParameterEstimate(values[name], deviation)
+        reason = _reason(solution, names, element, name, estimate, usage)
+        estimates[name] = ParameterEstimate.unknown(reason) if reason else estimate
+    return ElementEstimate.of(names[element], estimates, covariance, sources)
+
+
+def natural_covariance(solution: SlidingSolution, element: int) -> Array:
+    """Return the covariance of an element's parameters as `stribeck.natural` has them, shape (8, 8).
+
+    It is that of the fit, times the squared t factor and the design effect of plateaus at one speed or, where it is
+    larger, the factor of a misfit, plus what repetition does not show.
+    """
+    transform = stribeck.natural_jacobian(solution.parameters[element])
+    design = float(solution.design_effect[solution.rows.gain[:, element] != 0.0].mean())
+    wider = np.sqrt(np.maximum(design, solution.misfit.widening[element]))
+    block = wider[:, None] * _block(solution, element) * wider
+    covariance = transform @ block @ transform.T * _t_factor(solution, element) ** 2
+    values = stribeck.natural(solution.parameters[element])
+    # Independent for each parameter, so that no correlation changes its sign.
+    unseen = _SYSTEMATIC_SD * np.array(list(values.values()))
+    if not solution.free[element, stribeck.EXPONENT]:
+        unseen[-1] = 0.0
+    return np.asarray(covariance + np.diag(unseen**2))
+
+
+def _block(solution: SlidingSolution, element: int) -> Array:
+    rows = slice(element * stribeck.SIZE, (element + 1) * stribeck.SIZE)
+    return solution.covariance[rows, rows]
+
+
+def _t_factor(solution: SlidingSolution, element: int) -> float:
+    """Return the ratio of Student's 97.5 % quantile to the normal one.
+
+    The degrees of freedom are Satterthwaite's: with the intraclass correlation of a plateau's blocks each plateau is
+    one observation, with the rest of the variance each block is one.
+    """
+    mine = solution.rows.gain[:, element] != 0.0
+    common = float(solution.common[mine].mean())
+    fitted = int(solution.free[element].sum())
+    plateaus = max(1, len(np.unique(solution.rows.plateau[mine])) - fitted)
+    blocks = max(1, int(mine.sum()) - fitted)
+    freedom = 1.0 / (common**2 / plateaus + (1.0 - common) ** 2 / blocks)
+    return float(student.ppf(0.975, freedom) / student.ppf(0.975, np.inf))
+
+
+def _reason(
+    solution: SlidingSolution,
+    names: Sequence[str],
+    element: int,
+    name: str,
+    estimate: ParameterEstimate,
+    usage: Sequence[BagUse],
+) -> str:
+    """Return why a parameter is not identifiable; empty if it is."""
+    if name in _STRIBECK and not solution.free[element, stribeck.SHAPE].any():
+        speed = np.abs(solution.rows.velocity[solution.rows.gain[:, element] != 0.0, element])
+        lacking = unused_speeds(usage, element, float(speed.min()))
+        slower = f"; what it does at {lacking[0]:.3g} rad/s was recorded, but could not be used" if len(lacking) else ""
+        return f"no Stribeck effect shows at speeds from {speed.min():.3g} to {speed.max():.3g} rad/s{slower}"
+    if estimate.deviation > _MAX_RELATIVE_SD * abs(estimate.value):
+        partner = _partner(solution, names, element, name)
+        size = f"standard deviation {estimate.deviation:.3g} at a value of {estimate.value:.3g}"
+        size += ", as the curve does not fit" * bool(solution.misfit.significant[element])
+        return f"not separable from {partner}: {size}" if partner else size
+    if name in ("omega_s", "delta") and solution.at_bound[element, _FITTED.index(name)]:
+        return f"at the bound of its range, {estimate.value:.3g}"
+    return ""
+
+
+def _partner(solution: SlidingSolution, names: Sequence[str], element: int, name: str) -> str:
+    """Return the parameter, with its element, that this one is fully correlated with, or nothing."""
+    own = element * stribeck.SIZE + _FITTED.index(name)
+    deviation = np.sqrt(np.diag(solution.covariance))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        correlation = np.abs(solution.covariance[own] / (deviation * deviation[own]))
+    correlation[~solution.free.ravel()] = 0.0
+    correlation[own] = 0.0
+    other = int(np.nanargmax(correlation))
+    if not correlation[other] > _MAX_CORRELATION:
+        return ""
+    return f"{_FITTED[other % stribeck.SIZE]} of {names[other // stribeck.SIZE]}"
+
 
 LEAST_SPEEDS = 5
 """Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom.
 
 A viscous exponent takes another speed.
 """
-_SHAPED = np.array([2, 3, 5, 6])  # parameters of the fit that are identifiable by a Stribeck effect only
-_WORTH_A_FIT = 2.0  # standard deviations by which a step from the linear fit moves an exponent
+_STRIBECK_COLUMNS = np.array([2, 3, 5, 6])  # parameters of the fit that are identifiable by a Stribeck effect only
+_MIN_EXPONENT_SCORE = 2.0  # standard deviations by which a step from the linear fit moves an exponent
 _LINE_POINTS = 100
-_RESTS = "does not slide at constant velocity; accepted: sweeps in both directions"
-_SAME_SPEED = 1.1  # ratio of speeds up to which they count as one
+_DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"
+_SAME_SPEED_RATIO = 1.1  # ratio of speeds up to which they count as one
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +187,6 @@ class CurvePoints:
         torque: measured torque less the rigid arm's and the other elements', Nm, shape (p,).
         deviation: standard deviation of its noise, Nm, shape (p,).
         fitted: torque by the identified parameters, Nm, shape (p,).
-        source: number of the record, shape (p,).
         time: in the series, s, shape (p,).
         line: the identified curve over the measured speeds, in either direction: velocity, torque, and the standard
             deviation of the torque that follows from that of the parameters, shape (3, k).
@@ -60,7 +196,6 @@ class CurvePoints:
     torque: Array
     deviation: Array
     fitted: Array
-    source: NDArray[np.int64]
     time: Array
     line: Array
 
@@ -110,19 +245,16 @@ def identify_sliding(
         IdentificationError: for other joints than the arm's; for no sweep; for too few speeds or a single direction of
             a required element, or of all elements; and for torques that do not oppose the motion.
     """
-    for record in records:
-        if record.names != arm.names:
-            raise IdentificationError(
-                f"{record.source}: joints {', '.join(record.names)}; accepted: {', '.join(arm.names)}"
-            )
+    check_joints(records, arm.names)
     for name in required:
         if name not in arm.element_names:
             raise IdentificationError(f"element {quoted(name)}; accepted: {', '.join(arm.element_names)}")
     blocks, usage = find_blocks(records, arm.element_matrix)
     blocks, lacking = _enough(blocks, arm)
     # Where none is left, what an element lacks that moves says more than that another one rests.
-    every = sorted(lacking, key=lambda name: lacking[name] == _RESTS) if len(lacking) == len(arm.element_names) else ()
-    for name in [*required, *every]:
+    none_slides = len(lacking) == len(arm.element_names)
+    unusable = sorted(lacking, key=lambda name: lacking[name] == _DOES_NOT_SLIDE) if none_slides else ()
+    for name in [*required, *unusable]:
         if name in lacking:
             where = ", ".join(str(record.source) for record in records)
             raise IdentificationError(f"{where}: {name} {lacking[name]}")
@@ -172,12 +304,14 @@ def _solution(
     free[:, stribeck.EXPONENT] = False
     linear = fit_curves(rows, free)
     _check_signs(records, arm, linear)
-    linear = _without_flat(rows, linear)
+    linear = _drop_insignificant_stribeck(rows, linear)
     # Most data are linear, and a step from their solution says so for a fraction of a fit.
-    free[:, stribeck.EXPONENT] = slides & _bendable(rows) & (linear.bend > _WORTH_A_FIT)
+    free[:, stribeck.EXPONENT] = (
+        slides & _enough_speeds_for_exponent(rows) & (linear.exponent_score > _MIN_EXPONENT_SCORE)
+    )
     solution = linear
     while free[:, stribeck.EXPONENT].any():
-        solution = _without_flat(rows, fit_curves(rows, free))
+        solution = _drop_insignificant_stribeck(rows, fit_curves(rows, free))
         bent = with_viscous_exponent(solution)
         if (bent == free[:, stribeck.EXPONENT]).all():
             return solution
@@ -185,17 +319,17 @@ def _solution(
     return linear
 
 
-def _without_flat(rows: SlidingRows, solution: SlidingSolution) -> SlidingSolution:
+def _drop_insignificant_stribeck(rows: SlidingRows, solution: SlidingSolution) -> SlidingSolution:
     """Return the solution, fitted again without the Stribeck effects that do not show."""
     flat = without_stribeck(solution)
     if not flat.any():
         return solution
     free = solution.free.copy()
-    free[np.ix_(flat, _SHAPED)] = False
+    free[np.ix_(flat, _STRIBECK_COLUMNS)] = False
     return fit_curves(rows, free)
 
 
-def _bendable(rows: SlidingRows) -> NDArray[np.bool_]:
+def _enough_speeds_for_exponent(rows: SlidingRows) -> NDArray[np.bool_]:
     """Return which elements have a speed more than without a viscous exponent, in each direction, shape (n_el,)."""
     counts = []
     for velocity, gain in zip(rows.velocity.T, rows.gain.T, strict=True):
@@ -223,7 +357,7 @@ def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
         signed = velocity[sliding[:, e], e]
         counts = {sign: _speeds(np.abs(signed[np.sign(signed) == sign])) for sign in (1, -1)}
         if max(counts.values()) == 0:
-            lacking[name] = _RESTS
+            lacking[name] = _DOES_NOT_SLIDE
         elif min(counts.values()) == 0:
             only = "positive" if counts[1] else "negative"
             lacking[name] = f"slides at {only} velocities only; accepted: sweeps in both directions"
@@ -253,7 +387,7 @@ def _speeds(speed: Array) -> int:
     count, least = 0, 0.0
     for value in np.sort(speed):
         if value > least:
-            count, least = count + 1, _SAME_SPEED * float(value)
+            count, least = count + 1, _SAME_SPEED_RATIO * float(value)
     return count
 
 
@@ -267,15 +401,12 @@ def _curve(solution: SlidingSolution, element: int) -> CurvePoints:
     plateau, number = np.unique(rows.plateau[mine], return_inverse=True)
     power = np.bincount(number, gain[mine] ** 2, len(plateau))
     velocity = np.bincount(number, gain[mine] ** 2 * rows.velocity[mine, element], len(plateau)) / power
-    source = np.zeros(len(plateau), dtype=np.int64)
-    source[number] = rows.source[mine]
     time = np.bincount(number, rows.time[mine], len(plateau)) / np.bincount(number, minlength=len(plateau))
     return CurvePoints(
         velocity=velocity,
         torque=np.bincount(number, gain[mine] * left, len(plateau)) / power,
         deviation=np.sqrt(np.bincount(number, (gain * solution.noise)[mine] ** 2, len(plateau))) / power,
         fitted=stribeck.torque(velocity, solution.parameters[element]),
-        source=source,
         time=time,
         line=_line(solution, element, velocity),
     )

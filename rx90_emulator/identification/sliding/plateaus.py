@@ -15,17 +15,17 @@ from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.records.record import JointRecord
 
 _BIN_SAMPLES = 3  # or so many samples: a single one at 67 Hz is all noise
-_RELATIVE = 0.02  # change of velocity that ends a plateau
-_NOISE = 6.0  # or this many standard deviations of a bin's velocity
-_AT_REST = 0.01  # or this part of the fastest joint's velocity: moving joints shake those at rest
-_STEADY = 0.75  # of its mean that a velocity may be off by, however noisy it is: it keeps its sign
-_NOISE_CAP = 0.01  # or this part of the joint's own fastest velocity
-_LEAST_CAP = 3e-3  # rad/s, or this
-_LOCAL = 1.0  # s over which the noise is taken
-_LOCAL_BINS = 10  # or so many bins
-_END = 0.06  # s at the end of a plateau in which the next change of velocity may have begun
-_SMALL_TREND = 0.003  # of the velocity that a plateau may change by
-_CHANCE = 0.01  # probability below which such a change is no accident
+_VELOCITY_CHANGE = 0.02  # change of velocity that ends a plateau
+_NOISE_SD = 6.0  # or this many standard deviations of a bin's velocity
+_REST_SHARE = 0.01  # or this part of the fastest joint's velocity: moving joints shake those at rest
+_MAX_VELOCITY_ERROR = 0.75  # of its mean that a velocity may be off by, however noisy it is: it keeps its sign
+_NOISE_CAP_SHARE = 0.01  # or this part of the joint's own fastest velocity
+_MIN_NOISE_CAP = 3e-3  # rad/s, or this
+_NOISE_WINDOW_S = 1.0  # s over which the noise is taken
+_NOISE_WINDOW_BINS = 10  # or so many bins
+_END_S = 0.06  # s at the end of a plateau in which the next change of velocity may have begun
+_MAX_TREND = 0.003  # of the velocity that a plateau may change by
+_P_VALUE = 0.01  # probability below which such a change is no accident
 
 SCALES = ((0.02, np.inf), (0.1, 0.1), (0.4, 0.025))
 """Times over which velocities are compared, s, with the speed up to which, rad/s: a drive that creeps ripples slowly,
@@ -73,9 +73,9 @@ class Bins:
         first = np.arange(count) * size
         last = np.minimum(first + size, len(time) - 1)
         gap = time[last] - time[first] > 2.0 * size * period
-        span = max(_LOCAL_BINS, round(_LOCAL / (size * period)))
-        end = max(1, round(_END / (size * period)))
-        return cls(size, end, velocity, _NOISE * _noise(velocity, span) + 1e-9, gap)
+        span = max(_NOISE_WINDOW_BINS, round(_NOISE_WINDOW_S / (size * period)))
+        end = max(1, round(_END_S / (size * period)))
+        return cls(size, end, velocity, _NOISE_SD * _noise(velocity, span) + 1e-9, gap)
 
 
 def _noise(velocity: Array, span: int) -> Array:
@@ -97,11 +97,13 @@ def plateau_ranges(bins: Bins, fastest: Array) -> list[tuple[int, int]]:
         fastest: velocity of each joint in the whole record, rad/s, shape (n,).
     """
     number = np.empty(len(bins.velocity), dtype=np.int64)
-    floor = np.maximum(_NOISE_CAP * fastest, _LEAST_CAP)
+    floor = np.maximum(_NOISE_CAP_SHARE * fastest, _MIN_NOISE_CAP)
     # Slow ripple hardly shows in third differences; jumps show it, and accelerations, too, hence the limit.
-    jumps = _NOISE * 1.4826 / np.sqrt(2.0) * np.median(np.abs(np.diff(bins.velocity, axis=0)), axis=0)
+    jumps = _NOISE_SD * 1.4826 / np.sqrt(2.0) * np.median(np.abs(np.diff(bins.velocity, axis=0)), axis=0)
     tolerance = np.maximum(bins.tolerance, np.minimum(jumps, floor))
-    _number_plateaus(bins.velocity, tolerance, bins.gap, floor, (_RELATIVE, _AT_REST, _STEADY), number)
+    _number_plateaus(
+        bins.velocity, tolerance, bins.gap, floor, (_VELOCITY_CHANGE, _REST_SHARE, _MAX_VELOCITY_ERROR), number
+    )
     edges = np.flatnonzero(np.diff(number, prepend=-1, append=number[-1] + 1))
     # The first bin and the last ones may hold a part of a change of velocity.
     cut = [(int(start + 1), int(stop - bins.end)) for start, stop in pairwise(edges)]
@@ -164,4 +166,4 @@ def accelerates(velocity: Array, moving: NDArray[np.bool_]) -> bool:
     explained = np.sum((fitted - mean) ** 2, axis=0) / 2.0
     chance = fdtrc(2.0, free, explained / power * free)
     change = np.ptp(fitted, axis=0)
-    return bool(np.any(moving & (change > _SMALL_TREND * np.abs(mean)) & (chance < _CHANCE)))
+    return bool(np.any(moving & (change > _MAX_TREND * np.abs(mean)) & (chance < _P_VALUE)))

@@ -1,4 +1,10 @@
-"""Goodness of the sliding fit, element by element, in figures and in words."""
+"""How well the curves of the sliding fit go through the plateaus: misfit over the speeds, drift over the series.
+
+A random effect takes what the blocks of a plateau share as accidental. Where a curve of the model's form does not go
+through the data, the errors of plateaus at neighbouring speeds have one sign, and the estimates are off by more than
+independent errors say. How much shows when bands of speeds are left out in turn. Drift of the friction, as by
+temperature, is a trend of the residuals over the series; its test takes their autocorrelation into account.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +13,237 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.special import stdtrit
 
-from rx90_common.base.arrays import Array
-from rx90_emulator.identification.sliding.drift import FALSE_ALARMS, Drift
-from rx90_emulator.identification.sliding.misfit import Misfit
+from rx90_common.base.arrays import Array, Mask
+from rx90_emulator.identification.sliding.equations import SlidingRows, Weights
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Residuals of r equations of unit noise, in c plateaus.
+
+    Attributes:
+        left: residuals, shape (r,).
+        slope: derivatives by the q free parameters, nuisance parameters eliminated, shape (r, q).
+        gain: of the elements' torques along their motion, nuisance parameters eliminated, shape (r, n_el).
+        plateau: number of each equation's plateau, 0 to c - 1, shape (r,).
+        velocity: of the elements, 0 where they do not slide, rad/s, shape (c, n_el).
+        along: residual torque of each element along its motion, standard deviation 1, shape (c, n_el).
+        time: s, shape (c,).
+    """
+
+    left: Array
+    slope: Array
+    gain: Array
+    plateau: NDArray[np.int64]
+    velocity: Array
+    along: Array
+    time: Array
+
+    @classmethod
+    def of(cls, rows: SlidingRows, weights: Weights, residual: Array, slope: Array) -> Residuals:
+        """Return what a fit leaves.
+
+        Args:
+            rows: the equations.
+            weights: of the fit.
+            residual: of the equations, shape (r,).
+            slope: derivatives of the equations by the free parameters, shape (r, q).
+        """
+        operator = weights.operator()
+        left = np.asarray(operator @ residual)
+        number = np.asarray(np.unique(rows.plateau, return_inverse=True)[1], dtype=np.int64)
+        count = int(number.max()) + 1
+        gather = csr_array((np.ones(len(rows)), (number, np.arange(len(rows)))), shape=(count, len(rows)))
+        slides = rows.gain != 0.0
+        shared = np.maximum(np.asarray(gather @ slides.astype(np.float64)), 1.0)
+        gain = np.asarray(operator @ (np.sign(rows.velocity) * rows.gain))
+        along = np.asarray(gather @ (gain * left[:, None])) / np.sqrt(np.maximum(gather @ gain**2, 1e-300))
+        nuisance = operator @ rows.nuisance
+        basis = np.linalg.qr(np.vstack([nuisance, np.eye(nuisance.shape[1])]))[0][: len(left)]
+        both = np.hstack([np.asarray(operator @ slope), gain])
+        both = both - basis @ (basis.T @ both)
+        return cls(
+            left=left,
+            slope=both[:, : slope.shape[1]],
+            gain=both[:, slope.shape[1] :],
+            plateau=number,
+            velocity=np.asarray(gather @ (rows.velocity * slides)) / shared,
+            along=along,
+            time=np.asarray(gather @ rows.time) / np.bincount(number),
+        )
+
+
+_CORRELATION_LENGTH = 1.0  # of ln |speed| over which errors hang together: a factor of e
+_SAME_SPEED = 0.1  # of ln |speed| below which ripple of one speed may be the reason, which has a factor of its own
+_BAND_WIDTH = 1.0  # of ln |speed|, within which errors are taken as one
+_MAX_LEVERAGE = 0.9  # of a band: without it a parameter would not be determined
+_SCATTER_NEIGHBOURS = 4  # residuals on either side by which the scatter is judged
+_MISFIT_SD = 3.0  # standard deviations of the sum of products of neighbouring residuals
+
+
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """What residuals say of the curves' form.
+
+    Attributes:
+        agreement: of the residuals at neighbouring speeds of each element, in standard deviations of what independent
+            ones show, shape (n_el,).
+        widening: factor on the variance of each parameter because of it, 1 without a misfit, shape (n_el, p).
+    """
+
+    agreement: Array
+    widening: Array
+
+    @property
+    def significant(self) -> Mask:
+        """Return which elements' curves do not fit, shape (n_el,)."""
+        return np.asarray(self.agreement > _MISFIT_SD)
+
+    @classmethod
+    def of(cls, residuals: Residuals, free: Mask, covariance: Array) -> Misfit:
+        """Judge the residuals of a fit.
+
+        Args:
+            residuals: of the fit.
+            free: which parameters of the elements were fitted, shape (n_el, p).
+            covariance: of the free parameters with independent plateaus, shape (q, q).
+        """
+        agreement, widening = np.zeros(len(free)), np.ones(free.shape)
+        column = np.cumsum(free.ravel()).reshape(free.shape) - 1
+        for e in np.flatnonzero(free.any(axis=1)).tolist():
+            velocity = residuals.velocity[:, e]
+            mine = np.flatnonzero(velocity)
+            speed = np.log(np.abs(velocity[mine]))
+            along = residuals.along[mine, e]
+            scatter = _scatter(along, np.argsort(speed))
+            agreement[e] = _agreement(along / scatter, np.abs(speed[:, None] - speed))
+            if agreement[e] > _MISFIT_SD:
+                band = np.full(len(velocity), -1)
+                band[mine] = np.floor((speed - speed.min()) / _BAND_WIDTH)
+                variance = _jackknife(residuals.slope, residuals.left, band[residuals.plateau], covariance)
+                chosen = column[e, free[e]]
+                widening[e, free[e]] = np.maximum(1.0, variance[chosen] / np.diag(covariance)[chosen])
+        return cls(agreement, widening)
+
+
+def _jackknife(slope: Array, left: Array, band: NDArray[np.int64], covariance: Array) -> Array:
+    """Return the variances of the parameters by how they change when each band of speeds is left out, shape (q,).
+
+    That is the jackknife over groups, for a linear model the cluster-robust CR3 (Bell and McCaffrey 2002).
+
+    Args:
+        slope: derivatives of the equations of unit noise, shape (r, q).
+        left: their residuals, shape (r,).
+        band: number of the band of each equation, -1 for none, shape (r,).
+        covariance: of the parameters with independent errors, shape (q, q).
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    scaled = slope @ root
+    numbers = np.unique(band[band >= 0])
+    total = np.zeros(len(covariance))
+    for number in numbers.tolist():
+        part = scaled[band == number]
+        leverage, directions = np.linalg.eigh(part.T @ part)
+        pull = directions.T @ (part.T @ left[band == number])
+        change = root @ (directions @ (pull / (1.0 - np.minimum(leverage, _MAX_LEVERAGE))))
+        with np.errstate(over="ignore"):  # what becomes infinite is not identifiable
+            total += change**2
+    return np.asarray(total * (len(numbers) - 1) / max(len(numbers), 1))
+
+
+def _scatter(residual: Array, order: NDArray[np.intp]) -> Array:
+    """Return the standard deviation of each residual by its differences from its neighbours, which share a misfit."""
+    if len(residual) < 3:
+        return np.ones(len(residual))
+    squares = np.diff(residual[order]) ** 2 / 2.0
+    window = np.ones(min(2 * _SCATTER_NEIGHBOURS, len(squares)))
+    usual = np.convolve(squares, window, "same") / np.convolve(np.ones(len(squares)), window, "same")
+    local = np.empty(len(residual))
+    local[order] = np.sqrt(np.maximum(np.append(usual, usual[-1]), 1e-6 * squares.mean() + 1e-300))
+    return local
+
+
+def _agreement(residual: Array, distance: Array) -> float:
+    """Return how many standard deviations neighbouring residuals agree more than independent ones."""
+    kernel = np.triu(np.maximum(0.0, 1.0 - distance / _CORRELATION_LENGTH) * (distance > _SAME_SPEED), 1)
+    spread = float(np.sqrt(residual**2 @ kernel**2 @ residual**2))
+    return float(residual @ kernel @ residual) / spread if spread > 0.0 else 0.0
+
+
+FALSE_ALARMS = 0.01
+"""Probability that drift is claimed in a series without any, of all elements together."""
+_MIN_PLATEAUS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """Change of the elements' friction torque along their motion, from the beginning of a series to its end.
+
+    Attributes:
+        size: Nm, shape (n_el,); NaN where too few plateaus tell.
+        deviation: standard deviation, with the first autocorrelation of the plateaus, Nm, shape (n_el,).
+        significant: whether it is no accident, shape (n_el,).
+        seconds: from the first to the last plateau of the element, s, shape (n_el,).
+    """
+
+    size: Array
+    deviation: Array
+    significant: Mask
+    seconds: Array
+
+    @classmethod
+    def of(cls, residuals: Residuals, free: Mask) -> Drift:
+        """Test the residuals of a fit for a trend.
+
+        Args:
+            residuals: of the fit.
+            free: which parameters of the elements were fitted, shape (n_el, p).
+        """
+        elements = len(free)
+        size, deviation, seconds = (np.full(elements, np.nan) for _ in range(3))
+        significant = np.zeros(elements, dtype=np.bool_)
+        fitted = np.flatnonzero(free.any(axis=1))
+        basis = np.linalg.qr(residuals.slope)[0]
+        quantile = 1.0 - 0.5 * FALSE_ALARMS / max(1, len(fitted))
+        for e in fitted.tolist():
+            mine = np.flatnonzero(residuals.velocity[:, e])
+            time = residuals.time[mine]
+            count, span = len(mine), float(np.ptp(time))
+            if count < max(_MIN_PLATEAUS, 2 * int(free[e].sum())) or span == 0.0:
+                continue
+            at = (residuals.time - time.mean()) / span
+            trend = residuals.gain[:, e] * at[residuals.plateau]
+            trend = trend - basis @ (basis.T @ trend)
+            power = float(trend @ trend)
+            if power < 1e-9:
+                continue
+            size[e], seconds[e] = trend @ residuals.left / power, span
+            left = residuals.left - size[e] * trend
+            weight = np.zeros((2, len(residuals.time)))
+            np.add.at(weight[0], residuals.plateau, residuals.gain[:, e] * left)
+            np.add.at(weight[1], residuals.plateau, residuals.gain[:, e] ** 2)
+            order = mine[np.argsort(time, kind="stable")]
+            correlation = _autocorrelation(weight[0, order] / np.sqrt(np.maximum(weight[1, order], 1e-300)))
+            effective = count * (1.0 - correlation) / (1.0 + correlation)
+            freedom = max(1.0, effective - 1.0 - int(free[e].sum()) / 2.0)
+            variance = float(np.sum(weight[0, mine] ** 2 / np.maximum(weight[1, mine], 1e-300))) / count
+            deviation[e] = np.sqrt(max(variance, 1.0) * count / freedom / power)
+            critical = float(stdtrit(freedom, quantile))
+            significant[e] = abs(size[e]) > critical * deviation[e]
+        return cls(size, deviation, significant, seconds)
+
+
+def _autocorrelation(residual: Array) -> float:
+    """Return the first autocorrelation; what a fitted level and trend take from it is given back (Kendall 1954)."""
+    count = len(residual)
+    found = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
+    return min(max((count * found + 2.0) / (count - 4), 0.0), 0.95)
+
 
 _BANDS = 6
 """Bands of speed, as wide as each other in the logarithm, by which residuals are told."""
@@ -25,8 +258,7 @@ class FitQuality:
         share: of it in the RMS friction torque.
         chi2: sum of the squared residuals over those of the blocks' noise, for each degree of freedom; 1 where nothing
             but that noise is left.
-        bands: slowest and fastest speed, rad/s, mean residual along the motion, and its standard deviation by the
-            scatter of the plateaus, Nm, number of plateaus; shape (k, 5).
+        bands: slowest and fastest speed, rad/s, mean residual along the motion, Nm; shape (k, 3).
         agreement: of residuals at neighbouring speeds, in standard deviations.
         misfit: whether that is no accident.
         widening: largest factor on a deviation because of it.
@@ -93,7 +325,7 @@ class FitQuality:
         text = f"fit of {name}: residual {self.rms:.3g} Nm RMS, {self.share:.2%} of its friction, chi2 {self.chi2:.3g}"
         text += " per degree of freedom"
         if self.misfit:
-            by_speed = ", ".join(f"{low:.3g}-{high:.3g}: {mean:+.2g}" for low, high, mean, _, _ in self.bands.tolist())
+            by_speed = ", ".join(f"{low:.3g}-{high:.3g}: {mean:+.2g}" for low, high, mean in self.bands.tolist())
             text += (
                 f"; the curve does NOT FIT: residuals at neighbouring speeds agree by {self.agreement:.1f} standard "
                 f"deviations, which makes deviations up to {self.widening:.1f} times wider; residual by speed, Nm at "
@@ -109,7 +341,7 @@ class FitQuality:
             "share": _digits(self.share),
             "chi2_per_degree_of_freedom": _digits(self.chi2),
             "misfit": self.misfit,
-            "residual_by_speed": [[_digits(value) for value in band[:3]] for band in self.bands.tolist()],
+            "residual_by_speed": [[_digits(value) for value in band] for band in self.bands.tolist()],
         }
         if not math.isnan(self.drift):
             found["drift"] = {
@@ -138,14 +370,9 @@ def _digits(value: float) -> float:
 
 
 def _bands(speed: Array, along: Array) -> Array:
-    """Return bands of speed with mean residual, its deviation and the number of plateaus, shape (k, 5)."""
+    """Return slowest and fastest speed and mean residual of bands of speed, shape (k, 3)."""
     place = np.log(speed)
     width = max(float(np.ptp(place)), 1e-9) / _BANDS
     number = np.minimum(((place - place.min()) / width).astype(np.int64), _BANDS - 1)
-    rows = []
-    for k in np.unique(number).tolist():
-        mine = along[number == k]
-        scatter = float(mine.std(ddof=1)) / math.sqrt(len(mine)) if len(mine) > 1 else math.nan
-        inside = speed[number == k]
-        rows.append((float(inside.min()), float(inside.max()), float(mine.mean()), scatter, float(len(mine))))
-    return np.array(rows)
+    inside = [number == k for k in np.unique(number).tolist()]
+    return np.array([(speed[one].min(), speed[one].max(), along[one].mean()) for one in inside])

@@ -10,20 +10,22 @@ from scipy.optimize import least_squares, lsq_linear
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.friction.parameters import ALPHA_BOUNDS
 from rx90_emulator.identification.sliding import stribeck
-from rx90_emulator.identification.sliding.drift import Drift
-from rx90_emulator.identification.sliding.misfit import Misfit
-from rx90_emulator.identification.sliding.normal_equations import NormalForm, PlateauTorques
-from rx90_emulator.identification.sliding.residuals import Residuals
-from rx90_emulator.identification.sliding.rows import SlidingRows
-from rx90_emulator.identification.sliding.weights import Weights, speed_design_effect
+from rx90_emulator.identification.sliding.equations import (
+    NormalForm,
+    PlateauTorques,
+    SlidingRows,
+    Weights,
+    speed_design_effect,
+)
+from rx90_emulator.identification.sliding.quality import Drift, Misfit, Residuals
 
-_ROUNDS = 4  # of iteratively reweighted least squares
+_REWEIGHTINGS = 4  # of iteratively reweighted least squares
 _DELTA_RANGE = (0.2, 5.0)
 _STARTS = ((0.3, 1.0), (0.1, 1.0), (0.03, 1.0), (0.1, 2.0), (0.3, 2.0))
 """Starts: omega_s as the squared share of the range of ln omega_s from its lower bound, and delta."""
 _ALPHA_START = 0.8
-_AT_BOUND = 1e-3  # Nm, or of a logarithm
-_TIE = 10.0  # weight of an exact equation over that of the data
+_BOUND_MARGIN = 1e-3  # Nm, or of a logarithm
+_TIE_WEIGHT = 10.0  # weight of an exact equation over that of the data
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +42,8 @@ class SlidingSolution:
         at_bound: free parameters that lie on a bound, shape (n_el, 8).
         noise: standard deviation of each row over the one that it was scaled by, shape (r,).
         common: intraclass correlation: share of the variance of a plateau's mean that its blocks share, shape (r,).
-        bend: by how many standard deviations a Gauss-Newton step moves each element's exponent from 1, shape (n_el,);
-            0 where it is free already.
+        exponent_score: by how many standard deviations a Gauss-Newton step moves each element's exponent from 1,
+            shape (n_el,); 0 where it is free already.
         design_effect: Kish's factor on the variance because plateaus at one speed err together, shape (r,).
         misfit: whether the curves fit, and how much wider that makes the variances.
         drift: of the elements' friction over the series.
@@ -56,7 +58,7 @@ class SlidingSolution:
     at_bound: Mask
     noise: Array
     common: Array
-    bend: Array
+    exponent_score: Array
     design_effect: Array
     misfit: Misfit
     drift: Drift
@@ -76,7 +78,7 @@ def fit_curves(rows: SlidingRows, free: Mask) -> SlidingSolution:
     weights = Weights.equal(rows)
     form = NormalForm.of(rows, design, weights)
     parameters = fit.from_many_starts(form)
-    for _ in range(_ROUNDS):
+    for _ in range(_REWEIGHTINGS):
         friction = fit.torques(parameters)
         residual = rows.value - design @ friction - rows.nuisance @ form.nuisance(friction)
         slope = weights.means(design @ fit.slope(parameters))
@@ -85,7 +87,7 @@ def fit_curves(rows: SlidingRows, free: Mask) -> SlidingSolution:
         form = NormalForm.of(rows, design, weights)
         parameters = fit.run(form, parameters)
     covariance = fit.covariance(form, parameters)
-    at_bound = free & (np.minimum(parameters - fit.lower, fit.upper - parameters) < _AT_BOUND)
+    at_bound = free & (np.minimum(parameters - fit.lower, fit.upper - parameters) < _BOUND_MARGIN)
     friction = fit.torques(parameters)
     nuisance = form.nuisance(friction)
     residual = rows.value - design @ friction - rows.nuisance @ nuisance
@@ -103,7 +105,7 @@ def fit_curves(rows: SlidingRows, free: Mask) -> SlidingSolution:
         at_bound=at_bound,
         noise=1.0 / weights.factor,
         common=common,
-        bend=fit.bend(form, parameters),
+        exponent_score=fit.exponent_score(form, parameters),
         design_effect=speed_design_effect(rows, weights, residual),
         misfit=Misfit.of(residuals, free, covariance[np.ix_(chosen, chosen)]),
         drift=Drift.of(residuals, free),
@@ -146,7 +148,7 @@ class _CurveFit:
             result[columns] = stribeck.torque(self._velocity[columns], values)
         return result
 
-    def bend(self, form: NormalForm, parameters: Array) -> Array:
+    def exponent_score(self, form: NormalForm, parameters: Array) -> Array:
         """Return how far, in standard deviations, a Gauss-Newton step moves each exponent from 1, shape (n_el,)."""
         exponent = np.zeros_like(self._free)
         exponent[:, stribeck.EXPONENT] = self._free[:, stribeck.VISCOUS] & ~self._free[:, stribeck.EXPONENT]
@@ -254,6 +256,6 @@ class _CurveFit:
         coupled = [e for e in range(self._joints, len(self._free)) if self._free[e, 0]]
         ties = np.zeros((len(coupled), int(self._free.sum())))
         for row, e in zip(ties, coupled, strict=True):
-            scale = _TIE * float(np.linalg.norm(form.root[:, self._columns[e]]))
+            scale = _TIE_WEIGHT * float(np.linalg.norm(form.root[:, self._columns[e]]))
             row[column[e, 0]], row[column[e, 1]] = scale, -scale
         return ties

@@ -22,21 +22,21 @@ from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.model.zeros import QUARTERS, SMALLEST, ZeroCheck, encoder_error
 from rx90_emulator.identification.records.record import JointRecord
 
-_KNOWN = 0.2  # of a link's mass, first moment and inertia: standard deviation of the URDF's values
-_LEAST_ARM = 0.05  # m: distance of a link's centre of mass that is not known better than this, times _KNOWN
-_BETTER = 36.0  # by which a quarter turn must lower chi squared: six standard deviations
-_SURE = 5.0  # standard deviations from which a small error is one
-_LARGEST = 0.4  # rad: up to which the derivative is good for the torque
-_PRIOR = 1.0  # rad, standard deviation of a zero of which nothing is known
-_UNKNOWN = 0.5  # of it, from which the torques tell nothing of a zero
+_INERTIAL_PRIOR_SD = 0.2  # of a link's mass, first moment and inertia: standard deviation of the URDF's values
+_MIN_LEVER = 0.05  # m: distance of a link's centre of mass that is not known better than this, times _INERTIAL_PRIOR_SD
+_CHI2_DROP = 36.0  # by which a quarter turn must lower chi squared: six standard deviations
+_SIGNIFICANT_SD = 5.0  # standard deviations from which a small error is one
+_MAX_SMALL_ERROR = 0.4  # rad: up to which the derivative is good for the torque
+_ZERO_PRIOR_SD = 1.0  # rad, standard deviation of a zero of which nothing is known
+_UNINFORMATIVE_SHARE = 0.5  # of it, from which the torques tell nothing of a zero
 _ROUNDS = 3  # of weights, and of Gauss and Newton
-_INSTANTS = 400  # that are looked at, at most, evenly taken from all
-_EVERY = 5  # of them is enough to rule out most turns
-_MEAN_TIME = 0.05  # s over which a run is averaged
-_TOGETHER = 1.0  # s within which the errors of a run are taken as one
-_SLIDES = 0.02  # rad/s from which an element slides
-_FLOOR = 3e-3  # of the torque's RMS: no joint is told better, for stamps, gears and geometry are not
-_CURVES = (0.02, 0.15)  # decay of Stribeck-like columns over the fastest speed
+_MAX_INSTANTS = 400  # that are looked at, at most, evenly taken from all
+_SCREENING_STRIDE = 5  # of them is enough to rule out most turns
+_MEAN_S = 0.05  # s over which a run is averaged
+_CLUSTER_S = 1.0  # s within which the errors of a run are taken as one
+_SLIDING_SPEED = 0.02  # rad/s from which an element slides
+_MIN_TORQUE_SD = 3e-3  # of the torque's RMS: no joint is told better, for stamps, gears and geometry are not
+_DECAY_SHARES = (0.02, 0.15)  # decay of Stribeck-like columns over the fastest speed
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +56,9 @@ class Instants:
     known: Mask
     block: NDArray[np.int64]
 
-    def some(self) -> Instants:
+    def thinned(self) -> Instants:
         """Return no more of them than are needed."""
-        rows = np.arange(0, len(self.torque), max(1, math.ceil(len(self.torque) / _INSTANTS)))
+        rows = np.arange(0, len(self.torque), max(1, math.ceil(len(self.torque) / _MAX_INSTANTS)))
         return Instants(**{name: values[rows] for name, values in vars(self).items()})
 
 
@@ -70,7 +70,7 @@ def record_instants(record: JointRecord, arm: RigidArm) -> Instants:
         arm: of the same joints.
     """
     period = float(np.median(np.diff(record.time)))
-    size = max(1, round(_MEAN_TIME / period))
+    size = max(1, round(_MEAN_S / period))
     count = len(record.time) // size
 
     def parts(values: Array) -> Array:
@@ -79,7 +79,7 @@ def record_instants(record: JointRecord, arm: RigidArm) -> Instants:
     time = parts(record.time)[:, :, 0].mean(axis=1)
     velocity = parts(record.velocity).mean(axis=1)
     inputs = parts(record.velocity @ arm.element_matrix.T)
-    slides = np.abs(inputs).min(axis=1) > _SLIDES
+    slides = np.abs(inputs).min(axis=1) > _SLIDING_SPEED
     slides &= np.abs(np.sign(inputs).sum(axis=1)) == size
     return Instants(
         position=parts(record.position).mean(axis=1),
@@ -87,7 +87,7 @@ def record_instants(record: JointRecord, arm: RigidArm) -> Instants:
         acceleration=np.gradient(velocity, time, axis=0),
         torque=parts(record.torque).mean(axis=1),
         known=known_joints(slides, arm.element_matrix),
-        block=np.floor((time - time[0]) / _TOGETHER).astype(np.int64),
+        block=np.floor((time - time[0]) / _CLUSTER_S).astype(np.int64),
     )
 
 
@@ -105,15 +105,15 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
         zero: recorded angles where those of the URDF are 0, rad, shape (n,); by default 0.
     """
     n = len(arm.names)
-    search = _Search(instants.some(), arm)
+    search = _Search(instants.thinned(), arm)
     shift = np.zeros(n)
     for _ in range(n):
-        turned = search.turned(shift)
-        if turned is None:
+        found = search.quarter_turned(shift)
+        if found is None:
             break
-        shift = turned
+        shift = found
     small, deviation = search.small(shift)
-    sure = (np.abs(small) > np.maximum(SMALLEST, _SURE * deviation)) & (np.abs(small) < _LARGEST)
+    sure = (np.abs(small) > np.maximum(SMALLEST, _SIGNIFICANT_SD * deviation)) & (np.abs(small) < _MAX_SMALL_ERROR)
     better = shift + np.where(sure, small, 0.0)
     usual = math.sqrt(max(search.power, 1e-300))
     before, after = search.left(np.zeros(n)), search.left(better)
@@ -124,7 +124,7 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
         np.zeros(n) if zero is None else zero,
         encoder_error(better),
         deviation,
-        deviation < _UNKNOWN * _PRIOR,
+        deviation < _UNINFORMATIVE_SHARE * _ZERO_PRIOR_SD,
         before / usual,
         after / usual,
     )
@@ -150,7 +150,7 @@ class _Search:
         residual = self._fit(shift)[1]
         return float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0
 
-    def turned(self, start: Array) -> Array | None:
+    def quarter_turned(self, start: Array) -> Array | None:
         """Return the angles with the quarter turn of a joint that explains the torques clearly better; None without."""
         weight = self._weight(start)
         one = np.eye(len(start))
@@ -163,7 +163,7 @@ class _Search:
             best = self._best(trials, weight) if trials else start
             # By the scatter that the better one leaves: with wrong angles all of it passes for noise.
             sharp = self._weight(best)
-            if self._fit(start, sharp)[2] - self._fit(best, sharp)[2] > _BETTER:
+            if self._fit(start, sharp)[2] - self._fit(best, sharp)[2] > _CHI2_DROP:
                 return best
         return None
 
@@ -173,7 +173,7 @@ class _Search:
         Fitted to all instants are only those that some of them do not rule out: the least squares of some equations are
         never more than those of all.
         """
-        at_least = [self._fit(shift, weight, every=_EVERY)[2] for shift in trials]
+        at_least = [self._fit(shift, weight, every=_SCREENING_STRIDE)[2] for shift in trials]
         best, least = trials[0], math.inf
         for k in np.argsort(at_least).tolist():
             if at_least[k] >= least:
@@ -186,7 +186,7 @@ class _Search:
     def small(self, start: Array) -> tuple[Array, Array]:
         """Return small errors beside quarter turns and their standard deviations, rad, each shape (n,)."""
         shift, weight = np.zeros(len(start)), self._weight(start)
-        deviation = np.full(len(start), _PRIOR)
+        deviation = np.full(len(start), _ZERO_PRIOR_SD)
         for _ in range(_ROUNDS):
             slopes = self._slopes(start + shift, weight)
             values, residual, _, covariance = self._fit(start + shift, weight, slopes, shift)
@@ -215,7 +215,7 @@ class _Search:
         together = np.bincount(owner, sums**2, joints)
         count = np.bincount(self._joint, minlength=joints)
         power = np.maximum(squares, together) / np.maximum(count, 1)
-        return np.asarray(1.0 / np.sqrt(np.maximum(power, _FLOOR**2 * self.power + 1e-18))[self._joint])
+        return np.asarray(1.0 / np.sqrt(np.maximum(power, _MIN_TORQUE_SD**2 * self.power + 1e-18))[self._joint])
 
     def _fit(
         self,
@@ -232,10 +232,10 @@ class _Search:
         zeros = np.zeros((len(target), 0)) if slopes is None else slopes
         columns = np.hstack([self._friction[kept], regressor, zeros])
         first, size = self._friction.shape[1], columns.shape[1]
-        prior = np.r_[np.full(first, 1e-6), np.ones(regressor.shape[1]), np.full(zeros.shape[1], 1.0 / _PRIOR)]
+        prior = np.r_[np.full(first, 1e-6), np.ones(regressor.shape[1]), np.full(zeros.shape[1], 1.0 / _ZERO_PRIOR_SD)]
         wanted = np.zeros(size)
         if error is not None:
-            wanted[-len(error) :] = -error / _PRIOR
+            wanted[-len(error) :] = -error / _ZERO_PRIOR_SD
         matrix = np.vstack([columns * weight[:, None], np.diag(prior)])
         right = np.concatenate([target * weight, wanted])
         covariance = _inverse(matrix.T @ matrix)
@@ -280,7 +280,7 @@ def _friction(velocity: Array, elements: Array) -> Array:
         (inputs > 0.0).astype(np.float64),
         (inputs < 0.0).astype(np.float64),
         inputs / fastest,
-        *(np.sign(inputs) * np.exp(-np.abs(inputs) / (share * fastest)) for share in _CURVES),
+        *(np.sign(inputs) * np.exp(-np.abs(inputs) / (share * fastest)) for share in _DECAY_SHARES),
     ]
     return np.concatenate([shape[:, None, :] * elements.T for shape in shapes], axis=2)
 
@@ -289,7 +289,7 @@ def _uncertainty(arm: RigidArm) -> Array:
     """Return the standard deviations of the URDF's inertial parameters, shape (10 n,), SI units."""
     parts = []
     for body in list(arm.model.inertias)[1:]:
-        lever = math.hypot(float(np.linalg.norm(body.lever)), _LEAST_ARM)
+        lever = math.hypot(float(np.linalg.norm(body.lever)), _MIN_LEVER)
         inertia = float(np.trace(np.asarray(body.inertia))) + body.mass * lever**2
-        parts.append(_KNOWN * np.r_[body.mass, np.full(3, body.mass * lever), np.full(6, inertia)])
+        parts.append(_INERTIAL_PRIOR_SD * np.r_[body.mass, np.full(3, body.mass * lever), np.full(6, inertia)])
     return np.concatenate(parts)

@@ -28,7 +28,7 @@ from rx90_common.description.urdf import JOINT_COUNT
 from rx90_common.description.wrist import coupling_matrix
 from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES, SAMPLED
 from rx90_emulator.identification.records.layout import BagLayout
-from rx90_emulator.measured.options import MeasuredLayout
+from rx90_emulator.identification.validation.options import MeasuredLayout
 from rx90_emulator.view.bags.track import Track
 
 _FRICTION, _REFERENCE = "friction_states", "reference"

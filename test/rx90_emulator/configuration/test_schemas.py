@@ -33,7 +33,7 @@ TOGETHER = re.compile(
 )
 """What is refused because of several values together, or of one in a list of unlike ones: no schema says that."""
 ELSEWHERE = {"rx90_common.bags.storage", "rx90_controller.node.parameters", "rx90_common.description.provenance"}
-ELSEWHERE |= {"rx90_emulator.identification.output.robot.folder"}
+ELSEWHERE |= {"rx90_emulator.identification.output.robot_files"}
 
 
 @pytest.fixture(scope="module")

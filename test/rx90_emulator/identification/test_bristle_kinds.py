@@ -16,25 +16,27 @@ from benchmarks.friction_mass import led
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.output.friction_file import friction_text
-from rx90_emulator.identification.presliding import element_kinds
-from rx90_emulator.identification.presliding.element_kinds import choose_kinds, kind_steps
-from rx90_emulator.identification.presliding.fit import MovedGroup, PreslidingFit
+from rx90_emulator.identification.presliding import kinds as kinds_module
+from rx90_emulator.identification.presliding.fit import PreslidingFit
 from rx90_emulator.identification.presliding.group_model import JointGroup
 from rx90_emulator.identification.presliding.kind_fit import KindFit
-from rx90_emulator.identification.presliding.kind_model import KindFamily, KindMotion
+from rx90_emulator.identification.presliding.kind_model import KindFamily, KindMotion, MovedGroup
 from rx90_emulator.identification.presliding.kinds import (
     KindChoice,
     KindTrial,
+    choose_kinds,
     choose_kinds_of,
     jackknife_estimates,
+    kind_steps,
     steps_of,
 )
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion
 from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.result.identification import FrictionIdentification, IdentifiedElement
+from rx90_emulator.identification.result.identification import IdentifiedElement
 from rx90_emulator.identification.sliding.fit import SlidingFit
 
 ELEMENT = FrictionElement(25.0, 25.0, 28.0, 28.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
@@ -133,7 +135,7 @@ def test_where_the_data_cannot_tell_the_file_has_lugre_and_says_so(
     hinge: RigidArm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Motions far below break-away, where every kind is a spring, leave LuGre's bristles and name what is left."""
-    monkeypatch.setattr(element_kinds, "FAMILIES", FAMILIES)
+    monkeypatch.setattr(kinds_module, "FAMILIES", FAMILIES)
     seen: list[str] = []
     kinds = choose_kinds(presliding((0.06, 0.05, 0.04), 0.5), hinge, seen.append)
     assert len(seen) == kind_steps(hinge) == len(FAMILIES)
@@ -166,7 +168,7 @@ def test_blocks_that_slip_beyond_the_motion_are_not_told(
     seen = (np.zeros(2), np.zeros(2))
     others = KindTrial(replace(fit, family=FAMILIES[0]), seen, {}, 0.1, 9.0)
     choice = KindChoice((KindTrial(fit, seen, {}, 0.01, 0.0), others), np.array([0.0, 4e-4]))
-    monkeypatch.setattr(element_kinds, "choose_kinds_of", lambda *_: [choice])
+    monkeypatch.setattr(kinds_module, "choose_kinds_of", lambda *_: [choice])
     (kind,) = choose_kinds(presliding((1.1, 0.8, 0.5), 0.2), hinge)
     reach = 0.5 * (1.0 + np.exp(softer)) * 25.0 / 1e5
     assert fit.reach == pytest.approx(reach)

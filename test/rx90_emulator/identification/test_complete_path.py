@@ -21,11 +21,11 @@ from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO, Iden
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments import job as experiments_job
-from rx90_emulator.identification.experiments.engine import run_on_engine
-from rx90_emulator.identification.experiments.excitation import job as excitation_job
+from rx90_emulator.identification.experiments.excitation import table as excitation_table
 from rx90_emulator.identification.experiments.excitation.design import plan_excitation
 from rx90_emulator.identification.experiments.excitation.options import ExcitationOptions
 from rx90_emulator.identification.experiments.folder import read_emulated, read_index
+from rx90_emulator.identification.experiments.job import run_on_engine
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, PlanOptions, make_plan
 from rx90_emulator.identification.identify import identify_friction
@@ -192,9 +192,9 @@ def test_experiments_run_on_the_real_nodes(
     cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=0.0")
     planned, cut = tmp_path / "planned", tmp_path / "cut"
     # The run for the validation, which the command always adds, is recorded like the one before it.
-    plan = excitation_job.plan_with_progress
+    plan = excitation_table.plan_with_progress
     monkeypatch.setattr(
-        excitation_job,
+        excitation_table,
         "plan_with_progress",
         lambda setup, options: plan(setup, replace(options, validation=False)),
     )

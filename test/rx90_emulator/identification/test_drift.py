@@ -7,8 +7,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-from rx90_emulator.identification.sliding.drift import FALSE_ALARMS, Drift
-from rx90_emulator.identification.sliding.residuals import Residuals
+from rx90_emulator.identification.sliding.quality import FALSE_ALARMS, Drift, Residuals
 
 SERIES = 500
 

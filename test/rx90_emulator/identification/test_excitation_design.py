@@ -16,19 +16,21 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import DONE, REFUSED, IdentificationError
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification import excitation_job
+from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation import filtering, identify, instruments
-from rx90_emulator.identification.experiments.engine import run_on_engine
-from rx90_emulator.identification.experiments.excitation.design import ExcitationPlan, plan_excitation
+from rx90_emulator.identification.experiments.excitation.design import (
+    ExcitationPlan,
+    FourierSeries,
+    RunSearch,
+    plan_excitation,
+    random_starts,
+)
 from rx90_emulator.identification.experiments.excitation.information import ExcitationColumns
-from rx90_emulator.identification.experiments.excitation.limits import MotionLimits
+from rx90_emulator.identification.experiments.excitation.limits import MotionLimits, SelfCollision, Workspace
 from rx90_emulator.identification.experiments.excitation.options import Criterion, ExcitationOptions, Wall
-from rx90_emulator.identification.experiments.excitation.search import RunSearch, random_starts
-from rx90_emulator.identification.experiments.excitation.self_collision import SelfCollision
-from rx90_emulator.identification.experiments.excitation.series import FourierSeries
 from rx90_emulator.identification.experiments.excitation.table import describe_excitation
-from rx90_emulator.identification.experiments.excitation.workspace import Workspace
 from rx90_emulator.identification.experiments.folder import read_index, write_index
+from rx90_emulator.identification.experiments.job import run_on_engine
 from rx90_emulator.identification.experiments.plan import Kind
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.loop.setup import Setup
@@ -384,7 +386,7 @@ def test_a_folder_of_excitation_runs_is_identified_as_such(
     for one in runs:
         (tmp_path / one.name).mkdir()
     seen: list[object] = []
-    monkeypatch.setattr(excitation_job, "run_excitation", lambda *given, **_: seen.append(given) or True)
+    monkeypatch.setattr(identification_job, "run_excitation", lambda *given, **_: seen.append(given) or True)
     write_index(tmp_path, runs)
     assert run("rx90_identify", [str(tmp_path), "--output", str(tmp_path / "out")]) == DONE
     (given,) = seen

@@ -16,9 +16,15 @@ from rx90_emulator.identification.experiments.folder import read_index, write_in
 from rx90_emulator.identification.experiments.job import plan_experiments
 from rx90_emulator.identification.experiments.load import check_load
 from rx90_emulator.identification.experiments.motion import Motion
-from rx90_emulator.identification.experiments.plan import Experiment, Kind, PlanOptions, directions, make_plan
-from rx90_emulator.identification.experiments.poses import Poses
-from rx90_emulator.identification.experiments.speeds import sweep_speeds
+from rx90_emulator.identification.experiments.plan import (
+    Experiment,
+    Kind,
+    PlanOptions,
+    Poses,
+    directions,
+    make_plan,
+    sweep_speeds,
+)
 from rx90_emulator.loop.setup import Setup
 
 HOME = (0.0,) * 6

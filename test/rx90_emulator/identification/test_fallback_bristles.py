@@ -17,12 +17,12 @@ from rx90_common.base.errors import DONE
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_emulator.cli.frame import run
+from rx90_emulator.identification import identify as identification
 from rx90_emulator.identification.excitation.elements import simulated_elements
+from rx90_emulator.identification.identify import identify_records
 from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
-from rx90_emulator.identification.result import identification
-from rx90_emulator.identification.result.identification import identify_records
 
 CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)
 BLOCKS = {"kind": "maxwell_slip", "stiffness": [0.61234567, 0.38765433], "share": [0.25, 0.75], "attraction": 5000.0}
@@ -72,9 +72,9 @@ def test_a_joint_without_micro_oscillations_takes_c0_and_bristles(
     assert "With c0 the bristles of hinge are those of that file" in file.with_suffix(".html").read_text("utf-8")
 
 
-LUGRE = SimpleNamespace(told=True, trial=None, bristles=None)
-OPEN = SimpleNamespace(told=False, trial=None, bristles=None)
-TOLD = SimpleNamespace(told=True, bristles=PARTS[1], sources=())
+LUGRE = SimpleNamespace(decided=True, trial=None, bristles=None)
+OPEN = SimpleNamespace(decided=False, trial=None, bristles=None)
+TOLD = SimpleNamespace(decided=True, bristles=PARTS[1], sources=())
 
 
 @pytest.mark.parametrize(

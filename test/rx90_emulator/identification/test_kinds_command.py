@@ -19,9 +19,9 @@ from rx90_common.base.errors import DONE
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_common.friction.parts.bristles import ElastoPlastic
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.experiments.engine import run_on_engine
+from rx90_emulator.identification.experiments.job import run_on_engine
 from rx90_emulator.identification.experiments.plan import PlanOptions, make_plan
-from rx90_emulator.identification.presliding import element_kinds
+from rx90_emulator.identification.presliding import kinds as kinds_module
 from rx90_emulator.identification.presliding.kind_model import FAMILIES
 from rx90_emulator.loop.setup import Setup
 
@@ -55,7 +55,7 @@ def outcome(shipped: Setup, tmp_path_factory: pytest.TempPathFactory) -> Outcome
     file, said, shown = folder / "friction.yaml", io.StringIO(), Terminal()
     words = [word for use, bag in bags.items() for word in (f"--{use}", str(bag))]
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said), redirect_stderr(shown):
-        patch.setattr(element_kinds, "FAMILIES", FAMILIES[:3])  # blocks of one number: more take longer
+        patch.setattr(kinds_module, "FAMILIES", FAMILIES[:3])  # blocks of one number: more take longer
         assert run("rx90_identify", [*words, "--output", str(file), "--bristle-kinds"]) == DONE, said.getvalue()
     content = yaml.safe_load(file.read_text(encoding="utf-8"))
     return Outcome(file, content, said.getvalue(), shown.getvalue(), bags)

@@ -30,9 +30,15 @@ from rx90_emulator.identification.excitation.physical.prior import InertialPrior
 from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.output.friction_file import elements_text
-from rx90_emulator.identification.output.robot.folder import IdentifiedRobot, folder_base, robot_texts, viscous_sum
-from rx90_emulator.identification.output.robot.inertials import with_inertials
-from rx90_emulator.identification.output.robot.marking import Identified, marked
+from rx90_emulator.identification.output.robot_files import (
+    Identified,
+    IdentifiedRobot,
+    folder_base,
+    marked,
+    robot_texts,
+    viscous_sum,
+    with_inertials,
+)
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.result.identification import IdentifiedElement
 from rx90_emulator.loop.closed_loop import simulate

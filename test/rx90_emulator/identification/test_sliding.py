@@ -14,12 +14,12 @@ from benchmarks.synthetic_sweeps import Noise
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
+from rx90_emulator.identification.identify import identify_records
 from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.output.friction_file import friction_text
-from rx90_emulator.identification.output.summary import identification_summary
-from rx90_emulator.identification.result.identification import identify_records
+from rx90_emulator.identification.output.report import identification_summary
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.setup import Setup
 

@@ -1,7 +1,7 @@
 """Excitation runs: Fourier series of all joints, optimised within the limits of the arm and of the room around it.
 
-series (periodic motions that begin and end at rest) -> workspace and limits (what they must keep) -> information (what
-they tell of the parameters) -> search (one run), design (a series of runs), table (what is printed of it), job.
+information (what a motion tells of the parameters), limits (what it must keep) -> design (the search for one run, and
+a series of them) -> table (what is printed of it).
 """
 
-__all__ = ["job", "options"]
+__all__ = ["options", "table"]

@@ -1,21 +1,27 @@
-"""What is printed of a plan of excitation runs."""
+"""What `rx90_experiment --excitation` does, apart from its options: plan with a progress bar, and print the plan."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from rx90_common.base.arrays import Array
 from rx90_common.exchange.topics import MOTOR_NAMES
-from rx90_emulator.identification.experiments.excitation.design import ExcitationPlan, PlannedRun
+from rx90_emulator.identification.experiments.excitation.design import ExcitationPlan, PlannedRun, plan_excitation
 from rx90_emulator.identification.experiments.excitation.information import (
     ROWS,
     condition_number,
     deviations,
     log_determinant,
 )
+from rx90_emulator.identification.experiments.excitation.options import ExcitationOptions
 from rx90_emulator.identification.experiments.load import Motors, check_load, planned_setpoints
+from rx90_emulator.loop.setup import Setup
 
 _PER_LINE = 3
 _SMALL = 1e-3  # of the largest parameter of its kind: an expected value below it is as good as zero
@@ -106,3 +112,29 @@ def expected_values(plan: ExcitationPlan) -> list[float]:
     elements = plan.setup.friction.elements
     coulomb = [0.5 * (one.tau_c_positive + one.tau_c_negative) for one in elements]
     return [*base.tolist(), *coulomb, *(one.c2 for one in elements)]
+
+
+_BAR = "{desc:<16}{bar}| {n_fmt}/{total_fmt} steps [{elapsed}<{remaining}]"
+
+
+def plan_with_progress(setup: Setup, options: ExcitationOptions) -> ExcitationPlan:
+    """Plan with a progress bar.
+
+    Raises:
+        Rx90Error: as `plan_excitation`.
+    """
+    total = (options.runs + options.validation) * options.steps
+    names: list[str] = []
+    with ExitStack() as shown:
+        bars: list[tqdm[Any]] = []
+
+        def step(name: str) -> None:
+            if not bars:  # only now: what is refused before the first step needs no bar
+                bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, disable=None, file=sys.stderr)))
+            if name not in names:  # the search before may have needed fewer steps
+                names.append(name)
+                bars[0].set_description_str(name, refresh=False)
+                bars[0].update((len(names) - 1) * options.steps - bars[0].n)
+            bars[0].update()
+
+        return plan_excitation(setup, options, step)

@@ -23,7 +23,7 @@ from terminal import Terminal
 import rx90_emulator as rx
 from rx90_common.base.errors import INTERRUPTED, REFUSED, VERDICT_NO
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification import excitation_job
+from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
 from rx90_emulator.identification.excitation.friction.law import Part
 from rx90_emulator.identification.excitation.torques import (
@@ -124,7 +124,7 @@ def outcome(bench: Bench) -> Outcome:
     bags = ["--excitation", bench.folder / "run", "--validation", bench.folder / "unseen", bench.folder / "stiff"]
     out, err = io.StringIO(), Terminal()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        patch.setattr(excitation_job, "identify_excitation", kept_result)
+        patch.setattr(identification_job, "identify_excitation", kept_result)
         code = bench.identify(*bags, "--output", folder)
     return Outcome(code, folder, out.getvalue(), err.getvalue(), kept[0])
 
@@ -198,7 +198,7 @@ def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Call
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("place", ["identify_excitation", "report_page", "write_folder"])
+@pytest.mark.parametrize("place", ["identify_excitation", "excitation_page", "write_folder"])
 def test_an_interrupt_leaves_nothing(
     bench: Bench, outcome: Outcome, tmp_path: Path, place: str, number: signal.Signals,
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
@@ -210,13 +210,13 @@ def test_an_interrupt_leaves_nothing(
         return ""
 
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # as in a process of its own
-    monkeypatch.setattr(excitation_job, "identify_excitation", lambda *_, **__: outcome.result)
-    monkeypatch.setattr(excitation_job, "report_page", lambda *_: "page")
+    monkeypatch.setattr(identification_job, "identify_excitation", lambda *_, **__: outcome.result)
+    monkeypatch.setattr(identification_job, "excitation_page", lambda *_: "page")
     if place == "write_folder":
         whole = Path.write_bytes
         monkeypatch.setattr(Path, "write_bytes", lambda *a: (whole(*a), interrupted()))
     else:
-        monkeypatch.setattr(excitation_job, place, interrupted)
+        monkeypatch.setattr(identification_job, place, interrupted)
     assert bench.identify("--excitation", bench.folder / "run", "--output", tmp_path / "folder") == INTERRUPTED
     assert capsys.readouterr().err.splitlines()[-1] == "rx90_identify: interrupted; nothing was written"
     assert list(tmp_path.iterdir()) == []
@@ -226,7 +226,7 @@ def test_an_interrupt_leaves_nothing(
     ("words", "message"),
     [
         (["run", "run"], "given twice for --excitation; accepted: each bag once"),
-        (["run", "--validation", "run"], "run: also used for the identification, as .*run; accepted: another bag"),
+        (["run", "--validation", "run"], "run: also used for the identification; accepted: another bag"),
         (["run", "--sliding", "run"], "run with --excitation; accepted: --validation BAG"),
         (["run", "--friction", "f.yaml"], "f.yaml with --excitation; accepted"),
         (["run", "--bristle-kinds"], "--bristle-kinds with excitation runs; accepted"),
@@ -259,7 +259,7 @@ def test_what_cannot_be_identified_is_refused(
 
 def test_python_writes_what_the_command_does(outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`rx.write_excitation` writes the same files; those that exist stay without force, and others in the folder do."""
-    monkeypatch.setattr(excitation_job, "report_page", lambda *_: "page")
+    monkeypatch.setattr(identification_job, "excitation_page", lambda *_: "page")
     (tmp_path / "notes.txt").write_text("mine")
     assert rx.write_excitation(outcome.result, tmp_path) == tmp_path
     names = {path.name for path in outcome.folder.iterdir()}

@@ -26,7 +26,7 @@ from rx90_emulator.identification.excitation.identify import identify_excitation
 from rx90_emulator.identification.excitation.payload import payloads_of, read_payloads
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import base_parameters
-from rx90_emulator.identification.output.excitation.robot import torque_constants
+from rx90_emulator.identification.output.robot_files import torque_constants
 
 RATE = 100.0
 NAMES = ["shoulder", "elbow"]
@@ -86,7 +86,7 @@ def test_gains_are_told_by_a_known_payload(
         return results[0]
 
     monkeypatch.setattr(instruments, "_ROUNDS", 0)
-    monkeypatch.setattr("rx90_emulator.identification.excitation_job.identify_excitation", kept)
+    monkeypatch.setattr("rx90_emulator.identification.job.identify_excitation", kept)
     folder = tmp_path / "arm"
     for drawn in ("as_svg", "plot_json"):  # the plots are looked at in test_identify_excitation.py
         monkeypatch.setattr(page, drawn, lambda *_: "")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import BPoly, make_interp_spline
 
+from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
@@ -15,15 +17,17 @@ from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_controller.trajectory import JointLimits
 from rx90_emulator.identification.excitation.filtering import FilteredRun
+from rx90_emulator.loop.closed_loop import run_setpoints
+from rx90_emulator.loop.result import FastSeries, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
 
 REFERENCE = "rx90_controller/reference"
-_HOLD = 0.5  # s at rest before a motion, in which the integrators take the arm's weight
-_LEAD = 0.5  # s, least time in which the arm gets the velocity that a record begins with
-_RESTS = 1e-6  # rad/s, of a set-point
-_SLACK = 1e-5  # of a range: times are whole nanoseconds
+_HOLD_S = 0.5  # s at rest before a motion, in which the integrators take the arm's weight
+_MIN_LEAD_S = 0.5  # s, least time in which the arm gets the velocity that a record begins with
+_REST_SPEED = 1e-6  # rad/s, of a set-point
+_RANGE_SLACK = 1e-5  # of a range: times are whole nanoseconds
 _QUANTITIES = ("position", "velocity", "acceleration")
-_GAP = 3.5  # periods between set-points that still are interpolated
+_MAX_GAP_PERIODS = 3.5  # periods between set-points that still are interpolated
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +73,7 @@ class SetPoints:
         values, width = self.values[:, _QUANTITIES.index(what)], high - low
         beyond = np.maximum(low - values, values - high) / width
         row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
-        if beyond[row, joint] <= _SLACK:
+        if beyond[row, joint] <= _RANGE_SLACK:
             return ""
         time = self.start + row * period
         where = f"{time:.3f} s" if time >= self.begin else "the lead-in, before the bag begins"
@@ -77,6 +81,47 @@ class SetPoints:
             f"{names[joint]} needs the {what} {values[row, joint]:.4g} {unit} at {where}; accepted by the robot's "
             f"files: [{low[joint]:.4g}, {high[joint]:.4g}] {unit}"
         )
+
+
+def read_setpoints(bag: Path, names: Sequence[str], zero: Array | None) -> JointSeries | None:
+    """Return the set-points of this project's controller that a bag holds; None where it holds none.
+
+    Args:
+        bag: the bag.
+        names: of the joints.
+        zero: recorded angles where those of the URDF are 0, rad, shape (6,); they are taken off the positions.
+    """
+    with BagReader(bag) as reader:
+        if all(topic.name != absolute(REFERENCE) for topic in reader.topics):
+            return None
+    series = read_joint_states(bag, REFERENCE, names)
+    if series.position is None or series.velocity is None:
+        return None
+    return series if zero is None else replace(series, position=series.position - zero)
+
+
+def setpoint_rows(position: Array, velocity: Array, setup: Setup) -> Array:
+    """Return set-points at the position loop's rate with the accelerations that belong to them, shape (m, 3, 6)."""
+    acceleration = np.gradient(velocity, setup.rates.position_period, axis=0)
+    return np.ascontiguousarray(np.stack([position, velocity, acceleration], axis=1))
+
+
+def run_along(
+    setup: Setup, setpoints: Array, start: Array, *, record_fast: bool = False
+) -> tuple[FastSeries, SlowSeries, Array]:
+    """Run the closed loop along set-points, shape (m, 3, 6), from rest at `start`, rad, shape (6,).
+
+    Returns:
+        What the base rate and the position loop's rate recorded, and the share of the ticks in which each motor was at
+        its limit, shape (6,).
+    """
+    ticks = len(setpoints) * setup.rates.ratio
+    plant, controller = setup.plant(), setup.cs7b()
+    plant.reset(start)
+    controller.reset(plant.motor_states()[0])
+    fast, slow = empty_series(ticks, setup.rates.ratio, record_fast=record_fast)
+    run_setpoints(plant, controller, setpoints, ticks, fast, slow)
+    return fast, slow, np.asarray(controller.saturated / ticks)
 
 
 def recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, zero: Array | None) -> SetPoints | None:
@@ -94,16 +139,15 @@ def recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, zero: Array
         IdentificationError: for a series with gaps, or one that ends before the measured motion begins.
     """
     bag, rates = run.source.path, setup.rates
-    with BagReader(bag) as reader:
-        if all(topic.name != absolute(REFERENCE) for topic in reader.topics):
-            return None
-    series = read_joint_states(bag, REFERENCE, run.names)
-    if series.position is None or series.velocity is None:
+    series = read_setpoints(bag, run.names, zero)
+    if series is None:
         return None
-    position, velocity = series.position - (0.0 if zero is None else zero), series.velocity
+    assert series.position is not None
+    assert series.velocity is not None
+    position, velocity = series.position, series.velocity
     steps = np.diff(series.stamp_ns)
     period_ns = rates.period_ns * rates.ratio
-    if len(steps) < 2 or not (steps > 0).all() or steps.max() > _GAP * np.median(steps):
+    if len(steps) < 2 or not (steps > 0).all() or steps.max() > _MAX_GAP_PERIODS * np.median(steps):
         raise IdentificationError(f"{bag}: the set-points of {series.topic} have gaps; accepted: a steady stream")
     time = series.time
     if time[0] > run.time[-1] or time[-1] < run.time[0]:
@@ -113,10 +157,9 @@ def recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, zero: Array
         curve = BPoly.from_derivatives(since, np.stack([position, velocity], axis=1))
         even = np.arange(int(since[-1] / rates.position_period + 1e-6) + 1) * rates.position_period
         position, velocity = curve(even), curve(even, 1)
-    acceleration = np.gradient(velocity, rates.position_period, axis=0)
-    values = np.ascontiguousarray(np.stack([position, velocity, acceleration], axis=1))
+    values = setpoint_rows(position, velocity, setup)
     source = f"{REFERENCE} in the bag"
-    if series.stamp_ns[0] == 0 and np.abs(velocity[0]).max() < _RESTS:
+    if series.stamp_ns[0] == 0 and np.abs(velocity[0]).max() < _REST_SPEED:
         limits = setup.robot
         return SetPoints(0.0, values, 0.0, np.clip(first, limits.lower, limits.upper), source)
     return _with_lead_in(float(time[0]), values, setup, source)
@@ -139,10 +182,10 @@ def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> Set
     """Put a rest before set-points, and a motion from there to the velocity that they begin with."""
     period, limits = setup.rates.position_period, setup.controller.limits(setup.robot)
     position, velocity, acceleration = values[0]
-    lasting = max(_LEAD, float(np.max(2.0 * np.abs(velocity) / limits.acceleration)))
-    lead, hold = round(lasting / period), round(_HOLD / period)
+    lasting = max(_MIN_LEAD_S, float(np.max(2.0 * np.abs(velocity) / limits.acceleration)))
+    lead, hold = round(lasting / period), round(_HOLD_S / period)
     rest = np.clip(position - 0.5 * lead * period * velocity, limits.lower, limits.upper)
-    rest = np.where(np.abs(velocity) < _RESTS, position, rest)
+    rest = np.where(np.abs(velocity) < _REST_SPEED, position, rest)
     ends = [np.stack([rest, np.zeros(6), np.zeros(6)]), np.stack([position, velocity, acceleration])]
     curve = BPoly.from_derivatives([0.0, lead * period], np.stack(ends))
     time = np.arange(lead) * period

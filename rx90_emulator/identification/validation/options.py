@@ -1,4 +1,4 @@
-"""Options of a comparison: what a measured bag holds, and tolerances. Imports nothing slow, for --help."""
+"""Options of a comparison with a measured run: what its bag holds, and tolerances. Imports nothing slow, for --help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Everything that excitation runs told, as one YAML file for programs and for the record."""
+"""Everything that excitation runs say, as one YAML file for programs and for the record."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rx90_emulator.identification.excitation.friction.models import CrossValidat
 from rx90_emulator.identification.excitation.result import BaseParameter, ExcitationIdentification
 from rx90_emulator.identification.excitation.torques import RunTorques
 from rx90_emulator.identification.model.estimates import LARGEST, ParameterEstimate
-from rx90_emulator.identification.output.excitation.summary import gain_warnings
+from rx90_emulator.identification.output.excitation_report import gain_warnings
 
 _HEAD = """\
 # Parameters identified from excitation runs, joint side, SI units; deviation: standard deviation, HAC.

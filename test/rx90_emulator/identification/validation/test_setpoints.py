@@ -9,8 +9,8 @@ import pytest
 
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.validation.setpoints import path_setpoints
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.measured.setpoints import path_setpoints
 
 NAMES = tuple(f"joint_{k}" for k in range(1, 7))
 
