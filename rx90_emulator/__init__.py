@@ -76,11 +76,7 @@ if TYPE_CHECKING:
     from rx90_emulator.identification.friction_check import check_friction
     from rx90_emulator.identification.identify import identify_friction
     from rx90_emulator.identification.job import write_identification
-    from rx90_emulator.identification.model.options import (
-        ExcitationTolerances,
-        RobotOptions,
-        ValidationTolerances,
-    )
+    from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions, ValidationTolerances
     from rx90_emulator.identification.output.excitation.summary import excitation_summary
     from rx90_emulator.identification.output.summary import identification_summary
     from rx90_emulator.identification.result.identification import FrictionIdentification

@@ -8,14 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.identification.excitation.friction.models import FrictionSelection
+from rx90_emulator.identification.excitation.bodies import InertialPrior
+from rx90_emulator.identification.excitation.friction.estimates import FrictionSelection
 from rx90_emulator.identification.excitation.physical.cost import TorqueCost, torque_cost
-from rx90_emulator.identification.excitation.physical.fit import (
-    BaseEstimate,
-    ConsistentInertias,
-    consistent_inertias,
-)
-from rx90_emulator.identification.excitation.physical.prior import InertialPrior
+from rx90_emulator.identification.excitation.physical.fit import BaseEstimate, ConsistentInertias, consistent_inertias
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot

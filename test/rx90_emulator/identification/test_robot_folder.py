@@ -23,10 +23,9 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import MaxwellSlip
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.excitation.base_groups import BaseGroups
-from rx90_emulator.identification.excitation.columns import StandardColumns
+from rx90_emulator.identification.excitation.bodies import InertialPrior
+from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
 from rx90_emulator.identification.excitation.physical.fit import BaseEstimate, consistent_inertias
-from rx90_emulator.identification.excitation.physical.prior import InertialPrior
 from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.output.friction_file import elements_text

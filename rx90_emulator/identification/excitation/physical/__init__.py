@@ -5,4 +5,4 @@ consistent inertias nearest to the base parameters) -> cost (what they cost in t
 matrices that all of them use.
 """
 
-__all__ = ["cost", "fit", "prior", "pseudo_inertia"]
+__all__ = ["cost", "fit"]

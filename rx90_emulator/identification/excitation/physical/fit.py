@@ -28,9 +28,8 @@ from scipy.linalg import block_diag, lstsq, solve_triangular
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import plain
+from rx90_emulator.identification.excitation.bodies import InertialPrior, inertial_parameters
 from rx90_emulator.identification.excitation.physical.factors import Target, nearer
-from rx90_emulator.identification.excitation.physical.prior import InertialPrior
-from rx90_emulator.identification.excitation.physical.pseudo_inertia import inertial_parameters
 
 _RATIO = 10.0**0.5
 _LEAST_WEIGHT = 1e-3  # far below, the prior would be a barrier alone, and the steps along it short

@@ -9,9 +9,8 @@ from scipy.signal import welch
 
 from rx90_common.base.arrays import Array
 from rx90_common.report.plot import COLOURS, Band, Curve, Dots, Heat, Level, Panel, Plot
-from rx90_emulator.identification.excitation.fit_quality import SpeedResiduals
-from rx90_emulator.identification.excitation.friction.models import FrictionCurve
-from rx90_emulator.identification.excitation.torques import JointTorque, RunTorques
+from rx90_emulator.identification.excitation.friction.estimates import FrictionCurve
+from rx90_emulator.identification.excitation.torques import JointTorque, RunTorques, SpeedResiduals
 
 _WINDOW = 60.0  # s of a run that are drawn: more would blur
 _BINS = 20

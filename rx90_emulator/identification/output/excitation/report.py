@@ -11,10 +11,10 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.friction.parameters import FRICTION_UNITS
 from rx90_common.report.page import render_page
-from rx90_emulator.identification.excitation.closed_loop import remark
-from rx90_emulator.identification.excitation.fit_quality import misfits
-from rx90_emulator.identification.excitation.friction.models import FrictionCurve
+from rx90_emulator.identification.excitation.friction.estimates import FrictionCurve
+from rx90_emulator.identification.excitation.instruments import remark
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
+from rx90_emulator.identification.excitation.torques import misfits
 from rx90_emulator.identification.model.estimates import ParameterEstimate
 from rx90_emulator.identification.output.excitation.plots import (
     binned,

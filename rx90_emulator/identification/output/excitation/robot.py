@@ -10,8 +10,7 @@ import numpy as np
 
 from rx90_common.base.quoting import listed
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.identification.excitation.elements import ASSUMED_BRISTLES
-from rx90_emulator.identification.excitation.result import ExcitationIdentification
+from rx90_emulator.identification.excitation.result import ASSUMED_BRISTLES, ExcitationIdentification
 from rx90_emulator.identification.output.robot.folder import IdentifiedRobot, folder_base, robot_texts
 from rx90_emulator.identification.output.robot.marking import Identified
 

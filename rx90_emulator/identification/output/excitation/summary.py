@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from rx90_emulator.identification.excitation.closed_loop import remark
-from rx90_emulator.identification.excitation.fit_quality import misfits
 from rx90_emulator.identification.excitation.friction.law import Part
 from rx90_emulator.identification.excitation.gains import PLAUSIBLE
+from rx90_emulator.identification.excitation.instruments import remark
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
-from rx90_emulator.identification.excitation.torques import TorqueValidation
+from rx90_emulator.identification.excitation.torques import TorqueValidation, misfits
 from rx90_emulator.identification.model.estimates import ParameterEstimate
 
 _SHOWN = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1", "load.driving", "load.driven")

@@ -11,7 +11,7 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import plain
-from rx90_emulator.identification.excitation.physical.pseudo_inertia import central
+from rx90_emulator.identification.excitation.bodies import central
 
 _HEAVIEST = 1e5  # kg
 _FARTHEST = 100.0  # m from the link's frame to its centre of mass

@@ -12,16 +12,16 @@ from scipy.linalg import qr
 from scipy.optimize import least_squares
 
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.excitation.physical import fit
-from rx90_emulator.identification.excitation.physical.cost import torque_cost
-from rx90_emulator.identification.excitation.physical.fit import BaseEstimate, ConsistentInertias, consistent_inertias
-from rx90_emulator.identification.excitation.physical.prior import InertialPrior
-from rx90_emulator.identification.excitation.physical.pseudo_inertia import (
+from rx90_emulator.identification.excitation.bodies import (
+    InertialPrior,
     central,
     inertial_parameters,
     is_body,
     pseudo_inertia,
 )
+from rx90_emulator.identification.excitation.physical import fit
+from rx90_emulator.identification.excitation.physical.cost import torque_cost
+from rx90_emulator.identification.excitation.physical.fit import BaseEstimate, ConsistentInertias, consistent_inertias
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 
 Array = NDArray[np.float64]
