@@ -8,6 +8,7 @@ friction/ (which parts each element has) -> bodies, consistency (links that can 
 __all__ = [
     "bodies",
     "checks",
+    "consistency",
     "filtering",
     "gains",
     "identify",

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed, quoted
 from rx90_common.description.rotations import rpy_rotation
@@ -218,6 +218,7 @@ class InertialPrior:
         known: parameters of the bodies that stay, summed for each joint, shape (n, 10).
         rotors: inertia of each rotor that has a column, seen at its joint, kg m^2, > 0, shape (k,).
         springs: amplitude of each spring that has a column, Nm, shape (s,); 0 for one of which nothing is known.
+        guessed: which bodies, and then rotors, the description does not have, shape (b + k,).
         replaced: in words, what is not taken from the URDF, and what stands in its place.
         dropped: links whose <inertial> no body can have; the other links of their joint take their share.
     """
@@ -227,6 +228,7 @@ class InertialPrior:
     known: Array
     rotors: Array
     springs: Array
+    guessed: Mask
     replaced: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()
 
@@ -259,12 +261,14 @@ class InertialPrior:
             stay[body.joint] += inertial_parameters(body.pseudo)
         bodies, words, dropped = _usable(free, links)
         begun = _amounts("rotor inertias", rotors, len(joints))
+        described = [body.pseudo.tobytes() for body in free]
+        guessed = np.array([*(body.pseudo.tobytes() not in described for body in bodies), *(begun == 0.0)], dtype=bool)
         for i in np.flatnonzero(begun == 0.0).tolist():
             total = np.sum([inertial_parameters(body.pseudo) for body in bodies if body.joint == i], axis=0)
             begun[i] = total[[4, 6, 9]].mean()
             words.append(f"rotor of {joints[i]}: begins at {begun[i]:.3g} kg m^2, the mean moment of its link")
         amplitudes = _amounts("springs", springs, len(joints))
-        return cls(tuple(joints), tuple(bodies), stay, begun, amplitudes, tuple(words), tuple(dropped))
+        return cls(tuple(joints), tuple(bodies), stay, begun, amplitudes, guessed, tuple(words), tuple(dropped))
 
 
 def _amounts(what: str, values: ArrayLike, most: int) -> Array:

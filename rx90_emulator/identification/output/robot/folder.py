@@ -20,7 +20,7 @@ from rx90_common.description.wrist import element_matrix
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_set import element_names
 from rx90_common.friction.parameters import ALPHA_BOUNDS
-from rx90_emulator.identification.excitation.physical.fit import ConsistentInertias
+from rx90_emulator.identification.excitation.consistency import ConsistentInertias
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot.inertials import with_inertials
