@@ -57,8 +57,6 @@ class InstrumentalComparison:
         instrumental: the other.
         differences: of the values, instrumental less least squares, in deviations of the difference, shape (q,).
         p_value: chance of the largest of them if least squares have no bias (Bonferroni's bound over q parameters).
-        strength: F statistic of the weakest direction of the instruments: r c^2 / (1 - c^2) with their smallest
-            canonical correlation c with the columns, for r rows.
         rounds: simulations until the values settled; each round's values are valid estimates.
         settled: whether they did.
         controller: of the simulation.
@@ -71,7 +69,6 @@ class InstrumentalComparison:
     instrumental: LinearFit
     differences: Array
     p_value: float
-    strength: float
     rounds: int
     settled: bool
     controller: Controller
@@ -126,9 +123,7 @@ def with_instruments(
     differs = strength >= _WEAK_F and p_value < _LEVEL and bool(matters[np.abs(differences).argmax()])
     biased = differs and controller.recorded
     reason = _reason(names, differences, p_value, strength, biased=biased, differs=differs)
-    return InstrumentalComparison(
-        plain, fit, differences, p_value, strength, rounds, settled, controller, biased, reason
-    )
+    return InstrumentalComparison(plain, fit, differences, p_value, rounds, settled, controller, biased, reason)
 
 
 def _reason(
@@ -166,7 +161,10 @@ def _differences(plain: LinearFit, fit: LinearFit) -> Array:
 
 
 def _strength(problem: ExcitationProblem, columns: Array, instruments: Array, fit: LinearFit) -> float:
-    """Return the F statistic of the smallest canonical correlation of both sets of columns."""
+    """Return the F statistic of the weakest direction of the instruments.
+
+    r c^2 / (1 - c^2) with the smallest canonical correlation c of both sets of columns, for r rows.
+    """
     weight = np.sqrt(fit.weights)[:, None] / fit.sigma[problem.joint][:, None]
     bases = [np.linalg.qr(weight * values[:, fit.determined])[0] for values in (columns, instruments)]
     smallest = min(float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[-1]), 1.0 - 1e-12)

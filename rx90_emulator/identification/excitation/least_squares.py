@@ -46,7 +46,6 @@ class LinearFit:
         sigma: standard deviation of each joint's residuals by which its rows are weighted, Nm, shape (n,).
         weights: robust weights between 0 and 1, shape (r,).
         determined: whether the rows determine each parameter, shape (q,).
-        condition: ratio of the largest and smallest singular values of the weighted columns, each of length 1.
         influence: each motion's influences on the values, shape (k, q): see `covariance`.
     """
 
@@ -56,7 +55,6 @@ class LinearFit:
     sigma: Array
     weights: Array
     determined: Mask
-    condition: float
     influence: tuple[Array, ...]
 
     @property
@@ -121,9 +119,7 @@ def solve(
     covariance += shared @ shared.T
     unknown = np.flatnonzero(~solution.determined)
     covariance[unknown, unknown] = np.inf
-    return LinearFit(
-        solution.value, covariance, residual, sigma, weights, solution.determined, solution.condition, tuple(influence)
-    )
+    return LinearFit(solution.value, covariance, residual, sigma, weights, solution.determined, tuple(influence))
 
 
 def _sigma(problem: ExcitationProblem, residual: Array, leverage: Array, before: Array, *, robust: bool) -> Array:
@@ -147,7 +143,6 @@ class _Solution:
     inverse: Array
     leverage: Array
     determined: Mask
-    condition: float
 
 
 class _Equations:
@@ -183,8 +178,7 @@ class _Equations:
         determined = (directions[~known] ** 2).sum(axis=0) < _MAX_NULL_SHARE
         counted = zip(parts, self._joints, strict=True)
         leverage = np.array([np.sum(inverse * part.T) / max(len(own), 1) for part, (own, _) in counted])
-        condition = float(np.sqrt(values[0] / max(values[-1], 1e-300)))
-        return _Solution(inverse @ right, inverse, leverage, determined, condition)
+        return _Solution(inverse @ right, inverse, leverage, determined)
 
 
 _MIN_BANDWIDTH = 2.0  # bandwidth of the kernel in instants, at least
