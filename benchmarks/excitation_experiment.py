@@ -14,6 +14,7 @@ from benchmarks.excitation_runs import Disturbances, ExcitationRun, FourierMotio
 from benchmarks.excitation_truth import Truth, truth_of
 from benchmarks.random_arms import SyntheticArm, random_arm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
+from rx90_emulator.identification.excitation.friction.estimates import FrictionSelection
 from rx90_emulator.identification.excitation.friction.identify import (
     ALL_PARTS,
     WITHOUT_BRISTLES,
@@ -21,7 +22,6 @@ from rx90_emulator.identification.excitation.friction.identify import (
     predicted_torque,
 )
 from rx90_emulator.identification.excitation.friction.law import Part
-from rx90_emulator.identification.excitation.friction.models import FrictionSelection
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import JointRecord

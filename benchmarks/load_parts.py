@@ -26,11 +26,9 @@ from benchmarks.report import merge
 from rx90_common.base.arrays import Array
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.description.wrist import element_matrix
-from rx90_emulator.identification.excitation.base_groups import BaseGroups
-from rx90_emulator.identification.excitation.columns import StandardColumns
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
-from rx90_emulator.identification.excitation.friction.load_parts import identify_load_parts
-from rx90_emulator.identification.excitation.load_parts import LoadParts
+from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
+from rx90_emulator.identification.excitation.load_parts import LoadParts, identify_load_parts
 from rx90_emulator.identification.excitation.payload import Payload
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, Motion
 from rx90_emulator.identification.experiments.excitation.design import plan_excitation

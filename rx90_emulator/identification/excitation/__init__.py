@@ -1,25 +1,22 @@
 """From excitation runs, which need no plateaus of constant velocity, to the parameters of the arm's torque.
 
-filtering (runs at an even rate, differentiated) -> columns and base_groups (what is linear in the torque) ->
-problem (the stacked rows) -> least_squares, instruments (values), covariance (their deviations); gains, load_parts.
+filtering (runs at an even rate, differentiated) -> linear_parameters (what is linear in the torque) -> problem (the
+stacked rows) -> least_squares, instruments (values and their deviations); gains, load_parts (from known payloads);
+friction/ (which parts each element has) -> bodies, consistency (links that can exist) -> torques, result.
 """
 
 __all__ = [
-    "base_groups",
-    "closed_loop",
-    "columns",
-    "coulomb_viscous",
-    "elements",
+    "bodies",
+    "checks",
+    "consistency",
     "filtering",
-    "fit_quality",
     "gains",
     "identify",
+    "instruments",
     "least_squares",
-    "load_parts",
+    "linear_parameters",
     "payload",
-    "prior",
     "problem",
     "result",
-    "standstill",
     "torques",
 ]

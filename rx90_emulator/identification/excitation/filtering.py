@@ -5,6 +5,8 @@ derivatives of the quintic spline through the filtered samples (central differen
 fifth of the sampling rate, the spline less than a hundredth). The torque is not filtered with them: it passes one
 low-pass together with everything that is to explain it (Gautier 1997, "Dynamic identification of robots with power
 model": parallel filtering), so that the filter distorts both sides of the equation alike.
+
+Compiled sums over samples: a symmetric filter of which every n-th sample is kept, and linear interpolation.
 """
 
 from __future__ import annotations
@@ -16,27 +18,31 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, firwin, kaiserord, sosfiltfilt, welch
 
 from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.excitation.sums import between, filter_columns
+from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.lanes import fma, load, store
 from rx90_emulator.identification.records.record import BagSource, JointRecord
 
-_ORDER = 4  # of the Butterworth filter, in each direction
-_STOP = 60.0  # dB, of the parallel filter beyond twice its bandwidth
-_ABOVE_FLOOR = 10.0  # power of a motion over the noise of its positions, up to which the filter lets it pass
-_MOVES = 1e3  # power at its peak over that floor, from which a joint counts as moving
-_SHORTEST = 64  # samples of a stretch whose spectrum is looked at
-_PER_MOTION = 10.0  # bandwidth of the positions over that of the motion, at least: Gautier's rule is 5 to 10
-_HIGHEST = 0.3  # bandwidth of the positions over the sampling rate, at most
-_ROWS = 2.5  # rows per second over the bandwidth of the torque: neighbours' noise is nearly independent
-_MOST_ROWS = 30_000  # of all joints and runs: what more of them tell is not worth the time of their fits
-_GAP = 3.5  # periods without a sample that split a run
-_EVEN = 1e-3  # periods that a stamp may lie off an even grid, to be taken as on it
+_FILTER_ORDER = 4  # of the Butterworth filter, in each direction
+_STOPBAND_DB = 60.0  # dB, of the parallel filter beyond twice its bandwidth
+_SIGNAL_OVER_FLOOR = 10.0  # power of a motion over the noise of its positions, up to which the filter lets it pass
+_MOVING_PEAK_OVER_FLOOR = 1e3  # power at its peak over that floor, from which a joint counts as moving
+_MIN_SPECTRUM_SAMPLES = 64  # samples of a stretch whose spectrum is looked at
+_POSITION_OVER_MOTION_BAND = (
+    10.0  # bandwidth of the positions over that of the motion, at least: Gautier's rule is 5 to 10
+)
+_MAX_BANDWIDTH_OVER_RATE = 0.3  # bandwidth of the positions over the sampling rate, at most
+_ROWS_PER_HZ = 2.5  # rows per second over the bandwidth of the torque: neighbours' noise is nearly independent
+_MAX_ROWS = 30_000  # of all joints and runs: what more of them tell is not worth the time of their fits
+_GAP_PERIODS = 3.5  # periods without a sample that split a run
+_STAMP_TOLERANCE = 1e-3  # periods that a stamp may lie off an even grid, to be taken as on it
 _SPLINE_END = 10  # samples in which the error at a quintic spline's end fades
-_BLOCK = 8192  # samples whose columns are held at a time
+_BLOCK_SAMPLES = 8192  # samples whose columns are held at a time
 
 
 @dataclass(frozen=True)
@@ -79,33 +85,35 @@ class Bandwidths:
         found = [pair for record in records for pair in _crossings(record)]
         if not found:
             longest = max(stop - start for record in records for start, stop in _pieces(record.time))
-            if longest < _SHORTEST:
+            if longest < _MIN_SPECTRUM_SAMPLES:
                 raise IdentificationError(
                     f"{records[0].source}: {longest} sample{'s' * (longest != 1)} without a gap; accepted: "
-                    f"{_SHORTEST} or more in a run"
+                    f"{_MIN_SPECTRUM_SAMPLES} or more in a run"
                 )
             raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
         crossing, motion = (float(np.median(column)) for column in zip(*found, strict=True))
         rate = min(_rate(record.time) for record in records)
-        wanted = max(crossing, _PER_MOTION * motion)
-        position = min(wanted, _HIGHEST * rate)
+        wanted = max(crossing, _POSITION_OVER_MOTION_BAND * motion)
+        position = min(wanted, _MAX_BANDWIDTH_OVER_RATE * rate)
         source = f"the motion stands out of the positions' noise up to {crossing:.3g} Hz"
         if wanted > crossing:
-            source += f", and {_PER_MOTION:g} times its own band is {wanted:.3g} Hz"
+            source += f", and {_POSITION_OVER_MOTION_BAND:g} times its own band is {wanted:.3g} Hz"
         if position < wanted:
-            source += f"; no more than {_HIGHEST:g} of the sampling rate"
+            source += f"; no more than {_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"
         torque = position / 3.0
         lasting = sum(record.time[-1] - record.time[0] for record in records) * records[0].position.shape[1]
-        carried = max(_MOST_ROWS / (_ROWS * float(lasting)), min(_PER_MOTION * motion / 3.0, torque))
+        carried = max(
+            _MAX_ROWS / (_ROWS_PER_HZ * float(lasting)), min(_POSITION_OVER_MOTION_BAND * motion / 3.0, torque)
+        )
         if carried < torque:
-            return cls(position, carried, f"{source}; the torque gets what {_MOST_ROWS} rows carry")
+            return cls(position, carried, f"{source}; the torque gets what {_MAX_ROWS} rows carry")
         return cls(position, torque, f"{source}; the torque gets a third of it")
 
 
 def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:
     """Yield, for each joint that moves, where its spectrum meets the noise, and the band of its velocity, Hz."""
     start, stop = max(_pieces(record.time), key=lambda piece: piece[1] - piece[0])
-    if stop - start < _SHORTEST:
+    if stop - start < _MIN_SPECTRUM_SAMPLES:
         return
     time, rate = record.time[start:stop], _rate(record.time[start:stop])
     even = _even(time, rate)
@@ -119,8 +127,8 @@ def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:
         floor = max(float(np.median(column[frequency > 0.25 * rate])), 1e-30)
         typical = np.array([np.median(part) for part in np.split(column, edges[1:])])
         peak = int(np.argmax(typical))
-        lost = np.flatnonzero(typical[peak:] < _ABOVE_FLOOR * floor)
-        if typical[peak] > _MOVES * floor:
+        lost = np.flatnonzero(typical[peak:] < _SIGNAL_OVER_FLOOR * floor)
+        if typical[peak] > _MOVING_PEAK_OVER_FLOOR * floor:
             crossing = float(frequency[edges[peak + lost[0]] if len(lost) else -1])
             velocity = np.cumsum(np.where(frequency < crossing, column, 0.0) * frequency**2)
             yield crossing, float(frequency[np.searchsorted(velocity, 0.95 * velocity[-1])])
@@ -197,7 +205,7 @@ class FilteredRun:
     def down(self) -> int:
         """Return how many samples lie between two rows."""
         # Rates of the same recording, cut elsewhere, differ by rounding: its rows must not.
-        return max(1, math.floor(self.rate / (_ROWS * self.bandwidths.torque) + 1e-6))
+        return max(1, math.floor(self.rate / (_ROWS_PER_HZ * self.bandwidths.torque) + 1e-6))
 
     @cached_property
     def taps(self) -> Array:
@@ -232,7 +240,7 @@ class FilteredRun:
 
     def blocks(self) -> Iterator[tuple[slice, slice]]:
         """Yield pairs of samples and of the rows that `parallel` makes of them, so that memory stays bounded."""
-        count, size = len(self.rows), max(1, _BLOCK // self.down)
+        count, size = len(self.rows), max(1, _BLOCK_SAMPLES // self.down)
         for first in range(0, count, size):
             last = min(first + size, count)
             yield slice(first * self.down, (last - 1) * self.down + len(self.taps)), slice(first, last)
@@ -281,7 +289,7 @@ def _filtered(
     stamps = time - torque_lead
     torque = _resampled(stamps, record.torque[piece], even, 1)
     target = None if reference is None else _resampled(time, reference[piece], even, 5)
-    sections = butter(_ORDER, bandwidths.position, fs=rate, output="sos")
+    sections = butter(_FILTER_ORDER, bandwidths.position, fs=rate, output="sos")
     smooth = sosfiltfilt(sections, position, axis=0, padlen=min(3 * edge, len(even) - 1))
     # From 0 on: stamps of the wall clock are rounded to 0.2 us, which second derivatives at 5 kHz do not bear.
     count = np.arange(len(even)) / rate
@@ -309,7 +317,7 @@ def _rate(time: Array) -> float:
     if len(time) < 2:
         raise IdentificationError(f"a run of {len(time)} samples; accepted: a second of motion or more")
     steps = np.diff(time)
-    usual = steps[steps < _GAP * np.median(steps)]
+    usual = steps[steps < _GAP_PERIODS * np.median(steps)]
     return float(len(usual) / usual.sum())
 
 
@@ -318,7 +326,7 @@ def _pieces(time: Array) -> list[tuple[int, int]]:
     if len(time) < 2:
         return [(0, len(time))]
     steps = np.diff(time)
-    breaks = np.flatnonzero(steps > _GAP * np.median(steps)) + 1
+    breaks = np.flatnonzero(steps > _GAP_PERIODS * np.median(steps)) + 1
     return list(pairwise([0, *breaks.tolist(), len(time)]))
 
 
@@ -334,7 +342,9 @@ def _resampled(time: Array, values: Array, even: Array, degree: int) -> Array:
 def _is_even(time: Array, even: Array) -> bool:
     """Return whether stamps are at even times, but for rounding."""
     rounding = 2.0 * float(np.spacing(np.abs(time[-1])))
-    return len(time) == len(even) and float(np.abs(time - even).max()) < _EVEN * (even[1] - even[0]) + rounding
+    return (
+        len(time) == len(even) and float(np.abs(time - even).max()) < _STAMP_TOLERANCE * (even[1] - even[0]) + rounding
+    )
 
 
 def low_pass_taps(rate: float, bandwidth: float) -> Array:
@@ -344,7 +354,7 @@ def low_pass_taps(rate: float, bandwidth: float) -> Array:
         rate: samples per second.
         bandwidth: Hz.
     """
-    count, beta = kaiserord(_STOP, bandwidth / (0.5 * rate))
+    count, beta = kaiserord(_STOPBAND_DB, bandwidth / (0.5 * rate))
     return np.asarray(firwin(count | 1, 1.5 * bandwidth, window=("kaiser", beta), fs=rate))
 
 
@@ -360,3 +370,49 @@ def low_pass(values: Array, taps: Array, down: int = 1) -> Array:
     result = np.empty((count, math.prod(values.shape[1:])))
     filter_columns(np.ascontiguousarray(values.reshape(len(values), -1).T), taps, down, result)
     return result.reshape(count, *values.shape[1:])
+
+
+@kernel
+def filter_columns(columns: Array, taps: Array, down: int, result: Array) -> None:
+    """Filter samples of several columns.
+
+    Args:
+        columns: at the full rate, shape (c, m).
+        taps: by which samples are multiplied, shape (t,).
+        down: samples from one result to the next.
+        result: takes the sums, of which the first begins at sample 0, shape (k, c).
+    """
+    whole = len(taps) - len(taps) % 16
+    parts = np.empty(8)
+    for number in range(len(columns)):
+        for row in range(len(result)):
+            samples = columns[number, row * down :]
+            parts[:] = 0.0
+            even = load(parts, 8)
+            odd = load(parts, 8)
+            for tap in range(0, whole, 16):
+                even = fma(load(taps[tap:], 8), load(samples[tap:], 8), even)
+                odd = fma(load(taps[tap + 8 :], 8), load(samples[tap + 8 :], 8), odd)
+            store(parts, even + odd)
+            total = 0.0
+            for part in parts:
+                total += part
+            for tap in range(whole, len(taps)):
+                total += taps[tap] * samples[tap]
+            result[row, number] = total
+
+
+@kernel
+def between(values: Array, before: NDArray[np.intp], share: Array, result: Array) -> None:
+    """Interpolate linearly.
+
+    Args:
+        values: shape (s, c).
+        before: number of the value before each result, shape (m,).
+        share: of the value after it, shape (m,).
+        result: takes what lies between, shape (m, c).
+    """
+    for row in range(len(result)):
+        first, part = before[row], share[row]
+        for column in range(values.shape[1]):
+            result[row, column] = values[first, column] * (1.0 - part) + values[first + 1, column] * part

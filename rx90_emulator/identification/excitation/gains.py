@@ -24,13 +24,13 @@ from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
-_ROUNDS = 20
+_MAX_ROUNDS = 20
 _CONVERGED = 1e-6
-_TOLD = 0.1  # deviation of a gain, as a share of it, above which the payload does not tell it
+_MAX_GAIN_SD = 0.1  # deviation of a gain, as a share of it, above which the payload does not tell it
 PLAUSIBLE = (0.75, 1.33)
 """Gains that a drive may have. A data sheet's torque constant is right to some 10 %, a hot magnet gives as much less, a
 gear's losses take 10 to 15 % and are partly friction; A RMS that are taken for peak A make 0.71 or 1.41."""
-_CERTAIN = 3.0  # deviations below 0: no noise makes a motor push backwards
+_NEGATIVE_SE = 3.0  # deviations below 0: no noise makes a motor push backwards
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,12 +87,13 @@ def drive_gains(problem: ExcitationProblem, friction: Array) -> DriveGains:
     while told:
         gains = _fitted(problem, friction, parts, loads, told)
         _check_signs(problem, gains, told)
-        sure = [k for k in told if gains.deviation[k] < _TOLD * abs(gains.factor[k])]
+        sure = [k for k in told if gains.deviation[k] < _MAX_GAIN_SD * abs(gains.factor[k])]
         if sure == told:
             return gains
         told = sure
     raise IdentificationError(
-        f"the payload tells no drive gain to better than {_TOLD:.0%}; accepted: a heavier payload, or faster motion"
+        f"the payload tells no drive gain to better than {_MAX_GAIN_SD:.0%}; accepted: a heavier payload, or faster "
+        "motion"
     )
 
 
@@ -123,7 +124,7 @@ def _check_signs(problem: ExcitationProblem, gains: DriveGains, told: Sequence[i
     """Refuse gains at 0 or below that are told, or that are below 0 for certain: the payload is not the one given."""
     for k in told:
         value, deviation = float(gains.factor[k]), float(gains.deviation[k])
-        if value <= 0.0 and (deviation < _TOLD or value + _CERTAIN * deviation < 0.0):
+        if value <= 0.0 and (deviation < _MAX_GAIN_SD or value + _NEGATIVE_SE * deviation < 0.0):
             raise IdentificationError(
                 f"drive gain of {problem.arm.names[k]}: {value:.3g} +- {deviation:.2g} by this payload; accepted: "
                 "above 0 (is its mass, its centre's direction in the last joint's frame, or the run it is of wrong?)"
@@ -155,7 +156,7 @@ def _fitted(
     inverse = np.ones(len(parts))
     recorded = problem.torque + problem.payload
     parameters = np.zeros(b)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         mixed = sum(one * part for one, part in zip(inverse.tolist(), parts, strict=True))
         carried = [parts[k] @ parameters + loads[k] for k in told]
         columns = np.column_stack([mixed, friction, *carried])

@@ -14,10 +14,8 @@ from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
-from rx90_emulator.identification.excitation.closed_loop import check_closed_loop, remark, with_other
+from rx90_emulator.identification.excitation.checks import check_signs, check_zeros
 from rx90_emulator.identification.excitation.consistency import make_consistent
-from rx90_emulator.identification.excitation.coulomb_viscous import check_signs
-from rx90_emulator.identification.excitation.elements import simulated_elements
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.friction.identify import (
     ALL_PARTS,
@@ -27,15 +25,19 @@ from rx90_emulator.identification.excitation.friction.identify import (
     predicted_torque,
     stages,
 )
-from rx90_emulator.identification.excitation.friction.load_parts import identify_load_parts
 from rx90_emulator.identification.excitation.gains import with_gains
-from rx90_emulator.identification.excitation.load_parts import with_load_parts
+from rx90_emulator.identification.excitation.instruments import check_closed_loop, remark
+from rx90_emulator.identification.excitation.linear_parameters import described_inertials
+from rx90_emulator.identification.excitation.load_parts import identify_load_parts, with_load_parts
 from rx90_emulator.identification.excitation.payload import Payload, payloads_of
-from rx90_emulator.identification.excitation.prior import described_inertials
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.excitation.result import ExcitationIdentification, base_parameters
+from rx90_emulator.identification.excitation.result import (
+    ExcitationIdentification,
+    base_parameters,
+    simulated_elements,
+    with_other,
+)
 from rx90_emulator.identification.excitation.torques import TorqueValidation, run_torques, trends
-from rx90_emulator.identification.excitation.zeros import check_zeros
 from rx90_emulator.identification.identify import check_given_once, read_records
 from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot

@@ -1,26 +1,37 @@
-"""Weighted, robust least squares, with or without instruments, and deviations that hold under misfit."""
+"""Weighted, robust least squares, with or without instruments, and deviations that hold under misfit.
+
+Deviations of a fit that hold although its residuals are correlated in time, unequal in size, and a misfit's.
+
+Residuals of an excitation run are no white noise: what the model leaves out (ripple, load, temperature) returns with
+the motion. A fit is seen here as the sum of what every instant contributes to it, its influence: inverse curvature
+times score, all joints of an instant together. Its variance follows from these contributions and their correlation in
+time alone, whatever the residuals are. Repetitions of a motion count as one (`repetition`): their contributions are
+added before they are squared.
+
+The residuals of a fit are smaller than the errors that they stand for, and most of all at the low frequencies that its
+columns consist of. Each block of time is therefore judged by the fit to all other blocks (as in the jackknife of Bell
+and McCaffrey 2002, there for clusters); without that, 95 % intervals of random arms hold 91 to 93 % of the true values.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import lstsq
+from scipy.signal import fftconvolve
 
-from rx90_common.base.arrays import Array, Mask
-from rx90_emulator.identification.excitation.covariance import (
-    hac,
-    influence_by_time,
-    outside_residuals,
-    time_blocks,
-)
-from rx90_emulator.identification.excitation.prior import Prior
+from rx90_common.base.arrays import Array, Index, Mask
+from rx90_emulator.identification.excitation.linear_parameters import Prior
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
-_ROUNDS = 30
+_MAX_ROUNDS = 30
 _CONVERGED = 1e-2  # change of a value in its deviations; what is left to change is some three times as much
 _HUBER = 1.345  # deviations beyond which a residual weighs less: 95 % efficient for normal noise
-_UNDETERMINED = 1e-6  # singular value of scaled columns over the largest, below which a direction is unknown
-_SHARE = 1e-6  # of such a direction's square in a parameter, from which on that is not determined
+_MIN_SINGULAR_VALUE = 1e-6  # singular value of scaled columns over the largest, below which a direction is unknown
+_MAX_NULL_SHARE = 1e-6  # of such a direction's square in a parameter, from which on that is not determined
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +46,6 @@ class LinearFit:
         sigma: standard deviation of each joint's residuals by which its rows are weighted, Nm, shape (n,).
         weights: robust weights between 0 and 1, shape (r,).
         determined: whether the rows determine each parameter, shape (q,).
-        condition: ratio of the largest and smallest singular values of the weighted columns, each of length 1.
         influence: each motion's influences on the values, shape (k, q): see `covariance`.
     """
 
@@ -45,7 +55,6 @@ class LinearFit:
     sigma: Array
     weights: Array
     determined: Mask
-    condition: float
     influence: tuple[Array, ...]
 
     @property
@@ -85,7 +94,7 @@ def solve(
     sigma = np.full(len(problem.arm.names), max(float(np.std(target)), 1e-12))
     weights = np.ones(len(target))
     solution = equations.solved(weights / sigma[problem.joint] ** 2)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         before = solution.value
         residual = target - columns @ before
         sigma = _sigma(problem, residual, solution.leverage, sigma, robust=robust)
@@ -110,9 +119,7 @@ def solve(
     covariance += shared @ shared.T
     unknown = np.flatnonzero(~solution.determined)
     covariance[unknown, unknown] = np.inf
-    return LinearFit(
-        solution.value, covariance, residual, sigma, weights, solution.determined, solution.condition, tuple(influence)
-    )
+    return LinearFit(solution.value, covariance, residual, sigma, weights, solution.determined, tuple(influence))
 
 
 def _sigma(problem: ExcitationProblem, residual: Array, leverage: Array, before: Array, *, robust: bool) -> Array:
@@ -136,7 +143,6 @@ class _Solution:
     inverse: Array
     leverage: Array
     determined: Mask
-    condition: float
 
 
 class _Equations:
@@ -167,10 +173,115 @@ class _Equations:
         scale = np.sqrt(np.abs(np.diag(gram)))
         scale[scale == 0.0] = 1.0
         left, values, directions = np.linalg.svd(gram / np.outer(scale, scale))
-        known = values > _UNDETERMINED**2 * values[0]
+        known = values > _MIN_SINGULAR_VALUE**2 * values[0]
         inverse = (directions[known].T / values[known]) @ left[:, known].T / np.outer(scale, scale)
-        determined = (directions[~known] ** 2).sum(axis=0) < _SHARE
+        determined = (directions[~known] ** 2).sum(axis=0) < _MAX_NULL_SHARE
         counted = zip(parts, self._joints, strict=True)
         leverage = np.array([np.sum(inverse * part.T) / max(len(own), 1) for part, (own, _) in counted])
-        condition = float(np.sqrt(values[0] / max(values[-1], 1e-300)))
-        return _Solution(inverse @ right, inverse, leverage, determined, condition)
+        return _Solution(inverse @ right, inverse, leverage, determined)
+
+
+_MIN_BANDWIDTH = 2.0  # bandwidth of the kernel in instants, at least
+_MAX_BANDWIDTH_SHARE = 0.25  # share of a run that it takes, at most
+_TIME_BLOCKS = 20  # of time, about, of all runs together
+_MIN_RUN_BLOCKS = 4  # of a run
+_MAX_AUTOCORRELATION = 0.97  # first-order autocorrelation: above, a series has no finite bandwidth
+
+
+def time_blocks(problem: ExcitationProblem) -> Index:
+    """Return the number of each row's block of time, shape (r,): some twenty; repetitions of a motion share theirs."""
+    lengths = _lengths(problem)
+    counts = [max(_MIN_RUN_BLOCKS, round(_TIME_BLOCKS * length / sum(lengths))) for length in lengths]
+    first = np.cumsum([0, *counts])
+    block = np.zeros(len(problem), dtype=np.intp)
+    for run, (motion, phase) in enumerate(problem.phases):
+        rows = problem.run == run
+        block[rows] = first[motion] + phase[problem.place[rows]] * counts[motion] // lengths[motion]
+    return block
+
+
+def _lengths(problem: ExcitationProblem) -> list[int]:
+    """Return how many phases each motion has."""
+    lengths = [1] * (1 + max(motion for motion, _ in problem.phases))
+    for motion, phase in problem.phases:
+        lengths[motion] = max(lengths[motion], int(phase.max(initial=0)) + 1)
+    return lengths
+
+
+def outside_residuals(columns: Array, instruments: Array, residual: Array, block: Index) -> Array:
+    """Return residuals of each block of rows from the fit to all other blocks, shape (r,).
+
+    The equations of the fit are instruments^T (target - columns @ value) = 0.
+
+    Args:
+        columns: shape (r, q).
+        instruments: weighted columns for least squares, shape (r, q).
+        residual: of the fit to all rows, shape (r,).
+        block: number of each row's block, shape (r,).
+    """
+    whole = instruments.T @ columns
+    outside = residual.copy()
+    for number in np.unique(block).tolist():
+        rows = block == number
+        without = whole - instruments[rows].T @ columns[rows]
+        moved = lstsq(without, instruments[rows].T @ residual[rows], cond=1e-12)[0]
+        outside[rows] += columns[rows] @ moved
+    return outside
+
+
+def influence_by_time(problem: ExcitationProblem, scores: Array, inverse: Array) -> list[Array]:
+    """Return each motion's influences on the parameters, instant by instant, repetitions added.
+
+    Args:
+        problem: r rows.
+        scores: what each row adds to the equations of the fit, shape (r, q).
+        inverse: of the derivative of these equations by the parameters, shape (q, q).
+
+    Returns:
+        For each motion an array of shape (k, q), 0 where all rows of an instant are left out.
+    """
+    influence = scores @ inverse.T
+    result = [np.zeros((length, influence.shape[1])) for length in _lengths(problem)]
+    for run, (motion, phase) in enumerate(problem.phases):
+        rows = problem.run == run
+        np.add.at(result[motion], phase[problem.place[rows]], influence[rows])
+    return result
+
+
+def hac(series: Sequence[Array]) -> Array:
+    """Return the heteroscedasticity- and autocorrelation-consistent covariance of sums of influences, shape (q, q).
+
+    Quadratic spectral kernel (Andrews 1991, equation 2.7) with the bandwidth that `bandwidth` chooses; instants of
+    different motions are independent.
+    """
+    width = bandwidth(series)
+    total = np.zeros((series[0].shape[1],) * 2)
+    for values in series:
+        if len(values):
+            kernel = quadratic_spectral(np.arange(-len(values) + 1, len(values)) / width)
+            total += values.T @ fftconvolve(values, kernel[:, None], mode="same", axes=0)
+    return np.asarray(0.5 * (total + total.T))
+
+
+def bandwidth(series: Sequence[Array]) -> float:
+    """Return Andrews' bandwidth of the quadratic spectral kernel, in instants.
+
+    His equations 6.2 and 6.4 with a first-order autoregression of each parameter's series; each parameter counts alike.
+    """
+    lagged = np.sum([np.sum(values[1:] * values[:-1], axis=0) for values in series], axis=0)
+    power = np.sum([np.sum(values**2, axis=0) for values in series], axis=0)
+    known = power > 0.0
+    if not known.any():
+        return _MIN_BANDWIDTH
+    rho = np.clip(lagged[known] / power[known], -_MAX_AUTOCORRELATION, _MAX_AUTOCORRELATION)
+    curvature = float(np.sum(4.0 * rho**2 / (1.0 - rho) ** 8) / np.sum(1.0 / (1.0 - rho) ** 4))
+    width = 1.3221 * float((curvature * sum(len(values) for values in series)) ** 0.2)
+    longest = max(len(values) for values in series)
+    return max(_MIN_BANDWIDTH, min(width, _MAX_BANDWIDTH_SHARE * longest))
+
+
+def quadratic_spectral(lag: Array) -> Array:
+    """Return the quadratic spectral kernel at lags over the bandwidth; 1 at 0."""
+    angle = 1.2 * math.pi * np.where(lag == 0.0, 1.0, lag)
+    value = 3.0 / angle**2 * (np.sin(angle) / angle - np.cos(angle))
+    return np.asarray(np.where(lag == 0.0, 1.0, value))

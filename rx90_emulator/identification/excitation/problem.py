@@ -4,24 +4,37 @@
 equation at an instant is left out while an element that acts on the joint stands still (`standstill`): its torque is
 then anything up to its break-away value. Reversals, in which an element passes through rest, are kept: around them
 alone the bristles show, and Coulomb columns, filtered like the torque, have their step at the right time.
+
+When an element slides, when it rests, and when it passes through rest.
+
+Below 0.05 rad/s (or, on slow arms, a tenth of its usual speed) the torque of an element follows the deflection of its
+bristles rather than its speed. A reversal and a pause both pass below: a reversal at constant acceleration spends a
+quarter of that time below a quarter of the speed, a pause most of it.
+
+Which instants of excitation runs are repetitions of the same motion: periods of a run, runs that are played again.
+
+What a model leaves out (ripple, load, cables) follows the motion and comes back with it. A motion that was recorded ten
+times says no more of its misfit than one recording; deviations that take the repetitions for independent are up to the
+root of ten too small.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate
 
 from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.excitation.base_groups import BaseGroups
-from rx90_emulator.identification.excitation.columns import StandardColumns
 from rx90_emulator.identification.excitation.filtering import FilteredRun
+from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
 from rx90_emulator.identification.excitation.payload import Payload
-from rx90_emulator.identification.excitation.repetition import phases
-from rx90_emulator.identification.excitation.standstill import SlidingState, element_states
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 
 Motion = tuple[Array, Array, Array]
@@ -227,3 +240,135 @@ def _check_runs(arm: RigidArm, runs: Sequence[FilteredRun], payloads: Sequence[P
             raise IdentificationError(
                 f"{run.source.path}: joints {', '.join(run.names)}; accepted: {', '.join(arm.names)}"
             )
+
+
+_SLOW_SPEED = 0.05  # rad/s: on real arms rows below it pull Coulomb friction 10 to 25 % low
+_SLOW_SHARE = 0.1  # of the speed that an element exceeds in a tenth of the run
+_MIN_SLOW_SPEED = 1e-3  # rad/s: an element that is never faster stands
+_PAUSE_SHARE = 0.5  # share of a slow stretch below a quarter of the threshold: a pause; a reversal has a quarter
+_STOP_SHARE = 0.1  # of the threshold: below it an element that does not change its direction has stopped for an instant
+
+
+class SlidingState(IntEnum):
+    """What an element does."""
+
+    SLIDES = 0
+    PASSES = 1
+    RESTS = 2
+
+
+def element_states(run: FilteredRun, elements: Array) -> NDArray[np.int8]:
+    """Return what each element does at the run's rows, shape (k, n_el).
+
+    The low-pass of the torque reaches half a period of its bandwidth to both sides: a row as near to a pause as that
+    counts as resting.
+
+    Args:
+        run: of n joints.
+        elements: E, joint velocities to those of the elements, shape (n_el, n).
+    """
+    velocity = run.velocity @ elements.T
+    reach = math.ceil(0.5 * run.rate / run.bandwidths.torque)
+    state = np.empty((len(run.rows), len(elements)), dtype=np.int8)
+    for e, speed in enumerate(velocity.T):
+        threshold = slow_below(speed)
+        rests, passes = _slow_stretches(speed, threshold)
+        stops, _ = _slow_stretches(speed, _STOP_SHARE * threshold)
+        state[:, e] = np.where(
+            _near(rests | stops, reach)[run.rows], SlidingState.RESTS, passes[run.rows] * SlidingState.PASSES
+        )
+    return state
+
+
+def slow_below(velocity: Array) -> float:
+    """Return the speed below which an element counts as slow, rad/s, from its velocity in a run, shape (m,)."""
+    usual = float(np.quantile(np.abs(velocity), 0.9))
+    return max(min(_SLOW_SPEED, _SLOW_SHARE * usual), _MIN_SLOW_SPEED)
+
+
+def _slow_stretches(velocity: Array, threshold: float) -> tuple[Mask, Mask]:
+    """Return where an element rests and where it passes through rest, each of shape (m,)."""
+    slow = np.abs(velocity) < threshold
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(np.int8)))
+    rests, passes = np.zeros_like(slow), np.zeros_like(slow)
+    for start, stop in edges.reshape(-1, 2).tolist():
+        inner = float(np.mean(np.abs(velocity[start:stop]) < 0.25 * threshold))
+        whole = start > 0 and stop < len(velocity)
+        # A single sample tells no share.
+        through = whole and velocity[start - 1] * velocity[stop] < 0.0 and (inner <= _PAUSE_SHARE or stop - start == 1)
+        (passes if through else rests)[start:stop] = True
+    return rests, passes
+
+
+def _near(mask: Mask, reach: int) -> Mask:
+    """Return the samples within `reach` of a true one."""
+    count = np.cumsum(np.concatenate([np.zeros(reach + 1), mask, np.zeros(reach)]))
+    return np.asarray(count[2 * reach + 1 :] - count[: -2 * reach - 1] > 0.0)
+
+
+_SAME_MOTION = 0.95  # similarity of velocities from which on two stretches are the same motion
+_DECORRELATED = 0.5  # similarity below which a lag has left the neighbourhood of 0
+_MIN_OVERLAP = 0.3  # share of the motion's energy that two stretches have in common, at least
+_RATE_TOLERANCE = 0.01  # relative difference between the row rates of runs that can be compared
+
+
+def phases(runs: Sequence[FilteredRun]) -> list[tuple[int, Index]]:
+    """Return for each run the number of its motion and the phase of each of its rows' instants, shape (k,).
+
+    Instants with the same motion and phase are repetitions of each other.
+    """
+    scale = np.sqrt(np.mean(np.concatenate([run.velocity**2 for run in runs]), axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    motions: list[tuple[Array, float, int]] = []
+    found = []
+    for run in runs:
+        velocity, rate = run.velocity[run.rows] / scale, run.rate / run.down
+        number, shift = _repeated_motion(velocity, rate, motions)
+        if number == len(motions):
+            motions.append((velocity, rate, _period(velocity)))
+        place = np.arange(len(velocity)) + shift
+        period = motions[number][2]
+        found.append((number, place % period if period else place))
+    # A run that began earlier than the first of its motion has places before 0.
+    earliest = {number: min(int(p.min()) for k, p in found if k == number and len(p)) for number, _ in found}
+    return [(number, place - earliest[number]) for number, place in found]
+
+
+def _repeated_motion(velocity: Array, rate: float, motions: Sequence[tuple[Array, float, int]]) -> tuple[int, int]:
+    """Return the motion that a run repeats, by how many rows it begins later there; a new number if it repeats none."""
+    for number, (other, its_rate, _) in enumerate(motions):
+        if abs(rate / its_rate - 1.0) < _RATE_TOLERANCE:
+            alike, shared = _similarity(other, velocity)
+            best = int(np.argmax(np.where(shared > _MIN_OVERLAP, alike, -1.0)))
+            if alike[best] > _SAME_MOTION and shared[best] > _MIN_OVERLAP:
+                return number, best - (len(velocity) - 1)
+    return len(motions), 0
+
+
+def _period(velocity: Array) -> int:
+    """Return the period of a run in rows, velocities of shape (k, n); 0 if it does not repeat itself."""
+    alike, shared = _similarity(velocity, velocity)
+    alike, shared = alike[len(velocity) - 1 :], shared[len(velocity) - 1 :]
+    left = np.flatnonzero(alike < _DECORRELATED)
+    candidates = np.flatnonzero(_peaks(alike) & (alike > _SAME_MOTION) & (shared > _MIN_OVERLAP))
+    candidates = candidates[candidates > (left[0] if len(left) else len(alike))]
+    return int(candidates[0]) if len(candidates) else 0
+
+
+def _peaks(values: Array) -> Mask:
+    padded = np.pad(values, 1, constant_values=-np.inf)
+    return np.asarray((values >= padded[:-2]) & (values >= padded[2:]))
+
+
+def _similarity(first: Array, second: Array) -> tuple[Array, Array]:
+    """Return how alike two motions are at each lag, 1 for the same, and the share of the smaller energy in the overlap.
+
+    At lag number l, row k of `second` lies on row k + l - (len(second) - 1) of `first`.
+    """
+    product = sum(correlate(a, b, method="fft") for a, b in zip(first.T, second.T, strict=True))
+    energy, other = (np.concatenate([[0.0], np.cumsum((values**2).sum(axis=1))]) for values in (first, second))
+    lag = np.arange(-(len(second) - 1), len(first))
+    begin, end = np.maximum(lag, 0), np.minimum(lag + len(second), len(first))
+    mine, its = energy[end] - energy[begin], other[end - lag] - other[begin - lag]
+    least = max(min(energy[-1], other[-1]), 1e-300)
+    return 2.0 * product / np.maximum(mine + its, 1e-300 + 1e-9 * least), np.minimum(mine, its) / least

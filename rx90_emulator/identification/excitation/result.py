@@ -1,23 +1,35 @@
-"""What an identification from excitation runs returns."""
+"""What an identification from excitation runs returns.
+
+From the identified friction to elements that can be simulated: what the runs do not tell is assumed, and marked.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
+import numpy as np
+
+from rx90_common.base.errors import IdentificationError
+from rx90_common.friction import FrictionElement
 from rx90_emulator.identification.excitation.consistency import Consistency
-from rx90_emulator.identification.excitation.fit_quality import (
-    SpeedResiduals,
-    residuals_by_speed,
-    undetermined,
-)
-from rx90_emulator.identification.excitation.friction.models import FrictionSelection, ModelRow
+from rx90_emulator.identification.excitation.friction.estimates import FrictionSelection
+from rx90_emulator.identification.excitation.friction.selection import ModelRow
 from rx90_emulator.identification.excitation.gains import DriveGains
 from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
 from rx90_emulator.identification.excitation.load_parts import LoadParts
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.excitation.torques import RunTorques, TorqueValidation, Trend
-from rx90_emulator.identification.model.estimates import ParameterEstimate
+from rx90_emulator.identification.excitation.torques import (
+    RunTorques,
+    SpeedResiduals,
+    TorqueValidation,
+    Trend,
+    residuals_by_speed,
+    undetermined,
+)
+from rx90_emulator.identification.model.estimates import ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.model.zeros import ZeroCheck
@@ -128,3 +140,75 @@ def base_parameters(
         BaseParameter(name, group, UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2"), estimate, near)
         for name, group, estimate, near in rows
     )
+
+
+def with_other(base: Sequence[BaseParameter], comparison: InstrumentalComparison) -> tuple[BaseParameter, ...]:
+    """Return base parameters with their values by the other one of least squares and instrumental variables."""
+    fit = comparison.least_squares if comparison.biased else comparison.instrumental
+    rows = zip(base, fit.value.tolist(), fit.deviation.tolist(), strict=False)  # friction follows the base parameters
+    return tuple(
+        replace(one, other=ParameterEstimate(value, deviation))
+        if one.estimate.identifiable and np.isfinite(deviation)
+        else replace(one, other=ParameterEstimate.unknown(NOT_DETERMINED))
+        for one, value, deviation in rows
+    )
+
+
+_PRESLIDING_DISTANCE = 2.5e-4  # rad, at break-away where no c0 is known: that of the shipped RX90B's large joints
+ASSUMED_BRISTLES = "no file: bristles that break away after 0.25 mrad are assumed"
+"""Where c0, c1 and omega_d come from without a fallback, in words."""
+_BRISTLE_RELAXATION = 1e-3  # s, c1 over c0 where no c1 is known, as there
+_DAMPING_FADE_SPEED = 1.0  # rad/s, omega_d beside such a c1: the element is passive then at every speed
+_NEUTRAL_STRIBECK = {"omega_s": 0.1, "delta": 1.0}  # of no effect while tau_s = tau_c
+
+
+def simulated_elements(
+    estimates: Sequence[ElementEstimate],
+    fallback: Sequence[FrictionElement] | None,
+    loads: LoadParts | None = None,
+) -> tuple[IdentifiedElement, ...]:
+    """Return the elements with values for all parameters.
+
+    A part that the model does not have is switched off: tau_s = tau_c, alpha = 1. Bristles, which an arm needs to stand
+    still, come from the fallback, else from the presliding distance of large joints; both are assumptions.
+
+    Args:
+        estimates: by the names of FrictionElement.
+        fallback: elements in the same order; None if there are none.
+        loads: the load parts; None where they were not asked for.
+
+    Raises:
+        IdentificationError: for an element without an identified Coulomb torque, if there is no fallback.
+    """
+    others = fallback or (None,) * len(estimates)
+    found = []
+    for number, (one, other) in enumerate(zip(estimates, others, strict=True)):
+        element, known = _element(one.element, one.parameters, other), dict(one.parameters)
+        if loads is not None:
+            element, known = replace(element, load=loads.part(number)), known | loads.estimates(number)
+        found.append(IdentifiedElement.of(element, known, dict.fromkeys(known, one.sources), other))
+    return tuple(found)
+
+
+def _element(name: str, known: Mapping[str, ParameterEstimate], other: FrictionElement | None) -> FrictionElement:
+    found: dict[str, Any] = {parameter: one.value for parameter, one in known.items() if one.identifiable}
+    for sign in ("positive", "negative"):
+        coulomb = f"tau_c_{sign}"
+        if found.get(coulomb, 0.0) <= 0.0:
+            if other is None:
+                reason = known[coulomb].reason if coulomb in known and not known[coulomb].identifiable else "it is 0"
+                raise IdentificationError(
+                    f"{name}: {coulomb} is not identifiable from these runs ({reason}); accepted: runs in which it is, "
+                    "or --fallback with a friction file for such values"
+                )
+            found[coulomb] = float(getattr(other, coulomb))
+        found[f"tau_s_{sign}"] = max(found.get(f"tau_s_{sign}", 0.0), found[coulomb])
+    for parameter, value in _NEUTRAL_STRIBECK.items():
+        found.setdefault(parameter, value)
+    found.setdefault("c2", 0.0)
+    mean = 0.5 * (found["tau_c_positive"] + found["tau_c_negative"])
+    found.setdefault("c0", mean / _PRESLIDING_DISTANCE if other is None else other.c0)
+    if "c1" not in found:
+        found["c1"] = found["c0"] * _BRISTLE_RELAXATION if other is None else other.c1
+        found["omega_d"] = _DAMPING_FADE_SPEED if other is None else other.omega_d
+    return FrictionElement(**found)

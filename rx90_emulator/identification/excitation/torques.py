@@ -1,4 +1,7 @@
-"""Recorded and predicted torques of a run, how well they agree, and whether their difference drifts."""
+"""Recorded and predicted torques of a run, how well they agree, and whether their difference drifts.
+
+How well a fit explains the torque at each speed, and what the runs did not determine.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +13,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import t as student
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Index
 from rx90_emulator.identification.excitation.filtering import FilteredRun
+from rx90_emulator.identification.excitation.least_squares import LinearFit, time_blocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.model.options import ExcitationTolerances
 from rx90_emulator.identification.records.record import BagSource
 
-_DIFFERENCES, _GAIN = 3, 20.0  # the third difference 1, -3, 3, -1 has 20 times the variance of white noise
-_NORMAL = 0.6745  # median of a standard normal's size
-_FEWEST_BLOCKS = 6  # over which a trend is tested
-_MEANINGFUL = 1e4  # chi^2 up to which it tells something
-_LEVEL = 0.01  # chance of a false trend, over all joints and runs together
+_DIFFERENCES, _DIFFERENCE_GAIN = 3, 20.0  # the third difference 1, -3, 3, -1 has 20 times the variance of white noise
+_NORMAL_MAD = 0.6745  # median of a standard normal's size
+_MIN_TREND_BLOCKS = 6  # over which a trend is tested
+_MAX_CHI_SQUARE = 1e4  # chi^2 up to which it tells something
+_TREND_LEVEL = 0.01  # chance of a false trend, over all joints and runs together
 
 
 class JointTorque(NamedTuple):
@@ -91,7 +95,7 @@ class RunTorques:
     @property
     def noiseless(self) -> Array:
         """Return whether the noise is below a hundredth of the difference, shape (n,): chi^2 then tells nothing."""
-        return np.asarray((self.rms > 0.0) & (self.noise < self.rms / math.sqrt(_MEANINGFUL)))
+        return np.asarray((self.rms > 0.0) & (self.noise < self.rms / math.sqrt(_MAX_CHI_SQUARE)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +180,9 @@ def torque_noise(run: FilteredRun) -> Array:
     """
     if len(run.torque) <= _DIFFERENCES:
         return np.zeros(run.torque.shape[1])
-    size = np.median(np.abs(np.diff(run.torque, _DIFFERENCES, axis=0)), axis=0) / (_NORMAL * math.sqrt(_GAIN))
+    size = np.median(np.abs(np.diff(run.torque, _DIFFERENCES, axis=0)), axis=0) / (
+        _NORMAL_MAD * math.sqrt(_DIFFERENCE_GAIN)
+    )
     return np.asarray(size * math.sqrt(np.sum(run.taps**2)))
 
 
@@ -199,7 +205,7 @@ def trends(runs: Sequence[RunTorques], block: float) -> tuple[Trend, ...]:
         opposing = joint.residual * np.sign(joint.velocity)
         count = np.bincount(number)
         filled = np.flatnonzero(count > 0.5 * count.max())
-        if len(filled) < _FEWEST_BLOCKS:
+        if len(filled) < _MIN_TREND_BLOCKS:
             continue
         means = (np.bincount(number, opposing)[filled] / count[filled]) - opposing.mean()
         times = np.bincount(number, joint.time)[filled] / count[filled]
@@ -208,6 +214,102 @@ def trends(runs: Sequence[RunTorques], block: float) -> tuple[Trend, ...]:
         free = len(filled) - 2
         deviation = math.sqrt(float(np.sum((means - means.mean() - slope * times) ** 2)) / free / (times @ times))
         span = float(joint.time[-1] - joint.time[0])
-        if abs(slope) > deviation * student.ppf(1.0 - 0.5 * _LEVEL / len(tests), free):
+        if abs(slope) > deviation * student.ppf(1.0 - 0.5 * _TREND_LEVEL / len(tests), free):
             found.append(Trend(run.source.path.name, name, slope * span, deviation * span))
     return tuple(found)
+
+
+_SPEED_BINS = 12  # of speed
+_MIN_BIN_ROWS = 5  # rows in a bin
+_MISFIT_LEVEL = 0.05  # chance of a false misfit, over all bins together
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedResiduals:
+    """Mean residuals of an element's joint at several speeds of the element, k bins.
+
+    Attributes:
+        element: its name.
+        velocity: mean in each bin, rad/s, shape (k,).
+        residual: mean, Nm, shape (k,).
+        deviation: of that mean, from the means of blocks of time, Nm, shape (k,); NaN in a bin of one block.
+        blocks: how many of them, shape (k,).
+    """
+
+    element: str
+    velocity: Array
+    residual: Array
+    deviation: Array
+    blocks: Index
+
+
+def residuals_by_speed(problem: ExcitationProblem, residual: Array) -> tuple[SpeedResiduals, ...]:
+    """Return mean residuals over the speed of each element: what its friction curve does not say.
+
+    The joint is the last on which the element acts. Reversals are left out.
+
+    Args:
+        problem: r rows.
+        residual: recorded less predicted torque, Nm, shape (r,).
+    """
+    block = time_blocks(problem)
+    result = []
+    for e, (name, acts) in enumerate(zip(problem.arm.element_names, problem.arm.element_matrix != 0.0, strict=True)):
+        rows = np.flatnonzero((problem.joint == np.flatnonzero(acts)[-1]) & ~problem.reversal)
+        velocity = problem.velocity[rows, e]
+        edges = (
+            np.quantile(velocity, np.linspace(0.0, 1.0, _SPEED_BINS + 1)) if len(rows) else np.zeros(_SPEED_BINS + 1)
+        )
+        number = np.clip(np.searchsorted(edges, velocity, "right") - 1, 0, _SPEED_BINS - 1)
+        bins = [rows[number == k] for k in range(_SPEED_BINS) if np.count_nonzero(number == k) >= _MIN_BIN_ROWS]
+        result.append(
+            SpeedResiduals(
+                name,
+                np.array([problem.velocity[some, e].mean() for some in bins]),
+                np.array([residual[some].mean() for some in bins]),
+                np.array([_deviation(residual[some], block[some]) for some in bins]),
+                np.array([len(np.unique(block[some])) for some in bins], dtype=np.intp),
+            )
+        )
+    return tuple(result)
+
+
+def misfits(speeds: Sequence[SpeedResiduals]) -> list[str]:
+    """Return, in words, each element's largest mean residual that is more than chance (5 % over all bins together)."""
+    found = []
+    tests = sum(len(one.residual) for one in speeds)
+    for one in speeds:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            size = np.nan_to_num(np.abs(one.residual) / one.deviation, posinf=0.0)
+        limit = np.array([student.ppf(1.0 - 0.5 * _MISFIT_LEVEL / tests, max(k - 1, 1)) for k in one.blocks.tolist()])
+        clear = np.flatnonzero(size > limit)
+        if len(clear):
+            worst = clear[np.argmax(np.abs(one.residual[clear]))]
+            found.append(
+                f"the torque of {one.element} is off by {one.residual[worst]:.3g} +- {one.deviation[worst]:.2g} Nm at "
+                f"{one.velocity[worst]:.3g} rad/s"
+            )
+    return found
+
+
+def _deviation(values: Array, block: Array) -> float:
+    means = [float(values[block == k].mean()) for k in np.unique(block).tolist()]
+    return float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else float("nan")
+
+
+def undetermined(problem: ExcitationProblem, fit: LinearFit) -> tuple[str, ...]:
+    """Return the base parameters that these runs do not determine, by name.
+
+    One deviation of such a parameter alone would move torques by more than the torques' own RMS: the data would bear
+    any value that an arm may have.
+
+    Args:
+        problem: r rows.
+        fit: of the base parameters, and of others behind them.
+    """
+    count = len(problem.names)
+    size = float(np.sqrt(np.mean(problem.torque**2)))
+    deviation, known = fit.deviation[:count], fit.determined[:count]
+    effect = np.where(known, deviation, 0.0) * np.sqrt(np.mean(problem.regressor**2, axis=0))
+    bad = ~known | ~(effect < size)
+    return tuple(name for name, one in zip(problem.names, bad.tolist(), strict=True) if one)

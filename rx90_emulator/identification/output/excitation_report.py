@@ -13,13 +13,18 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction.parameters import FRICTION_UNITS
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, Band, Curve, Dots, Heat, Level, Panel, Plot
-from rx90_emulator.identification.excitation.closed_loop import remark
-from rx90_emulator.identification.excitation.fit_quality import SpeedResiduals, misfits
+from rx90_emulator.identification.excitation.friction.estimates import FrictionCurve
 from rx90_emulator.identification.excitation.friction.law import Part
-from rx90_emulator.identification.excitation.friction.models import FrictionCurve
 from rx90_emulator.identification.excitation.gains import PLAUSIBLE
+from rx90_emulator.identification.excitation.instruments import remark
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
-from rx90_emulator.identification.excitation.torques import JointTorque, RunTorques, TorqueValidation
+from rx90_emulator.identification.excitation.torques import (
+    JointTorque,
+    RunTorques,
+    SpeedResiduals,
+    TorqueValidation,
+    misfits,
+)
 from rx90_emulator.identification.model.estimates import ParameterEstimate
 from rx90_emulator.identification.output.robot_files import torque_constants
 

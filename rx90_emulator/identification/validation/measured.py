@@ -29,7 +29,7 @@ from rx90_emulator.identification.excitation.filtering import (
     low_pass,
     low_pass_taps,
 )
-from rx90_emulator.identification.excitation.standstill import SlidingState, element_states
+from rx90_emulator.identification.excitation.problem import SlidingState, element_states
 from rx90_emulator.identification.records.layout import BagLayout
 from rx90_emulator.identification.records.reading import read_record
 from rx90_emulator.identification.records.record import BagSource, JointRecord

@@ -404,9 +404,9 @@ def test_a_planned_run_tells_the_inertias_that_the_engine_has(
     A torque counted half a tick late makes these rotors 0.4 to 0.7 % too small. Few rows, no parts of
     friction and no simulation, for speed.
     """
-    monkeypatch.setattr(filtering, "_MOST_ROWS", 4000)
+    monkeypatch.setattr(filtering, "_MAX_ROWS", 4000)
     monkeypatch.setattr(identify, "WITHOUT_BRISTLES", ())
-    monkeypatch.setattr(instruments, "_ROUNDS", 0)
+    monkeypatch.setattr(instruments, "_MAX_ROUNDS", 0)
     bag = tmp_path / "run"
     run_on_engine(tx40, plan.experiments[0], bag)
     found = identify.identify_excitation([bag], RobotOptions(robot="tx40"))

@@ -18,7 +18,7 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import identify as identification
-from rx90_emulator.identification.excitation.elements import simulated_elements
+from rx90_emulator.identification.excitation.result import simulated_elements
 from rx90_emulator.identification.identify import identify_records
 from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.model.options import RobotOptions

@@ -23,10 +23,9 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import MaxwellSlip
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.excitation.base_groups import BaseGroups
-from rx90_emulator.identification.excitation.columns import StandardColumns
-from rx90_emulator.identification.excitation.physical.fit import BaseEstimate, consistent_inertias
-from rx90_emulator.identification.excitation.physical.prior import InertialPrior
+from rx90_emulator.identification.excitation.bodies import InertialPrior
+from rx90_emulator.identification.excitation.consistency import BaseEstimate, consistent_inertias
+from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
 from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.output.friction_file import elements_text
@@ -70,7 +69,8 @@ def element_of(element: FrictionElement, source: BagSource) -> IdentifiedElement
 def estimate_of(columns: StandardColumns, theta: Array) -> BaseEstimate:
     """Return the base parameters of standard ones, known to 1e-7 of the torque."""
     groups = BaseGroups.of(columns)
-    return BaseEstimate(groups.names, groups.combination, groups.combination @ theta, 1e-14 * np.eye(len(groups.names)))
+    known = np.eye(len(groups.names))
+    return BaseEstimate(groups.combination, groups.combination @ theta, 1e-14 * known, 1e7 * known)
 
 
 @pytest.fixture(scope="module")
@@ -289,7 +289,7 @@ def test_noisy_tx40_stays_a_robot() -> None:
     base = rows[:, list(groups.leading)]
     noise = 0.01 * np.sqrt(np.mean((rows @ theta) ** 2))
     found = np.linalg.lstsq(base, rows @ theta + noise * rng.standard_normal(360), rcond=None)[0]
-    estimate = BaseEstimate(groups.names, groups.combination, found, noise**2 * np.linalg.inv(base.T @ base))
+    estimate = BaseEstimate(groups.combination, found, noise**2 * np.linalg.inv(base.T @ base), base / noise)
     urdf = RobotFiles.named("tx40").urdf
     blank = re.sub(r"<inertial>.*?</inertial>", "", urdf.read_text(), flags=re.DOTALL)
     for text in (urdf.read_text(), blank):

@@ -9,15 +9,50 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from rx90_common.base.arrays import Array
+from rx90_emulator.identification.excitation.friction.fit import SeparableFit, WeightedProblem
 from rx90_emulator.identification.excitation.friction.law import LINEAR
-from rx90_emulator.identification.excitation.friction.models import BlockDivision, CrossValidation
-from rx90_emulator.identification.excitation.friction.separable import SeparableFit
-from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """How well a model predicts what it was not fitted to.
+
+    Attributes:
+        error: weighted RMS of the residuals of what was left out, in noise deviations of the joints.
+        deviation: standard error of `error`, from its scatter over the blocks.
+        relative: RMS of these residuals over the RMS torque, all joints together.
+        gain: by how much `error` is less than that of the model it is compared with; 0 for the first model.
+        gain_deviation: standard error of `gain`, from paired differences over the blocks.
+    """
+
+    error: float
+    deviation: float
+    relative: float
+    gain: float = 0.0
+    gain_deviation: float = 0.0
+
+
+@dataclass(frozen=True)
+class BlockDivision:
+    """The blocks of time of the cross-validation.
+
+    Attributes:
+        length: of a block, s.
+        count: of blocks.
+        correlation_time: time in which the autocorrelation of the residuals fades, s.
+        reason: how the length was chosen, in words.
+    """
+
+    length: float
+    count: int
+    correlation_time: float
+    reason: str
+
+
 _CORRELATION_TIMES = 4.0  # in a block
-_LEAST, _MOST = 8, 60  # blocks of all runs
-_LARGEST_LAG = 0.2  # of a run
+_MIN_BLOCKS, _MAX_BLOCKS = 8, 60  # blocks of all runs
+_MAX_LAG_SHARE = 0.2  # of a run
 _CUTOFF = 1e-10  # relative: directions that the remaining rows do not determine stay where they are
 
 
@@ -204,12 +239,12 @@ class TimeBlocks:
 def _block_length(correlation: float, whole: float) -> tuple[float, str]:
     """Return how long blocks are to be, s, and why, for a correlation time and motions of so many seconds in all."""
     wanted = _CORRELATION_TIMES * correlation
-    length = min(max(wanted, whole / _MOST), whole / _LEAST)
+    length = min(max(wanted, whole / _MAX_BLOCKS), whole / _MIN_BLOCKS)
     reason = f"{_CORRELATION_TIMES:g} correlation times of the residuals, {correlation:.3g} s"
     if length > wanted:
-        return length, f"a {_MOST}th of the motions, more than {reason}"
+        return length, f"a {_MAX_BLOCKS}th of the motions, more than {reason}"
     if length < wanted:
-        return length, f"an {_LEAST}th of the motions, less than {reason}: the motions are short"
+        return length, f"an {_MIN_BLOCKS}th of the motions, less than {reason}: the motions are short"
     return length, reason
 
 
@@ -234,7 +269,7 @@ def _correlation_time(problem: ExcitationProblem, residual: Array) -> float:
     It is summed up to the first lag at which the autocorrelation is not positive.
     """
     times = [0.0]
-    lags = max(int(_LARGEST_LAG * len(run.rows)) for run in problem.runs)
+    lags = max(int(_MAX_LAG_SHARE * len(run.rows)) for run in problem.runs)
     for joint in range(int(problem.joint.max()) + 1):
         products = np.zeros(lags)  # of residuals so many samples apart, summed over the runs
         period = 0.0
@@ -244,7 +279,7 @@ def _correlation_time(problem: ExcitationProblem, residual: Array) -> float:
             series = np.zeros(len(run.rows))
             series[problem.place[rows]] = residual[rows]
             size = 2 * len(series)
-            lagged = np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2, size)[: int(_LARGEST_LAG * len(series))]
+            lagged = np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2, size)[: int(_MAX_LAG_SHARE * len(series))]
             products[: len(lagged)] += lagged
         if lags and products[0] > 0.0:
             fading = products / products[0]

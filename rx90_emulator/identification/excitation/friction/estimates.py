@@ -1,20 +1,146 @@
-"""From the selected model to the parameters of FrictionElement, with deviations, or the reason why one is not known."""
+"""The selected friction: elements as they were fitted, their curves, and the parameters of FrictionElement.
+
+From the selected model to the parameters of FrictionElement, with deviations, or the reason why one is not known.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.identification.excitation.friction.law import FITTED, VISCOUS, Part
-from rx90_emulator.identification.excitation.friction.models import FittedElement
+from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.excitation.friction.cross_validation import BlockDivision
+from rx90_emulator.identification.excitation.friction.law import (
+    FITTED,
+    LINEAR,
+    VISCOUS,
+    ElementShape,
+    Part,
+    steady_columns,
+)
+from rx90_emulator.identification.excitation.friction.selection import ModelRow
+from rx90_emulator.identification.excitation.least_squares import LinearFit
 from rx90_emulator.identification.model.estimates import ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
 
-_UNTOLD = 0.3  # deviation of an exponent that says nothing about it
-_LARGEST = {"omega_s": 0.5, "delta": 0.5, "c0": 0.5, "c1": 0.25}
+NORMAL_95 = 1.96
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionCurve:
+    """Steady friction torque of an element against its velocity, over velocities at which there were data.
+
+    Attributes:
+        element: its name.
+        velocity: rad/s, shape (k,), increasing, both signs.
+        torque: Nm, shape (k,).
+        deviation: standard deviation of the torque, Nm, shape (k,).
+    """
+
+    element: str
+    velocity: Array
+    torque: Array
+    deviation: Array
+
+    @property
+    def band(self) -> tuple[Array, Array]:
+        """Return lower and upper bound of the torque at 95 %, Nm, each shape (k,)."""
+        return self.torque - NORMAL_95 * self.deviation, self.torque + NORMAL_95 * self.deviation
+
+
+@dataclass(frozen=True, eq=False)
+class FittedElement:
+    """The friction of one element as it was fitted.
+
+    Attributes:
+        element: its name.
+        shape: the parameters that are not linear, and the parts it has.
+        linear: tau_c, c2 and c1, in Nm, Nm (s/rad)^alpha, Nm s/rad; 0 for what it does not have, shape (3,).
+        covariance: of the parameters in FITTED, shape (8, 8); 0 for what is not fitted. The exponent of a viscous
+            part is free in it where the runs were asked for exponents, also if it is left at 1: what is not known of
+            it is not known of tau_c and c2 either.
+        ranges: least and greatest speed of its data in each direction, positive and negative: ((low, high),
+            (low, high)), rad/s; (0, 0) for a direction in which it did not move.
+    """
+
+    element: str
+    shape: ElementShape
+    linear: Array
+    covariance: Array
+    ranges: tuple[tuple[float, float], tuple[float, float]]
+
+    def curve(self, velocity: Array | None = None, points: int = 60) -> FrictionCurve:
+        """Return the steady friction torque with its deviation.
+
+        Args:
+            velocity: rad/s, shape (k,); by default over all velocities at which there were data.
+            points: of each direction, by default.
+
+        Raises:
+            IdentificationError: for a velocity at which there were no data.
+        """
+        given = self._velocities(points) if velocity is None else np.asarray(velocity, dtype=np.float64)
+        (low, high), (low_back, high_back) = self.ranges
+        inside = ((given >= low) & (given <= high)) | ((-given >= low_back) & (-given <= high_back))
+        if not inside.all():
+            found = f"{self.element}: velocity {given[~inside][0]:.4g} rad/s"
+            accepted = f"{-high_back:.4g} to {-low_back:.4g} and {low:.4g} to {high:.4g} rad/s, where there were data"
+            raise IdentificationError(f"{found}; accepted: {accepted}")
+        columns, derivatives = steady_columns(self.shape, given)
+        slopes = [derivatives[name] @ self.linear for name in FITTED[len(LINEAR) :]]
+        matrix = np.column_stack([columns, *slopes])
+        variance = np.einsum("ki,ij,kj->k", matrix, self.covariance, matrix)
+        return FrictionCurve(self.element, given, columns @ self.linear, np.sqrt(np.maximum(variance, 0.0)))
+
+    def _velocities(self, points: int) -> Array:
+        (low, high), (low_back, high_back) = self.ranges
+        forward = np.geomspace(low, high, points) if high > 0.0 else np.empty(0)
+        backward = -np.geomspace(low_back, high_back, points)[::-1] if high_back > 0.0 else np.empty(0)
+        return np.concatenate([backward, forward])
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionSelection:
+    """The friction of all elements with the parts that predict better, and the models that were compared.
+
+    Attributes:
+        models: rows of the table, in the order in which they were compared.
+        blocks: of the cross-validation.
+        fitted: elements as they were fitted, in the arm's order.
+        elements: their estimates by the names of FrictionElement, with the reason for each that is not identifiable.
+        fit: of the kept model, linear around the non-linear parameters (whose values there are their last changes):
+            the problem's parameters, then the friction's, with HAC covariance. Its last values may be exponents that
+            are left at 1, and whose uncertainty the covariance knows.
+        names: of the values of `fit`; a friction parameter is `element.parameter`.
+        predicted: torque of every row by the kept model, Nm, shape (r,).
+        remarks: what a reader of the figures must know.
+    """
+
+    models: tuple[ModelRow, ...]
+    blocks: BlockDivision
+    fitted: tuple[FittedElement, ...]
+    elements: tuple[ElementEstimate, ...]
+    fit: LinearFit
+    names: tuple[str, ...]
+    predicted: Array
+    remarks: tuple[str, ...]
+
+    @property
+    def parts(self) -> tuple[frozenset[Part], ...]:
+        """Return the parts that each element has."""
+        return tuple(one.shape.parts for one in self.fitted)
+
+    def curves(self) -> tuple[FrictionCurve, ...]:
+        """Return the curves of all elements, over the velocities at which there were data."""
+        return tuple(one.curve() for one in self.fitted)
+
+
+_MAX_ALPHA_SD = 0.3  # deviation of an exponent that says nothing about it
+_MAX_RELATIVE_SD = {"omega_s": 0.5, "delta": 0.5, "c0": 0.5, "c1": 0.25}
 """Relative deviation up to which one of these counts as known.
 
 Damping is kept where it happens to come out large: of values that stand out by less than four deviations, most are too
@@ -83,7 +209,9 @@ def _reason(one: FittedElement, name: str, value: float, deviation: float, refus
         return refusal(part)
     if name == "delta" and "delta" in one.shape.fixed:
         return "not told from the size of the rise; 1 was assumed"
-    weak = deviation > (_UNTOLD if name == "alpha" else _LARGEST[name] * value if name in _LARGEST else math.inf)
+    weak = deviation > (
+        _MAX_ALPHA_SD if name == "alpha" else _MAX_RELATIVE_SD[name] * value if name in _MAX_RELATIVE_SD else math.inf
+    )
     checks = (
         (not one.linear.any(), "the element does not move, or at one velocity alone"),
         (name.startswith("tau") and value <= 0.0, "no Coulomb friction shows: the best value is 0"),

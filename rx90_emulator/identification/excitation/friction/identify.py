@@ -11,25 +11,30 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.excitation.coulomb_viscous import coulomb_viscous
-from rx90_emulator.identification.excitation.friction.blur import blur_shifts
-from rx90_emulator.identification.excitation.friction.columns import element_rows
-from rx90_emulator.identification.excitation.friction.estimates import element_estimate
-from rx90_emulator.identification.excitation.friction.law import FITTED, LINEAR, VISCOUS, Part
-from rx90_emulator.identification.excitation.friction.load import LoadDependence, load_dependence
-from rx90_emulator.identification.excitation.friction.models import FittedElement, FrictionSelection
+from rx90_emulator.identification.excitation.checks import coulomb_viscous
+from rx90_emulator.identification.excitation.friction.estimates import (
+    FittedElement,
+    FrictionSelection,
+    element_estimate,
+)
+from rx90_emulator.identification.excitation.friction.law import FITTED, LINEAR, VISCOUS, Part, element_rows
 from rx90_emulator.identification.excitation.friction.selection import STAGES, Selected, attempts, select_parts, tangent
-from rx90_emulator.identification.excitation.friction.undecided import undecided_parts
+from rx90_emulator.identification.excitation.friction.unmodelled import (
+    LoadDependence,
+    blur_shifts,
+    load_dependence,
+    undecided_parts,
+)
 from rx90_emulator.identification.excitation.gains import DriveGains, drive_gains, with_gains
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
-from rx90_emulator.identification.excitation.prior import Prior
+from rx90_emulator.identification.excitation.linear_parameters import Prior
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.model.estimates import ElementEstimate
 
 WITHOUT_BRISTLES = (Part.EXPONENT, Part.STRIBECK)
 ALL_PARTS = tuple(Part)
-_FARTHEST = 0.8  # of an exponent from 1
-_SAME = 1e-6  # share of a constant torque that the regressor may leave, to explain it
+_MAX_EXPONENT_STEP = 0.8  # of an exponent from 1
+_CONSTANT_RESIDUAL = 1e-6  # share of a constant torque that the regressor may leave, to explain it
 
 
 def identify_friction_parts(
@@ -177,7 +182,8 @@ def with_linear(
         for e, one in enumerate(selection.fitted)
     ]
     elements = [
-        element_estimate(one, _as_before(old), old.sources) for one, old in zip(fitted, selection.elements, strict=True)
+        element_estimate(one, _previous_reason(old), old.sources)
+        for one, old in zip(fitted, selection.elements, strict=True)
     ]
     other = replace(selection, fitted=tuple(fitted), elements=tuple(elements), fit=replace(fit, value=value))
     predicted = predicted_torque(other, problem)
@@ -201,7 +207,7 @@ def _with_shapes_unknown(covariance: Array, places: NDArray[np.intp], linear: Ar
     return whole
 
 
-def _as_before(estimate: ElementEstimate) -> Callable[[Part], str]:
+def _previous_reason(estimate: ElementEstimate) -> Callable[[Part], str]:
     """Return why an element does not have a part, as its estimate says."""
     of = {Part.STRIBECK: "omega_s", Part.BRISTLE: "c0", Part.DAMPING: "c1"}
     return lambda part: estimate.parameters[of[part]].reason
@@ -232,21 +238,21 @@ def _final(selected: Selected, parts: Sequence[Part], prior: Prior | None = None
         final = replace(wide, value=value, residual=narrow.residual, sigma=narrow.sigma, weights=narrow.weights)
     open_parts, covariance = undecided_parts(selected, columns, prior)
     known = final.covariance if covariance is None else covariance
-    closed = _hidden(wide, final, (*inner, *open_ones), len(open_ones))
+    closed = _exponent_bias(wide, final, (*inner, *open_ones), len(open_ones))
     shifts = np.column_stack([load.shift, closed, *blur_shifts(weighted, fit, columns)])
     widened = replace(final, covariance=known + shifts @ shifts.T)
     rises = {e: size for (e, part), size in open_parts.items() if part is Part.STRIBECK}
     return _Final((*inner, *open_ones), widened, load, rises)
 
 
-def _hidden(wide: LinearFit, narrow: LinearFit, inner: Sequence[tuple[int, str]], opened: int) -> Array:
+def _exponent_bias(wide: LinearFit, narrow: LinearFit, inner: Sequence[tuple[int, str]], opened: int) -> Array:
     """Return what all values shift with exponents that were left at 1, the last `opened` values, shape (q,).
 
     An exponent that would leave its range is not told by the runs: what it shifts has no meaning.
     """
     shift = np.where(wide.determined, wide.value - narrow.value, 0.0)
     lost = {e for (e, _), step in zip(inner[len(inner) - opened :], shift[len(shift) - opened :], strict=True)
-            if abs(step) > _FARTHEST}  # fmt: skip
+            if abs(step) > _MAX_EXPONENT_STEP}  # fmt: skip
     if lost:
         shift[: len(shift) - len(inner)] = 0.0
     for place, (e, _) in enumerate(inner, len(shift) - len(inner)):
@@ -294,7 +300,7 @@ def _constant_remarks(problem: ExcitationProblem, selected: Selected, fit: Linea
     for joint, name in enumerate(problem.arm.names):
         constant = np.where(problem.joint == joint, weighted.weight, 0.0)
         left = constant - weighted.basis @ (weighted.basis.T @ constant)
-        if not constant.any() or np.linalg.norm(left) > _SAME * np.linalg.norm(constant):
+        if not constant.any() or np.linalg.norm(left) > _CONSTANT_RESIDUAL * np.linalg.norm(constant):
             continue
         offset, value = f"offset_{joint + 1}", ""
         if offset in problem.names:

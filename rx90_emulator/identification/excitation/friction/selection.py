@@ -19,14 +19,54 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.identification.excitation.friction.columns import element_rows
-from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks
-from rx90_emulator.identification.excitation.friction.law import COULOMB, ElementShape, Part
-from rx90_emulator.identification.excitation.friction.models import BlockDivision, ModelRow
-from rx90_emulator.identification.excitation.friction.separable import SeparableFit, best_start, fit_shapes
-from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
+from rx90_emulator.identification.excitation.friction.cross_validation import (
+    BlockDivision,
+    CrossValidation,
+    Linearised,
+    Scored,
+    TimeBlocks,
+)
+from rx90_emulator.identification.excitation.friction.fit import SeparableFit, WeightedProblem, best_start, fit_shapes
+from rx90_emulator.identification.excitation.friction.law import (
+    COULOMB,
+    ElementShape,
+    Part,
+    element_rows,
+)
 from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
+
+
+@dataclass(frozen=True)
+class ModelRow:
+    """One row of the table of models.
+
+    Attributes:
+        name: of the model.
+        against: name of the model that it is compared with; empty for the first.
+        parts: of each element, in words, beside Coulomb and viscous friction.
+        parameters: how many are fitted, rigid body and friction.
+        error: weighted RMS of the residuals of the fit, in noise deviations of the joints.
+        relative: of each joint, RMS residual over RMS torque, shape (n,).
+        relative_all: the same, of all joints together.
+        by_blocks: cross-validation by blocks of time.
+        by_runs: cross-validation by runs; None where there is one run.
+        kept: whether the model goes on into the next comparison.
+        reason: why it is kept or not.
+    """
+
+    name: str
+    against: str
+    parts: tuple[tuple[str, ...], ...]
+    parameters: int
+    error: float
+    relative: tuple[float, ...]
+    relative_all: float
+    by_blocks: CrossValidation
+    by_runs: CrossValidation | None
+    kept: bool
+    reason: str
+
 
 Key = tuple[int, Part]
 
@@ -40,9 +80,9 @@ _BESIDE = {
 STAGES = ("starts", "fit of all elements", "elements without it", "weights")
 """Of the attempt with each part."""
 
-_STARTS = 5  # Stribeck velocities, and presliding distances, to start from
-_RISE = 0.3  # to start from
-_WORSE = 1.2  # RMS residual of reversals over that of other rows, from which on bristles are tried
+_START_COUNT = 5  # Stribeck velocities, and presliding distances, to start from
+_START_RISE = 0.3  # to start from
+_REVERSAL_MISFIT = 1.2  # RMS residual of reversals over that of other rows, from which on bristles are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +275,7 @@ def _wants_bristles(problem: ExcitationProblem, model: Scored) -> bool:
     for joint in range(len(problem.arm.names)):
         own = problem.joint == joint
         at, other = squares[own & turns], squares[own & ~turns]
-        if len(at) and len(other) and np.mean(at) > _WORSE**2 * np.mean(other):
+        if len(at) and len(other) and np.mean(at) > _REVERSAL_MISFIT**2 * np.mean(other):
             return True
     return False
 
@@ -286,9 +326,9 @@ def candidates(weighted: WeightedProblem, shape: ElementShape, element: int, par
         return [shape]
     name = "omega_s" if part is Part.STRIBECK else "stiffness"
     low, high = weighted.bounds(element, name)
-    points = np.exp(np.linspace(low, high, _STARTS + 2)[1:-1]).tolist()
+    points = np.exp(np.linspace(low, high, _START_COUNT + 2)[1:-1]).tolist()
     if part is Part.STRIBECK:
-        return [replace(shape, rise=_RISE, omega_s=value) for value in points]
+        return [replace(shape, rise=_START_RISE, omega_s=value) for value in points]
     rising = [shape]
     if Part.STRIBECK in shape.parts and not shape.rise:
         rising = candidates(weighted, shape, element, Part.STRIBECK)[1::2]

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.identification.excitation.base_groups import BaseGroups
-from rx90_emulator.identification.excitation.columns import StandardColumns
+from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
 from rx90_emulator.identification.experiments.excitation.options import Criterion
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.loop.setup import Setup

@@ -17,16 +17,13 @@ from scipy.signal import lfilter
 from benchmarks.friction_equations import FrictionLaw
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
-from rx90_emulator.identification.excitation.friction.blur import blur_shifts
-from rx90_emulator.identification.excitation.friction.columns import ElementMotion, element_rows
 from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks, _solved
+from rx90_emulator.identification.excitation.friction.estimates import FrictionSelection
+from rx90_emulator.identification.excitation.friction.fit import WeightedProblem, _nonnegative, fit_shapes
 from rx90_emulator.identification.excitation.friction.identify import _final, identify_friction_parts, predicted_torque
-from rx90_emulator.identification.excitation.friction.law import ElementShape, Part
-from rx90_emulator.identification.excitation.friction.models import FrictionSelection
+from rx90_emulator.identification.excitation.friction.law import ElementMotion, ElementShape, Part, element_rows
 from rx90_emulator.identification.excitation.friction.selection import Selected, _groups, _Selection, tangent, verdict
-from rx90_emulator.identification.excitation.friction.separable import _nonnegative, fit_shapes
-from rx90_emulator.identification.excitation.friction.undecided import _bounded
-from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
+from rx90_emulator.identification.excitation.friction.unmodelled import _bounded, blur_shifts
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import BagSource, JointRecord

@@ -19,10 +19,10 @@ from rx90_common.base.errors import REFUSED, ConfigError, IdentificationError
 from rx90_common.report import page
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.excitation import instruments
-from rx90_emulator.identification.excitation.closed_loop import check_closed_loop, remark
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.excitation.friction.identify import identify_friction_parts
 from rx90_emulator.identification.excitation.identify import identify_excitation
+from rx90_emulator.identification.excitation.instruments import check_closed_loop, remark
 from rx90_emulator.identification.excitation.payload import payloads_of, read_payloads
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import base_parameters
@@ -85,7 +85,7 @@ def test_gains_are_told_by_a_known_payload(
         results.append(identify_excitation(*arguments, **options))  # type: ignore[arg-type]
         return results[0]
 
-    monkeypatch.setattr(instruments, "_ROUNDS", 0)
+    monkeypatch.setattr(instruments, "_MAX_ROUNDS", 0)
     monkeypatch.setattr("rx90_emulator.identification.job.identify_excitation", kept)
     folder = tmp_path / "arm"
     for drawn in ("as_svg", "plot_json"):  # the plots are looked at in test_identify_excitation.py
@@ -178,7 +178,7 @@ def test_a_prior_stands_in_for_what_runs_do_not_tell(tmp_path: Path, monkeypatch
     torque = drive_torque(pin.buildModelFromXML(text), np.eye(2), CURVES, motion, RATE)
     noise = 5.0 * np.random.default_rng(1).normal(size=torque.shape)
     bag = write(tmp_path / "bag", "/joint_states", NAMES, RATE, (*motion, torque + noise))
-    monkeypatch.setattr(instruments, "_ROUNDS", 0)
+    monkeypatch.setattr(instruments, "_MAX_ROUNDS", 0)
     held = rx.identify_excitation([bag], rx.RobotOptions(urdf=tmp_path / "arm.urdf"), prior=0.05)
     described = held.problem.base.combination @ held.problem.columns.values()
     k = held.problem.names.index("mx_2")
@@ -198,7 +198,7 @@ def test_instrumental_values_are_written_where_set_points_tell(tmp_path: Path, m
     runs = runs_of(arm, 125.0, Disturbances(feedback=1e-3), Bandwidths(37.0, 18.0), (100,), 1)
     problem = ExcitationProblem.of(rigid_arm(arm, tmp_path), runs)
     fitted = identify_friction_parts(problem, ())
-    monkeypatch.setattr(instruments, "_ROUNDS", 2)
+    monkeypatch.setattr(instruments, "_MAX_ROUNDS", 2)
     comparison, taken = check_closed_loop(problem, fitted)
     assert remark(comparison).endswith("all values written are by instrumental variables")
     expected = dict(zip(problem.names, truth(problem, arm), strict=False))
@@ -211,7 +211,7 @@ def test_instrumental_values_are_written_where_set_points_tell(tmp_path: Path, m
             assert abs(element.parameters[name].value - value) < 4.0 * element.parameters[name].deviation
     assert taken.predicted == pytest.approx(problem.torque - taken.fit.residual)
     blind = ExcitationProblem.of(rigid_arm(arm, tmp_path), [replace(one, reference=None) for one in runs])
-    monkeypatch.setattr(instruments, "_ROUNDS", 0)
+    monkeypatch.setattr(instruments, "_MAX_ROUNDS", 0)
     comparison, same = check_closed_loop(blind, fitted)
     assert same is fitted
     assert remark(comparison).endswith("all values written are by least squares")

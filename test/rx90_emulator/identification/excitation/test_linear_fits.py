@@ -12,15 +12,14 @@ from excitation_arms import all_columns, plain_arm, rigid_arm, runs_of, truth
 
 from benchmarks.excitation_runs import NOISE, NOTHING, Disturbances
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.excitation.coulomb_viscous import coulomb_viscous, coulomb_viscous_law
-from rx90_emulator.identification.excitation.covariance import hac, outside_residuals, time_blocks
+from rx90_emulator.identification.excitation.checks import coulomb_viscous, coulomb_viscous_law
 from rx90_emulator.identification.excitation.filtering import Bandwidths
-from rx90_emulator.identification.excitation.fit_quality import misfits, residuals_by_speed
 from rx90_emulator.identification.excitation.gains import drive_gains, with_gains
 from rx90_emulator.identification.excitation.instruments import with_instruments
-from rx90_emulator.identification.excitation.least_squares import solve
+from rx90_emulator.identification.excitation.least_squares import hac, outside_residuals, solve, time_blocks
 from rx90_emulator.identification.excitation.payload import Payload
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.torques import misfits, residuals_by_speed
 
 
 @pytest.fixture(scope="module")

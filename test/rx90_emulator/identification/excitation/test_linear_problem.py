@@ -13,15 +13,12 @@ from excitation_arms import Array, all_columns, plain_arm, rigid_arm, runs_of, s
 from benchmarks.excitation_runs import NOTHING
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation import filtering
-from rx90_emulator.identification.excitation.base_groups import BaseGroups
-from rx90_emulator.identification.excitation.columns import StandardColumns
 from rx90_emulator.identification.excitation.filtering import Bandwidths
-from rx90_emulator.identification.excitation.fit_quality import undetermined
 from rx90_emulator.identification.excitation.least_squares import solve
+from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns, described_inertials
 from rx90_emulator.identification.excitation.payload import Payload
-from rx90_emulator.identification.excitation.prior import described_inertials
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.excitation.standstill import SlidingState, element_states
+from rx90_emulator.identification.excitation.problem import ExcitationProblem, SlidingState, element_states
+from rx90_emulator.identification.excitation.torques import undetermined
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 
 
@@ -89,7 +86,7 @@ def test_the_parallel_filter_is_a_convolution_at_the_rows(monkeypatch: pytest.Mo
     assert np.array_equal(run.taps, run.taps[::-1])
     filtered = run.parallel(values)
     assert filtered[:, 1, 2] == pytest.approx(direct, abs=1e-12)
-    monkeypatch.setattr(filtering, "_BLOCK", 500)
+    monkeypatch.setattr(filtering, "_BLOCK_SAMPLES", 500)
     parts = [run.parallel(values[samples]) for samples, _ in run.blocks()]
     assert len(parts) > 3
     assert [len(part) for part in parts] == [rows.stop - rows.start for _, rows in run.blocks()]

@@ -13,17 +13,20 @@ from sine_motions import motion_of
 import rx90_emulator as rx
 from benchmarks.load_parts import coefficients_of, payload_of, torque_of, transmitted_of
 from rx90_common.base.arrays import Array
-from rx90_emulator.identification.excitation.elements import simulated_elements
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.excitation.friction.cross_validation import Scored
-from rx90_emulator.identification.excitation.friction.load_parts import _beyond_chance, _found, _Model, _Search
 from rx90_emulator.identification.excitation.load_parts import (
     LoadParts,
+    _beyond_chance,
+    _load_parts,
+    _Model,
+    _Search,
     load_columns,
     transmitted_torques,
     with_load_parts,
 )
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.result import simulated_elements
 from rx90_emulator.identification.model.estimates import ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import JointRecord
@@ -168,7 +171,7 @@ def test_each_element_gets_its_own_part(problem: ExcitationProblem) -> None:
     """Driving and driven with their deviations, none below 0; who has none says why, with the RMS of its load."""
     value, covariance = np.array([0.031234567, 0.05, -0.001, 0.12]), np.diag([1e-6, 4e-6, 9e-6, 1.6e-5])
     base = base_of(problem)
-    found = _found(problem, _Model(base, value, covariance, np.zeros((1, 14))), (1, 4), {2: "why not"})
+    found = _load_parts(problem, _Model(base, value, covariance, np.zeros((1, 14))), (1, 4), {2: "why not"})
     rms = np.sqrt(np.mean(np.vstack(transmitted_torques(problem, base)) ** 2, axis=0))
     assert found.deviation[[1, 4]] == pytest.approx(np.array([[1e-3, 2e-3], [3e-3, 4e-3]]))
     assert found.transmitted == pytest.approx(rms)

@@ -52,9 +52,9 @@ def test_two_payloads_tell_the_load_part(
     The element that has no part gets none, with the reason. Oracle: Pinocchio's torques with friction written out.
     """
     folder, true = runs
-    monkeypatch.setattr(filtering, "_MOST_ROWS", 4000)
+    monkeypatch.setattr(filtering, "_MAX_ROWS", 4000)
     monkeypatch.setattr(identify, "WITHOUT_BRISTLES", ())
-    monkeypatch.setattr(instruments, "_ROUNDS", 0)
+    monkeypatch.setattr(instruments, "_MAX_ROUNDS", 0)
     for drawn in ("as_svg", "plot_json"):  # the plots are looked at in test_identify_excitation.py
         monkeypatch.setattr(page, drawn, lambda *_: "")
     urdf = folder / "tx40.urdf"

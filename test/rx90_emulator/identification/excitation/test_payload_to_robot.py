@@ -58,9 +58,9 @@ def test_a_payload_makes_a_robot_with_true_torques(
 
     A gain of 0.5, which nothing explains, is written with a warning in summary, report and files.
     """
-    monkeypatch.setattr(filtering, "_MOST_ROWS", 2000)
+    monkeypatch.setattr(filtering, "_MAX_ROWS", 2000)
     monkeypatch.setattr(identify, "WITHOUT_BRISTLES", ())
-    monkeypatch.setattr(instruments, "_ROUNDS", 0)
+    monkeypatch.setattr(instruments, "_MAX_ROUNDS", 0)
     for drawn in ("as_svg", "plot_json"):  # the plots are looked at in test_identify_excitation.py
         monkeypatch.setattr(page, drawn, lambda *_: "")
     turns = tx40.drives.gear[:, None] * np.eye(6)

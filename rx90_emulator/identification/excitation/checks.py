@@ -1,4 +1,8 @@
-"""Whether the encoders' zeros are those of the URDF: which other zeros would explain the torques clearly better.
+"""Whether signs and encoder zeros are right, by the simplest model: rigid body, Coulomb and viscous friction.
+
+The simplest friction: Coulomb and viscous torque of each element.
+
+Whether the encoders' zeros are those of the URDF: which other zeros would explain the torques clearly better.
 
 A wrong zero bends the arm in the wrong place, and no inertia makes good for it. Logs are off by quarter turns where
 URDF and encoder count from other poses, and by some hundredths of a radian after a bad calibration. Both are looked for
@@ -10,27 +14,73 @@ changes no torque, and is never blamed.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 
 import numpy as np
 
 from rx90_common.base.arrays import Array, Index, Mask
-from rx90_emulator.identification.excitation.coulomb_viscous import coulomb_viscous
-from rx90_emulator.identification.excitation.covariance import time_blocks
-from rx90_emulator.identification.excitation.least_squares import solve
+from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.excitation.least_squares import solve, time_blocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.model.zeros import QUARTERS, SMALLEST, STEP, ZeroCheck, encoder_error
 
-_ROWS = 2500  # that quarter turns are compared on, at most: evenly taken from all
-_TURNED = 3.0  # standard errors by which a change must explain more
-_SURE = 4.0  # deviations from which a small error is one
-_FEWER = 0.005  # share of the squares that a second joint must explain, to be turned with the first
-_GAIN = 0.02  # share of the torque error, at least
-_LARGEST = 0.3  # rad, of an error that counts as small
-_ROUNDS = 3  # of Gauss and Newton
-_APART = 1e-4  # share of a derivative's squares that the other columns must leave, to tell the zero
+_WRONG_SIGN_SE = 6.0  # deviations
+
+
+def coulomb_viscous(problem: ExcitationProblem) -> tuple[tuple[str, ...], Array]:
+    """Return names and columns, two for each element: sign(v) and v, the torques per tau_c and c2; shape (r, 2 n_el).
+
+    The sign is of the filtered velocity at the full rate, where the torque was recorded, and is filtered with it.
+    """
+    elements = problem.arm.element_matrix.T
+    along = []
+    for run in problem.runs:
+        velocity = run.torque_velocity @ elements
+        along.append(run.evened(np.stack([np.sign(velocity), velocity], axis=2)))
+    names = tuple(f"{name}.{part}" for name in problem.arm.element_names for part in ("tau_c", "c2"))
+    return names, problem.element_rows(along)
+
+
+def check_signs(problem: ExcitationProblem) -> None:
+    """Refuse torques of an element that drive the motion instead of opposing it, beyond any doubt.
+
+    Raises:
+        IdentificationError: naming the element and its Coulomb torque.
+    """
+    columns = coulomb_viscous(problem)[1]
+    fit, first = solve(problem, np.hstack([problem.regressor, columns])), len(problem.names)
+    value, deviation, told = (part[first:].tolist() for part in (fit.value, fit.deviation, fit.determined))
+    for k, name in enumerate(problem.arm.element_names):
+        coulomb, viscous = 2 * k, 2 * k + 1
+        drives = value[viscous] < 0.0 and value[coulomb] < -_WRONG_SIGN_SE * deviation[coulomb]
+        if drives and told[coulomb] and told[viscous]:
+            raise IdentificationError(
+                f"{name}: the torque does not oppose the motion (Coulomb torque {value[coulomb]:.3g} +- "
+                f"{deviation[coulomb]:.2g} Nm); accepted: efforts of the sign with which the drive moves the joint "
+                "(check the signs of gears and torque constants)"
+            )
+
+
+def coulomb_viscous_law(parameters: Array) -> Callable[[Array], Array]:
+    """Return the elements' torques as a function of their velocities, both of shape (n_el,).
+
+    Args:
+        parameters: tau_c and c2 of each element, as the columns are sorted, shape (2 n_el,).
+    """
+    coulomb, viscous = parameters.reshape(-1, 2).T
+    return lambda velocity: np.asarray(np.sign(velocity) * coulomb + viscous * velocity)
+
+
+_SCREENING_ROWS = 2500  # that quarter turns are compared on, at most: evenly taken from all
+_QUARTER_TURN_SE = 3.0  # standard errors by which a change must explain more
+_ZERO_ERROR_SE = 4.0  # deviations from which a small error is one
+_MIN_SECOND_JOINT_GAIN = 0.005  # share of the squares that a second joint must explain, to be turned with the first
+_MIN_TORQUE_GAIN = 0.02  # share of the torque error, at least
+_MAX_SMALL_ERROR = 0.3  # rad, of an error that counts as small
+_MAX_ROUNDS = 3  # of Gauss and Newton
+_MIN_INDEPENDENT_SHARE = 1e-4  # share of a derivative's squares that the other columns must leave, to tell the zero
 
 
 def check_zeros(problem: ExcitationProblem, zero: Array | None = None) -> ZeroCheck:
@@ -82,7 +132,7 @@ class _Search:
         fit = solve(problem, np.hstack([problem.regressor, friction]))
         # Whole instants are taken, so that no more regressors are computed than rows are compared.
         instant = starts[problem.run] + problem.place
-        every = max(1, math.ceil(len(problem) / _ROWS))
+        every = max(1, math.ceil(len(problem) / _SCREENING_ROWS))
         some = np.flatnonzero(instant % every == 0)
         position, velocity, acceleration = motion
         return cls(
@@ -97,7 +147,7 @@ class _Search:
         basis = np.linalg.qr(_scaled(columns * weight))[0]
         left = slopes * weight - basis @ (basis.T @ (slopes * weight))
         size = np.sum((slopes * weight) ** 2, axis=0)
-        return np.asarray(np.sum(left**2, axis=0) > _APART * np.maximum(size, 1e-300))
+        return np.asarray(np.sum(left**2, axis=0) > _MIN_INDEPENDENT_SHARE * np.maximum(size, 1e-300))
 
     def turned(self, told: Mask) -> Array:
         """Return the quarter turns of joints that explain clearly more, rad, shape (n,)."""
@@ -107,7 +157,7 @@ class _Search:
         for _ in joints:
             one = self._best(best, [(j,) for j in joints])
             two = self._best(best, [(a, b) for a, b in pairwise(joints) if b == a + 1])
-            shift, less = two if two[1].sum() < one[1].sum() - _FEWER * squares.sum() else one
+            shift, less = two if two[1].sum() < one[1].sum() - _MIN_SECOND_JOINT_GAIN * squares.sum() else one
             if not _clearly_less(less, squares):
                 break
             best, squares = shift, less
@@ -119,16 +169,16 @@ class _Search:
         if not told.any():
             return none, none
         shift, spread = none.copy(), none.copy()
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ROUNDS):
             columns, slopes = self._derivatives(start + shift)
             fit = solve(self.problem, np.hstack([columns, slopes[:, told]]))
             step = fit.value[columns.shape[1] :]
             shift[told] += step
             spread[told] = fit.deviation[columns.shape[1] :]
-            sure = np.abs(shift) > np.maximum(SMALLEST, _SURE * spread)
+            sure = np.abs(shift) > np.maximum(SMALLEST, _ZERO_ERROR_SE * spread)
             if np.abs(step).max() < 0.1 * SMALLEST or not sure[told].any():
                 break
-        sure &= told & (np.abs(shift) < _LARGEST)
+        sure &= told & (np.abs(shift) < _MAX_SMALL_ERROR)
         shift, spread = np.where(sure, shift, 0.0), np.where(sure, spread, 0.0)
         return shift, spread
 
@@ -187,5 +237,5 @@ def _clearly_less(squares: Array, before: Array) -> bool:
     gain = before - squares
     filled = gain[before > 0.0]
     error = float(np.std(filled, ddof=1)) * math.sqrt(len(filled)) if len(filled) > 1 else math.inf
-    needed = (1.0 - (1.0 - _GAIN) ** 2) * float(before.sum())
-    return float(gain.sum()) > max(_TURNED * error, needed)
+    needed = (1.0 - (1.0 - _MIN_TORQUE_GAIN) ** 2) * float(before.sum())
+    return float(gain.sum()) > max(_QUARTER_TURN_SE * error, needed)
