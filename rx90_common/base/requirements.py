@@ -23,6 +23,7 @@ SOURCES = {
     "distributed": Source("distributed"),
     "jinja2": Source("Jinja2", "python3-jinja2"),
     "llvmlite": Source("numba"),
+    "lz4": Source("rosbags"),
     "markupsafe": Source("Jinja2", "python3-jinja2"),
     "matplotlib": Source("matplotlib", "python3-matplotlib"),
     "mcap": Source("mcap"),
