@@ -1,3 +1,3 @@
 """The presliding regime, c0 and c1, from micro-oscillations."""
 
-__all__ = ["fit", "kind_model", "kinds"]
+__all__ = ["bristle_motion", "fit", "kinds"]

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.optimize import least_squares
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
@@ -21,15 +21,17 @@ from rx90_emulator.identification.model.estimates import (
     ParameterEstimate,
 )
 from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.presliding.group_model import (
-    INERTIA_DEVIATION,
-    Clusters,
-    GroupResidual,
+from rx90_emulator.identification.presliding.bristle_motion import (
+    ElementTrace,
     JointGroup,
+    KindFamily,
+    KindMotion,
+    MovedGroup,
     joint_groups,
 )
-from rx90_emulator.identification.presliding.kind_model import MovedGroup
+from rx90_emulator.identification.presliding.group_fit import INERTIA_SD, GroupResidual, symmetric
 from rx90_emulator.identification.presliding.micro_motion import (
+    BLOCK,
     MicroMotion,
     band_spectrum,
     block_means,
@@ -38,6 +40,10 @@ from rx90_emulator.identification.presliding.micro_motion import (
 )
 from rx90_emulator.identification.records.record import JointRecord, check_joints
 
+Clusters = NDArray[np.int64]
+
+_START_SD = 0.3  # prior standard deviation of a start deflection, in parts of that of steady sliding
+_NOISE_POWER_SD = 3.0  # standard deviations of the noise's power that are no misfit
 _RELATIVE_STEP = 1e-4  # relative step of difference quotients
 _MIN_MOTION_CLUSTERS = 3  # motions, below which they are too few to be clusters
 _MIN_RESIDUAL_LEVERAGE = 1e-3  # lower bound of 1 - leverage: a motion's own start deflection has none
@@ -45,28 +51,49 @@ _MIN_INFORMATION = 0.1  # of the prior deviation of the inertia, that the data m
 _MIN_RELATIVE_SD = (0.002, 0.01)  # relative, of c0 and c1: encoder steps, and 10 us of timing, show in no residual
 
 
-def group_covariance(residual: GroupResidual, x: Array, sliding_covariance: Array | None) -> tuple[Array, Array]:
+def group_covariance(
+    residual: GroupResidual, x: Array, sliding: Sequence[FrictionElement], sliding_covariance: Array | None
+) -> tuple[Array, Array]:
     """Return the covariance of the parameters at the solution, and the scores of the inertia's errors.
 
     Args:
-        residual: of the fit.
+        residual: of the fit, with c0 and c1 as logarithms and noise of standard deviation 1.
         x: solution, shape (p,).
+        sliding: the elements' sliding regime.
         sliding_covariance: of the sliding regime, element by element in the order of SLIDING, shape (7 e, 7 e); None
             if it is known.
 
     Returns:
-        Covariance, shape (p, p), and what `_inertia_scores` returns, shape (k, n).
+        Covariance, shape (p, p), and what `_inertia_scores` returns, one for each pair of joints.
     """
-    values, jacobian = residual(x), residual.jacobian(x)
-    clusters = residual.clusters()[: 1 if len(residual.motions) < _MIN_MOTION_CLUSTERS else 2]
+    values, jacobian = residual.residual(x), residual.jacobian(x)
+    clusters = _clusters(residual)[: 1 if len(residual.motions) < _MIN_MOTION_CLUSTERS else 2]
     covariance = _cluster_robust(jacobian, values, clusters)
     if sliding_covariance is not None:
-        slopes = np.linalg.lstsq(jacobian, -_by_sliding(residual, x, values), rcond=None)[0]
+        slopes = np.linalg.lstsq(jacobian, -_by_sliding(residual, x, values, sliding), rcond=None)[0]
         covariance = covariance + slopes @ sliding_covariance @ slopes.T
-    parameters = residual.parameters
-    floor = np.append(np.tile(_MIN_RELATIVE_SD, parameters.elements), np.zeros(x.size - parameters.bristles))
+    bristles = residual.layout.bristles
+    floor = np.append(np.tile(_MIN_RELATIVE_SD, len(sliding)), np.zeros(x.size - bristles))
     covariance = covariance + np.diag(floor) ** 2
     return covariance, _inertia_scores(residual, x, jacobian, covariance)
+
+
+def _clusters(residual: GroupResidual) -> tuple[Clusters, Clusters]:
+    """Return the numbers of the spectral line of a motion, and of the motion, that each residual belongs to.
+
+    Errors may be correlated over the line of a tone, 1 Hz widened by its fade. The prior of a start deflection goes
+    with its motion, that of the inertia with the first motion.
+    """
+    by_line, by_motion, first = [], [], 0
+    for index, motion in enumerate(residual.motions):
+        line = motion.line.astype(np.int64)
+        line -= line.min()
+        by_line.append(np.repeat(first + line, len(residual.scale)))
+        by_motion.append(np.full(by_line[-1].size, index))
+        first += int(line.max()) + 1
+    starts = np.repeat(np.arange(len(residual.motions)), len(residual.families))
+    own = np.append(np.zeros(residual.layout.pairs, np.int64), starts)
+    return np.concatenate([*by_line, first + np.arange(len(own))]), np.concatenate([*by_motion, own])
 
 
 def _cluster_robust(jacobian: Array, residual: Array, groupings: Sequence[Clusters]) -> Array:
@@ -98,39 +125,86 @@ def _cluster_robust(jacobian: Array, residual: Array, groupings: Sequence[Cluste
     return np.asarray(noise * np.outer(wide, wide))
 
 
-def _by_sliding(residual: GroupResidual, x: Array, here: Array) -> Array:
+def _by_sliding(residual: GroupResidual, x: Array, here: Array, sliding: Sequence[FrictionElement]) -> Array:
     """Return the derivatives of the residuals by the sliding parameters, element by element, shape (q, 7 e).
 
     A bristle's start, in parts of its deflection in steady sliding, is left where it is.
     """
     columns = []
-    for n, element in enumerate(residual.friction.sliding):
+    for n, element in enumerate(sliding):
         for name in SLIDING:
             # The Coulomb torque goes down, which keeps it below the static one.
             step = getattr(element, name) * (-_RELATIVE_STEP if name.startswith("tau_c") else _RELATIVE_STEP)
             moved = replace(element, **{name: getattr(element, name) + step})
-            changed = replace(residual, friction=residual.friction.with_element(n, moved))
-            columns.append((changed(x) - here) / step if step else np.zeros_like(here))
+            motions = tuple(
+                motion.with_trace(n, ElementTrace.of(moved, motion.traces[n].speed, motion.traces[n].step))
+                for motion in residual.motions
+            )
+            changed = replace(residual, motions=motions)
+            columns.append((changed.residual(x) - here) / step if step else np.zeros_like(here))
     return np.column_stack(columns)
 
 
 def _inertia_scores(residual: GroupResidual, x: Array, jacobian: Array, covariance: Array) -> Array:
-    """Return the errors of the mass matrix over the deviations that they would have if the prior held, shape (k, n).
+    """Return the errors of the mass matrix over the deviations that they would have if the prior held.
 
     The prior shrinks the errors towards zero: where it holds, their variance is the prior's less the posterior's. What
     the covariance has beyond noise may be errors of the model instead of the inertia, and is added.
     """
-    own = slice(residual.parameters.bristles, residual.parameters.shared)
+    own = slice(residual.layout.bristles, residual.layout.shared)
     posterior = np.diag(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True))[own]
     beyond = np.maximum(np.diag(covariance)[own] - posterior, 0.0)
-    least = (_MIN_INFORMATION * INERTIA_DEVIATION) ** 2
-    scores = np.zeros_like(x)
-    scores[own] = x[own] / np.sqrt(np.maximum(INERTIA_DEVIATION**2 - posterior, least) + beyond)
-    return residual.parameters.inertia_errors(scores)
+    least = (_MIN_INFORMATION * INERTIA_SD) ** 2
+    return np.asarray(x[own] / np.sqrt(np.maximum(INERTIA_SD**2 - posterior, least) + beyond))
+
+
+def _misfit(residual: GroupResidual, x: Array) -> Array:
+    """Return the RMS of each joint's torque residuals beyond noise over that of its friction, shape (k,)."""
+    left = residual.of_all(x)
+    friction = [one.traces[0].spectrum(residual.friction(x, i)) for i, one in enumerate(residual.motions)]
+    beyond = np.sum(left**2, axis=0) - len(left) - _NOISE_POWER_SD * np.sqrt(2.0 * len(left))
+    power = np.sum((np.vstack(friction) / residual.scale) ** 2, axis=0)
+    return np.asarray(np.sqrt(np.maximum(beyond, 0.0) / power))
+
+
+def _with_predicted_speeds(
+    residual: GroupResidual,
+    x: Array,
+    motions: Sequence[MicroMotion],
+    sliding: Sequence[FrictionElement],
+    period: float,
+) -> GroupResidual:
+    """Return the residuals with the velocities at which a simulated plant evaluates its bristles.
+
+    The plant predicts the middle of its tick with the friction of the tick before, which is off by half a tick
+    squared times the rate of the friction over the mass: 1 % of the stiffness of a light joint.
+
+    Args:
+        residual: of the fit.
+        x: parameters.
+        motions: that the residuals are of.
+        sliding: the elements' sliding regime.
+        period: tick of the plant, s.
+    """
+    changed, errors = [], symmetric(residual.layout.inertia(x), len(motions[0].joints))
+    for index, motion in enumerate(motions):
+        joints = list(motion.joints)
+        scale = np.sqrt(np.outer(motion.inertia[joints], motion.inertia[joints]))
+        rate = np.gradient(residual.friction(x, index), BLOCK * motion.step, axis=0)
+        coarse = 0.5 * period**2 * np.linalg.solve(motion.mass[:, joints] + errors * scale, rate.T).T
+        place = (np.arange(len(motion.velocity)) + 0.5) / BLOCK - 0.5
+        ahead = np.column_stack([np.interp(place, np.arange(len(coarse)), column) for column in coarse.T])
+        speed = (motion.velocity + ahead) @ residual.motions[index].inputs.T
+        one = residual.motions[index]
+        for n, element in enumerate(sliding):
+            one = one.with_trace(n, ElementTrace.of(element, speed[:, n], motion.step))
+        changed.append(one)
+    return replace(residual, motions=tuple(changed))
 
 
 _PASSES = 3  # of the fit, each with the noise that the one before shows
 _MAX_EVALUATIONS = 30  # of the residuals in one pass, at most
+_ROUGH, _FINE = 1e-3, 1e-6  # relative tolerance of the parameters, in a pass and in the last fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +214,8 @@ class GroupSolution:
     Attributes:
         values: c0, Nm/rad, and c1, Nm s/rad, of the elements, shape (e, 2).
         covariance: of ln c0 and ln c1, element by element, shape (2 e, 2 e).
-        inertia: errors of the group's rows of the mass matrix, in parts of sqrt(M_jj M_ii), shape (k, n).
-        inertia_score: the same over the standard deviations that they would have if the prior held, shape (k, n).
+        inertia: errors of the joints' mass matrix, in parts of sqrt(M_jj M_ii), shape (k, k).
+        inertia_score: the same over the standard deviations that they would have if the prior held, shape (k, k).
         torque: block means of the friction torque at the joints, Nm, of each micro-motion, shape (b, k).
         loads: amplitude of each bristle's torque over its Coulomb torque, of each micro-motion, shape (motions, e).
         misfit: RMS of each joint's torque residuals beyond noise over that of its friction torque, shape (k,).
@@ -173,39 +247,34 @@ def fit_group(
             is known.
         plant_period: as in `identify_presliding`.
     """
-    residual = GroupResidual.of(motions, inputs, sliding)
-    parameters = residual.parameters
-    guess = first_guess(motions, inputs, sliding)
-    x = np.concatenate([np.log(guess).ravel(), np.zeros(parameters.size - parameters.bristles)])
+    scale = 0.1 * np.abs(inputs).T @ np.array([one.tau_c_positive for one in sliding])  # a first guess of the noise
+    seen = tuple(KindMotion.of(motion, inputs, sliding, whole=True) for motion in motions)
+    families = (KindFamily(),) * len(sliding)
+    residual = GroupResidual(families, seen, scale, start_sd=_START_SD, max_start=np.inf)
+    layout = residual.layout
+    guess = np.log(first_guess(motions, inputs, sliding)).ravel()
+    x = np.concatenate([guess, np.zeros(layout.pairs + len(motions) * len(sliding))])
     for _ in range(_PASSES):
-        x = _minimise(residual, x, 1e-3)
-        residual = residual.with_measured_noise(x)
+        x = residual.minimised(x, _MAX_EVALUATIONS, _ROUGH, _ROUGH**1.5).x
+        spread = 1.4826 * np.median(np.abs(residual.of_all(x)), axis=0)
+        residual = replace(residual, scale=residual.scale * np.maximum(1e-9, spread))
         if plant_period is not None:
-            residual = residual.with_predicted_speeds(x, [motion.velocity for motion in motions], plant_period)
-    x = _minimise(residual, x, 1e-6)
-    covariance, scores = group_covariance(residual, x, sliding_covariance)
+            residual = _with_predicted_speeds(residual, x, motions, sliding, plant_period)
+    x = residual.minimised(x, _MAX_EVALUATIONS, _FINE, _FINE**1.5).x
+    covariance, scores = group_covariance(residual, x, sliding, sliding_covariance)
+    loads = np.empty((len(motions), len(sliding)))
+    for (index, n), _ in np.ndenumerate(loads):
+        low, high = np.percentile(residual.torque(x, index, n)[:, 1], (1.0, 99.0))
+        loads[index, n] = 0.5 * (high - low) / sliding[n].tau_c_positive
     return GroupSolution(
-        values=parameters.values(x),
-        covariance=covariance[: parameters.bristles, : parameters.bristles],
-        inertia=parameters.inertia_errors(x),
-        inertia_score=scores,
-        torque=tuple(residual.friction.torque(x, index) for index in range(len(motions))),
-        loads=residual.friction.loads(x),
-        misfit=residual.misfit(x),
+        values=residual.values(x),
+        covariance=covariance[: layout.bristles, : layout.bristles],
+        inertia=symmetric(layout.inertia(x), inputs.shape[1]),
+        inertia_score=symmetric(scores, inputs.shape[1]),
+        torque=tuple(residual.friction(x, index) for index in range(len(motions))),
+        loads=loads,
+        misfit=_misfit(residual, x),
     )
-
-
-def _minimise(residual: GroupResidual, start: Array, tolerance: float) -> Array:
-    result = least_squares(
-        residual,
-        start,
-        residual.jacobian,
-        method="lm",
-        max_nfev=_MAX_EVALUATIONS,
-        xtol=tolerance,
-        ftol=tolerance**1.5,
-    )
-    return np.asarray(result.x)
 
 
 def first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[FrictionElement]) -> Array:
@@ -345,8 +414,7 @@ def _chosen(
 
     An element of several joints may nearly slide although the torque of each joint is far from break-away.
     """
-    break_away = np.abs(group.inputs).T @ np.array([e.tau_c_positive for e in sliding])
-    chosen = most_informative(motions, break_away)
+    chosen = most_informative(motions, group.break_away(sliding))
     if len(sliding) == 1:
         return chosen
     loads = fit_group(chosen, group.inputs, sliding, None, plant_period).loads.max(axis=1)

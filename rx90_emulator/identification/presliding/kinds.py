@@ -30,10 +30,16 @@ from rx90_common.friction.held_out import HeldOutErrors
 from rx90_common.friction.parts.bristles import BristlesPart
 from rx90_emulator.identification.model.estimates import LARGEST_DEVIATION, PRESLIDING, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.presliding.bristle_motion import (
+    ATTRACTION,
+    FAMILIES,
+    KindFamily,
+    KindMotion,
+    MovedGroup,
+    joint_groups,
+)
 from rx90_emulator.identification.presliding.fit import PreslidingFit
-from rx90_emulator.identification.presliding.group_model import joint_groups
-from rx90_emulator.identification.presliding.kind_fit import GroupFit, KindFit
-from rx90_emulator.identification.presliding.kind_model import ATTRACTION, FAMILIES, KindFamily, KindMotion, MovedGroup
+from rx90_emulator.identification.presliding.group_fit import GroupFit, KindFit
 from rx90_emulator.identification.records.record import BagSource
 
 MIN_MOTIONS: Final = 3

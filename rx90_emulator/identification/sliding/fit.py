@@ -97,7 +97,7 @@ def natural_covariance(solution: SlidingSolution, element: int) -> Array:
     """
     transform = stribeck.natural_jacobian(solution.parameters[element])
     design = float(solution.design_effect[solution.rows.gain[:, element] != 0.0].mean())
-    wider = np.sqrt(np.maximum(design, solution.misfit.widening[element]))
+    wider = np.sqrt(np.maximum(design, solution.misfits[element].widening))
     block = wider[:, None] * _block(solution, element) * wider
     covariance = transform @ block @ transform.T * _t_factor(solution, element) ** 2
     values = stribeck.natural(solution.parameters[element])
@@ -145,7 +145,7 @@ def _reason(
     if estimate.deviation > _MAX_RELATIVE_SD * abs(estimate.value):
         partner = _partner(solution, names, element, name)
         size = f"standard deviation {estimate.deviation:.3g} at a value of {estimate.value:.3g}"
-        size += ", as the curve does not fit" * bool(solution.misfit.significant[element])
+        size += ", as the curve does not fit" * solution.misfits[element].significant
         return f"not separable from {partner}: {size}" if partner else size
     if name in ("omega_s", "delta") and solution.at_bound[element, _FITTED.index(name)]:
         return f"at the bound of its range, {estimate.value:.3g}"
@@ -276,12 +276,12 @@ def identify_sliding(
     curves = tuple(_curve(solution, e) for e in range(len(arm.element_names)))
     quality = tuple(
         FitQuality.of(
-            e,
             curve.velocity,
             curve.torque - curve.fitted,
             curve.deviation,
             curve.torque,
-            (solution.misfit, solution.drift),
+            solution.misfits[e],
+            solution.drifts[e],
         )
         if len(curve.velocity)
         else None

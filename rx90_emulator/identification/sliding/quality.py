@@ -87,47 +87,48 @@ _MISFIT_SD = 3.0  # standard deviations of the sum of products of neighbouring r
 
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """What residuals say of the curves' form.
+    """What residuals say of the form of one element's curve.
 
     Attributes:
-        agreement: of the residuals at neighbouring speeds of each element, in standard deviations of what independent
-            ones show, shape (n_el,).
-        widening: factor on the variance of each parameter because of it, 1 without a misfit, shape (n_el, p).
+        agreement: of the residuals at neighbouring speeds, in standard deviations of what independent ones show.
+        widening: factor on the variance of each parameter because of it, 1 without a misfit, shape (p,).
     """
 
-    agreement: Array
+    agreement: float
     widening: Array
 
     @property
-    def significant(self) -> Mask:
-        """Return which elements' curves do not fit, shape (n_el,)."""
-        return np.asarray(self.agreement > _MISFIT_SD)
+    def significant(self) -> bool:
+        """Return whether the curve does not fit."""
+        return self.agreement > _MISFIT_SD
 
-    @classmethod
-    def of(cls, residuals: Residuals, free: Mask, covariance: Array) -> Misfit:
-        """Judge the residuals of a fit.
 
-        Args:
-            residuals: of the fit.
-            free: which parameters of the elements were fitted, shape (n_el, p).
-            covariance: of the free parameters with independent plateaus, shape (q, q).
-        """
-        agreement, widening = np.zeros(len(free)), np.ones(free.shape)
-        column = np.cumsum(free.ravel()).reshape(free.shape) - 1
-        for e in np.flatnonzero(free.any(axis=1)).tolist():
+def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> list[Misfit]:
+    """Return what the residuals of a fit say of the form of each element's curve.
+
+    Args:
+        residuals: of the fit.
+        free: which parameters of the elements were fitted, shape (n_el, p).
+        covariance: of the free parameters with independent plateaus, shape (q, q).
+    """
+    found = []
+    column = np.cumsum(free.ravel()).reshape(free.shape) - 1
+    for e, own in enumerate(free):
+        agreement, widening = 0.0, np.ones(len(own))
+        if own.any():
             velocity = residuals.velocity[:, e]
             mine = np.flatnonzero(velocity)
             speed = np.log(np.abs(velocity[mine]))
             along = residuals.along[mine, e]
-            scatter = _scatter(along, np.argsort(speed))
-            agreement[e] = _agreement(along / scatter, np.abs(speed[:, None] - speed))
-            if agreement[e] > _MISFIT_SD:
+            agreement = _agreement(along / _scatter(along, np.argsort(speed)), np.abs(speed[:, None] - speed))
+            if agreement > _MISFIT_SD:
                 band = np.full(len(velocity), -1)
                 band[mine] = np.floor((speed - speed.min()) / _BAND_WIDTH)
                 variance = _jackknife(residuals.slope, residuals.left, band[residuals.plateau], covariance)
-                chosen = column[e, free[e]]
-                widening[e, free[e]] = np.maximum(1.0, variance[chosen] / np.diag(covariance)[chosen])
-        return cls(agreement, widening)
+                chosen = column[e, own]
+                widening[own] = np.maximum(1.0, variance[chosen] / np.diag(covariance)[chosen])
+        found.append(Misfit(agreement, widening))
+    return found
 
 
 def _jackknife(slope: Array, left: Array, band: NDArray[np.int64], covariance: Array) -> Array:
@@ -180,62 +181,67 @@ FALSE_ALARMS = 0.01
 _MIN_PLATEAUS = 12
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Drift:
-    """Change of the elements' friction torque along their motion, from the beginning of a series to its end.
+    """Change of an element's friction torque along its motion, from the beginning of a series to its end.
 
     Attributes:
-        size: Nm, shape (n_el,); NaN where too few plateaus tell.
-        deviation: standard deviation, with the first autocorrelation of the plateaus, Nm, shape (n_el,).
-        significant: whether it is no accident, shape (n_el,).
-        seconds: from the first to the last plateau of the element, s, shape (n_el,).
+        size: Nm; NaN where too few plateaus tell.
+        deviation: standard deviation, with the first autocorrelation of the plateaus, Nm.
+        seconds: from the first to the last plateau of the element, s.
+        significant: whether it is no accident.
     """
 
-    size: Array
-    deviation: Array
-    significant: Mask
-    seconds: Array
+    size: float = math.nan
+    deviation: float = math.nan
+    seconds: float = math.nan
+    significant: bool = False
 
-    @classmethod
-    def of(cls, residuals: Residuals, free: Mask) -> Drift:
-        """Test the residuals of a fit for a trend.
 
-        Args:
-            residuals: of the fit.
-            free: which parameters of the elements were fitted, shape (n_el, p).
-        """
-        elements = len(free)
-        size, deviation, seconds = (np.full(elements, np.nan) for _ in range(3))
-        significant = np.zeros(elements, dtype=np.bool_)
-        fitted = np.flatnonzero(free.any(axis=1))
-        basis = np.linalg.qr(residuals.slope)[0]
-        quantile = 1.0 - 0.5 * FALSE_ALARMS / max(1, len(fitted))
-        for e in fitted.tolist():
-            mine = np.flatnonzero(residuals.velocity[:, e])
-            time = residuals.time[mine]
-            count, span = len(mine), float(np.ptp(time))
-            if count < max(_MIN_PLATEAUS, 2 * int(free[e].sum())) or span == 0.0:
-                continue
-            at = (residuals.time - time.mean()) / span
-            trend = residuals.gain[:, e] * at[residuals.plateau]
-            trend = trend - basis @ (basis.T @ trend)
-            power = float(trend @ trend)
-            if power < 1e-9:
-                continue
-            size[e], seconds[e] = trend @ residuals.left / power, span
-            left = residuals.left - size[e] * trend
-            weight = np.zeros((2, len(residuals.time)))
-            np.add.at(weight[0], residuals.plateau, residuals.gain[:, e] * left)
-            np.add.at(weight[1], residuals.plateau, residuals.gain[:, e] ** 2)
-            order = mine[np.argsort(time, kind="stable")]
-            correlation = _autocorrelation(weight[0, order] / np.sqrt(np.maximum(weight[1, order], 1e-300)))
-            effective = count * (1.0 - correlation) / (1.0 + correlation)
-            freedom = max(1.0, effective - 1.0 - int(free[e].sum()) / 2.0)
-            variance = float(np.sum(weight[0, mine] ** 2 / np.maximum(weight[1, mine], 1e-300))) / count
-            deviation[e] = np.sqrt(max(variance, 1.0) * count / freedom / power)
-            critical = float(stdtrit(freedom, quantile))
-            significant[e] = abs(size[e]) > critical * deviation[e]
-        return cls(size, deviation, significant, seconds)
+def drifts_of(residuals: Residuals, free: Mask) -> list[Drift]:
+    """Test the residuals of a fit for a trend in each element.
+
+    Args:
+        residuals: of the fit.
+        free: which parameters of the elements were fitted, shape (n_el, p).
+    """
+    basis = np.linalg.qr(residuals.slope)[0]
+    quantile = 1.0 - 0.5 * FALSE_ALARMS / max(1, int(free.any(axis=1).sum()))
+    counts = free.sum(axis=1).tolist()
+    return [_drift(residuals, e, fitted, basis, quantile) if fitted else Drift() for e, fitted in enumerate(counts)]
+
+
+def _drift(residuals: Residuals, e: int, fitted: int, basis: Array, quantile: float) -> Drift:
+    """Return the drift of element e, of which so many parameters were fitted, in a two-sided test.
+
+    Args:
+        residuals: of the fit.
+        e: index of the element.
+        fitted: how many parameters it has.
+        basis: orthonormal, of the derivatives by all parameters, shape (r, q).
+        quantile: of Student's distribution from which it is significant.
+    """
+    mine = np.flatnonzero(residuals.velocity[:, e])
+    time = residuals.time[mine]
+    count, span = len(mine), float(np.ptp(time))
+    if count < max(_MIN_PLATEAUS, 2 * fitted) or span == 0.0:
+        return Drift()
+    at = (residuals.time - time.mean()) / span
+    trend = residuals.gain[:, e] * at[residuals.plateau]
+    trend = trend - basis @ (basis.T @ trend)
+    power = float(trend @ trend)
+    if power < 1e-9:
+        return Drift()
+    size = float(trend @ residuals.left) / power
+    gain, left = residuals.gain[:, e], residuals.left - size * trend
+    pull, weight = (np.bincount(residuals.plateau, values, len(residuals.time)) for values in (gain * left, gain**2))
+    along: Array = pull / np.sqrt(np.maximum(weight, 1e-300))
+    correlation = _autocorrelation(along[mine[np.argsort(time, kind="stable")]])
+    effective = count * (1.0 - correlation) / (1.0 + correlation)
+    freedom = max(1.0, effective - 1.0 - fitted / 2.0)
+    variance = float(np.sum(along[mine] ** 2)) / count
+    deviation = math.sqrt(max(variance, 1.0) * count / freedom / power)
+    return Drift(size, deviation, span, abs(size) > float(stdtrit(freedom, quantile)) * deviation)
 
 
 def _autocorrelation(residual: Array) -> float:
@@ -255,66 +261,44 @@ class FitQuality:
 
     Attributes:
         rms: of the plateaus' residual torque, Nm.
-        share: of it in the RMS friction torque.
+        friction: RMS friction torque, Nm.
         chi2: sum of the squared residuals over those of the blocks' noise, for each degree of freedom; 1 where nothing
             but that noise is left.
         bands: slowest and fastest speed, rad/s, mean residual along the motion, Nm; shape (k, 3).
-        agreement: of residuals at neighbouring speeds, in standard deviations.
-        misfit: whether that is no accident.
-        widening: largest factor on a deviation because of it.
-        drift: change of the friction torque over the series, Nm; NaN where too few plateaus tell.
-        drift_deviation: its standard deviation, Nm.
-        drift_share: of the drift in the RMS friction torque.
-        drifts: whether it is no accident.
-        seconds: of the series, s.
+        misfit: what the residuals say of the curve's form.
+        drift: of the friction torque over the series.
     """
 
     rms: float
-    share: float
+    friction: float
     chi2: float
     bands: Array
-    agreement: float
-    misfit: bool
-    widening: float
-    drift: float
-    drift_deviation: float
-    drift_share: float
-    drifts: bool
-    seconds: float
+    misfit: Misfit
+    drift: Drift
 
     @classmethod
     def of(
-        cls, element: int, velocity: Array, residual: Array, noise: Array, torque: Array, fits: tuple[Misfit, Drift]
+        cls, velocity: Array, residual: Array, noise: Array, torque: Array, misfit: Misfit, drift: Drift
     ) -> FitQuality:
         """Return the figures of one element.
 
         Args:
-            element: its number.
             velocity: of its plateaus, rad/s, shape (p,); one or more.
             residual: measured less fitted torque, Nm, shape (p,).
             noise: standard deviation of each, by the scatter of blocks, Nm, shape (p,).
             torque: measured friction torque, Nm, shape (p,).
-            fits: tests of the curves' form and of drift.
+            misfit: as the attribute.
+            drift: as the attribute.
         """
-        misfit, drift = fits
-        free = max(1, len(residual) - misfit.widening.shape[1])
-        usual = float(np.sqrt(np.mean(torque**2)))
-        rms = float(np.sqrt(np.mean(residual**2)))
-        size = float(drift.size[element])
-        return cls(
-            rms=rms,
-            share=rms / usual if usual > 0.0 else math.nan,
-            chi2=float(np.sum((residual / np.maximum(noise, 1e-12)) ** 2)) / free,
-            bands=_bands(np.abs(velocity), np.sign(velocity) * residual),
-            agreement=float(misfit.agreement[element]),
-            misfit=bool(misfit.significant[element]),
-            widening=float(np.sqrt(misfit.widening[element].max())),
-            drift=size,
-            drift_deviation=float(drift.deviation[element]),
-            drift_share=size / usual if usual > 0.0 else math.nan,
-            drifts=bool(drift.significant[element]),
-            seconds=float(drift.seconds[element]),
-        )
+        free = max(1, len(residual) - len(misfit.widening))
+        rms, friction = (float(np.sqrt(np.mean(values**2))) for values in (residual, torque))
+        chi2 = float(np.sum((residual / np.maximum(noise, 1e-12)) ** 2)) / free
+        return cls(rms, friction, chi2, _bands(np.abs(velocity), np.sign(velocity) * residual), misfit, drift)
+
+    @property
+    def share(self) -> float:
+        """Return the residual torque over the friction torque, RMS; NaN without friction."""
+        return self.rms / self.friction if self.friction > 0.0 else math.nan
 
     def lines(self, name: str) -> list[str]:
         """Return it in words: how well the curve fits, and drift where there is some.
@@ -324,14 +308,15 @@ class FitQuality:
         """
         text = f"fit of {name}: residual {self.rms:.3g} Nm RMS, {self.share:.2%} of its friction, chi2 {self.chi2:.3g}"
         text += " per degree of freedom"
-        if self.misfit:
+        if self.misfit.significant:
+            widening = math.sqrt(float(self.misfit.widening.max()))
             by_speed = ", ".join(f"{low:.3g}-{high:.3g}: {mean:+.2g}" for low, high, mean in self.bands.tolist())
             text += (
-                f"; the curve does NOT FIT: residuals at neighbouring speeds agree by {self.agreement:.1f} standard "
-                f"deviations, which makes deviations up to {self.widening:.1f} times wider; residual by speed, Nm at "
-                f"rad/s: {by_speed}"
+                f"; the curve does NOT FIT: residuals at neighbouring speeds agree by {self.misfit.agreement:.1f} "
+                f"standard deviations, which makes deviations up to {widening:.1f} times wider; residual by speed, Nm "
+                f"at rad/s: {by_speed}"
             )
-        return [text, *([f"drift of {name}: {self.drift_text}"] if self.drifts else [])]
+        return [text, *([f"drift of {name}: {self.drift_text}"] if self.drift.significant else [])]
 
     @property
     def content(self) -> dict[str, Any]:
@@ -340,28 +325,27 @@ class FitQuality:
             "rms": _digits(self.rms),
             "share": _digits(self.share),
             "chi2_per_degree_of_freedom": _digits(self.chi2),
-            "misfit": self.misfit,
+            "misfit": self.misfit.significant,
             "residual_by_speed": [[_digits(value) for value in band] for band in self.bands.tolist()],
         }
-        if not math.isnan(self.drift):
+        if not math.isnan(self.drift.size):
             found["drift"] = {
-                "size": _digits(self.drift),
-                "deviation": _digits(self.drift_deviation),
-                "seconds": _digits(self.seconds),
-                "significant": self.drifts,
+                name: value if isinstance(value, bool) else _digits(value) for name, value in vars(self.drift).items()
             }
         return found
 
     @property
     def drift_text(self) -> str:
         """Return how large the drift is."""
-        if math.isnan(self.drift):
+        drift = self.drift
+        if math.isnan(drift.size):
             return "unknown: too few stretches"
-        said = "significant" if self.drifts else "not significant"
+        share = drift.size / self.friction if self.friction > 0.0 else math.nan
+        said = "significant" if drift.significant else "not significant"
         return (
-            f"{self.drift:+.3g} +- {self.drift_deviation:.2g} Nm ({self.drift_share:+.1%} of its friction) in "
-            f"{self.seconds:.4g} s, {said} (false alarms: {FALSE_ALARMS:.0%} of series; bags by their stamps or, where "
-            "these overlap, as they are given)"
+            f"{drift.size:+.3g} +- {drift.deviation:.2g} Nm ({share:+.1%} of its friction) in "
+            f"{drift.seconds:.4g} s, {said} (false alarms: {FALSE_ALARMS:.0%} of series; bags by their stamps or, "
+            "where these overlap, as they are given)"
         )
 
 

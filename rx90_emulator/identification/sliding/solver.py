@@ -17,7 +17,7 @@ from rx90_emulator.identification.sliding.equations import (
     Weights,
     speed_design_effect,
 )
-from rx90_emulator.identification.sliding.quality import Drift, Misfit, Residuals
+from rx90_emulator.identification.sliding.quality import Drift, Misfit, Residuals, drifts_of, misfits_of
 
 _REWEIGHTINGS = 4  # of iteratively reweighted least squares
 _DELTA_RANGE = (0.2, 5.0)
@@ -45,8 +45,8 @@ class SlidingSolution:
         exponent_score: by how many standard deviations a Gauss-Newton step moves each element's exponent from 1,
             shape (n_el,); 0 where it is free already.
         design_effect: Kish's factor on the variance because plateaus at one speed err together, shape (r,).
-        misfit: whether the curves fit, and how much wider that makes the variances.
-        drift: of the elements' friction over the series.
+        misfits: whether each element's curve fits, and how much wider that makes the variances.
+        drifts: of each element's friction over the series.
     """
 
     rows: SlidingRows
@@ -60,8 +60,8 @@ class SlidingSolution:
     common: Array
     exponent_score: Array
     design_effect: Array
-    misfit: Misfit
-    drift: Drift
+    misfits: list[Misfit]
+    drifts: list[Drift]
 
 
 def fit_curves(rows: SlidingRows, free: Mask) -> SlidingSolution:
@@ -107,8 +107,8 @@ def fit_curves(rows: SlidingRows, free: Mask) -> SlidingSolution:
         common=common,
         exponent_score=fit.exponent_score(form, parameters),
         design_effect=speed_design_effect(rows, weights, residual),
-        misfit=Misfit.of(residuals, free, covariance[np.ix_(chosen, chosen)]),
-        drift=Drift.of(residuals, free),
+        misfits=misfits_of(residuals, free, covariance[np.ix_(chosen, chosen)]),
+        drifts=drifts_of(residuals, free),
     )
 
 

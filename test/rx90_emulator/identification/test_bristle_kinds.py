@@ -21,10 +21,9 @@ from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEs
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.presliding import kinds as kinds_module
+from rx90_emulator.identification.presliding.bristle_motion import JointGroup, KindFamily, KindMotion, MovedGroup
 from rx90_emulator.identification.presliding.fit import PreslidingFit
-from rx90_emulator.identification.presliding.group_model import JointGroup
-from rx90_emulator.identification.presliding.kind_fit import KindFit
-from rx90_emulator.identification.presliding.kind_model import KindFamily, KindMotion, MovedGroup
+from rx90_emulator.identification.presliding.group_fit import KindFit
 from rx90_emulator.identification.presliding.kinds import (
     KindChoice,
     KindTrial,

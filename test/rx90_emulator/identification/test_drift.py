@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-from rx90_emulator.identification.sliding.quality import FALSE_ALARMS, Drift, Residuals
+from rx90_emulator.identification.sliding.quality import FALSE_ALARMS, Residuals, drifts_of
 
 SERIES = 500
 
@@ -27,5 +27,8 @@ def residuals(seed: int, elements: int, count: int, keep: float) -> Residuals:
 def test_drift_is_claimed_as_rarely_as_it_says(elements: int, count: int, keep: float) -> None:
     """Of all elements together, and with errors that a plateau hands on to the next, no more than by the level."""
     free = np.ones((elements, 1), dtype=np.bool_)
-    found = [Drift.of(residuals(seed, elements, count, keep), free).significant.any() for seed in range(SERIES)]
+    found = [
+        any(drift.significant for drift in drifts_of(residuals(seed, elements, count, keep), free))
+        for seed in range(SERIES)
+    ]
     assert sum(found) <= binom.ppf(0.95, SERIES, FALSE_ALARMS)

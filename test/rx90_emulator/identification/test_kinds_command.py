@@ -22,7 +22,7 @@ from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.job import run_on_engine
 from rx90_emulator.identification.experiments.plan import PlanOptions, make_plan
 from rx90_emulator.identification.presliding import kinds as kinds_module
-from rx90_emulator.identification.presliding.kind_model import FAMILIES
+from rx90_emulator.identification.presliding.bristle_motion import FAMILIES
 from rx90_emulator.loop.setup import Setup
 
 TRUTH = ElastoPlastic(0.6)

@@ -22,7 +22,7 @@ from rx90_emulator.identification.records.record import BagSource, JointRecord
 from rx90_emulator.identification.result.identification import IdentifiedElement
 from rx90_emulator.identification.sliding.blocks import find_blocks
 from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
-from rx90_emulator.identification.sliding.quality import Drift, Residuals
+from rx90_emulator.identification.sliding.quality import Residuals, drifts_of
 
 Array = NDArray[np.float64]
 Friction = Callable[[Array], Array]
@@ -137,7 +137,7 @@ def quality(fit: SlidingFit) -> tuple[float, bool, float]:
     """Return chi2, whether the curve fits, and the deviation of c2."""
     (one,) = fit.quality
     assert one is not None
-    return one.chi2, not one.misfit, one.widening
+    return one.chi2, not one.misfit.significant, float(np.sqrt(one.misfit.widening.max()))
 
 
 def test_a_misfit_is_told_and_widens_deviations(hinge: RigidArm) -> None:
@@ -160,9 +160,10 @@ def test_a_drift_of_coulomb_friction_is_found(hinge: RigidArm) -> None:
     steady, falling = (fit.quality[0] for fit in fits)
     assert steady is not None
     assert falling is not None
-    assert not steady.drifts
-    assert falling.drifts
-    assert falling.drift == pytest.approx(-0.12 * 5.5, rel=0.3)  # of Coulomb friction and the mean of the viscous part
+    assert not steady.drift.significant
+    assert falling.drift.significant
+    # Of Coulomb friction and the mean of the viscous part.
+    assert falling.drift.size == pytest.approx(-0.12 * 5.5, rel=0.3)
     assert "drift of hinge" in falling.lines("hinge")[1]
 
 
@@ -178,12 +179,9 @@ def test_false_alarms_of_drift(repeated: float) -> None:
             noise[k] += repeated * noise[k - 1]
         left = noise[30:] - slope @ np.linalg.lstsq(slope, noise[30:], rcond=None)[0]
         one = np.ones((count, 1))
-        alarms += bool(
-            Drift.of(
-                Residuals(left, slope, one, np.arange(count), one, left[:, None], np.arange(count) * 10.0),
-                np.ones((1, 2), dtype=np.bool_),
-            ).significant[0]
-        )
+        residuals = Residuals(left, slope, one, np.arange(count), one, left[:, None], np.arange(count) * 10.0)
+        (drift,) = drifts_of(residuals, np.ones((1, 2), dtype=np.bool_))
+        alarms += drift.significant
     assert alarms < 12
 
 

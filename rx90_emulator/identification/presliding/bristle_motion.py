@@ -1,4 +1,11 @@
-"""Micro-motions with bristles of given kinds: what the torques in the band of micro-oscillations would be."""
+"""Micro-motions with bristles of given kinds: what the torques in the band of micro-oscillations would be.
+
+A bristle is deflected along the measured motion, and torques are compared at the frequencies of micro-oscillations
+alone. The noise of the encoder, which reaches the torque through the controller, is there some thousandths of the
+motion. The noise of the torque is in the measured side of the comparison only, so that it makes the estimates
+uncertain, not biased. A simulation driven by the recorded torque would respond to its noise at the resonance as if it
+were motion.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +19,13 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.bristle import decay
 from rx90_common.friction.bristles.step import bristles_dtype
 from rx90_common.friction.element import element_arrays
 from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
 from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE, follow_bristles
-from rx90_emulator.identification.presliding.group_model import JointGroup
+from rx90_common.kernels.compiled import kernel
+from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMotion, band_spectrum, block_means, load_of
 from rx90_emulator.identification.records.record import BagSource
 
@@ -97,30 +106,62 @@ FAMILIES = (KindFamily(), KindFamily(elastic=True), *(KindFamily(blocks) for blo
 """What is tried: LuGre, elasto-plastic, and Maxwell slip with 2 to 4 blocks."""
 
 
+@kernel
+def deflect_bristle(speed: Array, sliding_torque: Array, step: float, c0: float, start: float, result: Array) -> None:
+    """Deflect a bristle of LuGre's by the exact steps of the simulation.
+
+    Args:
+        speed: input velocity, held over each step, rad/s, shape (m,).
+        sliding_torque: c0 g(v), equation 19, at these, Nm, shape (m,).
+        step: s.
+        c0: Nm/rad.
+        start: deflection at the start, rad.
+        result: takes the means over each step of the bristle's torque, Nm, and of the rate of deflection, rad/s,
+            shape (m, 2).
+    """
+    z = start
+    for row in range(len(speed)):
+        v = speed[row]
+        rate = c0 * abs(v) / sliding_torque[row]
+        phi, psi = decay(rate * step)
+        z_dot = v - rate * z
+        result[row, 0] = c0 * (z + step * z_dot * psi)
+        result[row, 1] = z_dot * phi
+        z += step * z_dot * phi
+
+
 @dataclass(frozen=True, eq=False)
 class ElementTrace:
-    """The motion of one friction element.
+    """The motion of one friction element; what does not depend on c0 and c1 is computed once.
 
     Attributes:
         element: the sliding regime; c0 and c1 are not used.
         speed: held over each step, rad/s, shape (m,).
+        viscous: viscous torque, Nm, block means, shape (b,).
         step: s.
         steps: in a block.
     """
 
     element: FrictionElement
     speed: Array
+    viscous: Array
     step: float
     steps: int
     _known: dict[tuple[BristlesPart | None, float, float], Array] = field(default_factory=dict, init=False)
 
     @classmethod
-    def of(cls, element: FrictionElement, speed: Array, step: float) -> ElementTrace:
-        """Return the trace of an element with such input velocities, rad/s, in steps of a record, s."""
+    def of(cls, element: FrictionElement, speed: Array, step: float, steps: int = BLOCK) -> ElementTrace:
+        """Return the trace of an element.
+
+        Args:
+            element: its sliding regime.
+            speed: input velocities in steps of a record, rad/s, shape (m,).
+            step: of the record, s.
+            steps: of the trace in a block.
+        """
         plain = replace(element.without_parts(), c1=1.0, c2=0.0)
-        steps = BLOCK // 2 if 2.0 * step <= _MAX_STEP_S else BLOCK
         held = speed[: len(speed) // BLOCK * BLOCK].reshape(-1, BLOCK // steps).mean(axis=1)
-        return cls(plain, held, step * BLOCK / steps, steps)
+        return cls(plain, held, block_means(element.viscous_torque(speed)), step * BLOCK / steps, steps)
 
     @property
     def position(self) -> Array:
@@ -142,20 +183,30 @@ class ElementTrace:
         if key not in self._known:
             if len(self._known) >= _CACHED_SPECTRA:
                 del self._known[next(iter(self._known))]
-            self._known[key] = band_spectrum(self.bristles(*key), self.step * self.steps / BLOCK)[0]
+            self._known[key] = self.spectrum(self.bristles(*key))
         return self._known[key]
+
+    def spectrum(self, means: Array) -> Array:
+        """Return the spectrum of block means, shape (b, c) to (r, c)."""
+        return band_spectrum(means, self.step * self.steps / BLOCK)[0]
 
     def bristles(self, kind: BristlesPart | None, c0: float, start: float) -> Array:
         """Return what `spectra` does as block means, a column each, shape (b, 2)."""
+        first = start * self.element.tau_c_positive / c0
+        if kind is None:
+            found = np.empty((len(self.speed), 2))
+            deflect_bristle(self.speed, self._sliding_torque, self.step, c0, first, found)
+            found[:, 1] *= self._fading
+            return self._blocks(found)
         constants, state = np.zeros(1, bristles_dtype(1)), np.zeros(1, BRISTLE_STATE_DTYPE)
         fill_bristles(constants[0], [kind])
-        first = start * self.element.tau_c_positive / c0
         state["z"] = first
         state["bristles"]["blocks"][0, 0, 0] = first * constants["blocks"]["reach"][0, 0]
         element = self._constants.copy()
         element["c0"] = c0
         torque, deflection = np.empty_like(self.speed), np.empty_like(self.speed)
-        follow_bristles(element, constants, state, self.speed, self._durations, torque, deflection)
+        steps = np.full_like(self.speed, self.step)
+        follow_bristles(element, constants, state, self.speed, steps, torque, deflection)
         rate = np.diff(deflection, prepend=first) / self.step
         return self._blocks(np.column_stack([torque, rate * self._fading]))
 
@@ -167,8 +218,8 @@ class ElementTrace:
         return element_arrays((replace(self.element, c1=0.0),))
 
     @cached_property
-    def _durations(self) -> Array:
-        return np.full_like(self.speed, self.step)
+    def _sliding_torque(self) -> Array:
+        return self.element.sliding_torque(self.speed)
 
     @cached_property
     def _fading(self) -> Array:
@@ -184,7 +235,7 @@ class KindMotion:
         traces: of the elements.
         measured: what the bristles give at the joints, drive less weight, inertia and viscous torque, and what errors
             of the inertia would add, one for each pair of joints, as parts of sqrt(M_jj M_ii); Nm, block means,
-            shape (b, k, 1 + p).
+            shape (b, k, 1 + p). Those of the other joints, which hardly move, are left out.
         target: the first of them as a spectrum, Nm, shape (r, k).
         inertial: the others, Nm, shape (r, k, p).
         line: Hz, rounded, of each of the r rows.
@@ -198,24 +249,68 @@ class KindMotion:
     line: Array
 
     @classmethod
-    def of(cls, motion: MicroMotion, inputs: Array, sliding: Sequence[FrictionElement]) -> KindMotion:
-        """Return the beginning of a micro-motion of a group.
+    def of(
+        cls, motion: MicroMotion, inputs: Array, sliding: Sequence[FrictionElement], *, whole: bool = False
+    ) -> KindMotion:
+        """Return a micro-motion of a group.
 
         Args:
             motion: of the group's joints.
             inputs: as the attribute.
             sliding: the elements' sliding regime; c0 and c1 are not used.
+            whole: whether all of it is taken, in the steps of the record, not its beginning in as few as will do.
         """
-        used = slice(round(MAX_COMPARED_S / motion.step))
+        steps = BLOCK if whole or 2.0 * motion.step > _MAX_STEP_S else BLOCK // 2
+        used = slice(None if whole else round(MAX_COMPARED_S / motion.step))
         speed, acceleration = motion.velocity[used] @ inputs.T, motion.acceleration[used]
-        viscous = np.column_stack([one.viscous_torque(speed[:, n]) for n, one in enumerate(sliding)])
-        torque = motion.drive[used] - acceleration @ motion.mass.T - viscous @ inputs
-        parts = np.stack([torque, *_inertia_errors(motion, acceleration)], axis=2)
-        measured = block_means(parts)
+        traces = tuple(ElementTrace.of(one, speed[:, n], motion.step, steps) for n, one in enumerate(sliding))
+        torque = motion.drive[used] - acceleration @ motion.mass.T
+        measured = block_means(np.stack([torque, *_inertia_errors(motion, acceleration)], axis=2))
+        measured[:, :, 0] -= np.column_stack([trace.viscous for trace in traces]) @ inputs
         spectrum, frequency = band_spectrum(measured.reshape(len(measured), -1), motion.step)
-        spectrum = spectrum.reshape(-1, *parts.shape[1:])
-        traces = tuple(ElementTrace.of(one, speed[:, n], motion.step) for n, one in enumerate(sliding))
+        spectrum = spectrum.reshape(-1, *measured.shape[1:])
         return cls(inputs, traces, measured, spectrum[:, :, 0], spectrum[:, :, 1:], np.round(frequency))
+
+    def with_trace(self, n: int, trace: ElementTrace) -> KindMotion:
+        """Return the motion with another sliding regime, or other velocities, of element n."""
+        more = np.outer(trace.viscous - self.traces[n].viscous, self.inputs[n])
+        measured = self.measured.copy()
+        measured[:, :, 0] -= more
+        traces = (*self.traces[:n], trace, *self.traces[n + 1 :])
+        return replace(self, traces=traces, measured=measured, target=self.target - trace.spectrum(more))
+
+
+@dataclass(frozen=True, eq=False)
+class JointGroup:
+    """Joints that share friction elements with each other and with no other joint.
+
+    Attributes:
+        joints: indices of the group's k joints.
+        elements: indices of their e elements.
+        inputs: velocities of these joints to input velocities of the elements, shape (e, k).
+    """
+
+    joints: tuple[int, ...]
+    elements: tuple[int, ...]
+    inputs: Array
+
+    def break_away(self, sliding: Sequence[FrictionElement]) -> Array:
+        """Return the friction torque at which each joint slides, Nm, shape (k,), by its elements' sliding regime."""
+        return np.asarray(np.abs(self.inputs).T @ np.array([one.tau_c_positive for one in sliding]))
+
+
+def joint_groups(arm: RigidArm) -> list[JointGroup]:
+    """Return the groups of an arm's joints, from base to tip."""
+    groups = [{j} for j in range(len(arm.names))]
+    for row in arm.element_matrix:
+        joined: set[int] = set(np.flatnonzero(row).tolist())
+        touched = [group for group in groups if group & joined]
+        groups = [group for group in groups if not group & joined] + [set().union(*touched)]
+    found = []
+    for joints in sorted(tuple(sorted(group)) for group in groups):
+        elements = np.flatnonzero(arm.element_matrix[:, list(joints)].any(axis=1))
+        found.append(JointGroup(joints, tuple(elements.tolist()), arm.element_matrix[elements][:, list(joints)]))
+    return found
 
 
 def _inertia_errors(motion: MicroMotion, acceleration: Array) -> list[Array]:
@@ -274,7 +369,7 @@ class MovedGroup:
             sliding: the elements' sliding regime.
             c0: as the attribute.
         """
-        break_away = np.abs(group.inputs).T @ np.array([one.tau_c_positive for one in sliding])
+        break_away = group.break_away(sliding)
         if len(group.elements) == 1:
             largest = largest_motions(motions, break_away, MOST_MOTIONS)
         else:  # one direction of motion moves some elements only, and each is recorded in a bag of its own
