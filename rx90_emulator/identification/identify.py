@@ -22,6 +22,7 @@ from rx90_emulator.identification.model.estimates import (
     SLIDING,
     VISCOUS_EXPONENT,
     ElementEstimate,
+    IdentifiedElement,
     ParameterEstimate,
 )
 from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
@@ -31,7 +32,6 @@ from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_
 from rx90_emulator.identification.presliding.kinds import ElementKind, choose_kinds
 from rx90_emulator.identification.records.reading import read_record
 from rx90_emulator.identification.records.record import BagSource, JointRecord
-from rx90_emulator.identification.result.identification import IdentifiedElement
 from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
 from rx90_emulator.identification.validation.prediction import Validation, validate
 

@@ -44,7 +44,7 @@ def test_a_run_is_the_robots_of_its_urdf(tmp_path: Path, coupled: bool) -> None:
     arm = random_arm(4, 3, coupled=coupled, stribeck=False)
     run = measured(arm, FourierMotion.random(arm, 1, periods=1), 100.0, 0, NOTHING)
     bag, urdf = write_run(run, arm, tmp_path)
-    record = read_record(bag, BagLayout.joint_side("joint_states", arm.names))
+    record = read_record(bag, BagLayout.of("joint_states", arm.names, arm.names))
     read = RigidArm.from_urdf(urdf, coupling=arm.coupling, rotor_inertia=arm.rotor, spring=arm.spring)
     rest = record.torque - read.torque(*run.exact) - arm.offset
     inputs = run.exact[1] @ read.element_matrix.T

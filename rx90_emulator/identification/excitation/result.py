@@ -29,12 +29,11 @@ from rx90_emulator.identification.excitation.torques import (
     residuals_by_speed,
     undetermined,
 )
-from rx90_emulator.identification.model.estimates import ElementEstimate, ParameterEstimate
+from rx90_emulator.identification.model.estimates import ElementEstimate, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.model.zeros import ZeroCheck
 from rx90_emulator.identification.records.record import BagSource
-from rx90_emulator.identification.result.identification import IdentifiedElement
 
 UNITS = {"m": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m", "k": "Nm", "offset": "Nm"}
 """Units of base parameters by the first word of their names; of all others kg m^2."""

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import plain, quoted
+from rx90_common.friction import FrictionElement
 from rx90_emulator.identification.records.record import BagSource
 
 SLIDING = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "omega_s", "delta", "c2")
@@ -72,26 +71,12 @@ class ElementEstimate:
         parameters: estimates by the names in PARAMETERS, or a part of them, in that order; p of them.
         correlation: of the estimates, in the order of `parameters`, shape (p, p); NaN where one is not identifiable.
         sources: the bags they rest on.
-
-    Raises:
-        IdentificationError: for an unknown parameter, or a correlation of another shape.
     """
 
     element: str
     parameters: Mapping[str, ParameterEstimate]
     correlation: Array
     sources: tuple[BagSource, ...]
-
-    def __post_init__(self) -> None:
-        unknown = [name for name in self.parameters if name not in PARAMETERS]
-        if unknown:
-            found = f"{plain(self.element)}: parameter {quoted(unknown[0])}"
-            raise IdentificationError(f"{found}; accepted: {', '.join(PARAMETERS)}")
-        shape = (len(self.parameters), len(self.parameters))
-        if self.correlation.shape != shape:
-            raise IdentificationError(
-                f"{self.element}: correlation of shape {self.correlation.shape}; accepted: {shape}"
-            )
 
     @classmethod
     def of(
@@ -119,3 +104,49 @@ class ElementEstimate:
         """Return the covariance in the order of `parameters`, shape (p, p); 0 for what is not identifiable."""
         deviation = np.array([e.deviation if e.identifiable else 0.0 for e in self.parameters.values()])
         return np.asarray(np.nan_to_num(self.correlation) * np.outer(deviation, deviation))
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedElement:
+    """One friction element with what is known about each of its parameters.
+
+    Attributes:
+        element: values to simulate with.
+        estimates: by the names in PARAMETERS, without the viscous exponent where it is 1; those of a part by names
+            such as bristles.break_away.
+        sources: the bags each parameter rests on.
+        given_bristles: whether its bristles are those of the fallback, of another kind than LuGre's, as its c0 is.
+    """
+
+    element: FrictionElement
+    estimates: dict[str, ParameterEstimate]
+    sources: dict[str, tuple[BagSource, ...]]
+    given_bristles: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        element: FrictionElement,
+        estimates: Mapping[str, ParameterEstimate],
+        sources: dict[str, tuple[BagSource, ...]],
+        fallback: FrictionElement | None,
+    ) -> IdentifiedElement:
+        """Return an element with the fallback's bristles where its c0 is the fallback's: they belong together.
+
+        Args:
+            element: its own bristles, if it has any, were identified, and stay.
+            estimates: of it.
+            sources: of the estimates.
+            fallback: where values that are not identifiable come from; None without one, or where LuGre's are told.
+        """
+        part = None if fallback is None else fallback.bristles
+        if part is None or element.bristles is not None or ("c0" in estimates and estimates["c0"].identifiable):
+            return cls(element, dict(estimates), sources)
+        unknown = ParameterEstimate.unknown("it goes with c0, which is not identified")
+        numbers = {f"{part.name}.{name}": unknown for name in part.numbers()}
+        return cls(replace(element, bristles=part), {**estimates, **numbers}, sources, given_bristles=True)
+
+    def value(self, name: str) -> float:
+        """Return what the element has under the name of an estimate."""
+        part, _, key = name.rpartition(".")
+        return float(self.element.parts[part].numbers()[key] if part else getattr(self.element, name))

@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rx90_common.bags.reading import BagReader
 from rx90_common.bags.recorded import check_robot
-from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.share import resolve_config
@@ -20,7 +18,7 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.layout import BagLayout
+from rx90_emulator.identification.records.layout import JOINT_STATES, BagLayout, recorded_topic
 from rx90_emulator.loop.setup import Setup
 
 
@@ -88,16 +86,8 @@ class RecordedRobot:
             return self.own_layout
         assert self.setup is not None
         check_robot(bag, self.setup.robot.model.name)
-        motors, joints = BagLayout.rx90_motors(self.setup), BagLayout.rx90_joints(self.setup)
-        with BagReader(bag) as reader:
-            there = {topic.name for topic in reader.topics}
-        choice = [motors, joints] if fast else [joints, motors]
-        for layout in choice:
-            if absolute(layout.topic) in there:
-                return layout
-        raise IdentificationError(
-            f"{bag}: neither {MOTOR_STATES} nor joint_states; there are {', '.join(sorted(there)) or 'no topics'}"
-        )
+        topics = (MOTOR_STATES, JOINT_STATES) if fast else (JOINT_STATES, MOTOR_STATES)
+        return BagLayout.rx90(recorded_topic(bag, topics), self.setup)
 
 
 def _own(options: RobotOptions) -> RecordedRobot:
@@ -130,11 +120,9 @@ def _other(options: RobotOptions, urdf: Path, *, massless: bool) -> RecordedRobo
     motors = coupling, options.rotor_inertia, options.spring
     arm = RigidArm.from_urdf(urdf, options.joints, *motors, massless=massless)
     constant = None if options.torque_constant is None else np.array(options.torque_constant)
-    messages, topic = tuple(options.names or arm.names), options.topic or "joint_states"
-    if options.gear is None:
-        layout = BagLayout(topic, messages, arm.names, None, constant)
-    else:
-        layout = BagLayout.motor_side(topic, messages, arm.names, np.array(options.gear), coupling, constant)
+    messages, topic = tuple(options.names or arm.names), options.topic or JOINT_STATES
+    gear = None if options.gear is None else np.array(options.gear)
+    layout = BagLayout.of(topic, messages, arm.names, gear, coupling, constant)
     fallback = _fallback(options.fallback or "none", arm)
     return RecordedRobot(arm, None, layout, *fallback, options.torque_delay, options.record_time)
 

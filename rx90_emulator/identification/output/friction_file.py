@@ -16,10 +16,9 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_UNITS
 from rx90_common.friction.parts.bristles import BristlesPart
 from rx90_emulator.identification.identify import FrictionIdentification
-from rx90_emulator.identification.model.estimates import LARGEST, PARAMETERS, ParameterEstimate
+from rx90_emulator.identification.model.estimates import LARGEST, PARAMETERS, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.presliding.kinds import ElementKind
 from rx90_emulator.identification.records.record import BagSource
-from rx90_emulator.identification.result.identification import IdentifiedElement
 from rx90_emulator.identification.sliding.fit import SlidingFit
 
 _REMARKS = """\

@@ -17,10 +17,10 @@ from rx90_common.friction.parameters import FRICTION_UNITS
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Panel, Plot
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
+from rx90_emulator.identification.model.estimates import IdentifiedElement
 from rx90_emulator.identification.presliding.bristle_motion import MOST_MOTIONS, MOST_OF_BAG
 from rx90_emulator.identification.presliding.fit import HysteresisLoop
 from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE, ElementKind, decisions
-from rx90_emulator.identification.result.identification import IdentifiedElement
 from rx90_emulator.identification.sliding.fit import CurvePoints
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation

@@ -26,10 +26,10 @@ from rx90_common.friction.parameters import ALPHA_BOUNDS
 from rx90_emulator.identification.excitation.bodies import central
 from rx90_emulator.identification.excitation.consistency import ConsistentInertias
 from rx90_emulator.identification.excitation.result import ASSUMED_BRISTLES, ExcitationIdentification
+from rx90_emulator.identification.model.estimates import IdentifiedElement
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.records.record import BagSource
-from rx90_emulator.identification.result.identification import IdentifiedElement
 
 _ORIGIN_KEYS = ("provenance", "source")
 _OTHERS = "others"

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from rx90_common.bags.reading import BagReader
+from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import quoted
 from rx90_common.description.wrist import coupling_matrix
 from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
 from rx90_emulator.loop.setup import Setup
+
+JOINT_STATES = "joint_states"
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,30 +63,27 @@ class BagLayout:
             raise IdentificationError(f"gears times coupling: {self.turns.tolist()}; accepted: an invertible matrix")
 
     @classmethod
-    def joint_side(cls, topic: str, names: Sequence[str], torque_constant: Array | None = None) -> BagLayout:
-        """Return the layout of joint-side messages that name the joints."""
-        return cls(topic, tuple(names), tuple(names), None, torque_constant)
-
-    @classmethod
-    def motor_side(
+    def of(
         cls,
         topic: str,
         messages: Sequence[str],
         names: Sequence[str],
-        gear: Array,
+        gear: Array | None = None,
         coupling: Array | None = None,
         torque_constant: Array | None = None,
     ) -> BagLayout:
-        """Return the layout of motor-side messages.
+        """Return the layout of messages of joints, or of motors where their gears are given.
 
         Args:
             topic: topic name.
-            messages: the motors' names in the messages.
+            messages: the joints' or the motors' names in the messages.
             names: the joints' names.
-            gear: motor revolutions per joint revolution, shape (n,).
+            gear: motor revolutions per joint revolution, shape (n,); None for messages of joints.
             coupling: as in RigidArm.from_urdf, shape (n, n).
-            torque_constant: motor torque per current, Nm/A, where effort is a current.
+            torque_constant: torque per current, Nm/A, where effort is a current.
         """
+        if gear is None:
+            return cls(topic, tuple(messages), tuple(names), None, torque_constant)
         turns = np.eye(len(names)) if coupling is None else np.asarray(coupling, dtype=np.float64)
         if np.shape(gear) != (len(names),) or turns.shape != (len(names), len(names)):
             raise IdentificationError(
@@ -90,12 +92,31 @@ class BagLayout:
         return cls(topic, tuple(messages), tuple(names), np.asarray(gear)[:, None] * turns, torque_constant)
 
     @classmethod
-    def rx90_motors(cls, setup: Setup) -> BagLayout:
-        """Return the layout of this project's motor_states."""
-        drives, names = setup.drives, setup.robot.joint_names
-        return cls.motor_side(MOTOR_STATES, MOTOR_NAMES, names, drives.gear, coupling_matrix())
+    def rx90(cls, topic: str, setup: Setup) -> BagLayout:
+        """Return the layout of this project's motor_states or joint_states."""
+        names = setup.robot.joint_names
+        if topic == MOTOR_STATES:
+            return cls.of(topic, MOTOR_NAMES, names, setup.drives.gear, coupling_matrix())
+        return cls.of(topic, names, names)
 
-    @classmethod
-    def rx90_joints(cls, setup: Setup) -> BagLayout:
-        """Return the layout of this project's joint_states."""
-        return cls.joint_side("joint_states", setup.robot.joint_names)
+
+def recorded_topic(bag: Path, topics: Sequence[str], hint: str = "") -> str:
+    """Return the first of this project's topics that a bag has.
+
+    Args:
+        bag: to be looked at.
+        topics: motor_states and joint_states, the one that is preferred first.
+        hint: what a user may do where the bag has neither.
+
+    Raises:
+        BagError: if the bag cannot be read.
+        IdentificationError: if it holds neither.
+    """
+    with BagReader(bag) as reader:
+        there = {topic.name for topic in reader.topics}
+    for topic in topics:
+        if absolute(topic) in there:
+            return topic
+    raise IdentificationError(
+        f"{bag}: neither {MOTOR_STATES} nor {JOINT_STATES}; there are {', '.join(sorted(there)) or 'no topics'}{hint}"
+    )

@@ -1,6 +1,6 @@
 """Read the recorded joint states of any robot as a joint-side record; needs no ROS.
 
-record = read_record("bag", BagLayout.rx90_motors(setup))
+record = read_record("bag", BagLayout.rx90("motor_states", setup))
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -65,7 +65,7 @@ class JointRecord:
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
 
     Raises:
-        IdentificationError: if a shape does not fit, a number is not finite, or time does not increase.
+        IdentificationError: if there is no sample, or time does not increase.
     """
 
     names: tuple[str, ...]
@@ -79,13 +79,6 @@ class JointRecord:
     outliers: int = 0
 
     def __post_init__(self) -> None:
-        shape = (len(self.time), len(self.names))
-        for field in ("position", "velocity", "torque"):
-            values = getattr(self, field)
-            if values.shape != shape:
-                raise IdentificationError(f"{self.source}: {field} has shape {values.shape}; accepted: {shape}")
-            if not np.isfinite(values).all():
-                raise IdentificationError(f"{self.source}: {field} holds NaN or infinity; accepted: finite numbers")
         if len(self.time) == 0:
             raise IdentificationError(f"{self.source}: a record of 0 samples; accepted: one or more")
         back = np.flatnonzero(~(np.diff(self.time) > 0.0))
@@ -100,21 +93,6 @@ class JointRecord:
         """Return the bag, with the figures of what was read of it."""
         duration = float(self.time[-1] - self.time[0])
         return BagSource(self.source, self.sha256, duration, self.missing, self.outliers, float(self.time[0]))
-
-    def between(self, start: float, stop: float) -> JointRecord:
-        """Return the samples with start <= time < stop, s.
-
-        Raises:
-            IdentificationError: if there are none.
-        """
-        rows = slice(*np.searchsorted(self.time, (start, stop)))
-        if len(self.time[rows]) == 0:
-            raise IdentificationError(
-                f"{self.source}: no samples from {start:g} s to {stop:g} s; "
-                f"accepted: a part of {self.time[0]:g} to {self.time[-1]:g} s"
-            )
-        fields = {name: getattr(self, name)[rows] for name in ("time", "position", "velocity", "torque")}
-        return replace(self, **fields)
 
 
 def check_joints(records: Sequence[JointRecord], names: Sequence[str]) -> None:

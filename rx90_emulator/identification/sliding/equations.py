@@ -281,12 +281,12 @@ class PlateauTorques:
     Attributes:
         element: shape (c,).
         velocity: rad/s, shape (c,).
-        column: number of the torque by which each element enters a row, or -1, shape (r, n_el).
+        design: coefficients of the torques in the rows, shape (r, c).
     """
 
     element: NDArray[np.int64]
     velocity: Array
-    column: NDArray[np.int64]
+    design: csr_array
 
     @classmethod
     def of(cls, rows: SlidingRows) -> PlateauTorques:
@@ -294,16 +294,9 @@ class PlateauTorques:
         count = rows.gain.shape[1]
         at, element = np.nonzero(rows.gain)
         keys, number = np.unique(rows.plateau[at] * count + element, return_inverse=True)
-        column = np.full(rows.gain.shape, -1)
-        column[at, element] = number
         velocity = np.bincount(number, rows.velocity[at, element]) / np.bincount(number)
-        return cls(keys % count, velocity, column)
-
-    def design(self, rows: SlidingRows) -> csr_array:
-        """Return the rows' coefficients of the torques, shape (r, c)."""
-        at, element = np.nonzero(rows.gain)
-        place = at, self.column[at, element]
-        return csr_array((rows.gain[at, element], place), shape=(len(rows), len(self.element)))
+        design = csr_array((rows.gain[at, element], (at, number)), shape=(len(rows), len(keys)))
+        return cls(keys % count, velocity, design)
 
 
 @dataclass(frozen=True, eq=False)

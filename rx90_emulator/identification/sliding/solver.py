@@ -73,7 +73,7 @@ def fit_curves(rows: SlidingRows, free: Mask) -> SlidingSolution:
             the viscous exponent 1.
     """
     torques = PlateauTorques.of(rows)
-    design = torques.design(rows)
+    design = torques.design
     fit = _CurveFit(torques, free, len(rows.directions) // 10)
     weights = Weights.equal(rows)
     form = NormalForm.of(rows, design, weights)

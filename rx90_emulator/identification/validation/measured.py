@@ -30,7 +30,7 @@ from rx90_emulator.identification.excitation.filtering import (
     low_pass_taps,
 )
 from rx90_emulator.identification.excitation.problem import SlidingState, element_states
-from rx90_emulator.identification.records.layout import BagLayout
+from rx90_emulator.identification.records.layout import JOINT_STATES, BagLayout, recorded_topic
 from rx90_emulator.identification.records.reading import read_record
 from rx90_emulator.identification.records.record import BagSource, JointRecord
 from rx90_emulator.identification.validation.options import MeasuredLayout, MeasuredTolerances
@@ -85,7 +85,7 @@ def bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
     """
     check_robot(bag, setup.robot.model.name)
     joints = setup.robot.joint_names
-    topic = options.topic or _topic(bag)
+    topic = options.topic or recorded_topic(bag, (MOTOR_STATES, JOINT_STATES), "; accepted: --topic")
     if options.names is None:
         _check_names(bag, topic, joints)
     motors = topic.strip("/") == MOTOR_STATES
@@ -96,30 +96,15 @@ def bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
     messages = tuple(options.names or (MOTOR_NAMES if motors else joints))
     constant = _array(options.torque_constant)
     gear = _array(options.gear) if options.gear is not None or not motors else setup.drives.gear
-    if gear is None:
-        if options.coupling is not None:
-            raise IdentificationError("--coupling without --gear; accepted: for the motors' states, with their --gear")
-        layout = BagLayout(topic, messages, joints, None, constant)
-    else:
-        coupling = coupling_matrix() if options.coupling is None else np.reshape(options.coupling, (6, 6))
-        layout = BagLayout.motor_side(topic, messages, joints, gear, coupling, constant)
+    if gear is None and options.coupling is not None:
+        raise IdentificationError("--coupling without --gear; accepted: for the motors' states, with their --gear")
+    coupling = coupling_matrix() if options.coupling is None else np.reshape(options.coupling, (6, 6))
+    layout = BagLayout.of(topic, messages, joints, gear, coupling, constant)
     return replace(layout, record_time=options.record_time, zero=_array(options.zero))
 
 
 def _array(values: Sequence[float] | None) -> Array | None:
     return None if values is None else np.array(values, dtype=np.float64)
-
-
-def _topic(bag: Path) -> str:
-    with BagReader(bag) as reader:
-        there = {topic.name for topic in reader.topics}
-    for topic in (MOTOR_STATES, "joint_states"):
-        if absolute(topic) in there:
-            return topic
-    raise IdentificationError(
-        f"{bag}: neither {MOTOR_STATES} nor joint_states; there are {', '.join(sorted(there)) or 'no topics'}; "
-        "accepted: --topic"
-    )
 
 
 def _check_names(bag: Path, topic: str, joints: Sequence[str]) -> None:

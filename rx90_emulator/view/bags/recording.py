@@ -156,7 +156,7 @@ def arm_layout(bag: BagReader, robot: RobotModel, files: RobotFiles, options: Me
         coupling = (
             coupling_matrix() if options.coupling is None else np.reshape(options.coupling, (JOINT_COUNT, JOINT_COUNT))
         )
-        layout = BagLayout.motor_side(topic.name, messages, robot.joint_names, gear, coupling)
+        layout = BagLayout.of(topic.name, messages, robot.joint_names, gear, coupling)
     return replace(
         layout, record_time=options.record_time, zero=_array(options.zero),
         torque_constant=_array(options.torque_constant),

@@ -67,7 +67,7 @@ def bags(shipped: Setup, tmp_path_factory: pytest.TempPathFactory) -> list[Path]
 
 def test_the_engines_friction_comes_back_from_its_bags(shipped: Setup, arm: RigidArm, bags: list[Path]) -> None:
     """Motor-side bags of the closed loop give the friction file's sliding parameters of the wrist."""
-    records = [read_record(bag, BagLayout.rx90_motors(shipped), rate=1000.0) for bag in bags]
+    records = [read_record(bag, BagLayout.rx90("motor_states", shipped), rate=1000.0) for bag in bags]
     fit = identify_sliding(records, arm, ["joint_5", "joint_6", "joint_5_6"])
     for e in (4, 5, 6):
         element = shipped.friction.elements[e]

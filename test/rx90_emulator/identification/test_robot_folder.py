@@ -26,7 +26,7 @@ from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.excitation.bodies import InertialPrior
 from rx90_emulator.identification.excitation.consistency import BaseEstimate, consistent_inertias
 from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
-from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
+from rx90_emulator.identification.model.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot_files import (
@@ -39,7 +39,6 @@ from rx90_emulator.identification.output.robot_files import (
     with_inertials,
 )
 from rx90_emulator.identification.records.record import BagSource
-from rx90_emulator.identification.result.identification import IdentifiedElement
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 

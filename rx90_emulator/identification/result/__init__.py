@@ -1,3 +1,0 @@
-"""What is known of each parameter of the identified elements."""
-
-__all__ = ["identification"]
