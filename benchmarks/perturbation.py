@@ -33,7 +33,7 @@ from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import path_accuracy, plan_line
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.model import PerturbationModel, prepare
+from rx90_emulator.perturbation.model import PerturbationModel, prepare_perturbation
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class Work(NamedTuple):
 
     def prepare(self, spacing: float = 0.01) -> PerturbationModel:
         """Prepare the perturbation model."""
-        return prepare(self.setup, self.points, self.start, self.duration, spacing=spacing)
+        return prepare_perturbation(self.setup, self.points, self.start, self.duration, spacing=spacing)
 
     @property
     def window(self) -> tuple[float, float]:

@@ -12,7 +12,8 @@
 Setups          load_setup, parameters, with_parameters, Setup, Rates
 Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints
 Runs            run_line, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; for hours: repeat_line,
-                RepeatedLine
+                RepeatedLine; small deviations from a motion: prepare_perturbation, PerturbationModel,
+                PerturbationResult
 Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries
 Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
                 Verdict
@@ -92,6 +93,7 @@ if TYPE_CHECKING:
     from rx90_emulator.loop.setup import Setup, load_setup
     from rx90_emulator.loop.trajectory_file import load_trajectory
     from rx90_emulator.loop.working_day import RepeatedLine, repeat_line
+    from rx90_emulator.perturbation.model import PerturbationModel, PerturbationResult, prepare_perturbation
     from rx90_emulator.sweep.execution import read_sweep, run_sweep
     from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
     from rx90_emulator.sweep.plan_file import load_sweep_plan
@@ -123,6 +125,8 @@ __all__ = [
     "Normal",
     "PathAccuracy",
     "Payload",
+    "PerturbationModel",
+    "PerturbationResult",
     "Rates",
     "RepeatedLine",
     "RipplePart",
@@ -165,6 +169,7 @@ __all__ = [
     "path_accuracy",
     "plan_experiments",
     "plan_line",
+    "prepare_perturbation",
     "read_bag",
     "read_joint_states",
     "read_payloads",
@@ -225,6 +230,7 @@ _HOMES = {
     "rx90_emulator.loop.setup": "Setup load_setup",
     "rx90_emulator.loop.trajectory_file": "load_trajectory",
     "rx90_emulator.loop.working_day": "RepeatedLine repeat_line",
+    "rx90_emulator.perturbation.model": "prepare_perturbation PerturbationModel PerturbationResult",
     "rx90_emulator.sweep.execution": "read_sweep run_sweep",
     "rx90_emulator.sweep.plan": "Block SweepBase SweepPlan SweptParameter",
     "rx90_emulator.sweep.plan_file": "load_sweep_plan",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError, DivergenceError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
@@ -180,11 +181,18 @@ def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
 
     Motor 6 turns with joints 5 and 6 together, so its brake is the seventh; on joint 6 alone there is none.
     """
-    data = zip(drives.brake_torque, drives.brake_stiffness, drives.brake_damping, strict=True)
-    brakes = element_arrays([FrictionElement(tau, tau, tau, tau, 1.0, 1.0, c0, c1, 0.0) for tau, c0, c1 in data])
+    data = np.array([drives.brake_torque, drives.brake_stiffness, drives.brake_damping])
+    brakes = _brake_elements(data.tobytes())
     brake["tau_c"] = brake["tau_s"] = brake["alpha"] = 1.0
     for name in brakes.dtype.names or ():
         brake[name][..., [0, 1, 2, 3, 4, 6]] = brakes[name][0]
+
+
+@lru_cache(maxsize=32)
+def _brake_elements(data: bytes) -> Record:
+    """Return torque, stiffness and damping as bristle elements; runs of a sweep mostly have the same."""
+    brakes = np.frombuffer(data).reshape(3, 6).T.tolist()
+    return element_arrays([FrictionElement(tau, tau, tau, tau, 1.0, 1.0, c0, c1, 0.0) for tau, c0, c1 in brakes])
 
 
 class Plant:

@@ -214,9 +214,11 @@ def _load(values: Array, part: slice, gram: Array, most: float, cover: float | N
     largest, row = float(values.max()), int(values.argmax())
     if largest > 0.0:
         root = np.sqrt(np.minimum(values, _LARGE))
-        found, modes = np.linalg.eigh(root[:, None] * gram[part, part] * root)
+        form = root[:, None] * gram[part, part] * root
         if largest < _LARGE:
-            largest, row = float(found[-1]), int(np.argmax(np.abs(modes[:, -1])))
+            largest = float(np.linalg.eigvalsh(form)[-1])
+            if largest > most:  # which is asked of the mode
+                row = int(np.argmax(np.abs(np.linalg.eigh(form)[1][:, -1])))
         else:  # beside which others do not count
             largest *= float(gram[part, part][row, row])
     return _Load(largest, row + (part.start or 0), most, cover)

@@ -1,7 +1,7 @@
 """From ramps to friction: the source's formulas, the exact fit, and their uncertainties.
 
-By the source, for each ramp whose asymptote a t - b shows: f_v = m / a and f_c = m b / a, which is high by J a. The
-exact f_c = m b / a - J a needs J, which needs two slopes; it comes from all ramps in one fit (`sliding_fit`), which
+By the source, for each ramp whose asymptote a t - b shows: f_v = m / a and f_c = m b / a, which is biased high by J a.
+The exact f_c = m b / a - J a needs J, which needs two slopes; it comes from all ramps in one fit (`sliding_fit`), which
 uses a ramp from where the shaft slides. A ramp that cannot be used is left out, and the result says which and why.
 """
 

@@ -63,10 +63,10 @@ class Group(Entry):
             if key in section or entry.default is REQUIRED or needed:
                 section.attempt(lambda key=key, entry=entry: found.update({key: entry.take(section, key)}))
             elif entry.default is not LEFT_OUT:
-                section.miss(key)
+                section.mark_known(key)
                 found[key] = entry.default
             else:
-                section.miss(key)
+                section.mark_known(key)
         if self.known:
             section.attempt(section.finish)
             return found

@@ -90,7 +90,7 @@ class CheckedMapping:
         """Return whether the value under `key` is itself a mapping."""
         return isinstance(self._data.get(key), dict)
 
-    def miss(self, key: str) -> None:
+    def mark_known(self, key: str) -> None:
         """Say that a key is known which the mapping may have."""
         self._used.add(key)
 

@@ -14,11 +14,11 @@ def tip_position(chain: RigidChain, q: Array) -> Array:
     `kinematics.forward` without the rotations: the point is carried from the tip to the base, which costs an eighth of
     the time.
     """
-    sine, cosine = np.sin(q), 1.0 - np.cos(q)
-    point = np.broadcast_to(chain.tcp_position, (len(q), 3))
+    angles = np.ascontiguousarray(q.T)  # in columns a row for each coordinate: half the time of rows
+    sine, cosine = np.sin(angles), 1.0 - np.cos(angles)
+    point = np.broadcast_to(chain.tcp_position[:, None], (3, len(q)))
     for i in range(5, -1, -1):
         x, y, z = chain.axis[i]
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        turned = point + sine[:, i, None] * (point @ cross.T) + cosine[:, i, None] * (point @ (cross @ cross).T)
-        point = turned + chain.origin[i]
-    return np.asarray(point)
+        point = point + sine[i] * (cross @ point) + cosine[i] * (cross @ cross @ point) + chain.origin[i][:, None]
+    return np.ascontiguousarray(point.T)

@@ -8,6 +8,7 @@ axis vanishes, four second moments: 6 numbers in place of 10, and neither M(q) n
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.description.chain import RigidChain
 from rx90_common.description.rotations import dot, length, outer, product, rotated, transposed
 from rx90_common.kernels.elementary_arrays import angles_of, sines_cosines
+
+_SHAPES = (6, 3), (6, 3), (6,), (6, 3), (6, 6), (3,), (3,), (3, 3)  # of a RigidChain's arrays
 
 
 class BaseParameters(NamedTuple):
@@ -38,6 +41,13 @@ class BaseParameters(NamedTuple):
 
 def base_parameters(chain: RigidChain) -> BaseParameters:
     """Return the base parameters of the arm; the axes are unit vectors."""
+    return _base_parameters(*(one.tobytes() for one in chain))
+
+
+@lru_cache(maxsize=32)
+def _base_parameters(*content: bytes) -> BaseParameters:
+    """Return those of a chain by its content; runs of a sweep mostly have one arm."""
+    chain = RigidChain(*(np.frombuffer(one).reshape(shape) for one, shape in zip(content, _SHAPES, strict=True)))
     mass = chain.mass.copy()
     first = mass[:, None] * chain.com
     second = _second_moments(chain)

@@ -21,7 +21,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.ros_start import reason
-from rx90_common.exchange.subscribing import TakenByHand, never_called
+from rx90_common.exchange.subscribing import ManualCallbackGroup, never_called
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import SAMPLED, TIME_MODE, TRAJECTORY_ACCEPTED
 
@@ -56,7 +56,7 @@ class Newest:
         self._node = node
         self._kind, self._raw, self._depth = kind, raw, depth
         self._subscription = node.create_subscription(
-            kind, topic, never_called, profile, raw=raw, callback_group=TakenByHand()
+            kind, topic, never_called, profile, raw=raw, callback_group=ManualCallbackGroup()
         )
 
     @property

@@ -104,7 +104,7 @@ def count_arrivals(subscription: Subscription, counter: ctypes.c_int64) -> bool:
     return _set_callback(subscription, _count, ctypes.addressof(counter))
 
 
-class Gathering:
+class ReceiveBatching:
     """Lets receiving threads sleep, before a message that they had to wait for, while more messages arrive.
 
     For subscriptions on which nobody waits: a thread sleeps with the locks of one of them. What arrives in a pause must

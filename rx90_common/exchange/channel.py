@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.arrivals import count_arrivals
 from rx90_common.exchange.publisher_lock import lock_publisher
-from rx90_common.exchange.subscribing import TakenByHand, never_called
+from rx90_common.exchange.subscribing import ManualCallbackGroup, never_called
 
 _clock = time.perf_counter_ns
 _BUSY_WAIT_NS = 200_000
@@ -56,7 +56,7 @@ class Channel:
         self._lock = lock_publisher(node.context.get_domain_id(), node.resolve_topic_name(publish_topic))
         self._publisher = node.create_publisher(JointState, publish_topic, qos)
         self._subscription = node.create_subscription(
-            JointState, subscribe_topic, never_called, qos, raw=True, callback_group=TakenByHand()
+            JointState, subscribe_topic, never_called, qos, raw=True, callback_group=ManualCallbackGroup()
         )
         self.answering = 1
         self._blocking_waits = 0

@@ -55,7 +55,7 @@ def subscribe(
     subscription = node.create_subscription(kind, topic, take, qos, raw=True, qos_overriding_options=overrides)
 
 
-class TakenByHand(CallbackGroup):
+class ManualCallbackGroup(CallbackGroup):
     """Keeps the node's executor away from a subscription whose messages somebody takes from it."""
 
     def can_execute(self, entity: object) -> bool:  # noqa: ARG002 - the interface of CallbackGroup

@@ -32,7 +32,7 @@ SAMPLED: Final = "sampled"
 """Namespace of the topics on which the simulation publishes its states for those who look on."""
 SAMPLED_RATE: Final = 100
 """Of these, Hz of simulated time."""
-HURRIES: Final = 1.2
+MAX_DISPLAY_RTF: Final = 1.2
 """Simulated s in one of the wall clock above which those who look on are shown less: nobody paces what is faster."""
 TIME_MODE: Final = "time_mode"
 """Latched by the simulation: how time is kept; the controller follows it."""

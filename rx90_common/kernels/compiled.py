@@ -62,7 +62,7 @@ def inlined(function: _Function) -> _Function:
     return cast(_Function, compiled)
 
 
-def c_function(signature: Any, *, releases_lock: bool = False) -> Callable[[Callable[..., Any]], Callable[..., int]]:
+def c_function(signature: Any) -> Callable[[Callable[..., Any]], Callable[..., int]]:
     """Compile a function of integers and addresses when its module is imported, and keep the result on disk.
 
     Called from Python it costs a fraction of a kernel, whose arguments numba examines one by one, and it holds the
@@ -70,9 +70,7 @@ def c_function(signature: Any, *, releases_lock: bool = False) -> Callable[[Call
 
     Args:
         signature: the numba signature; every argument is an int64 or a voidptr, and so is the result.
-        releases_lock: for a function that takes long: other threads run Python meanwhile.
     """
-    prototype = ctypes.CFUNCTYPE if releases_lock else ctypes.PYFUNCTYPE
 
     def compile_now(function: Callable[..., Any]) -> Callable[..., int]:
         # numba raises no event for this compilation, only for its own functions that are called, such as carray.
@@ -82,6 +80,6 @@ def c_function(signature: Any, *, releases_lock: bool = False) -> Callable[[Call
         compiled.compile()
         arguments = [ctypes.c_void_p if kind == numba.types.voidptr else ctypes.c_int64 for kind in signature.args]
         address: int = compiled.address
-        return prototype(ctypes.c_int64, *arguments)(address)
+        return ctypes.PYFUNCTYPE(ctypes.c_int64, *arguments)(address)
 
     return compile_now

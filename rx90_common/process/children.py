@@ -199,7 +199,7 @@ class ProcessGroup:
 
     def end(self) -> list[ChildProcess]:
         """End all, with what they have started; return those that did not end on SIGINT."""
-        unwilling: list[ChildProcess] = []
+        survivors: list[ChildProcess] = []
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
             left = [member for member in reversed(self._members) if member.returncode is None]
             for member in left:
@@ -210,8 +210,8 @@ class ProcessGroup:
             for member in left:
                 with suppress(ProcessError):
                     member.wait(max(0.0, deadline - time.monotonic()))
-            unwilling += [member for member in left if member.returncode is None and member not in unwilling]
-        return unwilling
+            survivors += [member for member in left if member.returncode is None and member not in survivors]
+        return survivors
 
 
 def end_with_parent() -> None:

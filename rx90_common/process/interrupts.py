@@ -28,17 +28,17 @@ _WEAK = {  # functions that are called back by a weak reference, by their files
 }
 
 
-def raise_where_heard() -> None:
+def install_deferred_sigint() -> None:
     """From now on let Ctrl-C wait while Python is where an exception gets lost or becomes another one.
 
     That is in the compiler's callbacks, which come whenever it loads a kernel from its cache, in destructors, in
     callbacks of weak references, as where the import system forgets the lock of a module, and while an extension module
     initialises itself, where numpy makes an ImportError of it: likely in the first seconds.
     """
-    signal.signal(signal.SIGINT, _raise_where_heard)
+    signal.signal(signal.SIGINT, _interrupt_where_safe)
 
 
-def _raise_where_heard(_number: int, frame: FrameType | None) -> None:
+def _interrupt_where_safe(_number: int, frame: FrameType | None) -> None:
     while frame is not None:
         code = frame.f_code
         if (
@@ -66,12 +66,12 @@ def terminations_as_interrupts() -> Iterator[None]:
         return
     numbers = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
     for number in numbers:
-        signal.signal(number, _raise_where_heard)
+        signal.signal(number, _interrupt_where_safe)
     try:
         yield
     finally:
         for number in numbers:
-            if signal.getsignal(number) == _raise_where_heard:
+            if signal.getsignal(number) == _interrupt_where_safe:
                 signal.signal(number, signal.SIG_DFL)
 
 

@@ -270,7 +270,7 @@ class Control:
         """End `tick_loop` soon."""
         self._serving.stop()
 
-    def take_leave(self) -> None:
+    def flush_before_shutdown(self) -> None:
         """Send what there is to say before the node ends; not from within a callback."""
         if self._action is not None:
             self._action.end()

@@ -121,7 +121,7 @@ class ControllerNode:
         """End `tick_loop` soon, and send what there is to say."""
         self.node.ticking.stop()
         if self._control is not None:
-            self._control.take_leave()
+            self._control.flush_before_shutdown()
 
 
 def spin(args: Sequence[str]) -> None:

@@ -19,7 +19,7 @@ from rx90_common.exchange.throttle import ThrottledLog
 from rx90_common.exchange.tick_channel import TickChannel
 
 _LAG = 0.005  # s; up to here missed ticks are computed one by one, beyond it time is skipped
-_CREEP = 0.02  # of a period: by so much it wakes earlier each time, until it is there before the states
+_PHASE_ADVANCE = 0.02  # of a period: by so much it wakes earlier each time, until it is there before the states
 _SLICE = 0.1  # s of a wait for states, and at rest after which it is said
 _BACKWARD = 3  # jumps back within _BACKWARD_WINDOW that make two simulations; a reset makes one
 _BACKWARD_WINDOW = 5.0  # s
@@ -102,7 +102,7 @@ class FreeRunningController:
         self._pacer.wait()
         raw = self._channel.receive(0.0)
         if raw is not None:
-            self._pacer.shift(-_CREEP * self._period)
+            self._pacer.shift(-_PHASE_ADVANCE * self._period)
         else:
             raw = self._channel.receive(_SLICE)
             self._pacer.restart()

@@ -267,8 +267,8 @@ class Requests:
             text = f"{_kind(request)} accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin:.3f} s"
             if points.smooth:
                 text += "; velocities from its positions"
-            if schedule.miss > 0.0:
-                text += f"; its ramps pass the points in between at up to {schedule.miss:.3g} rad"
+            if schedule.blend_error > 0.0:
+                text += f"; its ramps pass the points in between at up to {schedule.blend_error:.3g} rad"
         source = OF_ACTION if request.is_goal else ""
         start_ns = start * rates.period_ns * rates.ratio
         self._reports.append(partial(self._log.accepted, request.message, start_ns, source))

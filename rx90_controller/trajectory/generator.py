@@ -38,7 +38,7 @@ class Schedule(NamedTuple):
 
     begin: int
     end: int
-    miss: float
+    blend_error: float
 
 
 class TrajectoryGenerator(Motions):
@@ -187,7 +187,7 @@ class TrajectoryGenerator(Motions):
 
     def _run(self, base: FollowedPath, path: Path, begin: int, rate: float | None) -> Schedule:
         self._follow(base, path, begin, rate)
-        return Schedule(begin, FollowedPath(begin, path, self.period).end, path.spline.miss)
+        return Schedule(begin, FollowedPath(begin, path, self.period).end, path.spline.blend_error)
 
 
 def points_left(
@@ -294,7 +294,7 @@ class Plan:
         self._motion.announced = generator._current.announced
         generator._current, generator._next = twin._current, twin._next
         generator.revision += 1
-        return Schedule(schedule.begin + late, schedule.end + late, schedule.miss)
+        return Schedule(schedule.begin + late, schedule.end + late, schedule.blend_error)
 
     def _begun(self, now: int) -> bool:
         """Return whether what waited for its start then may have begun meanwhile."""

@@ -76,7 +76,7 @@ def _by_degrees(
             parts.append(interpolate(times[run], q, v, a if degrees[begin] == 5 else None))
     knots = np.concatenate([*(part.times[:-1] for part in parts), times[-1:]])
     coefficients = np.concatenate([part.coefficients for part in parts])
-    return Spline(knots, coefficients, tables[0][-1].copy(), max(part.miss for part in parts))
+    return Spline(knots, coefficients, tables[0][-1].copy(), max(part.blend_error for part in parts))
 
 
 def check_near(points: TrajectoryPoints, held: Array, limits: JointLimits) -> None:
@@ -109,8 +109,8 @@ def joined(first: Spline, at: float, second: Spline) -> Spline:
         coefficients.append(_constant(first.final))
     times.append(at + second.times)
     coefficients.append(second.coefficients)
-    miss = max(first.miss, second.miss)
-    return Spline(np.concatenate(times), np.concatenate(coefficients), second.final, miss)
+    blend_error = max(first.blend_error, second.blend_error)
+    return Spline(np.concatenate(times), np.concatenate(coefficients), second.final, blend_error)
 
 
 def remainder(spline: Spline, at: float) -> Spline:
@@ -123,7 +123,7 @@ def merged(spline: Spline, other: Spline, joints: Mask) -> Spline:
     """Return a spline with some joints, shape (6,), taken from another one."""
     knots = np.union1d(spline.times, other.times)
     coefficients = np.where(joints, _expanded(other, knots[:-1]), _expanded(spline, knots[:-1]))
-    return Spline(knots, coefficients, np.where(joints, other.final, spline.final), spline.miss)
+    return Spline(knots, coefficients, np.where(joints, other.final, spline.final), spline.blend_error)
 
 
 def _expanded(spline: Spline, knots: Array) -> Array:

@@ -58,8 +58,8 @@ def straight(
     ramp = np.concatenate([[begin], 2.0 * half, [end]])
     start = np.concatenate([[times[0]], times[1:-1] - half, [times[-1] - end]])
     around = np.vstack([velocity, speed, final])
-    miss = float((half[:, None] * np.abs(change)).max(initial=0.0)) / 4.0
-    return _pieces(start, ramp, around, position[0], position[-1].copy(), miss)
+    blend_error = float((half[:, None] * np.abs(change)).max(initial=0.0)) / 4.0
+    return _pieces(start, ramp, around, position[0], position[-1].copy(), blend_error)
 
 
 def stop(position: Array, velocity: Array, acceleration: Array) -> Spline:
@@ -135,7 +135,7 @@ def _check_room(span: Array, before: Array, after: Array, first: int) -> None:
         )
 
 
-def _pieces(start: Array, ramp: Array, around: Array, first: Array, final: Array, miss: float) -> Spline:
+def _pieces(start: Array, ramp: Array, around: Array, first: Array, final: Array, blend_error: float) -> Spline:
     """Return the spline of the ramps that begin at `start`, with constant velocity between them.
 
     Args:
@@ -144,7 +144,7 @@ def _pieces(start: Array, ramp: Array, around: Array, first: Array, final: Array
         around: velocities before, between and after them, rad/s, shape (m + 1, 6).
         first: position at the begin, rad, shape (6,).
         final: position at the end, rad, shape (6,).
-        miss: by how much points are missed, rad.
+        blend_error: by how much points are missed, rad.
     """
     stops = np.append(start[1:], start[-1] + ramp[-1])
     before, after = around[:-1], around[1:]
@@ -159,4 +159,4 @@ def _pieces(start: Array, ramp: Array, around: Array, first: Array, final: Array
     coefficients = np.zeros((len(times), 6, 6))
     coefficients[:, 0] = np.cumsum(np.concatenate([first[None], ways[:-1]]), axis=0)
     coefficients[:, 1], coefficients[:, 2] = velocity, bend[kept]
-    return Spline(np.append(times, stops[-1]), coefficients, final, miss)
+    return Spline(np.append(times, stops[-1]), coefficients, final, blend_error)

@@ -19,13 +19,13 @@ class Spline:
         times: knots, s, shape (n,), increasing.
         coefficients: of powers 0 to 5 of the time since the knot, shape (n - 1, 6 powers, 6 joints).
         final: position after the last knot, rad, shape (6,).
-        miss: by how much it misses the points that it is to pass, at most, rad.
+        blend_error: by how much it misses the points that it is to pass, at most, rad.
     """
 
     times: Array
     coefficients: Array
     final: Array
-    miss: float = 0.0
+    blend_error: float = 0.0
 
     @property
     def duration(self) -> float:

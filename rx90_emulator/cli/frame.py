@@ -20,9 +20,9 @@ from rx90_common.base.requirements import missing_module
 from rx90_common.kernels.announcement import announce_compilation
 from rx90_common.process.children import end_with_parent
 from rx90_common.process.interrupts import (
+    install_deferred_sigint,
     keep_exit_code,
     leave_when_asked,
-    raise_where_heard,
     terminations_as_interrupts,
 )
 from rx90_common.process.output import check_output
@@ -75,7 +75,7 @@ def execute(program: str, words: Sequence[str] | None = None) -> int:
     if program in NODES:
         leave_when_asked()
     else:
-        raise_where_heard()
+        install_deferred_sigint()
     keep_exit_code()
     announce_compilation(program)
     check_output()

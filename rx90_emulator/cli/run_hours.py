@@ -54,9 +54,9 @@ def run_hours(setup: Setup, options: argparse.Namespace) -> None:
     """
     from rx90_common.description.robot_files import RobotFiles
     from rx90_controller.lines.task import load_task
-    from rx90_emulator.loop.working_day import Day
+    from rx90_emulator.loop.working_day import ThermalRun
 
-    day = Day(setup, load_task(RobotFiles.of_options(options).required("task")))
+    day = ThermalRun(setup, load_task(RobotFiles.of_options(options).required("task")))
     try:
         total = day.whole_cycles(3600.0 * options.hours)
     except ConfigError as error:

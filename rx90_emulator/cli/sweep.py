@@ -60,7 +60,8 @@ def main(options: argparse.Namespace) -> None:
 
 
 def _run(options: argparse.Namespace) -> None:
-    from rx90_emulator.sweep.execution import run_sweep
+    from rx90_emulator.sweep.execution import read_sweep, run_sweep
+    from rx90_emulator.sweep.metrics import DEVIATION
     from rx90_emulator.sweep.plan_file import load_sweep_plan
     from rx90_emulator.sweep.sweep import Sweep
 
@@ -84,6 +85,8 @@ def _run(options: argparse.Namespace) -> None:
         print(one_line(f"{done}{why}; {options.output}"))
     if counts.failed == counts.computed:
         _check_any_done(options.output)
+    if sweep.perturbs and counts.computed:
+        print(one_line(sweep.check_method(read_sweep(options.output)[DEVIATION].to_pylist())))
     if options.report is not None:
         _write_page(options.output, options.report)
 

@@ -46,7 +46,7 @@ _MOST_FEEDBACK = 0.5  # of slope times resistance: beyond, heat would feed itsel
 
 _VALUES = ("heat", "friction", "worst", "rms")  # of a cycle, of which a repeated line has a row each
 
-Tell = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 
 
 class Cycle(NamedTuple):
@@ -104,7 +104,7 @@ class RepeatedLine:
 
 
 def repeat_line(
-    setup: Setup, task: LineTask, duration: float, *, change: float = CHANGE, tell: Tell | None = None
+    setup: Setup, task: LineTask, duration: float, *, change: float = CHANGE, tell: ProgressCallback | None = None
 ) -> RepeatedLine:
     """Run a line there and back for so long, from the temperatures that its files have at the start.
 
@@ -121,7 +121,7 @@ def repeat_line(
         DivergenceError: naming joint and tick.
         SupervisionError: if the controller's supervision cuts the power.
     """
-    day = Day(setup, task, change)
+    day = ThermalRun(setup, task, change)
     total = day.whole_cycles(duration)
     while day.advance(total):
         if tell is not None:
@@ -129,7 +129,7 @@ def repeat_line(
     return day.result()
 
 
-class Day:
+class ThermalRun:
     """What `repeat_line` does, step by step, so that whoever is interrupted has what was done.
 
     Attributes:

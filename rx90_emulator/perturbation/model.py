@@ -267,7 +267,7 @@ class PerturbationModel:
         return [controller.record(robot, drives, rates) for controller in controllers]
 
 
-def prepare(
+def prepare_perturbation(
     setup: Setup,
     points: TrajectoryPoints,
     initial_position: ArrayLike,

@@ -31,6 +31,7 @@ from rx90_common.base.requirements import missing_module
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 LARGEST_CHUNK = 8
+_BATCH = 16, 64  # runs of a chunk by the perturbation method, which has 16 side by side
 MOST_WORKERS = 1024
 _CHUNKS_EACH = 32
 _QUEUED_EACH = 3
@@ -95,7 +96,8 @@ def run_sweep(
         if not missing:
             return SweepCounts(0, 0)
         with _pool(sweep, workers, scheduler) as pool, _bar(len(sweep), len(missing), quiet) as bar:
-            for outcomes in run_all(pool, missing):
+            sizes = _BATCH if sweep.perturbs else (1, LARGEST_CHUNK)
+            for outcomes in run_all(pool, missing, sizes):
                 store.add(outcomes)
                 computed += len(outcomes)
                 failed += sum(outcome.error is not None for outcome in outcomes)
@@ -144,9 +146,15 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def run_all(pool: Pool, indices: Sequence[int]) -> Iterator[Outcomes]:
-    """Run runs on a pool; yield the outcomes of a chunk as soon as it is done, in any order."""
-    size = min(LARGEST_CHUNK, max(1, len(indices) // (_CHUNKS_EACH * pool.workers)))
+def run_all(pool: Pool, indices: Sequence[int], sizes: tuple[int, int] = (1, LARGEST_CHUNK)) -> Iterator[Outcomes]:
+    """Run runs on a pool; yield the outcomes of a chunk as soon as it is done, in any order.
+
+    Args:
+        pool: where they are computed.
+        indices: of the runs.
+        sizes: least and most runs in a chunk.
+    """
+    size = min(sizes[1], max(sizes[0], len(indices) // (_CHUNKS_EACH * pool.workers)))
     chunks = (indices[first : first + size] for first in range(0, len(indices), size))
     running: set[Future[Outcomes]] = set()
     exhausted = False
@@ -223,6 +231,8 @@ def _end_with_parent() -> None:
 
 def _run_in_worker(chunk: Chunk) -> Outcomes:
     sweep, stop = _worker[0]
+    if sweep.perturbs:
+        return [] if stop.value else sweep.run_together(chunk)
     return [sweep.run(index) for index in chunk if not stop.value]
 
 
@@ -285,7 +295,7 @@ def _received(payload: bytes) -> Sweep:
 
 def _run_on_cluster(payload: bytes, chunk: Chunk) -> Outcomes:
     sweep = _received(payload)
-    return [sweep.run(index) for index in chunk]
+    return sweep.run_together(chunk) if sweep.perturbs else [sweep.run(index) for index in chunk]
 
 
 def _one_line(error: BaseException) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import MODEL_FILES, RobotFiles
 from rx90_emulator.loop.catalogue import Value
@@ -18,6 +19,7 @@ from rx90_emulator.sweep.spaces import Distribution, Values
 
 MOST_RUNS = 10_000_000
 LARGEST_SEED = 2**63 - 1
+METHODS = ("closed_loop", "perturbation")
 
 
 @dataclass(frozen=True)
@@ -99,11 +101,23 @@ class SweepBase:
         files: robot, tool, drives, friction, controller and task.
         rates: of the loops.
         substeps: plant steps in a tick; None for as many as the arm of each run needs.
+        method: `closed_loop`, or `perturbation`: deviations from the prescribed motion, linear in the arm
+            (docs/explanation/perturbation.md), several times as fast where friction and controller alone are swept.
+
+    Raises:
+        ConfigError: for another method, or more than one plant step with the perturbation method.
     """
 
     files: RobotFiles = field(default_factory=RobotFiles)
     rates: Rates = field(default_factory=Rates)
     substeps: int | None = None
+    method: str = METHODS[0]
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ConfigError(f"method is {quoted(self.method)}; accepted: {' or '.join(METHODS)}")
+        if self.method == "perturbation" and self.substeps not in (None, 1):
+            raise ConfigError(f"substeps is {self.substeps}; accepted by the perturbation method: 1, or left out")
 
     def hashes(self) -> dict[str, dict[str, str] | None]:
         """Return name and SHA-256 of each file by its role; a shipped file's name is its path below config/.
@@ -178,6 +192,8 @@ class SweepPlan:
             "base_rate": self.base.rates.base_hz,
             "position_rate": self.base.rates.position_hz,
             "substeps": self.base.substeps,
+            # Results of earlier versions, which had no other method, can be taken up.
+            **({} if self.base.method == METHODS[0] else {"method": self.base.method}),
             "files": self.base.hashes(),
             "blocks": [_block_description(block) for block in self.blocks],
         }

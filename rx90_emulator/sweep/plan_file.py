@@ -18,7 +18,7 @@ from rx90_common.base.section import Section
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import DESCRIPTIONS, FILES, MODEL_FILES, RobotFiles
 from rx90_emulator.loop.catalogue import Value
-from rx90_emulator.sweep.plan import LARGEST_SEED, MOST_RUNS, Block, SweepBase, SweepPlan, SweptParameter
+from rx90_emulator.sweep.plan import LARGEST_SEED, METHODS, MOST_RUNS, Block, SweepBase, SweepPlan, SweptParameter
 from rx90_emulator.sweep.spaces import Distribution, LogUniform, Normal, Uniform, Values
 
 _Thing = TypeVar("_Thing")
@@ -133,6 +133,10 @@ PLAN = Group(
                     "Plant steps in a tick; left out: as many as the arm of each run needs.",
                     low=1, high=1000, default=LEFT_OUT,
                 ),
+                "method": Text(
+                    "How runs are computed: the closed loop, or the perturbation method.",
+                    choices=METHODS, default=METHODS[0],
+                ),
             },
             default=LEFT_OUT,
         ),
@@ -192,7 +196,8 @@ def _base(section: Section, content: dict[str, Any], robot: str | None) -> Sweep
     own = _beside(section, content["robot"]) if "robot" in content else None
     files = _built(section, "robot", lambda: RobotFiles.named(own if robot is None else robot, **names))
     rates = _built(section, "base_rate", lambda: Rates(content["base_rate"], content["position_rate"]))
-    return SweepBase(files, rates=rates, substeps=content.get("substeps"))
+    substeps, method = content.get("substeps"), content["method"]
+    return _built(section, "substeps", lambda: SweepBase(files, rates=rates, substeps=substeps, method=method))
 
 
 def _file(section: Section, role: str, given: str) -> str:

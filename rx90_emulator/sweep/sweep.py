@@ -1,102 +1,51 @@
-"""A plan made ready to run: files read, paths checked, the line planned once."""
+"""A plan made ready to run: files read, paths checked, the line planned once.
+
+With the perturbation method runs that differ in friction and controller alone share one nominal motion and are computed
+side by side; a run whose deviation the method does not hold for ends in an error.
+"""
 
 from __future__ import annotations
 
 import platform
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from itertools import groupby
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, SweepError
+from rx90_common.base.errors import ConfigError, FailureError, SweepError
 from rx90_common.base.sources import ROOT, sources_hash, with_imports
 from rx90_common.base.versions import versions
-from rx90_common.description.kinematics import path_error
 from rx90_common.description.provenance import provenance_of
-from rx90_common.description.tip import tip_position
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.application import apply
-from rx90_emulator.loop.catalogue import Catalogue, Value
+from rx90_emulator.loop.catalogue import Catalogue, Leaf, Value
 from rx90_emulator.loop.closed_loop import run_commands
 from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup
+from rx90_emulator.perturbation.model import PerturbationModel, prepare_perturbation
+from rx90_emulator.sweep.metrics import (
+    Metric,
+    measure,
+    measure_perturbation,
+    metrics_of,
+    perturbation_metrics,
+    tip_distance,
+)
 from rx90_emulator.sweep.plan import SweepPlan, plan_hash
 from rx90_emulator.sweep.runs import RunDescription, RunList
 
 PLANNED_LINES = 64
+LARGEST_DEVIATION: Final = 0.04
+"""Of the tip, m, by the perturbation method: there its error reaches 4 to 5 % (docs/explanation/perturbation.md)."""
+_LARGEST_ERROR = 0.05  # of the deviation, in the runs that are held against the closed loop
+_PREPARED = 4  # nominal motions that are kept
+_OF_THE_MOTION = {("controller", "start_tolerance"), ("controller", "max_acceleration")}
 RUN_COLUMNS = ("index", "block", "seed", "error")
 """Columns of the results beside parameters and metrics."""
-
-
-@dataclass(frozen=True)
-class Metric:
-    """One number of a run.
-
-    Attributes:
-        name: of its column.
-        unit: SI.
-        meaning: a sentence.
-        whole: whether it is a whole number.
-    """
-
-    name: str
-    unit: str
-    meaning: str
-    whole: bool = False
-
-
-def metrics_of(joints: Sequence[str], elements: Sequence[str]) -> tuple[Metric, ...]:
-    """Return the metrics for six joints and seven friction elements, in the order of `measure`."""
-    motors = [f"motor_{i + 1}" for i in range(len(joints))]
-    return (
-        Metric("path_error_worst", "m", "largest distance of the tip from the line"),
-        Metric("path_error_rms", "m", "root mean square distance of the tip from the line"),
-        *(Metric(f"tracking_error_worst_{j}", "rad", "largest position error the controller saw") for j in joints),
-        *(Metric(f"tracking_error_rms_{j}", "rad", "root mean square position error") for j in joints),
-        *(Metric(f"velocity_peak_{j}", "rad/s", "largest joint speed") for j in joints),
-        *(Metric(f"drive_torque_peak_{j}", "Nm", "largest torque of the drives at the joint") for j in joints),
-        *(Metric(f"friction_work_{e}", "J", "work done against the friction element") for e in elements),
-        *(
-            Metric(f"saturated_ticks_{m}", "1", "base ticks of the whole run at the motor's limit", whole=True)
-            for m in motors
-        ),
-    )
-
-
-def measure(task: LineTask, result: RunResult) -> tuple[float | int, ...]:
-    """Return the metrics of a run of `task`."""
-    rows = _window(task, result.times)
-    slow = result.slow
-    tip = tip_position(result.setup.robot.chain, slow.joint_states[rows, 0])
-    path = path_error(tip, np.array(task.start), np.array(task.end)).perpendicular
-    error = slow.tracking_error[rows, 0]
-    power = slow.friction_states[rows, 1] * slow.friction_states[rows, 2]
-    work = (result.setup.rates.position_period * (power[1:] + power[:-1]) / 2.0).sum(axis=0)
-    return (
-        float(path.max()),
-        _rms(path),
-        *np.abs(error).max(axis=0).tolist(),
-        *map(_rms, error.T),
-        *np.abs(slow.joint_states[rows, 1]).max(axis=0).tolist(),
-        *np.abs(slow.joint_states[rows, 2]).max(axis=0).tolist(),
-        *work.tolist(),
-        *result.saturated.tolist(),
-    )
-
-
-def _window(task: LineTask, times: Array) -> slice:
-    begin, end = task.counted
-    first, last = np.searchsorted(times, begin), np.searchsorted(times, end, side="right")
-    return slice(int(first), int(last))
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 class RunOutcome(NamedTuple):
@@ -139,13 +88,21 @@ class Sweep:
         self.setup = Setup.load(plan.base.files, plan.base.rates)
         self.task = load_task(plan.base.files.required("task"))
         self.provenance = provenance_of(plan.base.files)
-        self.metrics: tuple[Metric, ...] = metrics_of(self.setup.robot.joint_names, self.setup.friction.names)
+        names = self.setup.robot.joint_names
+        self.metrics: tuple[Metric, ...] = (
+            perturbation_metrics(names) if self.perturbs else metrics_of(names, self.setup.friction.names)
+        )
         self.runs = RunList(plan, Catalogue(self.setup, self.task))
         self._check_names()
         self._prepare()
 
     def __len__(self) -> int:
         return len(self.runs)
+
+    @property
+    def perturbs(self) -> bool:
+        """Return whether runs are computed by the perturbation method."""
+        return self.plan.base.method == "perturbation"
 
     def _check_names(self) -> None:
         taken = {*RUN_COLUMNS, *(metric.name for metric in self.metrics)}
@@ -155,7 +112,7 @@ class Sweep:
             taken.add(column.title)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_motion"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_motion", "_model")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -167,16 +124,26 @@ class Sweep:
         def motion(task: LineTask) -> TrajectoryPoints:
             return plan_line(self.setup, task).points
 
-        self._motion = motion
+        @lru_cache(maxsize=_PREPARED)
+        def model(changes: tuple[tuple[Leaf, Value], ...]) -> tuple[LineTask, PerturbationModel]:
+            setup, task = apply(self.setup, self.task, dict(changes))
+            points = motion(task)
+            duration = float(points.times[-1])
+            return task, prepare_perturbation(setup, points, points.position[0], duration)
+
+        self._motion, self._model = motion, model
 
     def warm_up(self) -> None:
         """Compile, or load, every kernel that a run calls, and plan the line of the task.
 
         Raises:
+            ConfigError: for what the perturbation method cannot hold.
             LineError: if the arm cannot travel the line of the plan's own task.
         """
         period = self.setup.rates.position_period
         self._follow(self.setup, self._motion(self.task), period)
+        if self.perturbs:
+            self._model(())[1].run_one()
 
     def simulate(self, index: int) -> RunResult:
         """Run one run through the closed loop and return all of it.
@@ -203,7 +170,76 @@ class Sweep:
             with np.errstate(all="ignore"):  # a diverging run says so itself
                 return RunOutcome(run, measure(*self._simulate(run)), None)
         except Exception as error:  # the sweep goes on whatever a value has led to
-            return RunOutcome(run, None, " ".join(f"{type(error).__name__}: {error}".split()))
+            return _failed(run, error)
+
+    def run_together(self, indices: Sequence[int]) -> list[RunOutcome]:
+        """Run runs by the perturbation method, those of one nominal motion side by side.
+
+        What a run gives does not depend on the others. Errors are outcomes, as in `run`.
+        """
+        described = [self.runs.describe(index) for index in indices]
+        outcomes: list[RunOutcome] = []
+        for key, runs in groupby(described, self._nominal):
+            outcomes += self._perturbed(key, list(runs))
+        return outcomes
+
+    def _nominal(self, run: RunDescription) -> tuple[tuple[Leaf, Value], ...]:
+        """Return the values of a run that its nominal motion depends on."""
+        changes = self.runs.changes(run).items()
+        return tuple(
+            (leaf, value)
+            for leaf, value in changes
+            if leaf.key[0] not in ("friction", "controller") or leaf.key in _OF_THE_MOTION
+        )
+
+    def _perturbed(self, key: tuple[tuple[Leaf, Value], ...], runs: list[RunDescription]) -> list[RunOutcome]:
+        try:
+            task, model = self._model(key)
+            setups = [apply(self.setup, self.task, self.runs.changes(run))[0] for run in runs]
+            with np.errstate(all="ignore"):
+                result = model.run([setup.friction for setup in setups], [setup.controller for setup in setups])
+        except Exception as error:  # of one of them
+            if len(runs) == 1:
+                return [_failed(runs[0], error)]
+            return [outcome for run in runs for outcome in self._perturbed(key, [run])]
+        outcomes = []
+        for k, run in enumerate(runs):
+            fault = ""
+            if result.diverged[k]:
+                fault = "DivergenceError: a joint went ten times beyond its speed limit"
+            elif result.tripped[k]:
+                fault = "SupervisionError: a joint went beyond a limit of the supervision, which cuts the power"
+            elif (away := tip_distance(result, k)) > LARGEST_DEVIATION:
+                fault = (
+                    f"SweepError: the tip is up to {1e3 * away:.3g} mm from its set-points; accepted by the "
+                    f"perturbation method: {1e3 * LARGEST_DEVIATION:g} mm; method: closed_loop has no such limit"
+                )
+            outcomes.append(RunOutcome(run, None if fault else measure_perturbation(task, result, k), fault or None))
+        return outcomes
+
+    def check_method(self, deviations: Sequence[float | None]) -> str:
+        """Hold the run whose tip deviates most against the closed loop, and return what came of it.
+
+        Args:
+            deviations: the largest tip deviation of each run by the perturbation method, m; None where it failed.
+
+        Raises:
+            FailureError: if the two differ by more than 5 % of the deviation.
+        """
+        index = int(np.argmax([-1.0 if away is None else away for away in deviations]))
+        (perturbed,), full = self.run_together([index]), self.run(index)
+        if perturbed.metrics is None or full.metrics is None:
+            raise FailureError(f"run {index} fails in the closed loop ({full.error}), not by the perturbation method")
+        away = deviations[index] or 0.0
+        one, other = (1e6 * outcome.metrics[0] for outcome in (perturbed, full))  # type: ignore[index]  # both are there
+        said = (
+            f"run {index}, whose tip deviates most ({1e3 * away:.3g} mm): path error {one:.2f} um by the perturbation "
+            f"method, {other:.2f} um in the closed loop"
+        )
+        if abs(one - other) > 1e6 * _LARGEST_ERROR * away:
+            accepted = f"accepted: up to {100 * _LARGEST_ERROR:g} % of the deviation apart, or method: closed_loop"
+            raise FailureError(f"{said}; {accepted}")
+        return said
 
     def values(self, run: RunDescription) -> tuple[Value | None, ...]:
         """Return a run's value for each of `runs.columns`; None where its block leaves it as in the files."""
@@ -219,6 +255,10 @@ class Sweep:
         here = run_hash()
         if here != self.sources:
             raise SweepError(f"{platform.node()} runs other sources of the emulator ({here}); accepted: {self.sources}")
+
+
+def _failed(run: RunDescription, error: Exception) -> RunOutcome:
+    return RunOutcome(run, None, " ".join(f"{type(error).__name__}: {error}".split()))
 
 
 def run_hash() -> str:

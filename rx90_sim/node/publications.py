@@ -13,7 +13,7 @@ from rx90_common.base.rates import NANOSECONDS, Rates, ticks_per
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.qos import CLOCK_QOS, STATE_QOS
 from rx90_common.exchange.qos_overrides import publish
-from rx90_common.exchange.topics import HURRIES, MOTOR_NAMES, SAMPLED, SAMPLED_RATE, TEMPERATURES
+from rx90_common.exchange.topics import MAX_DISPLAY_RTF, MOTOR_NAMES, SAMPLED, SAMPLED_RATE, TEMPERATURES
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.transforms import Transforms
 from rx90_sim.plant import Plant
@@ -60,7 +60,7 @@ class SampledStates:
             self._since += 1
             now = time.monotonic()
             if now >= self._due - 0.5 * _PERIOD:  # in real time some ticks come a little early
-                hurries = self._since > 1 and self._since * _PERIOD > HURRIES * (now - self._published)
+                hurries = self._since > 1 and self._since * _PERIOD > MAX_DISPLAY_RTF * (now - self._published)
                 self._due = max(self._due, now) + (_SELDOM if hurries else _PERIOD)
                 self._published, self._since = now, 0
                 self.repeat()

@@ -19,7 +19,7 @@ from rx90_emulator.configuration.origins import OF_CODE, file_values
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.model import prepare
+from rx90_emulator.perturbation.model import prepare_perturbation as prepare
 from rx90_emulator.view.panel.element_form import changed
 
 PARTS = {
@@ -57,6 +57,14 @@ def test_the_perturbation_method_refuses_parts(parted: Setup, shipped: Setup) ->
     assert str(caught.value) == (
         "friction.joint_2.load: the perturbation method cannot hold this part; accepted: left out"
     )
+
+
+def test_a_sweep_by_the_perturbation_method_refuses_parts_before_its_first_run(parted_file: Path) -> None:
+    """The base of the plan is tried when the sweep is made ready."""
+    block = rx.Block("one", (rx.SweptParameter("controller.over_speed", space=rx.Values((1.0,))),))
+    base = rx.SweepBase(rx.RobotFiles.named(friction=str(parted_file)), method="perturbation")
+    with pytest.raises(Rx90Error, match="the perturbation method cannot hold this part"):
+        rx.Sweep(rx.SweepPlan((block,), base=base)).warm_up()
 
 
 @pytest.mark.parametrize(

@@ -113,10 +113,10 @@ class Processes:
 
     def end(self) -> list[str]:
         """End all; return the names of those that did not end on Ctrl-C."""
-        unwilling = [process.name for process in self._group.end()]
+        survivors = [process.name for process in self._group.end()]
         for process in self._started:
             print(f"--- {process.name} (exit code {process.returncode}):\n{process.output}")
-        return unwilling
+        return survivors
 
 
 @contextlib.contextmanager
@@ -155,9 +155,9 @@ def running_processes() -> Iterator[Processes]:
     try:
         yield started
     finally:
-        unwilling = started.end()
-    if unwilling:
-        pytest.fail(f"did not end within {END_TIMEOUT:g} s of Ctrl-C: {', '.join(unwilling)}")
+        survivors = started.end()
+    if survivors:
+        pytest.fail(f"did not end within {END_TIMEOUT:g} s of Ctrl-C: {', '.join(survivors)}")
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.requirements import missing_module
-from rx90_common.exchange.arrivals import Gathering
+from rx90_common.exchange.arrivals import ReceiveBatching
 from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
@@ -140,7 +140,7 @@ class Streams:
 
     def __init__(self, node: Node, topics: Sequence[str]) -> None:
         self._node = node
-        self._gathering = Gathering(_PAUSE)
+        self._batching = ReceiveBatching(_PAUSE)
         self._found: dict[str, Stream | None] = {}
         self.trajectories = TrajectoryCount()
         for topic in topics:
@@ -165,7 +165,7 @@ class Streams:
                 endpoints = endpoints or self._node.get_subscriptions_info_by_topic(topic)
                 if endpoints:
                     found = self._found[topic] = Stream(
-                        self._node, topic, index, endpoints, self._gathering, self.trajectories
+                        self._node, topic, index, endpoints, self._batching, self.trajectories
                     )
                     on_found(found)
         return not self.missing()
@@ -192,7 +192,7 @@ class Stream:
         topic: absolute name.
         index: place in the list of topics.
         endpoints: the publishers in the ROS graph or, where there are none yet, the subscriptions.
-        gathering: of all topics of the node.
+        batching: of all topics of the node.
         trajectories: counts those that come.
 
     Attributes:
@@ -210,7 +210,7 @@ class Stream:
         topic: str,
         index: int,
         endpoints: Sequence[Any],
-        gathering: Gathering,
+        batching: ReceiveBatching,
         trajectories: TrajectoryCount,
     ) -> None:
         self.topic = topic
@@ -239,7 +239,7 @@ class Stream:
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
-        gathering.include(self.subscription)
+        batching.include(self.subscription)
         self._kind = kind
         kinds = QoSSubscriptionEventType
         self._matched = self._event(kinds.RCL_SUBSCRIPTION_MATCHED)

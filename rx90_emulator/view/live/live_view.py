@@ -15,7 +15,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.tip import tip_position
 from rx90_common.exchange.arm_watch import JointSample, NodeStatus, Trajectory
-from rx90_common.exchange.topics import HURRIES
+from rx90_common.exchange.topics import MAX_DISPLAY_RTF
 from rx90_common.friction.friction_set import element_names
 from rx90_common.report.plot import COLOURS, GREY, Curve, Panel
 from rx90_controller.lines.task import LineTask
@@ -333,7 +333,7 @@ class LiveView:
                 self._diagnostics = page.gui.add_html("")
         # A simulation that hurries needs the processors more than the eye needs smoothness.
         for period, show in ((_POSE_PERIOD, self._update), (_PLOT_PERIOD, self._draw), (_STATUS_PERIOD, self._tell)):
-            page.every(period, show, hurries=lambda now: source.pace(now) > HURRIES)
+            page.every(period, show, hurries=lambda now: source.pace(now) > MAX_DISPLAY_RTF)
 
     def _add_trace_choice(self, page: Page, line: LineScene) -> None:
         magnified = page.gui.add_dropdown(
@@ -397,7 +397,7 @@ class LiveView:
         watch = self._source.watch
         watch.look_around()
         # Friction at every tick costs the simulation a twentieth: where somebody sees it, and time is not in a hurry.
-        fastest = HURRIES if watch.listens_at_ticks else _PACED
+        fastest = MAX_DISPLAY_RTF if watch.listens_at_ticks else _PACED
         seen = self._plots.shows_loop and bool(self._page.server.get_clients())
         watch.at_ticks(wanted=seen and self._source.pace(now) < fastest)
         error = "no line" if self._line is None else self._line.meter.words()

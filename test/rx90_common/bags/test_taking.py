@@ -47,4 +47,4 @@ def test_what_is_sent_is_taken_whole(node: Node) -> None:
     assert (found[0].counter.received, found[0].lost(), found[0].repeated) == (count, 0, 0)
     assert received == sorted(received)
     assert began <= found[0].sent_ns <= received[-1]
-    assert 0 < streams._gathering.pauses < count / 10
+    assert 0 < streams._batching.pauses < count / 10

@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 from processes import wait_until
 
-from rx90_common.process.interrupts import StopRequest, interrupts_later, raise_where_heard, stop_request
+from rx90_common.process.interrupts import StopRequest, install_deferred_sigint, interrupts_later, stop_request
 
 
 def _interrupted_block(reached: list[str], *, check: bool) -> None:
@@ -124,7 +124,7 @@ def _leave_weak_dictionary() -> None:
 def test_an_interrupt_where_it_would_get_lost_comes_later(interrupted: Callable[[], None]) -> None:
     """Exceptions of destructors and callbacks get lost, those of extensions change; it is raised in what follows."""
     before = signal.getsignal(signal.SIGINT)
-    raise_where_heard()
+    install_deferred_sigint()
 
     def wait() -> None:
         interrupted()

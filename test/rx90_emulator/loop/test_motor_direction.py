@@ -14,7 +14,7 @@ from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.identification.records.layout import BagLayout
 from rx90_emulator.loop.line import plan_line, run_line
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.model import prepare
+from rx90_emulator.perturbation.model import prepare_perturbation as prepare
 
 TURNED = {"motor 4": [1, 1, 1, -1, 1, 1], "all but motor 5": [-1, -1, -1, -1, 1, -1], "motor 5": [1, 1, 1, 1, -1, 1]}
 

@@ -24,7 +24,7 @@ from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.result import MotionCommand
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.working_day import Day
+from rx90_emulator.loop.working_day import ThermalRun
 
 
 def test_what_cannot_be_written_is_refused_before_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -241,14 +241,14 @@ def test_who_interrupts_hours_has_what_was_done(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Ctrl-C between two cycles ends with 130, behind the tables of those that were simulated."""
-    advance = Day.advance
+    advance = ThermalRun.advance
 
-    def interrupted(day: Day, total: int) -> bool:
+    def interrupted(day: ThermalRun, total: int) -> bool:
         if day.done > 0:
             raise KeyboardInterrupt
         return advance(day, total)
 
-    monkeypatch.setattr(Day, "advance", interrupted)
+    monkeypatch.setattr(ThermalRun, "advance", interrupted)
     assert run("rx90_run", ["--friction", str(warm_friction(tmp_path)), "--hours", "8"]) == 130
     out, err = capsys.readouterr()
     assert "of which 1 were simulated" in out

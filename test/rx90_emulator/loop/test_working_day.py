@@ -23,7 +23,7 @@ from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.line import plan_line, run_line
 from rx90_emulator.loop.result import MotionCommand
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.working_day import CHANGE, Cycle, Day, RepeatedLine, repeat_line
+from rx90_emulator.loop.working_day import CHANGE, Cycle, RepeatedLine, ThermalRun, repeat_line
 
 Array = NDArray[np.float64]
 PART = TemperaturePart(30.0, 20.0, 90.0, 25.0, 25.0, 60.0, 5.0, 20.0, 0.3, 0.01, 0.01, motor_share=0.2)
@@ -113,7 +113,7 @@ def test_no_temperature_changes_by_more_than_asked(day: RepeatedLine) -> None:
 def test_windings_and_a_twelfth_of_the_time_bound_what_is_not_simulated(warm: Setup, short: LineTask) -> None:
     """Where the joints stay as they are no winding changes by more than ten bounds, and a curve has twelve points."""
     heavy = with_parameters(warm, {"friction.*.temperature.capacity": 1e9})
-    plan = Day(heavy, short)
+    plan = ThermalRun(heavy, short)
     while plan.advance(240):
         pass
     told = plan.result()
@@ -168,7 +168,7 @@ def test_heat_that_goes_with_the_temperature_is_followed(
     monkeypatch.setattr(working_day, "_Cycles", HeatedJoints)
     monkeypatch.setattr(HeatedJoints, "slope", slope)
     cold = dataclasses.replace(warm, drives=dataclasses.replace(warm.drives, winding=Windings()))
-    plan = Day(cold, short)
+    plan = ThermalRun(cold, short)
     while plan.advance(450):
         pass
     told = plan.result()
@@ -182,7 +182,7 @@ def test_heat_that_goes_with_the_temperature_is_followed(
 
 def test_a_time_that_is_typed_has_its_whole_cycles(warm: Setup, short: LineTask, day: RepeatedLine) -> None:
     """As many cycles as a decimal number holds, whatever rounding does to it, and none that it does not hold."""
-    plan, cycle = Day(warm, short), Fraction(round(day.cycle * 4000), 4000)
+    plan, cycle = ThermalRun(warm, short), Fraction(round(day.cycle * 4000), 4000)
     assert float(cycle) == day.cycle
     for k in range(1, 2000):
         assert plan.whole_cycles(float(k * cycle)) == k
@@ -204,7 +204,7 @@ def test_the_model_of_the_controller_warms_with_the_arm(
     assert np.abs(told.believed - told.temperatures).max() < 0.02 * np.ptp(told.temperatures, axis=0).max()
     assert told.worst.max() < 2e-6
     assert not day.believed.any()
-    switched_off = Day(with_parameters(known, {"controller.feed_forward.friction_model": False}), short)
+    switched_off = ThermalRun(with_parameters(known, {"controller.feed_forward.friction_model": False}), short)
     switched_off.advance(1)
     assert not switched_off.result().believed.any()
 

@@ -24,7 +24,8 @@ from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.model import PerturbationModel, prepare
+from rx90_emulator.perturbation.model import PerturbationModel
+from rx90_emulator.perturbation.model import prepare_perturbation as prepare
 
 Array = NDArray[np.float64]
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
