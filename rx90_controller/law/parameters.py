@@ -20,7 +20,7 @@ from rx90_common.base.rates import Rates
 from rx90_common.base.section import Section
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
-from rx90_common.friction.parameters import ALPHA_BOUNDS
+from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.kernels.elementary_arrays import exponential_less_one_of, powers
 from rx90_controller.law.model import MODEL, ModelFiles
 from rx90_controller.law.model_torque import FRICTION, INVERSE_DYNAMICS, MODEL_DTYPE

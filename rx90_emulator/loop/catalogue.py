@@ -19,8 +19,7 @@ import numpy as np
 
 from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.base.quoting import quoted
-from rx90_common.friction.parameters import FRICTION_PARAMETERS, FRICTION_UNITS
-from rx90_common.friction.parts.table import PARTS
+from rx90_common.friction.element import FRICTION_PARAMETERS, FRICTION_UNITS, PARTS
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.setup import Setup
 

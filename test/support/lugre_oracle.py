@@ -13,8 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristle import one_element
-from rx90_common.friction.element import element_arrays
+from rx90_common.friction.compiled_elements import element_arrays, one_element
 
 Array = NDArray[np.float64]
 

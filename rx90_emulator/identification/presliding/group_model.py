@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristle import damping, decay, one_element, sliding_torque
-from rx90_common.friction.element import element_arrays
+from rx90_common.friction.bristle import damping, decay, sliding_torque
+from rx90_common.friction.compiled_elements import element_arrays, one_element
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMotion, band_spectrum, block_means

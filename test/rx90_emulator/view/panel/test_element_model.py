@@ -12,8 +12,8 @@ from lugre_oracle import LuGreOracle
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.element import FRICTION_PARAMETERS
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.friction.parameters import FRICTION_PARAMETERS
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.panel.element_form import (
     break_away,
