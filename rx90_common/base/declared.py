@@ -53,8 +53,8 @@ class Declaration:
 
     @property
     def by_owner(self) -> bool:
-        """Return whether the entry is the file's alone: the owner reads it, and its value has checks of its own."""
-        return self.entry is None or isinstance(self.entry, Group)
+        """Return whether the entry is the file's alone, and the owner checks what the field holds."""
+        return self.entry is None or isinstance(self.entry, Group) or self.spread
 
     @property
     def spread(self) -> bool:
@@ -88,11 +88,8 @@ class Declared:
             value = getattr(self, one.name)
             if one.entry is None or one.by_owner or _same(value, one.default):
                 continue
-            plain = in_file(value)
-            for i, each in enumerate(plain if one.spread else [plain]):
-                key = f"{one.name}[{i}]" if one.spread else one.name
-                section.content[key] = each
-                taken = one.entry.take(section, key)
+            section.content[one.name] = in_file(value)
+            taken = one.entry.take(section, one.name)
             if one.kind is not _ARRAY:  # as a file gives it: no NumPy scalar, which writers do not know
                 object.__setattr__(self, one.name, taken)
 
@@ -180,7 +177,7 @@ def _values(owner: type[Declared], content: Mapping[str, Any]) -> dict[str, Any]
             inner = inner[block]
         if one.entry is None:
             values[one.name] = one.kind.of_file(inner.get(last))
-        elif last in inner and not one.by_owner:
+        elif last in inner and not isinstance(one.entry, Group):
             value = np.full(6, inner[last], np.float64) if one.spread else inner[last]
             values[one.name] = np.array(value, dtype=np.float64) if one.kind is _ARRAY else value
     return values
