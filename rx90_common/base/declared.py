@@ -7,7 +7,8 @@
         counts: Annotated[float, Integer("Counts per revolution.", low=16, high=2**30), "encoder.counts_per_revolution"]
         bandwidth: Annotated[float, Number("Bandwidth of the observer.", "Hz", low=0.0, above=True)] = 100.0
 
-An entry says what a value may be; the text behind it is the key in a file where that is not the field's own name,
+An entry says what a value may be, and a second one what it may be in Python, where that is more than in a file, which
+is searched for slips of the unit. The text behind them is the key in a file where that is not the field's own name,
 with the blocks that it stands in. The field's default is the file's, too, unless the entry has one of its own or
 REQUIRED stands behind it: then the default means that the whole block is left out.
 """
@@ -36,6 +37,7 @@ class Declaration:
         name: of the field.
         keys: under which a file has it, from the outermost block on.
         entry: what a file may hold there; None where the field has a type that declares its own.
+        in_python: what the field may hold.
         kind: the field's type.
         field: of the dataclass.
     """
@@ -43,6 +45,7 @@ class Declaration:
     name: str
     keys: tuple[str, ...]
     entry: Entry | None
+    in_python: Entry | None
     kind: Any
     field: Field[Any]
 
@@ -53,8 +56,8 @@ class Declaration:
 
     @property
     def by_owner(self) -> bool:
-        """Return whether the entry is the file's alone, and the owner checks what the field holds."""
-        return self.entry is None or isinstance(self.entry, Group) or self.spread
+        """Return whether the entry is a group, which the owner reads and checks."""
+        return isinstance(self.entry, Group)
 
     @property
     def spread(self) -> bool:
@@ -86,10 +89,10 @@ class Declared:
         section = _Fields({}, Path(self.name))
         for one in declarations(type(self)).values():
             value = getattr(self, one.name)
-            if one.entry is None or one.by_owner or _same(value, one.default):
+            if one.in_python is None or one.by_owner or _same(value, one.default):
                 continue
             section.content[one.name] = in_file(value)
-            taken = one.entry.take(section, one.name)
+            taken = one.in_python.take(section, one.name)
             if one.kind is not _ARRAY:  # as a file gives it: no NumPy scalar, which writers do not know
                 object.__setattr__(self, one.name, taken)
 
@@ -99,13 +102,17 @@ class Declared:
         return Group(cls.about, keys=_keys(cls), default=default)
 
     @classmethod
-    def of_file(cls: type[_Self], content: Mapping[str, Any] | None) -> _Self:
+    def of_file(cls: type[_Self], content: Mapping[str, Any] | None, **fields: Any) -> _Self:
         """Return what `group()` has read from a file; all defaults for a block that is left out.
+
+        Args:
+            content: by the file's keys.
+            fields: that the file does not give, by their names.
 
         Raises:
             ConfigError: as the class itself.
         """
-        return cls() if content is None else cls(**_values(cls, content))
+        return cls(**fields) if content is None else cls(**_values(cls, content), **fields)
 
     @classmethod
     def units(cls) -> dict[str, str]:
@@ -136,12 +143,13 @@ def _declared_by(owner: type[Any]) -> dict[str, Declaration]:
         hint = hints[field.name]
         kind, *said = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         kind = get_origin(kind) or kind
-        entry = next((each for each in said if isinstance(each, Entry)), None)
+        entries = [each for each in said if isinstance(each, Entry)]
+        entry, in_python = (entries[0], entries[-1]) if entries else (None, None)
         own = isinstance(kind, type) and issubclass(kind, Declared)
         if entry is None and not own:
             continue
         keys = tuple(next((each for each in said if isinstance(each, str)), field.name).split("."))
-        one = Declaration(field.name, keys, entry, kind, field)
+        one = Declaration(field.name, keys, entry, in_python, kind, field)
         if entry is not None and entry.default is REQUIRED and REQUIRED not in said and one.default is not MISSING:
             one = replace(one, entry=replace(entry, default=_as_read(one.default)))
         found[field.name] = one
@@ -177,7 +185,7 @@ def _values(owner: type[Declared], content: Mapping[str, Any]) -> dict[str, Any]
             inner = inner[block]
         if one.entry is None:
             values[one.name] = one.kind.of_file(inner.get(last))
-        elif last in inner and not isinstance(one.entry, Group):
+        elif last in inner and not one.by_owner:
             value = np.full(6, inner[last], np.float64) if one.spread else inner[last]
             values[one.name] = np.array(value, dtype=np.float64) if one.kind is _ARRAY else value
     return values

@@ -61,10 +61,10 @@ class Cogging(Declared):
                 raise ConfigError(f"cogging: {name} is {value.tolist()}; accepted: numbers of shape {(terms, 6)}")
 
     @classmethod
-    def of_file(cls, content: Mapping[str, Any] | None) -> Cogging:
+    def of_file(cls, content: Mapping[str, Any] | None, **fields: Any) -> Cogging:
         """Return what a block of a drives file says; none for none."""
         phases = {} if content is None else {"phase": ((0.0,) * 6,) * len(content["amplitude"])}
-        return super().of_file(content and {**phases, **content})
+        return super().of_file(content and {**phases, **content}, **fields)
 
     @property
     def used(self) -> bool:

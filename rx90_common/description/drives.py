@@ -56,7 +56,7 @@ class DriveParameters(Declared):
         Array, _positive("Motor torque per current, motor side.", "Nm/A"), "motor.torque_constant"
     ]
     peak_current: Annotated[Array, _positive("The most that the amplifier gives.", "A"), "motor.peak_current"]
-    encoder_counts: Annotated[Array, _counts, "encoder.counts_per_revolution"]
+    encoder_counts: Annotated[Array, _counts, _positive(""), "encoder.counts_per_revolution"]
     velocity_bandwidth: Annotated[float, _bandwidth, "encoder.velocity_bandwidth"]
     brake_torque: Annotated[Array, _positive("What the brake holds at most.", "Nm"), "brake.torque"]
     brake_stiffness: Annotated[Array, _positive("Stiffness of the closed brake.", "Nm/rad"), "brake.stiffness"]
@@ -73,9 +73,6 @@ class DriveParameters(Declared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        counts = np.asarray(self.encoder_counts)
-        if counts.shape != (6,) or not np.all(np.isfinite(counts) & (counts > 0)):
-            raise ConfigError(f"drives: encoder_counts is {counts.tolist()}; accepted: 6 finite numbers > 0")
         for i in np.flatnonzero(self.elasticity.elastic & (np.asarray(self.rotor_inertia) == 0)):
             raise ConfigError(f"rotor_inertia[{i}] is 0; accepted: a number > 0 where the drive is elastic")
 

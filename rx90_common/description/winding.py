@@ -19,6 +19,7 @@ COPPER = 0.00393
 """Temperature coefficient of copper's resistance at 20 degrees, 1/K (IEC 60028)."""
 _ABSOLUTE_ZERO = -273.15
 _positive = partial(Numbers, count=6, low=0.0, above=True)
+_cold, _isolated = Numbers("", count=6, low=0.0), _positive("", infinite=True)
 _degrees = partial(Number, unit="°C", low=_ABSOLUTE_ZERO, high=1000.0)
 
 
@@ -40,13 +41,15 @@ class Windings(Declared):
     name = "winding"
     about = "Windings of the motors, a thermal node each; left out: they stay as warm as they are."
 
-    resistance: Annotated[Array, _positive("Resistance at the reference temperature.", "Ohm"), REQUIRED] = field(
+    resistance: Annotated[Array, _positive("Resistance at the reference temperature.", "Ohm"), _cold, REQUIRED] = field(
         default_factory=lambda: np.zeros(6)
     )
-    thermal_resistance: Annotated[Array, _positive("Between winding and surroundings.", "K/W"), REQUIRED] = field(
+    thermal_resistance: Annotated[Array, _positive("Between winding and surroundings.", "K/W"), _isolated, REQUIRED] = (
+        field(default_factory=_endless)
+    )
+    heat_capacity: Annotated[Array, _positive("Of the winding.", "J/K"), _isolated, REQUIRED] = field(
         default_factory=_endless
     )
-    heat_capacity: Annotated[Array, _positive("Of the winding.", "J/K"), REQUIRED] = field(default_factory=_endless)
     ambient: Annotated[float, _degrees("Temperature of the surroundings."), REQUIRED] = 20.0
     initial: Annotated[
         float,
@@ -77,6 +80,6 @@ class Windings(Declared):
         return bool(np.any(self.resistance))
 
     @classmethod
-    def of_file(cls, content: Mapping[str, Any] | None) -> Windings:
+    def of_file(cls, content: Mapping[str, Any] | None, **fields: Any) -> Windings:
         """Return what a block of a drives file says; cold ones for none."""
-        return super().of_file(content and {"initial": content["ambient"], **content})
+        return super().of_file(content and {"initial": content["ambient"], **content}, **fields)

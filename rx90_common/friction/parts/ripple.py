@@ -42,7 +42,6 @@ def _numbers(about: str, unit: str = "1", **limits: Any) -> ListOf:
 
 _waves = partial(_numbers, low=0.0, high=1000.0, above=True)
 _shares = partial(_numbers, low=0.0, high=0.99)
-_Numbers = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -55,12 +54,20 @@ class RipplePart(FrictionPart):
     name = "ripple"
     about = "Friction by the angles of joint and motor."
 
-    joint_harmonic: Annotated[_Numbers, _waves("Waves in a turn of the joint.")] = ()
-    joint_amplitude: Annotated[_Numbers, _shares("Share of Coulomb and static torque, of each wave of the joint.")] = ()
-    joint_phase: Annotated[_Numbers, _numbers("Phase of each cosine where the angle is 0, of the joint.", "rad")] = ()
-    motor_harmonic: Annotated[_Numbers, _waves("Waves in a turn of the motor.")] = ()
-    motor_amplitude: Annotated[_Numbers, _shares("Share of Coulomb and static torque, of each wave of the motor.")] = ()
-    motor_phase: Annotated[_Numbers, _numbers("Phase of each cosine where the angle is 0, of the motor.", "rad")] = ()
+    joint_harmonic: Annotated[tuple[float, ...], _waves("Waves in a turn of the joint.")] = ()
+    joint_amplitude: Annotated[
+        tuple[float, ...], _shares("Share of Coulomb and static torque, of each wave of the joint.")
+    ] = ()
+    joint_phase: Annotated[
+        tuple[float, ...], _numbers("Phase of each cosine where the angle is 0, of the joint.", "rad")
+    ] = ()
+    motor_harmonic: Annotated[tuple[float, ...], _waves("Waves in a turn of the motor.")] = ()
+    motor_amplitude: Annotated[
+        tuple[float, ...], _shares("Share of Coulomb and static torque, of each wave of the motor.")
+    ] = ()
+    motor_phase: Annotated[
+        tuple[float, ...], _numbers("Phase of each cosine where the angle is 0, of the motor.", "rad")
+    ] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()

