@@ -102,7 +102,7 @@ def test_numpy_s_scalars_are_numbers(parted: Setup) -> None:
     for value in (np.float32("nan"), np.bool_(True), "0.25"):
         with pytest.raises(ConfigError, match=r"accepted: a (finite )?number"):
             LoadPart(value, 0.1)  # type: ignore[arg-type]
-        with pytest.raises(ConfigError, match="accepted: a (finite )?number >= 0"):
+        with pytest.raises(ConfigError, match=r"accepted: a (finite )?number >= 0"):
             replace(parted.friction["joint_2"], c2=value)
 
 
