@@ -23,9 +23,9 @@ from rx90_common.description.wrist import coupled_inertia
 _six = partial(Numbers, count=6, low=0.0)
 _positive = partial(_six, above=True)
 _turns = Numbers(
-    "Motor revolutions per joint revolution; negative where they turn against each other.", "1", count=6, nonzero=True
+    "Motor revolutions per joint revolution; negative where they turn against each other.", count=6, nonzero=True
 )
-_counts = Integer("Encoder counts per motor revolution.", "1", low=16, high=2**30)
+_counts = Integer("Encoder counts per motor revolution.", low=16, high=2**30)
 _bandwidth = Number("Bandwidth of the drive's velocity observer.", "Hz", low=0.0, above=True)
 
 
@@ -37,7 +37,6 @@ class DriveParameters(Declared):
     current_sensor is ideal.
     """
 
-    name = "drives"
     about = "Drives of an arm with six joints: lists of six values, motor 6 drives joints 5 and 6 together."
     blocks = {  # noqa: RUF012 - a ClassVar of Declared
         "transmission": "Gears and rotors.",

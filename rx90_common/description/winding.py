@@ -21,6 +21,7 @@ _ABSOLUTE_ZERO = -273.15
 _positive = partial(Numbers, count=6, low=0.0, above=True)
 _cold, _isolated = Numbers("", count=6, low=0.0), _positive("", infinite=True)
 _degrees = partial(Number, unit="°C", low=_ABSOLUTE_ZERO, high=1000.0)
+_never = Number("", low=_ABSOLUTE_ZERO, infinite=True)  # also warmer than any winding: no limit
 
 
 def _endless() -> Array:
@@ -59,10 +60,10 @@ class Windings(Declared):
     ] = 20.0
     reference: Annotated[float, _degrees("Temperature at which the resistance holds.")] = 20.0
     coefficient: Annotated[float, Number("Rise of the resistance with temperature.", "1/K", low=0.0, high=0.1)] = COPPER
-    derating: Annotated[float, _degrees("Temperature from which on the amplifier limits the current."), REQUIRED] = (
-        math.inf
-    )
-    limit: Annotated[float, _degrees("Temperature at which it gives none."), REQUIRED] = math.inf
+    derating: Annotated[
+        float, _degrees("Temperature from which on the amplifier limits the current."), _never, REQUIRED
+    ] = math.inf
+    limit: Annotated[float, _degrees("Temperature at which it gives none."), _never, REQUIRED] = math.inf
 
     def __post_init__(self) -> None:
         super().__post_init__()
