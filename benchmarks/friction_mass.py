@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristle import load_elements
 from rx90_common.friction.bristles.step import bristles_dtype, bristles_step
-from rx90_common.friction.element import element_arrays
+from rx90_common.friction.compiled_elements import element_arrays, load_elements
 from rx90_common.friction.parts.bristles import fill_bristles
 from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE
 from rx90_common.kernels.compiled import kernel

@@ -17,8 +17,8 @@ import numpy as np
 from rx90_common.base.arrays import Array, Record
 from rx90_common.description.wrist import to_joint, to_motor_torque
 from rx90_common.friction.arm_elements import add_to_joints, element_inputs
-from rx90_common.friction.bristle import bristle_step, load_elements
-from rx90_common.friction.element import element_arrays
+from rx90_common.friction.bristle import bristle_step
+from rx90_common.friction.compiled_elements import element_arrays, load_elements
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 from rx90_controller.law.loops import position_loop, velocity_loop

@@ -20,7 +20,8 @@ import numpy as np
 from benchmarks.report import merge, print_table
 from rx90_common.base.arrays import Array
 from rx90_common.friction import ELEMENT_COUNT
-from rx90_common.friction.element import FrictionElement, element_arrays
+from rx90_common.friction.compiled_elements import element_arrays
+from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.step import parts_step, reset_parts

@@ -17,7 +17,8 @@ from friction_bench.experiment.record import RampRecord
 from friction_bench.rig.plant import PlantParameters, turn_with_joint
 from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, Rig
 from friction_bench.rig.shaft import Shaft, turn
-from rx90_common.friction.element import FrictionElement, element_arrays
+from rx90_common.friction.compiled_elements import element_arrays
+from rx90_common.friction.element import FrictionElement
 from rx90_common.kernels.compiled import kernel
 
 SLICES = 20

@@ -16,7 +16,8 @@ from rx90_common.friction.arm_elements import (
     share_among_elements,
     transmit,
 )
-from rx90_common.friction.bristle import bristle_step, friction_torque, load_elements
+from rx90_common.friction.bristle import bristle_step, friction_torque
+from rx90_common.friction.compiled_elements import load_elements
 from rx90_common.friction.parts.load import advance_load
 from rx90_common.friction.parts.scatter import advance_scatter
 from rx90_common.friction.parts.step import parts_energy, parts_step, parts_torque, reset_parts

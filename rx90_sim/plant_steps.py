@@ -48,7 +48,7 @@ from rx90_common.description.wrist import coupling_matrix, element_matrix
 from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE
 from rx90_common.dynamics.manipulator import mass_and_bias
 from rx90_common.friction import ELEMENT_COUNT, FrictionSet
-from rx90_common.friction.parameters import SIGNS
+from rx90_common.friction.element import SIGNS
 
 MOST_AUTOMATIC: Final = 64
 """Steps in a tick that the plant takes without being asked to."""

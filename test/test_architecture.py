@@ -434,9 +434,11 @@ def page(name: str) -> str:
 
 
 def defined(tree: ast.Module) -> set[str]:
-    """Return the functions and classes of a module, methods as Class.method."""
+    """Return the functions, classes and assigned names of a module, methods as Class.method."""
     found = set()
     for node in tree.body:
+        if isinstance(node, ast.Assign):
+            found.update(target.id for target in node.targets if isinstance(target, ast.Name))
         if isinstance(node, ast.ClassDef | ast.FunctionDef):
             found.add(node.name)
         if isinstance(node, ast.ClassDef):

@@ -57,6 +57,12 @@ def _help() -> Iterator[tuple[str, str]]:
             yield f"{name}_{verb}", _run(name, verb, "--help")
 
 
+def _plain_type(text: str) -> str:
+    """Return a type without what is declared beside it."""
+    declared = re.match(r"Annotated\[\s*(.*?), *(?=_?[A-Za-z]+[(,\]])", text, re.DOTALL)
+    return declared[1] if declared else text
+
+
 def _api() -> Iterator[tuple[str, str]]:
     import rx90_emulator as rx
 
@@ -66,7 +72,7 @@ def _api() -> Iterator[tuple[str, str]]:
         if inspect.isclass(value):
             lines.append(f"class {name}")
             fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
-            lines += [f"  {name}.{field.name}: {field.type}" for field in fields]
+            lines += [f"  {name}.{field.name}: {_plain_type(str(field.type))}" for field in fields]
             public = (one for one in dir(value) if not one.startswith("_"))
             lines += [f"  {name}.{one}{_signature(getattr(value, one, None))}" for one in public]
         else:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from friction_bench.rig.shaft import BRISTLE_STEPS, Shaft, turn
-from rx90_common.friction.element import FrictionElement, element_arrays
+from rx90_common.friction.compiled_elements import element_arrays
+from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.load import advance_load
 from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.scatter import advance_scatter

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from friction_bench.rig.joint_parts import RigJoint, joint_record, start, turn_with_parts
 from friction_bench.rig.shaft import BRISTLE_STEPS, Shaft, turn
-from rx90_common.friction.bristle import bristle_step, one_element
-from rx90_common.friction.element import FrictionElement, element_arrays
+from rx90_common.friction.bristle import bristle_step
+from rx90_common.friction.compiled_elements import element_arrays, one_element
+from rx90_common.friction.element import FrictionElement
 from rx90_common.kernels.compiled import kernel
 
 

@@ -15,10 +15,9 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import LEFT_OUT, Integer, Number, Numbers, Switch
 from rx90_common.base.groups import Group, Variants
 from rx90_common.base.section import Section
-from rx90_common.friction.element import FrictionElement
+from rx90_common.friction.element import ELEMENT, FrictionElement
 from rx90_common.friction.friction_file import read_element
 from rx90_common.friction.friction_set import refuse_parts
-from rx90_common.friction.parameters import ELEMENT
 
 CODES = 255
 """Highest code of both converters."""

@@ -157,7 +157,7 @@ class McapFile:
         content = _content(chunk)
         rows = messages_in(content)
         _check_index(listed, chunk, rows, self._data[end : end + listed.message_index_length])
-        if len(wanted) < len(listed.message_index_offsets) or not listed.message_index_offsets:
+        if not listed.message_index_offsets or not np.isin(list(listed.message_index_offsets), wanted).all():
             rows = rows[np.isin(rows[:, 0], wanted)]
         messages = [
             (channel, log_ns, content[begin:end]) for channel, log_ns, begin, end in rows[:, [0, 1, 3, 4]].tolist()

@@ -3,6 +3,7 @@
 __all__ = [
     "arrays",
     "config",
+    "declared",
     "entries",
     "errors",
     "extremes",

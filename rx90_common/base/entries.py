@@ -93,7 +93,7 @@ class Numbers(Number):
 
     def take(self, section: Section, key: str) -> Any:
         """Return them as a tuple."""
-        values = section.numbers(key, self.count, self.low, self.high, above=self.above)
+        values = section.numbers(key, self.count, self.low, self.high, above=self.above, infinite=self.infinite)
         for i, value in enumerate(values):
             if self.nonzero and value == 0.0:
                 section.refuse(f"{key}[{i}]", value, f"{self.count} numbers, each a finite number other than 0")

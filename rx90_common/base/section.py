@@ -140,14 +140,24 @@ class Section(CheckedMapping):
         return self._check_number(key, value, low, high, above, accepted)
 
     def numbers(
-        self, key: str, count: int, low: float = -math.inf, high: float = math.inf, *, above: bool = False
+        self,
+        key: str,
+        count: int,
+        low: float = -math.inf,
+        high: float = math.inf,
+        *,
+        above: bool = False,
+        infinite: bool = False,
     ) -> tuple[float, ...]:
-        """Return `count` finite numbers, each in [low, high] (or (low, high] with `above`)."""
+        """Return `count` numbers, each as `number` takes it."""
         accepted = f"{count} numbers, each {range_text(low, high, above)}"
         values = self._get(key, accepted)
         if not isinstance(values, Sequence) or isinstance(values, str) or len(values) != count:
             self.refuse(key, values, accepted)
-        return tuple(self._check_number(f"{key}[{i}]", v, low, high, above, accepted) for i, v in enumerate(values))
+        return tuple(
+            math.inf if infinite and v == math.inf else self._check_number(f"{key}[{i}]", v, low, high, above, accepted)
+            for i, v in enumerate(values)
+        )
 
     def rows(self, key: str, count: int) -> tuple[tuple[float, ...], ...]:
         """Return a list, not an empty one, of rows of `count` finite numbers."""

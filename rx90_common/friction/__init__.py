@@ -13,11 +13,11 @@ __all__ = [
     "FrictionSet",
     "arm_elements",
     "bristle",
+    "compiled_elements",
     "element",
     "friction_file",
     "friction_set",
     "held_out",
     "load_friction",
-    "parameters",
     "tracing",
 ]

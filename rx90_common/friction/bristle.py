@@ -1,67 +1,21 @@
 """Compiled bristle equations: the exact step of equation 17 for a velocity held over the step.
 
-Velocity, deflection and the fields of `element` are plain numbers, or lanes with one friction element each: the
-equations are the same.
+Velocity, deflection and the fields of `element`, an `Elements` of rx90_common.friction.compiled_elements, are plain
+numbers, or lanes with one friction element each: the equations are the same.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
-from rx90_common.friction.parameters import LINEAR_SPEED
+from rx90_common.friction.element import LINEAR_SPEED
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import exponential, power
-from rx90_common.kernels.lanes import Lanes, Number, absolute, any_lane, fma, load, select
+from rx90_common.kernels.lanes import Number, absolute, any_lane, fma, select
 
 # Below this product of bristle rate and step, series replace the exponential: they are exact to the last
 # bits there, where (1 - exp(-x)) / x would cancel.
 _SMALL = 0.02
-
-
-class Elements(NamedTuple):
-    """The fields of `elements_dtype`: numbers of one element, or lanes of several; torques positive, negative."""
-
-    tau_c: tuple[Lanes, Lanes]
-    tau_s: tuple[Lanes, Lanes]
-    inverse_omega_s: Lanes
-    delta: Lanes
-    c0: Lanes
-    c1: Lanes
-    c2: Lanes
-    inverse_omega_d: Lanes
-    alpha: Lanes
-
-
-@inlined
-def load_elements(arrays: Any, width: int) -> Elements:
-    """Return all elements of a record of `elements_dtype(width)`, a lane for each; `width` is a literal."""
-    return Elements(
-        (load(arrays.tau_c[0], width), load(arrays.tau_c[1], width)),
-        (load(arrays.tau_s[0], width), load(arrays.tau_s[1], width)),
-        load(arrays.inverse_omega_s, width),
-        load(arrays.delta, width),
-        load(arrays.c0, width),
-        load(arrays.c1, width),
-        load(arrays.c2, width),
-        load(arrays.inverse_omega_d, width),
-        load(arrays.alpha, width),
-    )
-
-
-@kernel
-def one_element(arrays: Any, index: int) -> Elements:
-    """Return one element of such a record, in plain numbers."""
-    return Elements(
-        (arrays.tau_c[0, index], arrays.tau_c[1, index]),
-        (arrays.tau_s[0, index], arrays.tau_s[1, index]),
-        arrays.inverse_omega_s[index],
-        arrays.delta[index],
-        arrays.c0[index],
-        arrays.c1[index],
-        arrays.c2[index],
-        arrays.inverse_omega_d[index],
-        arrays.alpha[index],
-    )
 
 
 @kernel

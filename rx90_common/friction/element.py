@@ -1,28 +1,53 @@
-"""Friction elements, equations 17 to 19: their parameters, and what compiled code makes of them."""
+"""Friction elements, equations 17 to 19: their parameters, declared once, and their curves.
+
+The fields of `FrictionElement` are all that is said of a parameter: file, schema, checks, legends, units, paths and
+what compiled code holds come from them.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Final, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rx90_common.base.declared import Declared, declarations
+from rx90_common.base.entries import REQUIRED, Entry, Number
 from rx90_common.base.errors import ConfigError
-from rx90_common.friction.parameters import FRICTION_PARAMETERS, LINEAR_SPEED, SIGNS
+from rx90_common.base.groups import Either, Group
+from rx90_common.base.section import range_text
 from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY, BristlesPart
 from rx90_common.friction.parts.load import LoadPart
-from rx90_common.friction.parts.part import FrictionPart
+from rx90_common.friction.parts.part import LEAST_SPEED, FrictionPart, in_words
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
-from rx90_common.friction.parts.table import PARTS
 from rx90_common.friction.parts.temperature import TemperaturePart
+
+SIGNS = ("positive", "negative")
+"""Of the velocity, in the order in which everything keeps them."""
+
+ALPHA_BOUNDS = (0.3, 2.0)
+"""Of the viscous exponent.
+
+Two is the drag of a turbulent fluid. Below 0.3 the slope at rest, LINEAR_SPEED^(alpha - 1) c2, comes near what a light
+wrist can bear in a tick: the part would be a Coulomb torque without bristles.
+"""
+
+LINEAR_SPEED = 1e-3
+"""The speed, rad/s, below which the viscous part is linear whatever its exponent: motion this slow is presliding."""
+
+INVERSE: Final = object()
+"""Stands behind the entry of a parameter of which compiled code holds the inverse."""
+
+_coulomb = Number("Coulomb friction torque.", "Nm", low=0.0, above=True)
+_static = Number("Static friction torque, at least tau_c.", "Nm", low=0.0)
 
 
 @dataclass(frozen=True)
-class FrictionElement:
+class FrictionElement(Declared):
     """One friction element, joint side, SI units.
 
         dz/dt = v - |v| / g(v) * z                                            (17)
@@ -34,39 +59,32 @@ class FrictionElement:
     The paper's viscous part is c2 v, `alpha` 1. With another exponent it is linear below LINEAR_SPEED, up to the same
     value there. Its power is never negative: the limit of c1 does not depend on it (docs/explanation/closed_loop.md).
 
-    Attributes:
-        tau_c_positive, tau_c_negative: Coulomb friction torque, Nm, for v >= 0 and for v < 0.
-        tau_s_positive, tau_s_negative: static friction torque, at least tau_c, Nm, the same.
-        omega_s: Stribeck velocity, rad/s.
-        delta: Stribeck exponent, 1.
-        c0: bristle stiffness, Nm/rad.
-        c1: micro-viscous damping at rest, Nm s/rad.
-        c2: viscous friction, Nm (s/rad)^alpha.
-        omega_d: velocity in the fading c1 exp(-(v/omega_d)^2), rad/s.
-        alpha: viscous exponent, 1.
-        load: friction that grows with the transmitted torque; None is off, as for the parts below.
-        temperature: viscous and static friction by the temperature of the joint, which friction heats.
-        ripple: friction that changes with the angles of joint and motor.
-        scatter: a slow random walk of the friction.
-        bristles: of another kind than LuGre's, in place of equation 17.
-
-    The curves below are those without load, at the reference temperature, in the mean over angle and scatter.
+    A parameter for each sign of the velocity has two fields; v = 0 counts as positive. A part that is None is off: load
+    by the transmitted torque, temperature of the joint, ripple by the angles of joint and motor, scatter as a slow
+    random walk, and bristles of another kind than equation 17. The curves below are those without load, at the
+    reference temperature, in the mean over angle and scatter.
 
     Raises:
         ConfigError: for a value that is not finite or not in its range.
     """
 
-    tau_c_positive: float
-    tau_c_negative: float
-    tau_s_positive: float
-    tau_s_negative: float
-    omega_s: float
-    delta: float
-    c0: float
-    c1: float
-    c2: float
-    omega_d: float = math.inf
-    alpha: float = 1.0
+    about = "A LuGre friction element (equations 17 to 19), joint side."
+
+    tau_c_positive: Annotated[float, _coulomb]
+    tau_c_negative: Annotated[float, _coulomb]
+    tau_s_positive: Annotated[float, _static]
+    tau_s_negative: Annotated[float, _static]
+    omega_s: Annotated[float, Number("Stribeck velocity.", "rad/s", low=LEAST_SPEED), INVERSE]
+    delta: Annotated[float, Number("Stribeck exponent.", "1", low=0.0, above=True)]
+    c0: Annotated[float, Number("Bristle stiffness.", "Nm/rad", low=0.0, above=True)]
+    c1: Annotated[float, Number("Micro-viscous damping at rest.", "Nm s/rad", low=0.0)]
+    c2: Annotated[float, Number("Viscous friction.", "Nm (s/rad)^alpha", low=0.0)]
+    omega_d: Annotated[
+        float,
+        Number("Velocity in the fading c1 exp(-(v/omega_d)^2).", "rad/s", low=LEAST_SPEED, infinite=True),
+        INVERSE,
+    ] = math.inf
+    alpha: Annotated[float, Number("Viscous exponent.", "1", low=ALPHA_BOUNDS[0], high=ALPHA_BOUNDS[1])] = 1.0
     load: LoadPart | None = None
     temperature: TemperaturePart | None = None
     ripple: RipplePart | None = None
@@ -74,9 +92,7 @@ class FrictionElement:
     bristles: BristlesPart | None = None
 
     def __post_init__(self) -> None:
-        for parameter in FRICTION_PARAMETERS:
-            for name in parameter.attributes:
-                object.__setattr__(self, name, parameter.check(name, getattr(self, name)))
+        super().__post_init__()
         for sign in SIGNS:
             coulomb, static = getattr(self, f"tau_c_{sign}"), getattr(self, f"tau_s_{sign}")
             if static < coulomb:
@@ -171,35 +187,99 @@ def _speeds_up_to(largest: float) -> NDArray[np.float64]:
     return np.geomspace(1e-4 * min(1.0, largest), largest, 4000)
 
 
-def elements_dtype(width: int) -> np.dtype[np.void]:
-    """Return the type of `width` elements as compiled code reads them: a struct of arrays, the element the last index.
+@dataclass(frozen=True)
+class FrictionParameter:
+    """One parameter of an element as files have it.
 
-    The torques have a row for each of SIGNS; v = 0 counts as positive.
+    Attributes:
+        name: its key.
+        number: what a value may be.
+        attributes: of FrictionElement that hold it: one, or one for each of SIGNS.
+        inverse: whether compiled code holds the inverse.
     """
-    signed, plain = (len(SIGNS), width), (width,)
-    return np.dtype(
-        [
-            ("tau_c", np.float64, signed),
-            ("tau_s", np.float64, signed),
-            ("inverse_omega_s", np.float64, plain),
-            ("delta", np.float64, plain),
-            ("c0", np.float64, plain),
-            ("c1", np.float64, plain),
-            ("c2", np.float64, plain),
-            ("inverse_omega_d", np.float64, plain),  # 0 for a constant c1
-            ("alpha", np.float64, plain),
-        ],
-        align=True,
-    )
+
+    name: str
+    number: Number
+    attributes: tuple[str, ...]
+    inverse: bool
+
+    @property
+    def meaning(self) -> str:
+        """Return what it is, in words."""
+        return in_words(self.number.about)
+
+    @property
+    def signed(self) -> bool:
+        """Return whether it has a value for each sign of the velocity."""
+        return len(self.attributes) > 1
+
+    @property
+    def accepted(self) -> str:
+        """Return its range in words."""
+        return range_text(self.number.low, self.number.high, self.number.above)
+
+    @property
+    def unit(self) -> str:
+        """Return its unit, 1 for a pure number."""
+        return self.number.unit
+
+    @property
+    def default(self) -> float | None:
+        """Return its value where it is left out; None where it is required."""
+        return None if self.number.default is REQUIRED else float(self.number.default)
+
+    def entry(self) -> Entry:
+        """Return what may stand under its key in a file: a number, or one for each sign of the velocity."""
+        if not self.signed:
+            return self.number
+        about = self.number.about
+        pair = {sign: replace(self.number, about=f"{about} Of {sign} velocities.") for sign in SIGNS}
+        plain = replace(self.number, about=f"{about} For both signs of the velocity.")
+        return Either(
+            about, self.unit, mapping=Group(f"{about} For each sign of the velocity.", keys=pair), plain=plain
+        )
 
 
-def element_arrays(elements: Sequence[FrictionElement]) -> np.ndarray[Any, Any]:
-    """Return elements as compiled code reads them, shape (1,), dtype `elements_dtype(len(elements))`."""
-    arrays = np.zeros(1, elements_dtype(len(elements)))
+def _parameters() -> tuple[FrictionParameter, ...]:
+    hints, found = get_type_hints(FrictionElement, include_extras=True), []
+    for one in declarations(FrictionElement).values():
+        name, _, sign = one.name.rpartition("_")
+        if sign == SIGNS[1]:
+            continue
+        attributes = tuple(f"{name}_{each}" for each in SIGNS) if sign == SIGNS[0] else (one.name,)
+        assert isinstance(one.entry, Number)
+        inverse = INVERSE in get_args(hints[one.name])
+        found.append(FrictionParameter(name if sign == SIGNS[0] else one.name, one.entry, attributes, inverse))
+    return tuple(found)
+
+
+FRICTION_PARAMETERS = _parameters()
+
+PARTS: dict[str, type[FrictionPart]] = {
+    name: kind
+    for name, hint in get_type_hints(FrictionElement).items()
+    for kind in get_args(hint)[:1]
+    if issubclass(kind, FrictionPart)
+}
+"""The parts that an element may have, by the keys of their blocks, which are its attributes."""
+
+ELEMENT = Group(
+    FrictionElement.about,
+    keys={parameter.name: parameter.entry() for parameter in FRICTION_PARAMETERS}
+    | {name: part.entry() for name, part in PARTS.items()},
+)
+"""What stands in a file for one element."""
+
+FRICTION_UNITS = FrictionElement.units()
+"""Units of the attributes of FrictionElement."""
+
+
+def legend(parts: Iterable[str] = ()) -> str:
+    """Return the parameters as lines of comment, as they stand at the head of friction files, and those of parts."""
+    lines = ""
     for parameter in FRICTION_PARAMETERS:
-        values = np.array([[getattr(element, name) for element in elements] for name in parameter.attributes])
-        if parameter.name in ("omega_s", "omega_d"):
-            arrays[f"inverse_{parameter.name}"] = 1.0 / values
-        else:
-            arrays[parameter.name] = values
-    return arrays
+        signed = "; one value, or {positive: x, negative: y}" if parameter.signed else ""
+        optional = "" if parameter.default is None else f"; {parameter.default:g} if it is left out"
+        accepted = parameter.accepted.rpartition("number ")[2]
+        lines += f"# {parameter.name:<8} {parameter.meaning}, {parameter.unit}, {accepted}{signed}{optional}\n"
+    return lines + "".join(part.legend() for name, part in PARTS.items() if name in parts)

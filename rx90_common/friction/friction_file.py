@@ -13,10 +13,8 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import quoted
 from rx90_common.base.section import ABOUT, PROVENANCE, Section
-from rx90_common.friction.element import FrictionElement
+from rx90_common.friction.element import ELEMENT, FRICTION_PARAMETERS, PARTS, SIGNS, FrictionElement, legend
 from rx90_common.friction.friction_set import FrictionSet, element_names
-from rx90_common.friction.parameters import ELEMENT, FRICTION_PARAMETERS, SIGNS, legend
-from rx90_common.friction.parts.table import PARTS
 
 FRICTION = Group(
     "LuGre friction, joint side, SI units (equations 17 to 19 of the paper).",

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
-from rx90_common.friction.bristle import bristle_step, load_elements, one_element
+from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.bristles.step import bristles_dtype, bristles_state_dtype, bristles_step, bristles_torque
-from rx90_common.friction.element import FrictionElement, element_arrays
+from rx90_common.friction.compiled_elements import element_arrays, load_elements, one_element
+from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.bristles import fill_bristles
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import lane, load

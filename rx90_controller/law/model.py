@@ -21,7 +21,7 @@ from rx90_common.description.robot_files import DESCRIPTIONS, FILES, NO_TOOL
 from rx90_common.dynamics import manipulator_record
 from rx90_common.friction import FrictionElement, load_friction
 from rx90_common.friction.arm_elements import fill_arm_parts
-from rx90_common.friction.element import element_arrays
+from rx90_common.friction.compiled_elements import element_arrays
 
 ROLES: Final = ("urdf", "tool", "drives", "friction")
 """The files of a model, by their names in the block `model` and in ModelFiles."""

@@ -23,8 +23,8 @@ from rx90_common.base.arrays import Array, Record
 from rx90_common.description.wrist import to_motor_torque
 from rx90_common.friction import ELEMENT_COUNT
 from rx90_common.friction.arm_elements import add_to_joints, element_inputs, of_motors, transmit
-from rx90_common.friction.bristle import bristle_step, load_elements
-from rx90_common.friction.element import elements_dtype
+from rx90_common.friction.bristle import bristle_step
+from rx90_common.friction.compiled_elements import elements_dtype, load_elements
 from rx90_common.friction.parts.load import advance_load
 from rx90_common.friction.parts.record import parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.step import parts_energy, parts_step, settle_parts

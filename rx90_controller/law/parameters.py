@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
-from rx90_common.base.entries import Number, Numbers, Switch
+from rx90_common.base.declared import Declared
+from rx90_common.base.entries import REQUIRED, Number, Numbers, Switch
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Group
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import Rates
 from rx90_common.base.section import Section
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
-from rx90_common.friction.parameters import ALPHA_BOUNDS
+from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.kernels.elementary_arrays import exponential_less_one_of, powers
 from rx90_controller.law.model import MODEL, ModelFiles
 from rx90_controller.law.model_torque import FRICTION, INVERSE_DYNAMICS, MODEL_DTYPE
@@ -54,99 +54,33 @@ MODEL_PARTS: Final = {"inverse_dynamics": INVERSE_DYNAMICS, "friction_model": FR
 """Switches of the feed-forward by a model of arm and friction, and their bits in `parts` of MODEL_DTYPE."""
 
 _six = partial(Numbers, count=6, low=0.0)
+_positive_six = partial(_six, above=True)
 _positive = partial(Number, low=0.0, above=True)
-
-CONTROLLER = Group(
-    "Gains, limits and switches of six servo controllers: six values, one for each motor, seen from its joint. "
-    "The law: torque = inertia [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward.",
-    keys={
-        "servo": Group(
-            "Gains of the loops.",
-            keys={
-                "inertia": _six("Nominal inertia, rotors included.", "kg m^2", above=True, high=1e5),
-                "kp": _six("Proportional gain of the position loop.", "1/s", high=1e4),
-                "kv": _six("Gain of the velocity loop.", "1/s", high=1e5),
-                "ki": _six("Integral gain.", "1/s^3", high=1e9),
-                "integrator_limit": _six("The most that the integrator gives.", "Nm", high=1e6),
-            },
-        ),
-        "feed_forward": Group(
-            "What the set-points add beside PI.",
-            keys={
-                "velocity": Switch("The velocity set-point in the D block; the paper has the measured velocity alone."),
-                "acceleration": Switch("Inertia times acceleration of the set-point."),
-                "coulomb": Switch("Coulomb friction compensation."),
-                "viscous": Switch("Viscous friction compensation."),
-                "inverse_dynamics": Switch(
-                    "Inverse dynamics of the model, weight included, in place of inertia times acceleration.",
-                    default=False,
-                ),
-                "friction_model": Switch(
-                    "Friction of the model, in place of Coulomb and viscous friction compensation.", default=False
-                ),
-                "coulomb_torque": _six("Coulomb friction to compensate.", "Nm", high=1e6),
-                "coulomb_velocity": _positive(
-                    "Velocity of the set-point at which the Coulomb compensation is complete.", "rad/s", high=10.0
-                ),
-                "viscous_friction": _six("Viscous friction to compensate.", "Nm (s/rad)^viscous_exponent", high=1e6),
-                "viscous_exponent": Numbers(
-                    "Exponent of the viscous friction to compensate.", "1",
-                    count=6, low=ALPHA_BOUNDS[0], high=ALPHA_BOUNDS[1], default=(1.0,) * 6,
-                ),
-            },
-        ),
-        "model": MODEL,
-        "current_loop": Group(
-            "Amplifiers.",
-            keys={
-                "bandwidth": _positive("Bandwidth of the current loop.", "Hz"),
-                "slew_rate": _six("The amplifier's fastest change of current.", "A/s", above=True),
-            },
-        ),
-        "supervision": Group(
-            "What cuts the power, joint by joint.",
-            keys={
-                "following_error": _six("Position error at which the power is cut.", "rad", above=True, high=1.0),
-                "over_speed": _positive(
-                    "Speed at which the power is cut, times the nominal speed of the joint.", high=10.0
-                ),
-            },
-        ),
-        "trajectory": Group(
-            "What is asked of set-points.",
-            keys={
-                "start_tolerance": Number(
-                    "How far a trajectory may start from the held set-point.", "rad", low=0.0
-                ),
-                "max_acceleration": _six("The most that a set-point may ask of each joint.", "rad/s^2", above=True),
-            },
-        ),
-    },
-)  # fmt: skip
-"""What a controller file holds."""
+_any_six, _any_positive_six, _any_positive = _six(""), _positive_six(""), _positive("")
 
 
 @dataclass(frozen=True)
-class FeedForward:
+class FeedForward(Declared):
     """What the set-points add beside PI, each part by its own switch.
 
     The paper's D block has the measured velocity alone (section 5, figure 4): that is `velocity=False`.
-
-    Attributes:
-        velocity: velocity set-point in the D block, which then damps the velocity error.
-        acceleration: nominal inertia times acceleration set-point.
-        coulomb: Coulomb friction compensation by the sign of the velocity set-point.
-        viscous: viscous friction compensation.
-        inverse_dynamics: those of the controller's model, weight included, in place of `acceleration`.
-        friction_model: the friction of the controller's model, in place of `coulomb` and `viscous`.
     """
 
-    velocity: bool = True
-    acceleration: bool = True
-    coulomb: bool = True
-    viscous: bool = True
-    inverse_dynamics: bool = False
-    friction_model: bool = False
+    name = "feed_forward"
+
+    velocity: Annotated[
+        bool, Switch("The velocity set-point in the D block; the paper has the measured velocity alone."), REQUIRED
+    ] = True
+    acceleration: Annotated[bool, Switch("Inertia times acceleration of the set-point."), REQUIRED] = True
+    coulomb: Annotated[bool, Switch("Coulomb friction compensation."), REQUIRED] = True
+    viscous: Annotated[bool, Switch("Viscous friction compensation."), REQUIRED] = True
+    inverse_dynamics: Annotated[
+        bool,
+        Switch("Inverse dynamics of the model, weight included, in place of inertia times acceleration."),
+    ] = False
+    friction_model: Annotated[
+        bool, Switch("Friction of the model, in place of Coulomb and viscous friction compensation.")
+    ] = False
 
     @property
     def model_parts(self) -> int:
@@ -159,71 +93,92 @@ class FeedForward:
         return cls(velocity=False, acceleration=False, coulomb=False, viscous=False)
 
 
-@dataclass(frozen=True)
-class CS7BParameters:
+@dataclass(frozen=True, kw_only=True)
+class CS7BParameters(Declared):
     """Six SISO controllers; every array has shape (6,) and joint-side units, motor by motor.
 
     The law, joint side: torque = Mn [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward; see
     docs/explanation/closed_loop.md.
-
-    Attributes:
-        inertia: nominal inertia Mn, kg m^2.
-        kp: proportional gain of the position loop, 1/s.
-        kv: gain of the velocity loop, 1/s.
-        ki: integral gain, 1/s^3.
-        integrator_limit: the most the integrator gives, Nm.
-        coulomb: Coulomb friction to compensate, Nm.
-        coulomb_velocity: velocity set-point at which the compensation is complete, rad/s.
-        viscous: viscous friction to compensate, Nm (s/rad)^viscous_exponent.
-        feed_forward: switches of all feed-forward parts.
-        current_bandwidth: bandwidth of the current loop, Hz.
-        current_slew: the amplifier's fastest change of current, A/s.
-        following_error: from where on the supervision cuts the power, joint by joint, rad.
-        over_speed: likewise, as a multiple of the joint's nominal speed.
-        start_tolerance: how far a trajectory may start from the held set-point, rad.
-        max_acceleration: the most that a set-point may ask of each joint, rad/s^2.
-        viscous_exponent: of the viscous friction to compensate, 1.
-        model: the controller's own, for the parts of the feed-forward that need one.
     """
 
-    inertia: Array
-    kp: Array
-    kv: Array
-    ki: Array
-    integrator_limit: Array
-    coulomb: Array
-    coulomb_velocity: float
-    viscous: Array
+    about = (
+        "Gains, limits and switches of six servo controllers: six values, one for each motor, seen from its joint. "
+        "The law: torque = inertia [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward."
+    )
+    blocks = {  # noqa: RUF012 - a ClassVar of Declared
+        "servo": "Gains of the loops.",
+        "feed_forward": "What the set-points add beside PI.",
+        "current_loop": "Amplifiers.",
+        "supervision": "What cuts the power, joint by joint.",
+        "trajectory": "What is asked of set-points.",
+    }
+
+    inertia: Annotated[
+        Array,
+        _positive_six("Nominal inertia, rotors included.", "kg m^2", high=1e5),
+        _any_positive_six,
+        "servo.inertia",
+    ]
+    kp: Annotated[Array, _six("Proportional gain of the position loop.", "1/s", high=1e4), _any_six, "servo.kp"]
+    kv: Annotated[Array, _six("Gain of the velocity loop.", "1/s", high=1e5), _any_six, "servo.kv"]
+    ki: Annotated[Array, _six("Integral gain.", "1/s^3", high=1e9), _any_six, "servo.ki"]
+    integrator_limit: Annotated[
+        Array, _six("The most that the integrator gives.", "Nm", high=1e6), _any_six, "servo.integrator_limit"
+    ]
     feed_forward: FeedForward
-    current_bandwidth: float
-    current_slew: Array
-    following_error: Array
-    over_speed: float
-    start_tolerance: float
-    max_acceleration: Array
-    viscous_exponent: Array = field(default_factory=lambda: np.ones(6))
-    model: ModelFiles | None = None
+    coulomb: Annotated[
+        Array, _six("Coulomb friction to compensate.", "Nm", high=1e6), _any_six, "feed_forward.coulomb_torque"
+    ]
+    coulomb_velocity: Annotated[
+        float,
+        _positive("Velocity of the set-point at which the Coulomb compensation is complete.", "rad/s", high=10.0),
+        _any_positive,
+        "feed_forward.coulomb_velocity",
+    ]
+    viscous: Annotated[
+        Array,
+        _six("Viscous friction to compensate.", "Nm (s/rad)^viscous_exponent", high=1e6),
+        _any_six,
+        "feed_forward.viscous_friction",
+    ]
+    viscous_exponent: Annotated[
+        Array,
+        Numbers(
+            "Exponent of the viscous friction to compensate.", "1",
+            count=6, low=ALPHA_BOUNDS[0], high=ALPHA_BOUNDS[1],
+        ),
+        "feed_forward.viscous_exponent",
+    ] = field(default_factory=lambda: np.ones(6))  # fmt: skip
+    model: Annotated[ModelFiles | None, MODEL] = None
+    current_bandwidth: Annotated[float, _positive("Bandwidth of the current loop.", "Hz"), "current_loop.bandwidth"]
+    current_slew: Annotated[
+        Array, _positive_six("The amplifier's fastest change of current.", "A/s"), "current_loop.slew_rate"
+    ]
+    following_error: Annotated[
+        Array,
+        _positive_six("Position error at which the power is cut.", "rad", high=1.0),
+        _any_positive_six,
+        "supervision.following_error",
+    ]
+    over_speed: Annotated[
+        float,
+        _positive("Speed at which the power is cut, times the nominal speed of the joint.", high=10.0),
+        _any_positive,
+        "supervision.over_speed",
+    ]
+    start_tolerance: Annotated[
+        float,
+        Number("How far a trajectory may start from the held set-point.", "rad", low=0.0),
+        "trajectory.start_tolerance",
+    ]
+    max_acceleration: Annotated[
+        Array,
+        _positive_six("The most that a set-point may ask of each joint.", "rad/s^2"),
+        "trajectory.max_acceleration",
+    ]
 
     def __post_init__(self) -> None:
-        for name in (each.name for each in fields(self) if each.name not in ("feed_forward", "model")):
-            value = np.asarray(getattr(self, name), dtype=np.float64)
-            if not np.all(np.isfinite(value)) or np.any(value < 0):
-                raise ConfigError(f"{name} is {value.tolist()}; accepted: finite numbers >= 0")
-        for name in (
-            "inertia",
-            "coulomb_velocity",
-            "current_bandwidth",
-            "current_slew",
-            "following_error",
-            "over_speed",
-            "max_acceleration",
-        ):
-            if np.any(np.asarray(getattr(self, name)) <= 0):
-                raise ConfigError(f"{name} is {getattr(self, name)}; accepted: numbers > 0")
-        least, most = ALPHA_BOUNDS
-        if np.any(self.viscous_exponent < least) or np.any(self.viscous_exponent > most):
-            accepted = f"numbers in [{least:g}, {most:g}]"
-            raise ConfigError(f"viscous_exponent is {self.viscous_exponent.tolist()}; accepted: {accepted}")
+        super().__post_init__()
         for name in MODEL_PARTS:
             if getattr(self.feed_forward, name) and self.model is None:
                 raise ConfigError(f"{name} is true without a model; accepted: with one, or false")
@@ -291,6 +246,10 @@ class CS7BParameters:
         model["lead"] = 0.5 * rates.position_period + late
 
 
+CONTROLLER = CS7BParameters.group()
+"""What a controller file holds."""
+
+
 def load_controller(path: Path) -> CS7BParameters:
     """Read a controller file.
 
@@ -311,33 +270,10 @@ def read_controller(root: Section, model: ModelFiles | None = None) -> CS7BParam
         ConfigError: naming file, key, value and accepted range.
     """
     content = CONTROLLER.read(root)
-
-    def six(block: str, key: str) -> Array:
-        return np.array(content[block][key])
-
-    forward = content["feed_forward"]
     model = model or ModelFiles.of(root)
-    if "model" in root or any(forward[name] for name in MODEL_PARTS):
+    if "model" in root or any(content["feed_forward"][name] for name in MODEL_PARTS):
         try:
             _ = model.constants  # read once
         except ConfigError as error:
             raise ConfigError(f"{plain(root.file)}: {error}") from error
-    return CS7BParameters(
-        inertia=six("servo", "inertia"),
-        kp=six("servo", "kp"),
-        kv=six("servo", "kv"),
-        ki=six("servo", "ki"),
-        integrator_limit=six("servo", "integrator_limit"),
-        coulomb=six("feed_forward", "coulomb_torque"),
-        coulomb_velocity=forward["coulomb_velocity"],
-        viscous=six("feed_forward", "viscous_friction"),
-        feed_forward=FeedForward(**{part.name: forward[part.name] for part in fields(FeedForward)}),
-        current_bandwidth=content["current_loop"]["bandwidth"],
-        current_slew=six("current_loop", "slew_rate"),
-        following_error=six("supervision", "following_error"),
-        over_speed=content["supervision"]["over_speed"],
-        start_tolerance=content["trajectory"]["start_tolerance"],
-        max_acceleration=six("trajectory", "max_acceleration"),
-        viscous_exponent=six("feed_forward", "viscous_exponent"),
-        model=model,
-    )
+    return CS7BParameters.of_file(content, model=model)

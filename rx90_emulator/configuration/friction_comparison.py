@@ -8,8 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from rx90_common.base.quoting import one_line
-from rx90_common.friction.element import FrictionElement
-from rx90_common.friction.parameters import FRICTION_PARAMETERS, FrictionParameter
+from rx90_common.friction.element import FRICTION_PARAMETERS, FrictionElement, FrictionParameter
 from rx90_common.report.plot import COLOURS, Curve, Dash, Panel, Plot
 from rx90_emulator.configuration.friction_sets import FrictionChoice
 from rx90_emulator.configuration.origins import ASSUMED, OF_CODE, ShownValue, place_of

@@ -12,7 +12,7 @@ from rx90_common.base.groups import Either, Entries, Group, Variants
 from rx90_common.base.section import ABOUT
 from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import FILES, NO_TOOL, RobotFiles
-from rx90_common.friction.parameters import SIGNS
+from rx90_common.friction.element import SIGNS
 from rx90_controller.law.model import ROLES, ModelFiles
 from rx90_emulator.configuration.check import kind_named
 from rx90_emulator.loop.setup import Setup

@@ -17,10 +17,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rx90_common.base.declared import Declared, declarations
+from rx90_common.base.entries import Integer, ListOf, Number, Other, Rows, Switch
 from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.base.quoting import quoted
-from rx90_common.friction.parameters import FRICTION_PARAMETERS, FRICTION_UNITS
-from rx90_common.friction.parts.table import PARTS
+from rx90_common.friction.element import FRICTION_PARAMETERS, PARTS
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.setup import Setup
 
@@ -31,52 +32,6 @@ Value = float | bool
 SWITCH = "switch"
 """Stands where the unit would, for values that are true or false."""
 
-DRIVES_UNITS = {
-    "gear": "1",
-    "rotor_inertia": "kg m^2",
-    "torque_constant": "Nm/A",
-    "peak_current": "A",
-    "encoder_counts": "1",
-    "velocity_bandwidth": "Hz",
-    "brake_torque": "Nm",
-    "brake_stiffness": "Nm/rad",
-    "brake_damping": "Nm s/rad",
-    "spring_torque": "Nm",
-    "stop_stiffness": "Nm/rad",
-    "stop_damping": "Nm s/rad",
-}
-DRIVE_BLOCKS = {
-    "elasticity": {"stiffness": "Nm/rad", "damping": "Nm s/rad", "backlash": "rad"},
-    "winding": {
-        "resistance": "Ohm",
-        "thermal_resistance": "K/W",
-        "heat_capacity": "J/K",
-        **dict.fromkeys(("ambient", "initial", "reference", "derating", "limit"), "°C"),
-        "coefficient": "1/K",
-    },
-    "current_sensor": {**dict.fromkeys(("offset", "noise", "resolution"), "A"), "bandwidth": "Hz"},
-}
-COGGING_UNITS = {"harmonic": "1", "amplitude": "Nm", "phase": "rad"}
-CONTROLLER_UNITS = {
-    "inertia": "kg m^2",
-    "kp": "1/s",
-    "kv": "1/s",
-    "ki": "1/s^3",
-    "integrator_limit": "Nm",
-    "coulomb": "Nm",
-    "coulomb_velocity": "rad/s",
-    "viscous": "Nm (s/rad)^viscous_exponent",
-    "viscous_exponent": "1",
-    "current_bandwidth": "Hz",
-    "current_slew": "A/s",
-    "following_error": "rad",
-    "over_speed": "1",
-    "start_tolerance": "rad",
-    "max_acceleration": "rad/s^2",
-}
-FEED_FORWARD_UNITS = dict.fromkeys(
-    ("velocity", "acceleration", "coulomb", "viscous", "inverse_dynamics", "friction_model"), SWITCH
-)
 ARM_UNITS = {"mass": "kg", "com": "m", "inertia": "kg m^2"}
 TASK_UNITS = {
     "start": "m",
@@ -154,19 +109,14 @@ class Catalogue:
         self._units: dict[Key, str] = {}
         self._values: dict[Key, Any] = {}
         self._add(("arm",), setup, {"seed": "1"})
-        self._add(("drives",), setup.drives, DRIVES_UNITS)
-        for block, units in DRIVE_BLOCKS.items():
-            self._add(("drives", block), getattr(setup.drives, block), units)
-        if len(setup.drives.cogging.harmonic):
-            self._add(("drives", "cogging"), setup.drives.cogging, COGGING_UNITS)
-        self._add(("controller",), setup.controller, CONTROLLER_UNITS)
-        self._add(("controller", "feed_forward"), setup.controller.feed_forward, FEED_FORWARD_UNITS)
+        self._add_declared(("drives",), setup.drives)
+        self._add_declared(("controller",), setup.controller)
         if task is not None:
             self._add(("task",), task, TASK_UNITS)
         for name, element in zip(setup.friction.names, setup.friction.elements, strict=True):
-            self._add(("friction", name), element, FRICTION_UNITS)
+            self._add_declared(("friction", name), element)
             for part_name, part in element.parts.items():
-                self._add(("friction", name, part_name), part, part.units())
+                self._add_declared(("friction", name, part_name), part)
         chain = setup.robot.chain
         for i in range(len(setup.robot.joint_names)):
             for field, unit in ARM_UNITS.items():
@@ -182,6 +132,17 @@ class Catalogue:
         for field, unit in units.items():
             key = (*prefix, field)
             self._units[key], self._values[key] = unit, getattr(holder, field)
+
+    def _add_declared(self, prefix: Key, holder: Declared) -> None:
+        """Add all numbers and switches that a declared object holds, and what it holds of others."""
+        for one in declarations(type(holder)).values():
+            value, key = getattr(holder, one.name), (*prefix, one.name)
+            if isinstance(value, Declared):
+                self._add_declared(key, value)
+            elif isinstance(one.entry, Switch):
+                self._units[key], self._values[key] = SWITCH, value
+            elif isinstance(one.entry, Number | Integer | Rows | ListOf | Other) and np.size(value):
+                self._units[key], self._values[key] = one.entry.unit or "1", value
 
     def value(self, leaf: Leaf) -> Value:
         """Return a value as the files have it."""

@@ -10,7 +10,7 @@ import numpy as np
 from rx90_common.base.arrays import Record
 from rx90_common.friction import ELEMENT_COUNT, FrictionSet
 from rx90_common.friction.bristles.step import bristles_dtype, bristles_state_dtype
-from rx90_common.friction.element import element_arrays, elements_dtype
+from rx90_common.friction.compiled_elements import element_arrays, elements_dtype
 from rx90_common.friction.parts.bristles import fill_bristles
 from rx90_controller.law.parameters import CONTROLLER_DTYPE
 

@@ -11,8 +11,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from rx90_common.base.arrays import Array, Record
-from rx90_common.friction.bristle import bristle_step, load_elements
+from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.bristles.step import bristles_step
+from rx90_common.friction.compiled_elements import load_elements
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, absolute, fma, load, select, store
 from rx90_controller.law.servo import load_gains, position_servo, velocity_servo

@@ -144,7 +144,7 @@ def test_a_key_that_stands_twice_is_refused(shipped_files: RobotFiles, tmp_path:
 def test_parameters_built_in_python_are_checked(shipped: Setup, name: str, bad: float) -> None:
     """CS7BParameters refuses negative and undefined values by name when no file is involved."""
     value = getattr(shipped.controller, name) * 0 + bad
-    with pytest.raises(ConfigError, match=rf"{name} is .*; accepted"):
+    with pytest.raises(ConfigError, match=rf"controller: {name}(\[0\])? is .*; accepted"):
         dataclasses.replace(shipped.controller, **{name: value})
 
 

@@ -127,5 +127,7 @@ def test_without_errors_the_report_is_the_torque(shipped: Setup) -> None:
 @pytest.mark.parametrize("name", ["noise", "resolution"])
 def test_errors_below_zero_are_refused(name: str) -> None:
     """A deviation or a step below zero is refused in one line."""
-    with pytest.raises(ConfigError, match=rf"current_sensor: {name} is .*; accepted: 6 finite numbers >= 0"):
+    with pytest.raises(
+        ConfigError, match=rf"current_sensor: {name}\[0\] is .*; accepted: 6 numbers, each a number >= 0"
+    ):
         CurrentSensor(**{name: np.full(6, -1.0)})

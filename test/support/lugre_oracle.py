@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristle import one_element
-from rx90_common.friction.element import element_arrays
+from rx90_common.friction.compiled_elements import element_arrays, one_element
+from rx90_common.friction.element import FRICTION_UNITS
 
 Array = NDArray[np.float64]
 
@@ -28,8 +28,7 @@ class LuGreOracle:
     @cached_property
     def _table(self) -> dict[str, Array]:
         """Return the elements' values by name, each shape (n,): a solver asks for them a hundred thousand times."""
-        names = [field.name for field in fields(FrictionElement) if field.type == "float"]
-        return {name: np.array([getattr(element, name) for element in self.elements]) for name in names}
+        return {name: np.array([getattr(element, name) for element in self.elements]) for name in FRICTION_UNITS}
 
     def _values(self, name: str) -> Array:
         return self._table[name]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.friction import ELEMENT_COUNT, FrictionElement
-from rx90_common.friction.element import element_arrays
+from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.parts.load import advance_load
 from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.scatter import advance_scatter

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.friction.bristle import Elements, bristle_step, friction_torque
+from rx90_common.friction.bristle import bristle_step, friction_torque
 from rx90_common.friction.bristles.blocks import MOST_BLOCKS, blocks_dtype, weighted_squares
 from rx90_common.friction.bristles.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.friction.bristles.maxwell_slip import maxwell_slip_step, maxwell_slip_torque
+from rx90_common.friction.compiled_elements import lane_of
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes, lane, load, select, store
 
@@ -48,24 +49,8 @@ def reset_bristles(state: Any) -> None:
 
 
 @inlined
-def _one_of(element: Elements, index: int) -> Elements:
-    """Return one of several elements, in plain numbers."""
-    return Elements(
-        (lane(element.tau_c[0], index), lane(element.tau_c[1], index)),
-        (lane(element.tau_s[0], index), lane(element.tau_s[1], index)),
-        lane(element.inverse_omega_s, index),
-        lane(element.delta, index),
-        lane(element.c0, index),
-        lane(element.c1, index),
-        lane(element.c2, index),
-        lane(element.inverse_omega_d, index),
-        lane(element.alpha, index),
-    )
-
-
-@inlined
 def bristles_step(
-    element: Elements, kinds: Any, state: Any, z: Lanes, velocity: Lanes, step: float, width: int
+    element: Any, kinds: Any, state: Any, z: Lanes, velocity: Lanes, step: float, width: int
 ) -> tuple[Lanes, Lanes]:
     """Advance the bristles of all elements by `step` seconds at constant velocity.
 
@@ -94,14 +79,14 @@ def bristles_step(
         for e in range(width):
             if kinds.blocked[e]:
                 state.deflection[e], state.torque[e] = maxwell_slip_step(
-                    _one_of(element, e), kinds.blocks, e, state.blocks[e], lane(velocity, e), step
+                    lane_of(element, e), kinds.blocks, e, state.blocks[e], lane(velocity, e), step
                 )
         new, torque = load(state.deflection, width), load(state.torque, width)
     return new, torque
 
 
 @inlined
-def bristles_torque(element: Elements, kinds: Any, state: Any, z: Lanes, velocity: Lanes, width: int) -> Lanes:
+def bristles_torque(element: Any, kinds: Any, state: Any, z: Lanes, velocity: Lanes, width: int) -> Lanes:
     """Return the friction torques of all elements at one instant, Nm; arguments as those of `bristles_step`."""
     torque = friction_torque(element, z, velocity)
     if kinds.elastic_used:
@@ -112,7 +97,7 @@ def bristles_torque(element: Elements, kinds: Any, state: Any, z: Lanes, velocit
         for e in range(width):
             if kinds.blocked[e]:
                 state.torque[e] = maxwell_slip_torque(
-                    _one_of(element, e), kinds.blocks, e, state.blocks[e], lane(velocity, e)
+                    lane_of(element, e), kinds.blocks, e, state.blocks[e], lane(velocity, e)
                 )
         torque = load(state.torque, width)
     return torque

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from rx90_common.base.arrays import Array
 from rx90_common.base.entries import LEFT_OUT, ListOf, Number
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Group, Variants
+from rx90_common.base.groups import Variants
 from rx90_common.base.quoting import counted
 from rx90_common.friction.bristles.blocks import MOST_BLOCKS
 from rx90_common.friction.parts.part import FrictionPart
@@ -38,19 +38,19 @@ class BristlesPart(FrictionPart):
         kind: its name in a file.
     """
 
-    name: ClassVar[str] = "bristles"
+    name = "bristles"
     kind: ClassVar[str]
 
     @classmethod
     def entry(cls) -> Variants:
         """Return what a file may hold under the name."""
-        groups = {name: kind.table for name, kind in KINDS.items()}
+        groups = {name: kind.group() for name, kind in KINDS.items()}
         return Variants("Bristles of another kind than LuGre's.", key="kind", groups=groups, default=LEFT_OUT)
 
     @classmethod
     def read(cls, content: Mapping[str, Any]) -> BristlesPart:
         """Return the bristles of what `entry` read."""
-        return KINDS[content["kind"]](**{key: value for key, value in content.items() if key != "kind"})
+        return KINDS[content["kind"]].of_file(content)
 
     @classmethod
     def legend(cls) -> str:
@@ -76,24 +76,18 @@ class BristlesPart(FrictionPart):
 
 @dataclass(frozen=True)
 class ElastoPlastic(BristlesPart):
-    """Bristles that are purely elastic up to break-away.
+    """Elasto-plastic bristles, which are purely elastic up to break-away."""
 
-    Attributes:
-        break_away: the deflection up to which they are, in parts of tau_c / c0, 0 to MOST_BREAK_AWAY.
-    """
+    kind = "elasto_plastic"
+    about = "Elasto-plastic bristles (Dupont, Hayward, Armstrong, Altpeter 2002)."
 
-    kind: ClassVar[str] = "elasto_plastic"
-    table: ClassVar[Group] = Group(
-        "Elasto-plastic bristles (Dupont, Hayward, Armstrong, Altpeter 2002).",
-        keys={
-            "break_away": Number(
-                "Deflection up to which the bristles are purely elastic, in parts of tau_c / c0.", "1",
-                low=0.0, high=MOST_BREAK_AWAY,
-            ),
-        },
-    )  # fmt: skip
-
-    break_away: float
+    break_away: Annotated[
+        float,
+        Number(
+            "Deflection up to which the bristles are purely elastic, in parts of tau_c / c0.", "1",
+            low=0.0, high=MOST_BREAK_AWAY,
+        ),
+    ]  # fmt: skip
 
 
 def _parts(about: str) -> ListOf:
@@ -103,33 +97,24 @@ def _parts(about: str) -> ListOf:
 
 @dataclass(frozen=True)
 class MaxwellSlip(BristlesPart):
-    """Blocks side by side, each of which sticks or slips.
-
-    Attributes:
-        stiffness: of 1 to MOST_BLOCKS blocks in parts of c0; they sum to 1.
-        share: of each block in the sliding torque; they sum to 1.
-        attraction: C, Nm/s.
+    """Blocks side by side, 1 to MOST_BLOCKS, each of which sticks or slips.
 
     Raises:
         ConfigError: also for another number of blocks, and another sum.
     """
 
-    kind: ClassVar[str] = "maxwell_slip"
-    table: ClassVar[Group] = Group(
-        "Generalised Maxwell slip (Lampaert, Al-Bender, Swevers 2003).",
-        keys={
-            "stiffness": _parts("Stiffness of each block in parts of c0; they sum to 1."),
-            "share": _parts("Share of each block in the sliding torque; they sum to 1."),
-            "attraction": Number(
-                "Attraction of the sliding curve; torques come to it at the rate attraction / sliding torque.",
-                "Nm/s", low=0.0, above=True,
-            ),
-        },
-    )  # fmt: skip
+    kind = "maxwell_slip"
+    about = "Generalised Maxwell slip (Lampaert, Al-Bender, Swevers 2003)."
 
-    stiffness: tuple[float, ...]
-    share: tuple[float, ...]
-    attraction: float
+    stiffness: Annotated[tuple[float, ...], _parts("Stiffness of each block in parts of c0; they sum to 1.")]
+    share: Annotated[tuple[float, ...], _parts("Share of each block in the sliding torque; they sum to 1.")]
+    attraction: Annotated[
+        float,
+        Number(
+            "Attraction of the sliding curve; torques come to it at the rate attraction / sliding torque.", "Nm/s",
+            low=0.0, above=True,
+        ),
+    ]  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()

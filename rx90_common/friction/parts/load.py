@@ -38,13 +38,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 
-from rx90_common.base.entries import LEFT_OUT, Number
+from rx90_common.base.entries import Number
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Group
 from rx90_common.friction.parts.part import LEAST_SPEED, FrictionPart
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import exponential, power
@@ -60,51 +59,37 @@ LARGEST_COEFFICIENT: Final = 0.95
 """Largest Coulomb torque over load torque: below 1 the loop above is stable."""
 
 _coefficient = partial(Number, unit="1", low=0.0, high=LARGEST_COEFFICIENT)
-_quadratic = partial(Number, unit="1/Nm", low=0.0, high=1.0, default=0.0)
-_TABLE = Group(
-    "Friction by the torque that the joint transmits.",
-    keys={
-        "driving": _coefficient("Share of the load torque by which friction grows where the motor moves the link."),
-        "driven": _coefficient("The same where the link moves the motor."),
-        "stribeck_driving": _coefficient("Share by which static torque grows beyond driving.", default=0.0),
-        "stribeck_driven": _coefficient("Share by which static torque grows beyond driven.", default=0.0),
-        "quadratic_driving": _quadratic("Growth of static torque by the square of the load torque, driving."),
-        "quadratic_driven": _quadratic("Growth of static torque by the square of the load torque, driven."),
-        "omega_s": Number(
-            "Stribeck velocity of the load's share; 0: that of the element.", "rad/s", low=0.0, high=1e6, default=0.0,
-        ),
-        "relax_time": Number(
-            "Time in which friction follows the load, at least the plant's step.", "s",
-            low=0.0, high=1.0, above=True, default=RELAX_TIME,
-        ),
-    },
-    default=LEFT_OUT,
-)  # fmt: skip
+_quadratic = partial(Number, unit="1/Nm", low=0.0, high=1.0)
 
 
 @dataclass(frozen=True)
 class LoadPart(FrictionPart):
-    """Friction that grows with the transmitted torque; equations in this module's docstring.
+    """Friction that grows with the transmitted torque; equations in this module's docstring."""
 
-    Attributes:
-        driving, driven: Coulomb torque by load torque, 1.
-        stribeck_driving, stribeck_driven: what static torque by load torque has beyond these, 1.
-        quadratic_driving, quadratic_driven: static torque by the square of the load torque, 1/Nm.
-        omega_s: Stribeck velocity of the load's share, rad/s; 0 for the element's.
-        relax_time: in which friction follows the load, s.
-    """
+    name = "load"
+    about = "Friction by the torque that the joint transmits."
 
-    name: ClassVar[str] = "load"
-    table: ClassVar[Group] = _TABLE
-
-    driving: float
-    driven: float
-    stribeck_driving: float = 0.0
-    stribeck_driven: float = 0.0
-    quadratic_driving: float = 0.0
-    quadratic_driven: float = 0.0
-    omega_s: float = 0.0
-    relax_time: float = RELAX_TIME
+    driving: Annotated[
+        float, _coefficient("Share of the load torque by which friction grows where the motor moves the link.")
+    ]
+    driven: Annotated[float, _coefficient("The same where the link moves the motor.")]
+    stribeck_driving: Annotated[float, _coefficient("Share by which static torque grows beyond driving.")] = 0.0
+    stribeck_driven: Annotated[float, _coefficient("Share by which static torque grows beyond driven.")] = 0.0
+    quadratic_driving: Annotated[
+        float, _quadratic("Growth of static torque by the square of the load torque, driving.")
+    ] = 0.0
+    quadratic_driven: Annotated[
+        float, _quadratic("Growth of static torque by the square of the load torque, driven.")
+    ] = 0.0
+    omega_s: Annotated[
+        float, Number("Stribeck velocity of the load's share; 0: that of the element.", "rad/s", low=0.0, high=1e6)
+    ] = 0.0
+    relax_time: Annotated[
+        float,
+        Number(
+            "Time in which friction follows the load, at least the plant's step.", "s", low=0.0, high=1.0, above=True
+        ),
+    ] = RELAX_TIME
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,47 +1,28 @@
-"""What all parts of a friction element have in common: a table of what a file may hold, checks, and their words."""
+"""What all parts of a friction element have in common: what a file may hold, and its words."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Any, ClassVar, Final
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
 
-from rx90_common.base.entries import REQUIRED, Entry, ListOf, Number
-from rx90_common.base.groups import Group
-from rx90_common.base.section import Section, range_text
+from rx90_common.base.declared import Declared, declarations, in_file
+from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, ListOf, Number
+from rx90_common.base.section import range_text
 
 LEAST_SPEED: Final = 1e-9
 """Of Stribeck and fading velocities, rad/s: an arm that goes so far in a second stands, and 1 / v is still a number."""
 
 
 @dataclass(frozen=True)
-class FrictionPart:
-    """A block of a friction element; its fields are the keys of its table, with the same defaults.
-
-    Attributes:
-        name: key of the block in a friction file, and attribute of FrictionElement.
-        table: what the block may hold.
-
-    Raises:
-        ConfigError: for a value that is not in its range, naming block, key, value and range.
-    """
-
-    name: ClassVar[str]
-    table: ClassVar[Group]
-
-    def __post_init__(self) -> None:
-        section = Section(dict(self._as_in_file()), Path(self.name))
-        for key, entry in self.table.keys.items():
-            value = entry.take(section, key)
-            if isinstance(value, float | tuple):  # as a file gives it: no NumPy scalar, which writers do not know
-                object.__setattr__(self, key, value)
+class FrictionPart(Declared):
+    """A block of a friction element, under its name in a friction file and as an attribute of FrictionElement."""
 
     @classmethod
     def entry(cls) -> Entry:
         """Return what a file may hold under the name."""
-        return cls.table
+        return cls.group(LEFT_OUT)
 
     @classmethod
     def read(cls, content: Mapping[str, Any]) -> FrictionPart:
@@ -50,7 +31,7 @@ class FrictionPart:
         Raises:
             ConfigError: as the part itself.
         """
-        return cls(**content)
+        return cls.of_file(content)
 
     @property
     def least_factor(self) -> float:
@@ -68,39 +49,31 @@ class FrictionPart:
 
     def values(self) -> dict[str, Any]:
         """Return the block as it stands in a file, without what has its default."""
-        entries = self.table.keys
-        return {key: value for key, value in self._as_in_file() if value != _plain(entries[key].default)}
+        held = declarations(type(self)).values()
+        return {one.name: in_file(getattr(self, one.name)) for one in held if getattr(self, one.name) != one.default}
 
     def numbers(self) -> dict[str, Any]:
         """Return all values by their names, those of a list one by one: share[0]."""
         found: dict[str, Any] = {}
-        for key, value in self._as_in_file():
+        for key in declarations(type(self)):
+            value = in_file(getattr(self, key))
             found |= {f"{key}[{i}]": each for i, each in enumerate(value)} if isinstance(value, list) else {key: value}
         return found
-
-    def _as_in_file(self) -> Iterator[tuple[str, Any]]:
-        return ((field.name, _plain(getattr(self, field.name))) for field in fields(self))
-
-    @classmethod
-    def units(cls) -> dict[str, str]:
-        """Return the units of the fields."""
-        return {key: entry.unit for key, entry in cls.table.keys.items()}
 
     @classmethod
     def legend(cls) -> str:
         """Return the table as lines of comment, as they stand at the head of friction files."""
-        lines = f"# {cls.name:<8} {cls.table.about[0].lower()}{cls.table.about[1:-1]}:\n"
-        for key, entry in cls.table.keys.items():
+        lines = f"# {cls.name:<8} {in_words(cls.about)}:\n"
+        for key, entry in cls.group().keys.items():
             optional = "" if entry.default is REQUIRED else f"; {_default(entry)} if it is left out"
-            lines += (
-                f"#   {key:<18} {entry.about[0].lower()}{entry.about[1:-1]}, {entry.unit}{_range(entry)}{optional}\n"
-            )
+            lines += f"#   {key:<18} {in_words(entry.about)}, {entry.unit}{_range(entry)}{optional}\n"
         return lines
 
 
-def _plain(value: Any) -> Any:
-    """Return a value as YAML has it."""
-    return [float(each) for each in value] if isinstance(value, tuple) else value
+def in_words(about: str) -> str:
+    """Return the sentence about an entry as words within another one; names of people keep their capital."""
+    start = about if about.startswith(("Coulomb", "Stribeck")) else about[0].lower() + about[1:]
+    return start.removesuffix(".")
 
 
 def _default(entry: Entry) -> str:

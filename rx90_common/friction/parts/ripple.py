@@ -16,13 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
 
-from rx90_common.base.entries import LEFT_OUT, ListOf, Number
+from rx90_common.base.entries import ListOf, Number
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Group
 from rx90_common.base.quoting import counted
 from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.kernels.compiled import inlined
@@ -35,45 +35,39 @@ MOST_TERMS = 8
 """Of each of both sums."""
 
 
-def _numbers(about: str, unit: str, **limits: Any) -> ListOf:
+def _numbers(about: str, unit: str = "1", **limits: Any) -> ListOf:
     accepted = f"a list of up to {MOST_TERMS} numbers"
-    return ListOf(about, unit, item=Number(about, unit, **limits), accepted=accepted, default=())
+    return ListOf(about, unit, item=Number(about, unit, **limits), accepted=accepted)
 
 
-_TABLE = Group(
-    "Friction by the angles of joint and motor.",
-    keys={
-        f"{angle}_{what}": _numbers(f"{about} {angle}.", unit, **limits)
-        for angle in ANGLES
-        for what, about, unit, limits in (
-            ("harmonic", "Waves in a turn of the", "1", {"low": 0.0, "high": 1000.0, "above": True}),
-            ("amplitude", "Share of Coulomb and static torque, of each wave of the", "1", {"low": 0.0, "high": 0.99}),
-            ("phase", "Phase of each cosine where the angle is 0, of the", "rad", {}),
-        )
-    },
-    default=LEFT_OUT,
-)
+_waves = partial(_numbers, low=0.0, high=1000.0, above=True)
+_shares = partial(_numbers, low=0.0, high=0.99)
 
 
 @dataclass(frozen=True)
 class RipplePart(FrictionPart):
     """A Fourier series of the Coulomb and static torque; equations in this module's docstring.
 
-    Attributes:
-        joint_harmonic, motor_harmonic: waves in a turn, 1.
-        joint_amplitude, motor_amplitude: as many, share of Coulomb and static torque, 1.
-        joint_phase, motor_phase: as many or none, which is 0, rad.
+    There are as many amplitudes as harmonics, and as many phases or none, which are 0 then.
     """
 
-    name: ClassVar[str] = "ripple"
-    table: ClassVar[Group] = _TABLE
+    name = "ripple"
+    about = "Friction by the angles of joint and motor."
 
-    joint_harmonic: tuple[float, ...] = ()
-    joint_amplitude: tuple[float, ...] = ()
-    joint_phase: tuple[float, ...] = ()
-    motor_harmonic: tuple[float, ...] = ()
-    motor_amplitude: tuple[float, ...] = ()
-    motor_phase: tuple[float, ...] = ()
+    joint_harmonic: Annotated[tuple[float, ...], _waves("Waves in a turn of the joint.")] = ()
+    joint_amplitude: Annotated[
+        tuple[float, ...], _shares("Share of Coulomb and static torque, of each wave of the joint.")
+    ] = ()
+    joint_phase: Annotated[
+        tuple[float, ...], _numbers("Phase of each cosine where the angle is 0, of the joint.", "rad")
+    ] = ()
+    motor_harmonic: Annotated[tuple[float, ...], _waves("Waves in a turn of the motor.")] = ()
+    motor_amplitude: Annotated[
+        tuple[float, ...], _shares("Share of Coulomb and static torque, of each wave of the motor.")
+    ] = ()
+    motor_phase: Annotated[
+        tuple[float, ...], _numbers("Phase of each cosine where the angle is 0, of the motor.", "rad")
+    ] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()

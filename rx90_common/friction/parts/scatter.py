@@ -20,13 +20,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 
-from rx90_common.base.entries import LEFT_OUT, Number
+from rx90_common.base.entries import Number
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Group
 from rx90_common.base.quoting import quoted
 from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.kernels.compiled import inlined
@@ -50,32 +49,18 @@ def check_seed(seed: object) -> None:
         raise ConfigError(f"seed is {quoted(seed)}; accepted: a whole number from 0 to {LARGEST_SEED}")
 
 
-_TABLE = Group(
-    "A slow random walk of the friction.",
-    keys={
-        "deviation": Number(
-            "Standard deviation, share of Coulomb and static torque.", "1", low=0.0, high=0.2, above=True
-        ),
-        "correlation_time": Number("Time in which the walk forgets.", "s", low=1e-2, high=1e7),
-    },
-    default=LEFT_OUT,
-)
-
-
 @dataclass(frozen=True)
 class ScatterPart(FrictionPart):
-    """A random walk of the Coulomb and static torque; equations in this module's docstring.
+    """A random walk of the Coulomb and static torque; equations in this module's docstring."""
 
-    Attributes:
-        deviation: standard deviation, share of Coulomb and static torque, 1.
-        correlation_time: s.
-    """
+    name = "scatter"
+    about = "A slow random walk of the friction."
 
-    name: ClassVar[str] = "scatter"
-    table: ClassVar[Group] = _TABLE
-
-    deviation: float
-    correlation_time: float
+    deviation: Annotated[
+        float,
+        Number("Standard deviation, share of Coulomb and static torque.", "1", low=0.0, high=0.2, above=True),
+    ]
+    correlation_time: Annotated[float, Number("Time in which the walk forgets.", "s", low=1e-2, high=1e7)]
 
     @property
     def least_factor(self) -> float:

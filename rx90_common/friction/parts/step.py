@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from rx90_common.friction.bristle import Elements, load_elements
 from rx90_common.friction.bristles.step import bristles_energy, bristles_step, bristles_torque, reset_bristles
+from rx90_common.friction.compiled_elements import load_elements, with_present
 from rx90_common.friction.parts.load import load_torques
 from rx90_common.friction.parts.ripple import ripple_factor
 from rx90_common.friction.parts.scatter import start_scatter
@@ -36,7 +36,7 @@ def settle_parts(parts: Any, state: Any, transmitted: Lanes) -> None:
 @inlined
 def effective_elements(
     arrays: Any, parts: Any, state: Any, angle: Lanes, velocity: Lanes, ahead: float, width: int
-) -> Elements:
+) -> Any:
     """Return the parameters that the elements have `ahead` seconds after the last step, at an angle and a velocity."""
     element = load_elements(arrays, width)
     scale = ripple_factor(parts.ripple, angle, width) * load(state.scatter_factor, width)
@@ -46,16 +46,12 @@ def effective_elements(
         warm_static(state.temperature, element.tau_c[0], element.tau_s[0], width),
         warm_static(state.temperature, element.tau_c[1], element.tau_s[1], width),
     )
-    return Elements(
+    return with_present(
+        element,
         (fma(element.tau_c[0], scale, coulomb), fma(element.tau_c[1], scale, coulomb)),
         (fma(still[0], scale, static), fma(still[1], scale, static)),
         element.inverse_omega_s * load(state.temperature.speed, width),
-        element.delta,
-        element.c0,
-        element.c1,
         element.c2 * load(state.temperature.viscous, width),
-        element.inverse_omega_d,
-        element.alpha,
     )
 
 

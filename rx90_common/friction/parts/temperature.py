@@ -35,13 +35,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 
-from rx90_common.base.entries import LEFT_OUT, Number
+from rx90_common.base.entries import Number
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Group
 from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import exponential_less_one
@@ -52,62 +51,31 @@ LOWEST, HIGHEST = -50.0, 200.0
 """Of every temperature, degrees Celsius: oils and greases are liquid at most here."""
 
 _degrees = partial(Number, unit="°C", low=LOWEST, high=HIGHEST)
-_slope = partial(Number, unit="1/K", low=-1.0, high=1.0, default=0.0)
-_TABLE = Group(
-    "Friction by the temperature of the joint, which friction and motor heat.",
-    keys={
-        "reference": _degrees("Temperature at which the element has its own parameters."),
-        "lowest": _degrees("Lowest temperature for which the law holds."),
-        "highest": _degrees("Highest temperature for which it holds."),
-        "start": _degrees("Temperature at the start and after a reset."),
-        "ambient": _degrees("Temperature of the surroundings."),
-        "capacity": Number("Heat capacity of the joint.", "J/K", low=0.0, high=1e9, above=True),
-        "resistance": Number("Between joint and surroundings.", "K/W", low=0.0, high=1e6, above=True),
-        "viscous_scale": Number("Rise that takes viscous friction to 1/e.", "K", low=1.0, high=1000.0),
-        "viscous_floor": Number("Share of viscous friction that stays however warm it is.", "1",
-                                low=0.0, high=1.0, default=0.0),
-        "speed_slope": _slope("Growth of the Stribeck velocity, share of that at the reference."),
-        "static_slope": _slope("Growth of static less Coulomb torque, share of that at the reference."),
-        "motor_share": Number("Share of the heat of the motor's winding that comes to the joint.", "1",
-                              low=0.0, high=1.0, default=1.0),
-    },
-    default=LEFT_OUT,
-)  # fmt: skip
+_slope = partial(Number, unit="1/K", low=-1.0, high=1.0)
+_share = partial(Number, unit="1", low=0.0, high=1.0)
 
 
 @dataclass(frozen=True)
 class TemperaturePart(FrictionPart):
-    """Friction by temperature, and a thermal node; equations in this module's docstring, degrees Celsius.
+    """Friction by temperature, and a thermal node; equations in this module's docstring, degrees Celsius."""
 
-    Attributes:
-        reference: where the element has its own parameters.
-        lowest, highest: between which the law holds.
-        start: at the start and after a reset.
-        ambient: of the surroundings.
-        capacity: heat capacity, J/K.
-        resistance: between joint and surroundings, K/W.
-        viscous_scale: T_V, K.
-        viscous_floor: share of the viscous friction that stays, 1.
-        speed_slope: growth of the Stribeck velocity, 1/K.
-        static_slope: growth of static less Coulomb torque, 1/K.
-        motor_share: share of the motor's heat that comes to the joint, 1.
-    """
+    name = "temperature"
+    about = "Friction by the temperature of the joint, which friction and motor heat."
 
-    name: ClassVar[str] = "temperature"
-    table: ClassVar[Group] = _TABLE
-
-    reference: float
-    lowest: float
-    highest: float
-    start: float
-    ambient: float
-    capacity: float
-    resistance: float
-    viscous_scale: float
-    viscous_floor: float = 0.0
-    speed_slope: float = 0.0
-    static_slope: float = 0.0
-    motor_share: float = 1.0
+    reference: Annotated[float, _degrees("Temperature at which the element has its own parameters.")]
+    lowest: Annotated[float, _degrees("Lowest temperature for which the law holds.")]
+    highest: Annotated[float, _degrees("Highest temperature for which it holds.")]
+    start: Annotated[float, _degrees("Temperature at the start and after a reset.")]
+    ambient: Annotated[float, _degrees("Temperature of the surroundings.")]
+    capacity: Annotated[float, Number("Heat capacity of the joint.", "J/K", low=0.0, high=1e9, above=True)]
+    resistance: Annotated[float, Number("Between joint and surroundings.", "K/W", low=0.0, high=1e6, above=True)]
+    viscous_scale: Annotated[float, Number("Rise that takes viscous friction to 1/e.", "K", low=1.0, high=1000.0)]
+    viscous_floor: Annotated[float, _share("Share of viscous friction that stays however warm it is.")] = 0.0
+    speed_slope: Annotated[float, _slope("Growth of the Stribeck velocity, share of that at the reference.")] = 0.0
+    static_slope: Annotated[float, _slope("Growth of static less Coulomb torque, share of that at the reference.")] = (
+        0.0
+    )
+    motor_share: Annotated[float, _share("Share of the heat of the motor's winding that comes to the joint.")] = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()

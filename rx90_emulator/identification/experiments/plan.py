@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from pathlib import Path
 
@@ -189,10 +189,21 @@ class PlanOptions:
     burst: float = 8.0
 
     def __post_init__(self) -> None:
+        for spec in fields(self):
+            value = getattr(self, spec.name)
+            if isinstance(value, float) and not (math.isfinite(value) and value > 0.0):
+                raise IdentificationError(f"{spec.name} is {value}; accepted: a number > 0")
         if self.travel < _MIN_TRAVEL:
             raise IdentificationError(f"travel is {self.travel} rad; accepted: {_MIN_TRAVEL} or more")
         if not LEAST_SPEEDS <= self.speeds <= _MAX_SPEEDS:
             raise IdentificationError(f"{self.speeds} speeds; accepted: {LEAST_SPEEDS} to {_MAX_SPEEDS}")
+        if self.highest_share > 1.0:
+            raise IdentificationError(f"highest_share is {self.highest_share}; accepted: a number in (0, 1]")
+        if len(self.presliding_cycles) != len(self.tone_amplitudes) or not self.tones:
+            raise IdentificationError(
+                f"{len(self.presliding_cycles)} presliding cycles, {len(self.tone_amplitudes)} amplitudes of the "
+                f"micro-oscillation and {len(self.tones)} tones; accepted: as many cycles as amplitudes, and a tone"
+            )
 
 
 @dataclass(frozen=True)

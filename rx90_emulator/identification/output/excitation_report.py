@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import welch
 
 from rx90_common.base.arrays import Array
-from rx90_common.friction.parameters import FRICTION_UNITS
+from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, Band, Curve, Dots, Heat, Level, Panel, Plot
 from rx90_emulator.identification.excitation.friction.estimates import FrictionCurve

@@ -12,8 +12,8 @@ from rx90_common.base.config import check_numbers
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import plain
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.friction.parameters import FRICTION_UNITS
 from rx90_common.friction.parts.bristles import BristlesPart
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.model.estimates import LARGEST, PARAMETERS, IdentifiedElement, ParameterEstimate

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.friction.parameters import FRICTION_UNITS
+from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Panel, Plot
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters

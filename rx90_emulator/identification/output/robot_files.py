@@ -21,8 +21,8 @@ from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.description.wrist import element_matrix
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.friction.friction_set import element_names
-from rx90_common.friction.parameters import ALPHA_BOUNDS
 from rx90_emulator.identification.excitation.bodies import central
 from rx90_emulator.identification.excitation.consistency import ConsistentInertias
 from rx90_emulator.identification.excitation.result import ASSUMED_BRISTLES, ExcitationIdentification

@@ -21,7 +21,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import decay
 from rx90_common.friction.bristles.step import bristles_dtype
-from rx90_common.friction.element import element_arrays
+from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
 from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE, follow_bristles
 from rx90_common.kernels.compiled import kernel

@@ -65,7 +65,7 @@ class JointRecord:
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
 
     Raises:
-        IdentificationError: if there is no sample, or time does not increase.
+        IdentificationError: if a shape does not fit, a number is not finite, or time does not increase.
     """
 
     names: tuple[str, ...]
@@ -79,6 +79,13 @@ class JointRecord:
     outliers: int = 0
 
     def __post_init__(self) -> None:
+        shape = (len(self.time), len(self.names))
+        for field in ("position", "velocity", "torque"):
+            values = getattr(self, field)
+            if values.shape != shape:
+                raise IdentificationError(f"{self.source}: {field} has shape {values.shape}; accepted: {shape}")
+            if not np.isfinite(values).all():
+                raise IdentificationError(f"{self.source}: {field} holds NaN or infinity; accepted: finite numbers")
         if len(self.time) == 0:
             raise IdentificationError(f"{self.source}: a record of 0 samples; accepted: one or more")
         back = np.flatnonzero(~(np.diff(self.time) > 0.0))

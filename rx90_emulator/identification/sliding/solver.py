@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 
 from rx90_common.base.arrays import Array, Mask
-from rx90_common.friction.parameters import ALPHA_BOUNDS
+from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_emulator.identification.sliding import stribeck
 from rx90_emulator.identification.sliding.equations import (
     NormalForm,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.friction.parameters import LINEAR_SPEED
+from rx90_common.friction.element import LINEAR_SPEED
 from rx90_emulator.identification.model.estimates import SLIDING, VISCOUS_EXPONENT
 
 SIZE = 8

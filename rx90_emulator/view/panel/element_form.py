@@ -13,8 +13,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.quoting import quoted
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.element import FRICTION_PARAMETERS, FRICTION_UNITS, FrictionParameter
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.friction.parameters import FRICTION_PARAMETERS, FRICTION_UNITS, FrictionParameter
 from rx90_common.friction.tracing import prescribed_torque
 from rx90_common.process.files import write_text
 from rx90_common.report.plot import COLOURS, GREY, Curve, Panel

@@ -145,6 +145,24 @@ def test_an_mcap_file_is_read_by_whatever_index_it_has(
     }  # fmt: skip
 
 
+def test_chunks_hold_other_topics_than_those_asked_for(tmp_path: Path) -> None:
+    """Of chunks with as many topics as are asked for, but not the same ones, no message too many is read."""
+    data = b"\x00\x01" * 50  # not decoded here
+    with (tmp_path / "bag.mcap").open("wb") as stream:
+        writer = McapWriter(stream, chunk_size=300)
+        writer.start()
+        schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", b"")
+        channels = {name: writer.register_channel(name, "cdr", schema) for name in ("/a", "/b", "/c")}
+        for i, name in enumerate(["/a", "/b", "/a", "/b", "/a", "/c", "/a", "/c"]):
+            writer.add_message(channels[name], i, data, i)
+        writer.finish()
+    with BagReader(tmp_path / "bag.mcap") as bag:
+        wanted = [topic for topic in bag.topics if topic.name in ("/a", "/c")]
+        assert [(topic.name, log_ns) for topic, log_ns, _ in bag.messages(wanted)] == [
+            ("/a", 0), ("/a", 2), ("/a", 4), ("/c", 5), ("/a", 6), ("/c", 7)
+        ]  # fmt: skip
+
+
 def test_several_files_are_read_as_one(tmp_path: Path) -> None:
     """Files of one folder, whose times overlap, come in the order of log time, with metadata or without."""
     folder = tmp_path / "bag"

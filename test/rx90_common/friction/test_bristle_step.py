@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristle import bristle_step, damping, friction_torque, one_element
-from rx90_common.friction.element import element_arrays
+from rx90_common.friction.bristle import bristle_step, damping, friction_torque
+from rx90_common.friction.compiled_elements import element_arrays, one_element
 
 Record = Callable[[FrictionElement], Any]
 ELEMENT = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)

@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristle import bristle_step, friction_torque, load_elements
-from rx90_common.friction.element import element_arrays
+from rx90_common.friction.bristle import bristle_step, friction_torque
+from rx90_common.friction.compiled_elements import element_arrays, load_elements
 from rx90_common.kernels.lanes import load, store
 from rx90_emulator.loop.setup import Setup
 

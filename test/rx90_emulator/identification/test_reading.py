@@ -211,7 +211,13 @@ def test_a_layout_that_does_not_fit_is_refused(change: dict[str, Any], message: 
 
 
 def test_a_record_checks_itself() -> None:
-    """A record refuses time that stands still."""
+    """A record refuses NaN, time that stands still and wrong shapes."""
     q, v, e = motion(10)
-    with pytest.raises(IdentificationError, match="time goes from"):
-        JointRecord(NAMES, np.zeros(10), q, v, e, Path("bag"), "")
+    record = JointRecord(NAMES, np.arange(10) * 0.1, q, v, e, Path("bag"), "")
+    for change, message in (
+        ({"torque": e * np.nan}, "torque holds NaN"),
+        ({"time": np.zeros(10)}, "time goes from"),
+        ({"velocity": v[:5]}, "velocity has shape"),
+    ):
+        with pytest.raises(IdentificationError, match=message):
+            dataclasses.replace(record, **change)

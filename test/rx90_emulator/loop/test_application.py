@@ -84,8 +84,8 @@ def test_link_values_reach_chain_and_model(shipped: Setup, task: LineTask, catal
     ("path", "value", "kind", "said"),
     [
         ("friction.joint_1.omega_s", 0.0, ConfigError, "friction.joint_1: omega_s is 0.0"),
-        ("drives.gear[*]", 0.0, ConfigError, "drives: gear is"),
-        ("controller.kv[2]", -1.0, ConfigError, "controller: kv is"),
+        ("drives.gear[*]", 0.0, ConfigError, r"drives: gear\[0\] is"),
+        ("controller.kv[2]", -1.0, ConfigError, r"controller: kv\[2\] is"),
         ("arm.link_2.mass", 0.0, ConfigError, "arm.link_2.mass is 0 kg"),
         ("arm.link_2.inertia[0]", 50.0, ConfigError, "arm.link_2.inertia"),
         ("task.speed", -0.1, LineError, "speed is -0.1 m/s"),

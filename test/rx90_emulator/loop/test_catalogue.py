@@ -15,7 +15,7 @@ from rx90_common.description.drives import DriveParameters
 from rx90_common.description.elasticity import Elasticity
 from rx90_common.description.winding import Windings
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.parts.table import PARTS
+from rx90_common.friction.element import PARTS
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.application import with_parameters

@@ -58,9 +58,9 @@ def test_every_value_of_a_part_has_a_path(parted: Setup) -> None:
         ("friction.joint_2.tau_c", -1.0, "friction.joint_2: tau_c_positive is -1.0; accepted"),
         ("friction.joint_1.load.driving", 0.1, "joint_1 has no part load; accepted: with a friction file"),
         ("arm.seed", 0.5, "arm.seed is 0.5; accepted: a whole number from 0 to 9007199254740992"),
-        ("drives.winding.initial", math.nan, "winding: initial is nan; accepted: a finite number"),
-        ("drives.winding.limit", math.nan, "winding: limit is nan; accepted: a finite number"),
-        ("drives.winding.resistance[0]", math.inf, "winding: resistance is [inf, 0.0, 0.0, 0.0, 0.0, 0.0]; accepted"),
+        ("drives.winding.initial", math.nan, "winding: initial is nan; accepted: a number in"),
+        ("drives.winding.limit", math.nan, "winding: limit is nan; accepted: a number in"),
+        ("drives.winding.resistance[0]", math.inf, "winding: resistance[0] is inf; accepted"),
         ("drives.gear[" + "9" * 5000 + "]", 1.0, "is not a path; accepted: such as friction.joint_2.c0"),
         ("arm.seed", math.nan, "arm.seed is nan; accepted: a whole number from 0 to 9007199254740992"),
         ("arm.seed", math.inf, "arm.seed is inf; accepted: a whole number from 0 to 9007199254740992"),
@@ -102,7 +102,7 @@ def test_numpy_s_scalars_are_numbers(parted: Setup) -> None:
     for value in (np.float32("nan"), np.bool_(True), "0.25"):
         with pytest.raises(ConfigError, match=r"accepted: a (finite )?number"):
             LoadPart(value, 0.1)  # type: ignore[arg-type]
-        with pytest.raises(ConfigError, match="accepted: a finite number >= 0"):
+        with pytest.raises(ConfigError, match=r"accepted: a (finite )?number >= 0"):
             replace(parted.friction["joint_2"], c2=value)
 
 

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristle import bristle_step, load_elements, one_element
+from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.bristles import elasto_plastic
 from rx90_common.friction.bristles.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
-from rx90_common.friction.element import element_arrays
+from rx90_common.friction.compiled_elements import element_arrays, load_elements, one_element
 from rx90_common.kernels.lanes import load, store
 
 Array = NDArray[np.float64]

@@ -1,0 +1,211 @@
+"""Parameters declared once, as fields of a dataclass: file, schema, checks, units and paths come from there.
+
+    @dataclass(frozen=True)
+    class Encoder(Declared):
+        '''Encoder of a motor.'''
+
+        counts: Annotated[float, Integer("Counts per revolution.", low=16, high=2**30), "encoder.counts_per_revolution"]
+        bandwidth: Annotated[float, Number("Bandwidth of the observer.", "Hz", low=0.0, above=True)] = 100.0
+
+An entry says what a value may be, and a second one what it may be in Python, where that is more than in a file, which
+is searched for slips of the unit. The text behind them is the key in a file where that is not the field's own name,
+with the blocks that it stands in. The field's default is the file's, too, unless the entry has one of its own or
+REQUIRED stands behind it: then the default means that the whole block is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, dataclass, fields, replace
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, Integer, Number, Numbers
+from rx90_common.base.groups import Group
+from rx90_common.base.section import Section
+
+_Self = TypeVar("_Self", bound="Declared")
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """What one field declares.
+
+    Attributes:
+        name: of the field.
+        keys: under which a file has it, from the outermost block on.
+        entry: what a file may hold there; None where the field has a type that declares its own.
+        in_python: what the field may hold.
+        kind: the field's type.
+        field: of the dataclass.
+    """
+
+    name: str
+    keys: tuple[str, ...]
+    entry: Entry | None
+    in_python: Entry | None
+    kind: Any
+    field: Field[Any]
+
+    @property
+    def default(self) -> Any:
+        """Return the field's default, MISSING without one."""
+        return self.field.default if self.field.default_factory is MISSING else self.field.default_factory()
+
+    @property
+    def by_owner(self) -> bool:
+        """Return whether the entry is a group, which the owner reads and checks."""
+        return isinstance(self.entry, Group)
+
+    @property
+    def spread(self) -> bool:
+        """Return whether a file has one value for all elements of an array."""
+        return isinstance(self.entry, Number | Integer) and not isinstance(self.entry, Numbers) and self.kind is _ARRAY
+
+
+_ARRAY = np.ndarray
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A dataclass whose fields declare what they hold.
+
+    Attributes:
+        name: what stands before the names of fields in messages.
+        about: of the group in a file, in words.
+        blocks: the groups that keys with dots stand in, by name, in words.
+
+    Raises:
+        ConfigError: for a value that its entry does not accept, naming owner, field, value and what is accepted.
+    """
+
+    name: ClassVar[str] = ""
+    about: ClassVar[str] = ""
+    blocks: ClassVar[Mapping[str, str]] = {}
+
+    def __post_init__(self) -> None:
+        section = _Fields({}, Path(self.name))
+        for one in declarations(type(self)).values():
+            value = getattr(self, one.name)
+            if one.in_python is None or one.by_owner or _same(value, one.default):
+                continue
+            section.content[one.name] = in_file(value)
+            taken = one.in_python.take(section, one.name)
+            if one.kind is not _ARRAY:  # as a file gives it: no NumPy scalar, which writers do not know
+                object.__setattr__(self, one.name, taken)
+
+    @classmethod
+    def group(cls, default: Any = REQUIRED) -> Group:
+        """Return what a file may hold: a group of entries, in the order of the fields."""
+        return Group(cls.about, keys=_keys(cls), default=default)
+
+    @classmethod
+    def of_file(cls: type[_Self], content: Mapping[str, Any] | None, **fields: Any) -> _Self:
+        """Return what `group()` has read from a file; all defaults for a block that is left out.
+
+        Args:
+            content: by the file's keys.
+            fields: that the file does not give, by their names.
+
+        Raises:
+            ConfigError: as the class itself.
+        """
+        return cls(**fields) if content is None else cls(**_values(cls, content), **fields)
+
+    @classmethod
+    def units(cls) -> dict[str, str]:
+        """Return the units of the fields, 1 for a pure number."""
+        return {one.name: one.entry.unit or "1" for one in declarations(cls).values() if one.entry is not None}
+
+
+class _Fields(Section):
+    """Values of fields; messages name their owner, if it has a name, instead of a file."""
+
+    def where(self, key: str) -> str:
+        return f"{self.file}: {key}" if self.file.name else key
+
+
+_known: dict[type[Any], dict[str, Declaration]] = {}
+
+
+def declarations(owner: type[Any]) -> dict[str, Declaration]:
+    """Return what the fields of a dataclass declare, by their names; those that declare nothing are not there."""
+    if owner not in _known:
+        _known[owner] = _declared_by(owner)
+    return _known[owner]
+
+
+def _declared_by(owner: type[Any]) -> dict[str, Declaration]:
+    hints, found = get_type_hints(owner, include_extras=True), {}
+    for field in fields(owner):
+        hint = hints[field.name]
+        kind, *said = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        kind = get_origin(kind) or kind
+        entries = [each for each in said if isinstance(each, Entry)]
+        entry, in_python = (entries[0], entries[-1]) if entries else (None, None)
+        own = isinstance(kind, type) and issubclass(kind, Declared)
+        if entry is None and not own:
+            continue
+        keys = tuple(next((each for each in said if isinstance(each, str)), field.name).split("."))
+        one = Declaration(field.name, keys, entry, in_python, kind, field)
+        if entry is not None and entry.default is REQUIRED and REQUIRED not in said and one.default is not MISSING:
+            one = replace(one, entry=replace(entry, default=_as_read(one.default)))
+        found[field.name] = one
+    return found
+
+
+def _keys(owner: type[Declared]) -> dict[str, Entry]:
+    """Return the entries of a file's keys, with the blocks that they stand in."""
+    keys: dict[str, Any] = {}
+    for one in declarations(owner).values():
+        *blocks, last = one.keys
+        if one.entry is not None:
+            inner = keys
+            for block in blocks:
+                inner = inner.setdefault(block, {})
+            inner[last] = one.entry
+        elif last in owner.blocks:  # its keys stand among others of the block
+            keys.setdefault(last, {}).update(_keys(one.kind))
+        else:
+            keys[last] = one.kind.group(LEFT_OUT if one.default is not MISSING else REQUIRED)
+    return {
+        key: Group(owner.blocks[key], keys=entry) if isinstance(entry, dict) else entry for key, entry in keys.items()
+    }
+
+
+def _values(owner: type[Declared], content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of what `group()` has read."""
+    values: dict[str, Any] = {}
+    for one in declarations(owner).values():
+        *blocks, last = one.keys
+        inner = content
+        for block in blocks:
+            inner = inner[block]
+        if one.entry is None:
+            values[one.name] = one.kind.of_file(inner.get(last))
+        elif last in inner and not one.by_owner:
+            value = np.full(6, inner[last], np.float64) if one.spread else inner[last]
+            values[one.name] = np.array(value, dtype=np.float64) if one.kind is _ARRAY else value
+    return values
+
+
+def in_file(value: Any) -> Any:
+    """Return a value as YAML has it."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return [float(each) for each in value] if isinstance(value, tuple) else value
+
+
+def _as_read(default: Any) -> Any:
+    return tuple(default.tolist()) if isinstance(default, np.ndarray) else default
+
+
+def _same(value: Any, default: Any) -> bool:
+    """Return whether a value is the default, which needs no check: it may stand for what is left out."""
+    if default is MISSING:
+        return False
+    if isinstance(default, np.ndarray):
+        return np.shape(value) == default.shape and bool(np.all(np.asarray(value) == default))
+    return value is default or (type(value) is type(default) and bool(value == default))
