@@ -37,6 +37,7 @@ class DriveParameters(Declared):
     current_sensor is ideal.
     """
 
+    name = "drives"
     about = "Drives of an arm with six joints: lists of six values, motor 6 drives joints 5 and 6 together."
     blocks = {  # noqa: RUF012 - a ClassVar of Declared
         "transmission": "Gears and rotors.",

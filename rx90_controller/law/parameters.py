@@ -101,6 +101,7 @@ class CS7BParameters(Declared):
     docs/explanation/closed_loop.md.
     """
 
+    name = "controller"
     about = (
         "Gains, limits and switches of six servo controllers: six values, one for each motor, seen from its joint. "
         "The law: torque = inertia [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward."

@@ -110,7 +110,8 @@ def _replaced(where: str, holder: Any, changes: Changes) -> Any:
     try:
         return replace(holder, **_fields(holder, own), **new)
     except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from error
+        named = str(error).startswith(f"{where}: ")
+        raise error if named else ConfigError(f"{where}: {error}") from error
 
 
 def _by_first_name(changes: Changes) -> dict[str, Changes]:

@@ -59,7 +59,7 @@ def test_every_value_of_a_part_has_a_path(parted: Setup) -> None:
         ("friction.joint_1.load.driving", 0.1, "joint_1 has no part load; accepted: with a friction file"),
         ("arm.seed", 0.5, "arm.seed is 0.5; accepted: a whole number from 0 to 9007199254740992"),
         ("drives.winding.initial", math.nan, "winding: initial is nan; accepted: a number in"),
-        ("drives.winding.limit", math.nan, "winding: limit is nan; accepted: a number in"),
+        ("drives.winding.limit", math.nan, "winding: limit is nan; accepted: a finite number >= -273.15"),
         ("drives.winding.resistance[0]", math.inf, "winding: resistance[0] is inf; accepted"),
         ("drives.gear[" + "9" * 5000 + "]", 1.0, "is not a path; accepted: such as friction.joint_2.c0"),
         ("arm.seed", math.nan, "arm.seed is nan; accepted: a whole number from 0 to 9007199254740992"),
