@@ -29,8 +29,8 @@ from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 
 _BLOCK: Final = 8192  # rows that are read at once
-_LAST_NS: Final = 2**31 * NANOSECONDS  # stamps of ROS end there
-_LARGEST: Final = 1e9  # rad, rad/s, Nm or A: no joint goes there, and a damaged number may
+LAST_NS: Final = 2**31 * NANOSECONDS  # stamps of ROS end there
+LARGEST: Final = 1e9  # rad, rad/s, Nm or A: no joint goes there, and a damaged number may
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 _LONGEST = 1 << 20  # characters of a line; a file that is no text may have no end of line at all
 _COMMENTS = ("#", "%", "//")
@@ -170,17 +170,17 @@ class LogTable:
                 wrong = [row for row in np.flatnonzero(~np.isfinite(numbers[:, k])).tolist()
                          if texts[place][row].as_py().strip().lower().lstrip("+-") not in _NOT_FINITE]  # fmt: skip
             else:
-                wrong = np.flatnonzero(~(np.abs(numbers[:, k]) <= _LARGEST)).tolist()  # a NaN is neither
+                wrong = np.flatnonzero(~(np.abs(numbers[:, k]) <= LARGEST)).tolist()  # a NaN is neither
             for row in wrong:
                 text = texts[place][row].as_py()
                 self.faults.setdefault(first + row, f"column {self._names[k]} is {quoted(text, 30)}")
         stamps = np.zeros(len(rows), dtype=np.int64)
         for row, text in enumerate(texts[self._time].to_pylist() if self._time is not None else ()):
             stamp = _stamp_ns(text, self._decimal, int(self._mapping.seconds * NANOSECONDS))
-            if 0 <= stamp < _LAST_NS:
+            if 0 <= stamp < LAST_NS:
                 stamps[row] = stamp
             else:
-                reason = f"time {quoted(text, 30)}; accepted: 0 to {_LAST_NS // NANOSECONDS} s"
+                reason = f"time {quoted(text, 30)}; accepted: 0 to {LAST_NS // NANOSECONDS} s"
                 self.faults.setdefault(first + row, reason)
         return np.array([number for number, _ in rows], dtype=np.int64), stamps, numbers
 

@@ -1,14 +1,17 @@
-"""The mapping file: what the columns of a log hold, in which units.
+"""The signal map: what a log holds, whose joints or motors it is, and in which units; for tables and bags alike.
 
 ```yaml
 time: {column: 1, unit: s}           # or, without a column of times, rate: 5000 (Hz)
-topics:
-  joint_states:
-    names: [shoulder, elbow]
-    position: {columns: [2, 3], unit: deg}
-    velocity: {columns: [dq1, dq2], unit: rad/s}
-    effort: {columns: [i1, i2], unit: A, factor: [1, -1]}
+names: [shoulder, elbow]
+position: {columns: [2, 3], unit: deg}
+velocity: {columns: [dq1, dq2], unit: rad/s}
+effort: {columns: [i1, i2], unit: A, factor: [1, -1]}
+gear: [100, 80]                      # of motors: as --gear, --coupling, --torque-constant and --zero
+torque_constant: [0.1, 0.08]
 ```
+
+What a bag holds needs no columns: `topic`, `names` and the keys of motors and joints. A table may hold several topics,
+as `topics: {NAME: {names: ..., position: ...}}`; without a name it is `joint_states`.
 
 Columns are numbers from 1 on, or names in the log's header. Of several logs that were written together row by row,
 `file: 2` takes columns from the second. `exact: true`, as `rx90_bag export` writes it, takes numbers and times as they
@@ -21,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -29,8 +32,9 @@ from typing import Any, Final, TypeAlias
 from rx90_common.bags.topics import SERIES_FIELDS, quantities
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import LEFT_OUT, Integer, ListOf, Number, Other, Switch, Text, Texts
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.groups import Entries, Group
+from rx90_common.base.quoting import plain
 from rx90_common.base.section import Section
 
 Column: TypeAlias = int | str
@@ -48,6 +52,12 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = {
 }  # fmt: skip
 """What a unit of each field is in rad, rad/s, Nm, A and °C; of counts, a whole turn."""
 DELIMITERS: Final = {",": ",", ";": ";", "|": "|", "tab": "\t", "space": None}
+ARRAYS: Final = (".parquet", ".npz")
+"""Suffixes of logs of arrays."""
+TABLES: Final = (".csv", ".tsv", ".txt", ".dat", *ARRAYS)
+"""Suffixes of logs in columns."""
+UNNAMED: Final = "joint_states"
+"""Topic of a table whose map names none."""
 _MOST_FILES = 100
 _MOST_COLUMNS = 100_000
 _NAMES = (
@@ -106,9 +116,30 @@ _TOPIC = Group(
     some_of=SERIES_FIELDS,
 )
 
+_NUMBERS = {
+    "gear": Number("", nonzero=True),
+    "coupling": Number(""),
+    "torque_constant": Number("", nonzero=True),
+    "zero": Number(""),
+}
+
+
+def _numbers(name: str, about: str) -> ListOf:
+    return ListOf(about, item=_NUMBERS[name], least=1, accepted="a list of numbers", default=LEFT_OUT)
+
+
+_COLUMNS = ("topics", "position", "velocity", "effort")
 MAPPING = Group(
-    "What the columns of a log hold, for rx90_bag import.",
+    "What a log holds: columns of a table, or messages of a bag.",
     keys={
+        "topic": Text("JointState topic of a bag, or of a table with several.", default=LEFT_OUT),
+        "names": Texts("What the log calls the joints, or their motors.", once=True, default=LEFT_OUT),
+        **{name: _of_field(name) for name in _COLUMNS[1:]},
+        "gear": _numbers("gear", "Motor turns per joint turn: says that the log holds the motors' states."),
+        "coupling": _numbers("coupling", "Turns of each motor per joint turn without the gears, row by row, n x n."),
+        "torque_constant": _numbers("torque_constant", "Torque per unit of effort, where effort is a current, Nm/A."),
+        "zero": _numbers("zero", "Recorded angle of each joint where its angle in the URDF is 0, rad."),
+        "record_time": Switch("Whether a bag's times of recording replace the stamps.", default=False),
         "time": Group(
             "The column of the times.",
             keys={"column": _COLUMN, "unit": Text("Unit of the times.", choices=tuple(SECONDS)), "file": _FILE},
@@ -118,7 +149,8 @@ MAPPING = Group(
             "Rows per second, where no column holds the times.", "Hz", low=1e-3, high=1e6, default=LEFT_OUT
         ),
         "topics": Entries(
-            "Topics of joint states or temperatures, by name.", of=_TOPIC, least=1, what="topic", names=_NAMES
+            "Topics of joint states or temperatures, by name, of a table that holds several.", of=_TOPIC, least=1,
+            what="topic", names=_NAMES, default=LEFT_OUT,
         ),
         "delimiter": Text("Between columns; found out if left out.", choices=tuple(DELIMITERS), default=LEFT_OUT),
         "decimal": Text("Decimal sign; found out if left out.", choices=(".", ","), default=LEFT_OUT),
@@ -126,8 +158,12 @@ MAPPING = Group(
         "exact": Switch("Numbers and times are taken as they stand: NaN, any order.", default=False),
     },
     one_of=("time", "rate"),
+    one_of_with=_COLUMNS,
+    needed_by=dict.fromkeys(_COLUMNS[1:], "names"),
 )  # fmt: skip
-"""What a mapping file holds."""
+"""What a signal map holds."""
+MESSAGE_KEYS: Final = ("topic", "names", "gear", "coupling", "torque_constant", "zero", "record_time")
+"""Of these, those that say what messages hold; they are options of commands, too."""
 
 
 @dataclass(frozen=True)
@@ -181,6 +217,7 @@ class LogMapping:
         decimal: "." or ","; None to find it out.
         header: how many lines of header there are; None to find it out.
         exact: whether every number, also NaN and an infinity, and times in any order are taken as they stand.
+        messages: values of those of MESSAGE_KEYS that it has.
     """
 
     file: Path
@@ -192,12 +229,13 @@ class LogMapping:
     decimal: str | None
     header: int | None
     exact: bool = False
+    messages: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def files(self) -> int:
         """Return how many logs it takes columns from."""
-        used = {field.file for topic in self.topics.values() for field in topic.fields.values()}
-        return max(used | ({self.time[0]} if self.time is not None else set()))
+        used = {one.file for topic in self.topics.values() for one in topic.fields.values()}
+        return max(used | ({self.time[0]} if self.time is not None else {1}))
 
     @classmethod
     def load(cls, path: Path) -> LogMapping:
@@ -209,10 +247,9 @@ class LogMapping:
         root = load_yaml(path)
         content = MAPPING.read(root)
         time = content.get("time")
-        topics = root.section("topics")
         mapping = cls(
             file=path,
-            topics={name: _topic(topics.section(name), topic) for name, topic in content["topics"].items()},
+            topics=_topics(root, content),
             time=None if time is None else (time["file"], time["column"]),
             seconds=Fraction(1) if time is None else SECONDS[time["unit"]],
             rate=content.get("rate"),
@@ -220,6 +257,7 @@ class LogMapping:
             decimal=content.get("decimal"),
             header=content.get("header"),
             exact=content["exact"],
+            messages={key: content[key] for key in MESSAGE_KEYS if key in root},
         )
         if mapping.exact and (mapping.delimiter != "," or mapping.header is None or time is None or mapping.files > 1):
             raise ConfigError(
@@ -231,6 +269,18 @@ class LogMapping:
                 "accepted: two different ones"
             )
         return mapping
+
+
+def _topics(root: Section, content: dict[str, Any]) -> dict[str, TopicMapping]:
+    topics = {}
+    if "topics" in content:
+        section = root.section("topics")
+        topics = {name: _topic(section.section(name), topic) for name, topic in content["topics"].items()}
+    if any(name in content for name in _COLUMNS[1:]):
+        if UNNAMED in {name.removeprefix("/") for name in topics}:
+            root.fault("topics", f" has {UNNAMED}, too, which stands twice; accepted: once")
+        topics[UNNAMED] = _topic(root, content)
+    return topics
 
 
 def _topic(section: Section, content: dict[str, Any]) -> TopicMapping:
@@ -268,3 +318,24 @@ def _each(section: Section, key: str, count: int) -> tuple[float, ...]:
     if 0.0 in values:
         section.refuse(key, 0.0, "numbers other than 0")
     return values
+
+
+def is_table(path: Path) -> bool:
+    """Return whether a path is that of a log in columns, by its suffix."""
+    return path.suffix.lower() in TABLES and not path.is_dir()
+
+
+def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
+    """Return what the columns of a log hold: as given, or by the file beside it that is named as the log, with .yaml.
+
+    Raises:
+        BagError: if there is none.
+        ConfigError: if the file is not acceptable.
+    """
+    beside = path.with_suffix(".yaml")
+    if mapping is None and not beside.is_file():
+        raise BagError(
+            f"{plain(path)}: no {plain(beside.name)} beside it, which says what its columns hold; accepted: that file, "
+            "or --signals FILE"
+        )
+    return LogMapping.load(beside) if mapping is None else mapping

@@ -13,21 +13,44 @@ from functools import cache
 from operator import itemgetter
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any, TypeAlias
+from typing import Any, Protocol
 
 from backports import zstd
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from rx90_common.bags.mapping import LogMapping, is_table
 from rx90_common.bags.mcap_file import MCAP_MAGIC, McapFile, cut_off
-from rx90_common.bags.storage_files import ZSTD_MAGIC, DamagedError, Ros1File, SqliteFile, full_type
+from rx90_common.bags.storage_files import (
+    ZSTD_MAGIC,
+    DamagedError,
+    FileTopic,
+    LoggedMessage,
+    Ros1File,
+    SqliteFile,
+    full_type,
+)  # fmt: skip
 from rx90_common.bags.topics import JOINT_STATE, TEMPERATURE
 from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import BagError, ConfigError, write_error
 from rx90_common.base.quoting import listed, plain
 
-ACCEPTED = "a rosbag2 folder, an .mcap, .db3 or ROS 1 .bag file, also with .zstd"
-StorageFile: TypeAlias = McapFile | SqliteFile | Ros1File
+ACCEPTED = "a rosbag2 folder, an .mcap, .db3 or ROS 1 .bag file, also with .zstd, or a .csv, .parquet or .npz table"
+
+
+class StorageFile(Protocol):
+    """A storage file that is open, or what is read like one."""
+
+    kind: str
+    compression: str
+    topics: list[FileTopic]
+
+    def close(self) -> None:
+        """Close it."""
+
+    def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
+        """Yield the messages of these topics in the order of log time."""
+
 
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _PART = re.compile(r"(.+)_([0-9]+)(\..+)", re.DOTALL)  # of a recording that was split: NAME_0.mcap, NAME_1.mcap, ...
@@ -72,7 +95,7 @@ class BagTopic:
 
 
 class BagReader:
-    """A bag that is open for reading: a rosbag2 folder, an .mcap or .db3 file, or a ROS 1 .bag file.
+    """A bag that is open for reading: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a log in columns.
 
     Use it as a context manager. Each storage file is held against its own index, counts and checksums, and all of them
     against metadata.yaml where there is one; a folder without is read as its files are. What it says of quality of
@@ -80,6 +103,7 @@ class BagReader:
 
     Args:
         path: the folder or file.
+        mapping: what the columns of a log hold, where that is not in the file beside it.
 
     Attributes:
         path: as given.
@@ -91,8 +115,9 @@ class BagReader:
         BagError: if the bag is missing, foreign, damaged, or its metadata disagree with what it holds.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, mapping: LogMapping | None = None) -> None:
         self.path = Path(path)
+        self._mapping = mapping
         if not self.path.exists():
             raise BagError(f"{plain(path)}: no such bag")
         self.files: list[Path] = []
@@ -102,6 +127,12 @@ class BagReader:
         self._stack = ExitStack()
 
     def __enter__(self) -> BagReader:
+        if is_table(self.path):
+            from rx90_common.bags.table_file import TableFile  # pyarrow takes a while
+
+            table = TableFile(self.path, self._mapping)
+            self.files, self._storages, self.effort_units = [self.path], [table], table.effort_units
+            return self
         with ExitStack() as stack:
             metadata = self._find_files()
             self._storages = [self._open(file, stack) for file in self.files]

@@ -31,6 +31,7 @@ class Group(Entry):
     Attributes:
         keys: the entries of their values.
         one_of: keys of which there must be one and no other.
+        one_of_with: keys with which alone one of these is needed; without them none may be there.
         some_of: keys of which there must be one at least.
         needed_by: key that must be there where another one is, by that other one.
         known: whether other keys are refused.
@@ -40,6 +41,7 @@ class Group(Entry):
     _: KW_ONLY
     keys: Mapping[str, Entry] = field(hash=False)
     one_of: tuple[str, ...] = ()
+    one_of_with: tuple[str, ...] = ()
     some_of: tuple[str, ...] = ()
     needed_by: Mapping[str, str] = field(default_factory=dict, hash=False)
     known: bool = True
@@ -73,13 +75,15 @@ class Group(Entry):
         return {**section.content, **found}
 
     def _check_keys(self, section: Section) -> None:
-        if self.one_of:
+        if self.one_of and (not self.one_of_with or any(key in section for key in (*self.one_of_with, *self.one_of))):
             there = [key for key in self.one_of if key in section]
             if len(there) != 1:
                 first, *others = self.one_of
                 told = "both are there" if len(self.one_of) == 2 else f"{len(there)} of them are there"
                 told = told if there else "none is there"
                 section.fault(first, f" and {', '.join(others)}: {told}; accepted: one of them")
+            if self.one_of_with and not any(key in section for key in self.one_of_with):
+                section.fault(there[0], f" alone; accepted: with {', '.join(self.one_of_with)}")
         if self.some_of and not any(key in section for key in self.some_of):
             section.fault(self.some_of[0], f" is missing; accepted: one or more of {', '.join(self.some_of)}")
 
@@ -96,14 +100,23 @@ class Group(Entry):
         if self.known:
             rules["additionalProperties"] = False
         if self.one_of:
-            rules["oneOf"] = [{"required": [key]} for key in self.one_of]
+            one = {"oneOf": [{"required": [key]} for key in self.one_of]}
+            rules |= (
+                {"if": _any_of((*self.one_of_with, *self.one_of)), "then": one | _any_of(self.one_of_with)}
+                if (self.one_of_with)
+                else one
+            )
         if self.some_of:
-            rules["anyOf"] = [{"required": [key]} for key in self.some_of]
+            rules |= _any_of(self.some_of)
         if self.needed_by:
             rules["allOf"] = [
                 {"if": {"required": [key]}, "then": {"required": [other]}} for key, other in self.needed_by.items()
             ]
         return rules
+
+
+def _any_of(keys: tuple[str, ...]) -> JsonSchema:
+    return {"anyOf": [{"required": [key]} for key in keys]}
 
 
 @dataclass(frozen=True)

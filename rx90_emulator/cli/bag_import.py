@@ -46,7 +46,8 @@ def main(args: argparse.Namespace) -> None:
         Rx90Error: if it cannot be done.
     """
     # Here, because --help must not wait for them.
-    from rx90_common.bags.importing import corrupt_text, exported_logs, import_logs
+    from rx90_common.bags.importing import exported_logs, import_logs
+    from rx90_common.bags.log_series import corrupt_text
     from rx90_common.bags.mapping import LogMapping
     from rx90_emulator.cli.progress import progress_bar
 
