@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import JointBag, picked_with_messages, read_joint_bag
 from rx90_common.bags.recorded import moved, robot_of, time_shift
 from rx90_common.bags.storage import BagReader
@@ -57,6 +58,7 @@ def plot_bags(
     align: int | str = 0,
     most: int = 3,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
+    mapping: LogMapping | None = None,
 ) -> list[TopicPlot]:
     """Return the plots of one bag, or of two and their difference (second less first).
 
@@ -70,11 +72,12 @@ def plot_bags(
         align: moves the stamps of the second bag, as in `compare_bags`.
         most: topics by default.
         progress: called with how much of the bags is read, and of how much; no unit.
+        mapping: what the columns of tables hold; by default as the files beside them say.
 
     Raises:
         BagError: as `read_chosen` and `pairs`.
     """
-    chosen = read_chosen(paths, topics, joints, align, most, progress)
+    chosen = read_chosen(paths, topics, joints, align, most, progress, mapping)
     if len(paths) == 1:
         return [_alone(both[0]) for both in chosen]
     robots = tuple(name for name in map(robot_of, paths) if name is not None)
@@ -229,6 +232,7 @@ def read_chosen(
     align: int | str,
     most: int,
     progress: Callable[[int, int], None],
+    mapping: LogMapping | None = None,
 ) -> list[tuple[JointSeries, ...]]:
     """Return a series of each bag for each topic, with equal joints.
 
@@ -239,11 +243,12 @@ def read_chosen(
         align: what the stamps of the second bag are moved by, as in `compare_bags`.
         most: topics by default.
         progress: called with how much of the bags is read, and of how much; no unit.
+        mapping: as in `plot_bags`.
 
     Raises:
         BagError: if a bag cannot be read, or a topic or joint is not there, with what is.
     """
-    there = [_topics(path, topics) for path in paths]
+    there = [_topics(path, topics, mapping) for path in paths]
     both = [name for name in there[0] if all(name in names for names in there)]
     if not both:
         a, b = (f"{plain(path)} has {listed(names)}" for path, names in zip(paths, there, strict=True))
@@ -254,7 +259,7 @@ def read_chosen(
     def tell(before: int, done: int, total: int) -> None:
         progress(_PARTS * before + _PARTS * done // total, _PARTS * len(paths))
 
-    bags = [read_joint_bag(path, wanted, partial(tell, k)) for k, path in enumerate(paths)]
+    bags = [read_joint_bag(path, wanted, partial(tell, k), mapping) for k, path in enumerate(paths)]
     found = [bag.series for bag in bags]
     if len(bags) > 1:
         found[1] = moved(found[1], time_shift(align, bags[0], bags[1]))
@@ -283,8 +288,8 @@ def pairs(both: tuple[JointSeries, ...], names: Sequence[str]) -> tuple[JointSer
     return a.take(rows_a), b.take(rows_b)
 
 
-def _topics(path: Path, topics: Sequence[str] | None) -> list[str]:
-    with BagReader(path) as bag:
+def _topics(path: Path, topics: Sequence[str] | None, mapping: LogMapping | None) -> list[str]:
+    with BagReader(path, mapping) as bag:
         return [topic.name for topic in picked_with_messages(bag, topics)]
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from rx90_common.bags.decoding import SeriesBuilder, TemperatureBuilder
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.storage import BagReader, BagTopic
 from rx90_common.bags.topics import absolute
 from rx90_common.base.errors import BagError
@@ -59,21 +60,27 @@ class JointBag:
 
 
 def read_joint_states(
-    path: Path | str, topic: str, names: Sequence[str] | None = None, *, record_time: bool = False
+    path: Path | str,
+    topic: str,
+    names: Sequence[str] | None = None,
+    *,
+    record_time: bool = False,
+    mapping: LogMapping | None = None,
 ) -> JointSeries:
     """Read one JointState topic of a bag.
 
     Args:
-        path: a rosbag2 folder, an .mcap or .db3 file, or a ROS 1 .bag file.
+        path: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a CSV, Parquet or NPZ table.
         topic: topic name; the leading slash may be left out.
         names: joints wanted, in the order wanted; by default all, as the first message has them.
         record_time: take the times at which messages were recorded for their stamps.
+        mapping: what the columns of a table hold; by default as the file beside it says.
 
     Raises:
         BagError: if the bag cannot be read, has no such JointState topic, no messages in it, or no such
             joint; or if the topic carries several sets of joints and `names` does not pick from one of them.
     """
-    found = read_joint_series(path, [topic], record_time=record_time)[absolute(topic)]
+    found = read_joint_series(path, [topic], record_time=record_time, mapping=mapping)[absolute(topic)]
     if not found:
         raise BagError(f"{path}: no messages in {absolute(topic)}")
     if names is not None:
@@ -117,7 +124,11 @@ def _single(path: Path | str, found: Sequence[JointSeries]) -> JointSeries:
 
 
 def read_joint_series(
-    path: Path | str, topics: Sequence[str] | None = None, *, record_time: bool = False
+    path: Path | str,
+    topics: Sequence[str] | None = None,
+    *,
+    record_time: bool = False,
+    mapping: LogMapping | None = None,
 ) -> dict[str, list[JointSeries]]:
     """Read JointState and Temperature topics of a bag in one pass.
 
@@ -125,6 +136,7 @@ def read_joint_series(
         path: as `read_joint_states`.
         topics: topic names; by default all JointState and Temperature topics of the bag.
         record_time: as `read_joint_states`.
+        mapping: as `read_joint_states`.
 
     Returns:
         By absolute topic name one series for each set of joints that the topic carries, in the order of their
@@ -133,7 +145,7 @@ def read_joint_series(
     Raises:
         BagError: if the bag cannot be read or a topic is not there as JointState or Temperature.
     """
-    with BagReader(path) as bag:
+    with BagReader(path, mapping) as bag:
         wanted = [topic for topic in bag.topics if topic.holds_series]
         if topics is not None:
             wanted = picked(Path(path), bag.topics, topics)
@@ -141,7 +153,10 @@ def read_joint_series(
 
 
 def read_joint_bag(
-    path: Path | str, topics: Collection[str] | None = None, progress: Callable[[int, int], None] = _silent
+    path: Path | str,
+    topics: Collection[str] | None = None,
+    progress: Callable[[int, int], None] = _silent,
+    mapping: LogMapping | None = None,
 ) -> JointBag:
     """Read those of the topics that a bag holds, with a list of all it holds.
 
@@ -149,11 +164,12 @@ def read_joint_bag(
         path: as `read_joint_states`.
         topics: absolute topic names; by default all JointState and Temperature topics of the bag.
         progress: called with the numbers of messages that are read and that there are.
+        mapping: as `read_joint_states`.
 
     Raises:
         BagError: if the bag cannot be read.
     """
-    with BagReader(path) as bag:
+    with BagReader(path, mapping) as bag:
         wanted = [topic for topic in bag.topics if topic.holds_series and (topics is None or topic.name in topics)]
         series = _read(bag, wanted, record_time=False, progress=progress)
         return JointBag(Path(path), bag.topics, series, bag.notes)

@@ -14,6 +14,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.mapping import is_table
 from rx90_common.bags.storage import BagReader, BagTopic
 from rx90_common.bags.topics import JOINT_TRAJECTORY, POINT_FIELDS, STRING, tells_changes
 from rx90_common.base.errors import BagError
@@ -39,6 +40,8 @@ def robot_of(path: Path | str) -> str | None:
     Raises:
         BagError: if the bag cannot be read.
     """
+    if is_table(Path(path)):
+        return None
     with BagReader(path) as bag:
         topics = [t for t in bag.topics if t.msgtype == STRING and t.name.rpartition("/")[2] == _DESCRIPTION]
         first = next(bag.messages(topics), None) if topics else None

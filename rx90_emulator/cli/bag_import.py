@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG",
                         help="log to read, of several the rows belong together; or an exported folder")  # fmt: skip
     parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")
-    parser.add_argument("--mapping", type=Path, metavar="FILE",
+    parser.add_argument("--mapping", "--signals", type=Path, metavar="FILE",
                         help="what the columns hold (the file named as the log, with .yaml)")  # fmt: skip
     parser.add_argument("--skip-corrupt", action="store_true",
                         help="leave out damaged rows and say which; otherwise they are refused")  # fmt: skip
@@ -73,10 +73,7 @@ def main(args: argparse.Namespace) -> None:
 def _mapping_file(args: argparse.Namespace) -> Path:
     if args.mapping is not None:
         return Path(args.mapping)
-    log = Path(args.logs[0])
-    if log.suffix in {".parquet", ".npz"}:
-        raise ConfigError(f"{plain(log)} is no text in columns; accepted: CSV, as rx90_bag export makes it, too")
-    beside = log.with_suffix(".yaml")
+    beside = Path(args.logs[0]).with_suffix(".yaml")
     if not beside.is_file():
         raise ConfigError(
             f"--mapping is missing, and there is no {plain(beside)}; accepted: a file that says what the columns hold"

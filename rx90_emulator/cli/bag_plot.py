@@ -22,6 +22,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("bag", type=Path, metavar="BAG", help="bag: folder, .mcap, .db3 or ROS 1 .bag file")
     parser.add_argument("second", type=Path, nargs="?", metavar="BAG2", help="bag to draw over it")
+    parser.add_argument("--signals", type=Path, metavar="FILE",
+                        help="what the columns of a CSV, Parquet or NPZ table hold (the file named as the table, with "
+                        ".yaml)")  # fmt: skip
     parser.add_argument("-o", "--output", type=place, metavar="FILE",
                         help=".html, .png, .svg or .pdf (the bag's name with .html, here)")  # fmt: skip
     parser.add_argument("--force", action="store_true", help="replace a file that exists")
@@ -40,6 +43,7 @@ def main(args: argparse.Namespace) -> None:
         Rx90Error: if it cannot be done.
     """
     # Here, because --help must not wait for them.
+    from rx90_common.bags.mapping import LogMapping
     from rx90_common.bags.plotting import bag_page, check_suffix, joined, picture_title, plot_bags, robots_text
     from rx90_common.report.picture import write_picture
     from rx90_emulator.cli.bag_compare import alignment
@@ -53,8 +57,11 @@ def main(args: argparse.Namespace) -> None:
         raise ConfigError(f"{plain(output)} exists; accepted: another name, or --force")
     paths = [args.bag] if args.second is None else [args.bag, args.second]
     align, most = alignment(args.align or "0"), 3 if is_page else 1
+    mapping = None if args.signals is None else LogMapping.load(args.signals)
     with progress_bar("reading") as progress:
-        plots = plot_bags(paths, topics=args.topics, joints=args.joints, align=align, most=most, progress=progress)
+        plots = plot_bags(
+            paths, topics=args.topics, joints=args.joints, align=align, most=most, progress=progress, mapping=mapping
+        )
     if is_page:
         write_text(output, bag_page(paths, plots))
     else:

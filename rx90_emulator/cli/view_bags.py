@@ -12,7 +12,7 @@ from rx90_emulator.cli.bag_compare import alignment
 from rx90_emulator.cli.options import add_message_arguments, add_record_arguments
 
 _MOST = 2
-_OF_BAGS = ("topic", "names", "gear", "coupling", "torque_constant", "zero", "record_time")
+_OF_BAGS = ("topic", "names", "gear", "coupling", "torque_constant", "zero", "record_time", "signals")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -248,7 +248,7 @@ def check_friction(
     by_use = {"validation": paths}
     check_given_once(by_use)
     file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
-    source = RecordedRobot.load(robot)
+    source = RecordedRobot.load(robot, by_use["validation"])
     names = source.arm.element_names
     lugre = file.select(names)
     for name in file.elements:
@@ -299,7 +299,7 @@ def identify_friction(
         raise IdentificationError("--bristle-kinds without micro-oscillations; accepted: with --presliding BAG ...")
     by_use = {use: getattr(chosen, use) for use in ("sliding", "presliding", "validation")}
     check_given_once(by_use)
-    source = RecordedRobot.load(robot)
+    source = RecordedRobot.load(robot, [path for paths in by_use.values() for path in paths])
     truth = read_emulated([*chosen.sliding, *chosen.presliding])
     if not chosen.presliding and source.fallback is None:
         raise IdentificationError(

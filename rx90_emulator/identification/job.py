@@ -174,7 +174,7 @@ def run_identification(
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
     total = sum(map(len, vars(chosen).values())) + 2 + len(chosen.validation)
     if bristle_kinds:
-        total += kind_steps(RecordedRobot.load(robot).arm)
+        total += kind_steps(RecordedRobot.load(robot, chosen.sliding).arm)
     with steps(total) as step:
         result = identify_friction(chosen, robot, tolerances, step, bristle_kinds=bristle_kinds)
     files = write_identification(result, output, report, force=force)

@@ -9,7 +9,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from rx90_common.bags.reading import BagReader, read_joint_states
+from rx90_common.bags.mapping import is_table
+from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
@@ -41,6 +42,7 @@ from rx90_emulator.identification.excitation.torques import TorqueValidation, ru
 from rx90_emulator.identification.identify import check_given_once, read_records
 from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.records.layout import topic_names
 from rx90_emulator.identification.records.record import JointRecord
 
 _REFERENCE = "rx90_controller/reference"
@@ -97,7 +99,7 @@ def identify_excitation(
         raise IdentificationError(
             f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
         )
-    source = RecordedRobot.load(robot, massless=True)
+    source = RecordedRobot.load(robot, [*used, *unused], massless=True)
     records = read_records(by_use, source, progress)
     fitted, unseen = records["excitation"], records["validation"]
     progress("filters and equations")
@@ -179,9 +181,8 @@ def _problem(
 
 
 def _is_simulated(record: JointRecord) -> bool:
-    """Return whether a bag holds set-points of this project's controller, which real arms do not have."""
-    with BagReader(record.source) as reader:
-        return any(topic.name == absolute(_REFERENCE) for topic in reader.topics)
+    """Return whether a bag holds set-points of this project's controller, which real arms and tables do not have."""
+    return not is_table(record.source) and absolute(_REFERENCE) in topic_names(record.source)
 
 
 def _setpoints(record: JointRecord) -> Array | None:

@@ -35,6 +35,8 @@ class RobotOptions:
         record_time: whether the times of recording replace the stamps in the headers.
         zero: recorded angle of each joint where that of its URDF is 0, which is subtracted, rad, shape (n,); by
             default 0.
+        signals: signal map that says topic, names, gear, coupling, torque_constant, zero and record_time in their
+            place, and what the columns of tables hold; by default the file beside a table.
     """
 
     robot: str | None = None
@@ -53,6 +55,7 @@ class RobotOptions:
     torque_delay: float = 0.0
     record_time: bool = False
     zero: Sequence[float] | None = None
+    signals: Path | str | None = None
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from rx90_common.bags.mapping import LogMapping, is_table
 from rx90_common.bags.recorded import check_robot
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
@@ -18,7 +20,15 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.layout import JOINT_STATES, BagLayout, recorded_topic
+from rx90_emulator.identification.records.layout import (
+    JOINT_STATES,
+    NO_OPTIONS,
+    BagLayout,
+    MessageOptions,
+    arm_layout,
+    recorded_topic,
+    with_signals,
+)  # fmt: skip
 from rx90_emulator.loop.setup import Setup
 
 
@@ -30,6 +40,8 @@ class RecordedRobot:
         arm: rigid-body model and friction elements.
         setup: for the closed loop; None for another robot than this project's.
         own_layout: of the messages of another robot.
+        options: what the messages of this project's robot hold where it is not as here.
+        mapping: what the columns of tables hold, where that is not in the files beside them.
         fallback: elements whose values stand in for parameters that are not identifiable, bristles of another kind
             with their c0, and whose omega_d is taken over; None to refuse bags that leave such parameters.
         fallback_name: their file.
@@ -46,20 +58,25 @@ class RecordedRobot:
     torque_delay: float = 0.0
     record_time: bool = False
     zero: Array | None = None
+    options: MessageOptions = NO_OPTIONS
+    mapping: LogMapping | None = None
 
     @classmethod
-    def load(cls, options: RobotOptions, *, massless: bool = False) -> RecordedRobot:
+    def load(cls, options: RobotOptions, logs: Sequence[Path] = (), *, massless: bool = False) -> RecordedRobot:
         """Return the robot that the options describe.
 
         Args:
             options: of the command.
+            logs: bags and tables of the robot; what maps beside tables say of the arm counts as the options do.
             massless: whether links without <inertial> are accepted, because only kinematics are wanted.
 
         Raises:
             IdentificationError: if they do not fit each other.
             ConfigError: for a file that cannot be used.
         """
+        options, mapping = with_signals(options, logs)
         robot = _own(options) if options.urdf is None else _other(options, Path(options.urdf), massless=massless)
+        robot = replace(robot, mapping=mapping)
         if options.zero is None:
             return robot
         n = len(robot.arm.names)
@@ -79,19 +96,23 @@ class RecordedRobot:
             BagError: if the bag cannot be read, or is another robot's.
             IdentificationError: if it holds neither motor nor joint states.
         """
-        return replace(self._layout(bag, fast=fast), record_time=self.record_time, zero=self.zero)
-
-    def _layout(self, bag: Path, *, fast: bool) -> BagLayout:
         if self.own_layout is not None:
-            return self.own_layout
+            topic = (
+                recorded_topic(bag, (self.own_layout.topic,), self.mapping) if is_table(bag) else self.own_layout.topic
+            )
+            return replace(
+                self.own_layout, topic=topic, record_time=self.record_time, zero=self.zero, mapping=self.mapping
+            )
         assert self.setup is not None
-        check_robot(bag, self.setup.robot.model.name)
+        setup = self.setup
+        check_robot(bag, setup.robot.model.name)
         topics = (MOTOR_STATES, JOINT_STATES) if fast else (JOINT_STATES, MOTOR_STATES)
-        return BagLayout.rx90(recorded_topic(bag, topics), self.setup)
+        topic = self.options.topic or recorded_topic(bag, topics, self.mapping)
+        return arm_layout(topic, setup.robot.joint_names, self.options, lambda: setup.drives.gear, self.mapping)
 
 
 def _own(options: RobotOptions) -> RecordedRobot:
-    for name in ("topic", "joints", "names", "gear", "coupling", "torque_constant", "rotor_inertia", "spring"):
+    for name in ("joints", "rotor_inertia", "spring"):
         if getattr(options, name) is not None:
             raise IdentificationError(
                 f"--{name.replace('_', '-')} without --urdf; accepted: with --urdf of another robot"
@@ -100,7 +121,8 @@ def _own(options: RobotOptions) -> RecordedRobot:
     setup = Setup.load(files)
     arm = RigidArm.from_setup(setup)
     name = options.fallback or files.text("friction")
-    return RecordedRobot(arm, setup, None, *_fallback(name, arm), options.torque_delay, options.record_time)
+    return RecordedRobot(arm, setup, None, *_fallback(name, arm), options.torque_delay, options.record_time,
+                         options=options)  # fmt: skip
 
 
 def _other(options: RobotOptions, urdf: Path, *, massless: bool) -> RecordedRobot:

@@ -49,7 +49,9 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
             back, or velocities are not those of the positions.
     """
     path = Path(path)
-    series = read_joint_states(path, layout.topic, layout.messages, record_time=layout.record_time)
+    series = read_joint_states(
+        path, layout.topic, layout.messages, record_time=layout.record_time, mapping=layout.mapping
+    )
     position, effort = _required(path, series, "position"), _required(path, series, "effort")
     unit = series.units["effort"]
     if unit != "Nm" and (unit != "A" or layout.torque_constant is None):

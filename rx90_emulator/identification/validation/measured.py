@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
+from rx90_common.bags.mapping import LogMapping, is_table, mapping_of
 from rx90_common.bags.reading import BagReader
 from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
@@ -30,7 +31,13 @@ from rx90_emulator.identification.excitation.filtering import (
     low_pass_taps,
 )
 from rx90_emulator.identification.excitation.problem import SlidingState, element_states
-from rx90_emulator.identification.records.layout import JOINT_STATES, BagLayout, recorded_topic
+from rx90_emulator.identification.records.layout import (
+    JOINT_STATES,
+    BagLayout,
+    arm_layout,
+    recorded_topic,
+    with_signals,
+)  # fmt: skip
 from rx90_emulator.identification.records.reading import read_record
 from rx90_emulator.identification.records.record import BagSource, JointRecord
 from rx90_emulator.identification.validation.options import MeasuredLayout, MeasuredTolerances
@@ -81,42 +88,34 @@ def bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
 
     Raises:
         BagError: if the bag cannot be read, or is another robot's.
+        ConfigError: for a signal map that is not acceptable.
         IdentificationError: for options of another size, and a bag without states.
     """
     check_robot(bag, setup.robot.model.name)
     joints = setup.robot.joint_names
-    topic = options.topic or recorded_topic(bag, (MOTOR_STATES, JOINT_STATES), "; accepted: --topic")
+    options, mapping = with_signals(options, [bag])
+    topic = options.topic or recorded_topic(bag, (MOTOR_STATES, JOINT_STATES), mapping)
     if options.names is None:
-        _check_names(bag, topic, joints)
-    motors = topic.strip("/") == MOTOR_STATES
-    for name, size in (("names", 6), ("gear", 6), ("torque_constant", 6), ("zero", 6), ("coupling", 36)):
-        values = getattr(options, name)
-        if values is not None and len(values) != size:
-            raise IdentificationError(f"--{name.replace('_', '-')}: {len(values)} values; accepted: {size}")
-    messages = tuple(options.names or (MOTOR_NAMES if motors else joints))
-    constant = _array(options.torque_constant)
-    gear = _array(options.gear) if options.gear is not None or not motors else setup.drives.gear
-    if gear is None and options.coupling is not None:
-        raise IdentificationError("--coupling without --gear; accepted: for the motors' states, with their --gear")
-    coupling = coupling_matrix() if options.coupling is None else np.reshape(options.coupling, (6, 6))
-    layout = BagLayout.of(topic, messages, joints, gear, coupling, constant)
-    return replace(layout, record_time=options.record_time, zero=_array(options.zero))
+        _check_names(bag, topic, joints, mapping)
+    return arm_layout(topic, joints, options, lambda: setup.drives.gear, mapping)
 
 
-def _array(values: Sequence[float] | None) -> Array | None:
-    return None if values is None else np.array(values, dtype=np.float64)
-
-
-def _check_names(bag: Path, topic: str, joints: Sequence[str]) -> None:
-    """Refuse a bag whose first message names none of this arm's joints or motors: another arm's."""
-    with BagReader(bag) as reader:
-        there = [one for one in reader.topics if one.name == absolute(topic) and one.is_joint_state]
-        first = next(reader.messages(there), None) if there else None
-        names = [str(name) for name in reader.deserialize(first[0], first[2]).name] if first else []
+def _check_names(bag: Path, topic: str, joints: Sequence[str], mapping: LogMapping | None) -> None:
+    """Refuse a log whose first message names none of this arm's joints or motors: another arm's."""
+    names = _first_names(bag, topic, mapping)
     if names and not {*names} & {*joints, *MOTOR_NAMES}:
         raise IdentificationError(
             f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or --names; {OTHER_ARMS}"
         )
+
+
+def _first_names(bag: Path, topic: str, mapping: LogMapping | None) -> Sequence[str]:
+    if is_table(bag):
+        return next((t.names for name, t in mapping_of(bag, mapping).topics.items() if absolute(name) == topic), ())
+    with BagReader(bag) as reader:
+        there = [one for one in reader.topics if one.name == absolute(topic) and one.is_joint_state]
+        first = next(reader.messages(there), None) if there else None
+        return [str(name) for name in reader.deserialize(first[0], first[2]).name] if first else []
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,7 +262,7 @@ def compare_measured(
             f"{path}: no joint moves, and torques at rest are not compared; accepted: a joint that slides over "
             f"{1e3 * _MIN_TRAVEL:g} mrad or more"
         )
-    setpoints = recorded_setpoints(run, record.position[0], setup, what.zero) or path_setpoints(run, setup)
+    setpoints = recorded_setpoints(run, record.position[0], setup, what) or path_setpoints(run, setup)
     beyond = setpoints.beyond(path, setup.controller.limits(setup.robot), setup.rates.position_period)
     progress("closed loop")
     simulated = _Simulated(setup, setpoints, run)

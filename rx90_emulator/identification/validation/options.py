@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from rx90_common.base.errors import ConfigError
 
@@ -23,6 +24,8 @@ class MeasuredLayout:
         torque_constant: torque per unit of effort, shape (6,), if effort is a current, Nm/A.
         zero: recorded angle of each joint where that of the URDF is 0, which is subtracted, rad, shape (6,).
         record_time: whether the times of recording replace the stamps in the headers.
+        signals: signal map that says all this in their place, and what the columns of a table hold; by default the
+            file beside a table.
     """
 
     topic: str | None = None
@@ -32,6 +35,7 @@ class MeasuredLayout:
     torque_constant: Sequence[float] | None = None
     zero: Sequence[float] | None = None
     record_time: bool = False
+    signals: Path | str | None = None
 
 
 @dataclass(frozen=True)

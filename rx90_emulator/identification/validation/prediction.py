@@ -275,7 +275,7 @@ def validate(
     bag = record.source
     torque = predict_torque(robot.arm, lugre, sliding, record)
     tip_time, distance = np.zeros(0), np.zeros(0)
-    reference = None if robot.setup is None else read_setpoints(bag, record.names, robot.zero)
+    reference = None if robot.setup is None else read_setpoints(bag, record.names, robot.zero, robot.mapping)
     if robot.setup is not None and reference is not None:
         tip_time, distance = tip_difference(robot.setup, lugre, record, reference)
     # With sweeps, these have been asked already.

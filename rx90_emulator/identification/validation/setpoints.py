@@ -10,13 +10,15 @@ import numpy as np
 from scipy.interpolate import BPoly, make_interp_spline
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.reading import BagReader, read_joint_states
+from rx90_common.bags.mapping import LogMapping
+from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_controller.trajectory import JointLimits
 from rx90_emulator.identification.excitation.filtering import FilteredRun
+from rx90_emulator.identification.records.layout import BagLayout, topic_names
 from rx90_emulator.loop.closed_loop import run_setpoints
 from rx90_emulator.loop.result import FastSeries, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
@@ -83,18 +85,20 @@ class SetPoints:
         )
 
 
-def read_setpoints(bag: Path, names: Sequence[str], zero: Array | None) -> JointSeries | None:
+def read_setpoints(
+    bag: Path, names: Sequence[str], zero: Array | None, mapping: LogMapping | None = None
+) -> JointSeries | None:
     """Return the set-points of this project's controller that a bag holds; None where it holds none.
 
     Args:
         bag: the bag.
         names: of the joints.
         zero: recorded angles where those of the URDF are 0, rad, shape (6,); they are taken off the positions.
+        mapping: what the columns of a table hold, where that is not in the file beside it.
     """
-    with BagReader(bag) as reader:
-        if all(topic.name != absolute(REFERENCE) for topic in reader.topics):
-            return None
-    series = read_joint_states(bag, REFERENCE, names)
+    if absolute(REFERENCE) not in topic_names(bag, mapping):
+        return None
+    series = read_joint_states(bag, REFERENCE, names, mapping=mapping)
     if series.position is None or series.velocity is None:
         return None
     return series if zero is None else replace(series, position=series.position - zero)
@@ -124,7 +128,7 @@ def run_along(
     return fast, slow, np.asarray(controller.saturated / ticks)
 
 
-def recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, zero: Array | None) -> SetPoints | None:
+def recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, layout: BagLayout) -> SetPoints | None:
     """Return the set-points of this project's controller that a bag holds; None where it holds none.
 
     A bag that begins at time 0 with an arm at rest is simulated as it ran, from its brakes on.
@@ -133,13 +137,13 @@ def recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, zero: Array
         run: the measured motion.
         first: where the measured arm was at first, rad, shape (6,).
         setup: the robot.
-        zero: recorded angles where those of the URDF are 0, rad, shape (6,).
+        layout: of the bag, for its zeros and the columns of a table.
 
     Raises:
         IdentificationError: for a series with gaps, or one that ends before the measured motion begins.
     """
     bag, rates = run.source.path, setup.rates
-    series = read_setpoints(bag, run.names, zero)
+    series = read_setpoints(bag, run.names, layout.zero, layout.mapping)
     if series is None:
         return None
     assert series.position is not None

@@ -14,20 +14,18 @@ from tqdm import tqdm
 
 from rx90_common.bags.decoding import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.mapping import is_table
 from rx90_common.bags.reading import BagReader, BagTopic
 from rx90_common.bags.recorded import ParameterChange, changes_of, check_robot
 from rx90_common.bags.topics import FIELDS, absolute, tells_changes
-from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.description.urdf import JOINT_COUNT
-from rx90_common.description.wrist import coupling_matrix
-from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES, SAMPLED
-from rx90_emulator.identification.records.layout import BagLayout
+from rx90_common.exchange.topics import MOTOR_STATES, SAMPLED
+from rx90_emulator.identification.records.layout import BagLayout, arm_layout, with_signals
 from rx90_emulator.identification.validation.options import MeasuredLayout
 from rx90_emulator.view.bags.track import Track
 
@@ -38,7 +36,6 @@ _SLACK = 0.05  # rad beyond a joint's range: end stops give way
 _STEP = 8192  # messages between two looks at the progress bar
 _JOINT_STATES = "joint_states"
 _ONCE_MORE = f"/{SAMPLED}/{_JOINT_STATES}"
-_SIZES = dict.fromkeys(("names", "gear", "torque_constant", "zero"), JOINT_COUNT) | {"coupling": JOINT_COUNT**2}
 _BLOCK = 1 << 16  # messages
 
 
@@ -132,41 +129,6 @@ class SeriesCollector:
         return JointSeries(self.topic.name, names, stamps, **whole, effort_unit=unit)
 
 
-def arm_layout(bag: BagReader, robot: RobotModel, files: RobotFiles, options: MeasuredLayout) -> BagLayout:
-    """Return what to read of a bag; by default `joint_states` in any namespace, else `motor_states`.
-
-    Raises:
-        BagError: for a bag without joint angles, or with those of several arms, and options of another size.
-        ConfigError: if the drives file is not acceptable, which is read for the gears of motors.
-        IdentificationError: if gears and coupling do not fit together.
-    """
-    topic = _topic(bag, options.topic)
-    for name, size in _SIZES.items():
-        values = getattr(options, name)
-        if values is not None and len(values) != size:
-            raise BagError(f"--{name.replace('_', '-')}: {len(values)} values; accepted: {size}")
-    motors = topic.name.rpartition("/")[2] == MOTOR_STATES
-    messages = tuple(options.names or (MOTOR_NAMES if motors else robot.joint_names))
-    if options.gear is None and not motors:
-        if options.coupling is not None:
-            raise BagError("--coupling without --gear; accepted: for the motors' states, with their --gear")
-        layout = BagLayout(topic.name, messages, robot.joint_names)
-    else:
-        gear = load_drives(files.drives).gear if options.gear is None else np.array(options.gear, dtype=np.float64)
-        coupling = (
-            coupling_matrix() if options.coupling is None else np.reshape(options.coupling, (JOINT_COUNT, JOINT_COUNT))
-        )
-        layout = BagLayout.of(topic.name, messages, robot.joint_names, gear, coupling)
-    return replace(
-        layout, record_time=options.record_time, zero=_array(options.zero),
-        torque_constant=_array(options.torque_constant),
-    )  # fmt: skip
-
-
-def _array(values: Sequence[float] | None) -> Array | None:
-    return None if values is None else np.array(values, dtype=np.float64)
-
-
 def _topic(bag: BagReader, wanted: str | None) -> BagTopic:
     held = [topic for topic in bag.topics if topic.is_joint_state and topic.count]
     there = listed(topic.name for topic in held) or "none"
@@ -177,6 +139,7 @@ def _topic(bag: BagReader, wanted: str | None) -> BagTopic:
         # Of those recorded with what the simulation publishes once more for who looks on.
         fitting = [topic for topic in fitting if not topic.name.endswith(_ONCE_MORE)] or fitting
         fitting = fitting or [topic for topic in held if topic.name.rpartition("/")[2] == MOTOR_STATES]
+        fitting = fitting or held * (is_table(bag.path) and len(held) == 1)
     if len(fitting) == 1:
         return fitting[0]
     if fitting:
@@ -245,12 +208,14 @@ def open_recording(path: Path, robot: RobotModel, files: RobotFiles, options: Me
 
     Raises:
         BagError: if the bag cannot be read, is of another robot, or tells no joint angles or no times.
-        ConfigError: if the drives file is not acceptable.
-        IdentificationError: if gears and coupling do not fit together.
+        ConfigError: if the drives file or a signal map is not acceptable.
+        IdentificationError: for options of another size, and gears and coupling that do not fit together.
     """
     check_robot(path, robot.model.name)
-    with BagReader(path) as bag:
-        layout = arm_layout(bag, robot, files, options)
+    options, mapping = with_signals(options, [path])
+    with BagReader(path, mapping) as bag:
+        topic = _topic(bag, options.topic)
+        layout = arm_layout(topic.name, robot.joint_names, options, lambda: load_drives(files.drives).gear, mapping)
         topics = bag.topics
         arm = next(topic for topic in topics if topic.name == layout.topic and topic.is_joint_state)
         collectors = {arm: SeriesCollector(bag, arm, FIELDS, layout.messages, layout.record_time)}
