@@ -1,9 +1,9 @@
 """The two verbs of the `ros2` command line that docs/ uses, for an environment without it.
 
-    ros2_stand_in.py topic pub --once -w COUNT TOPIC TYPE YAML
+    ros2_stand_in.py topic pub --once -w COUNT --keep-alive SECONDS TOPIC TYPE YAML
     ros2_stand_in.py service call SERVICE TYPE YAML
 
-As the real one, `topic pub --once -w COUNT` waits for as many subscriptions and goes when the message is sent.
+As the real one, `topic pub --once -w COUNT` waits for as many subscriptions and goes some time after it has sent.
 """
 
 from __future__ import annotations
@@ -46,12 +46,13 @@ def main() -> int:
     node = rclpy.create_node("ros2_stand_in")
     deadline = time.monotonic() + _TIMEOUT
     if verb[:4] == ["topic", "pub", "--once", "-w"]:
-        (wanted,) = map(int, verb[4:])
+        wanted, option, seconds = int(verb[4]), *verb[5:]
+        assert option == "--keep-alive", verb
         publisher = node.create_publisher(interface(kind), name, 10)
         while publisher.get_subscription_count() < wanted and time.monotonic() < deadline:
             time.sleep(0.05)
         publisher.publish(filled(interface(kind)(), yaml.safe_load(text)))
-        time.sleep(0.1)
+        time.sleep(float(seconds))
     else:
         assert verb == ["service", "call"], verb
         client = node.create_client(interface(kind), name)
