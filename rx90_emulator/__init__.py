@@ -77,13 +77,14 @@ if TYPE_CHECKING:
     from rx90_emulator.identification.job import write_excitation, write_identification, write_measured
     from rx90_emulator.identification.model.options import (
         ExcitationTolerances,
+        MeasuredLayout,
         RobotOptions,
         ValidationTolerances,
     )
     from rx90_emulator.identification.output.excitation_report import excitation_summary
     from rx90_emulator.identification.output.report import identification_summary, measured_summary
     from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured
-    from rx90_emulator.identification.validation.options import MeasuredLayout, MeasuredTolerances
+    from rx90_emulator.identification.validation.options import MeasuredTolerances
     from rx90_emulator.identification.validation.prediction import Validation
     from rx90_emulator.loop.application import with_parameters
     from rx90_emulator.loop.catalogue import parameters
@@ -216,11 +217,13 @@ _HOMES = {
     "rx90_emulator.identification.experiments.plan": "Experiment",
     "rx90_emulator.identification.identify": "check_friction identify_friction FrictionIdentification",
     "rx90_emulator.identification.job": "write_excitation write_identification write_measured",
-    "rx90_emulator.identification.model.options": "ExcitationTolerances RobotOptions ValidationTolerances",
+    "rx90_emulator.identification.model.options": (
+        "ExcitationTolerances MeasuredLayout RobotOptions ValidationTolerances"
+    ),
     "rx90_emulator.identification.output.excitation_report": "excitation_summary",
     "rx90_emulator.identification.output.report": "measured_summary identification_summary",
     "rx90_emulator.identification.validation.measured": "compare_measured MeasuredComparison",
-    "rx90_emulator.identification.validation.options": "MeasuredLayout MeasuredTolerances",
+    "rx90_emulator.identification.validation.options": "MeasuredTolerances",
     "rx90_emulator.identification.validation.prediction": "Validation",
     "rx90_emulator.loop.application": "with_parameters",
     "rx90_emulator.loop.catalogue": "parameters",

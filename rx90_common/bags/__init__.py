@@ -7,6 +7,7 @@ __all__ = [
     "exporting",
     "importing",
     "joint_series",
+    "log_series",
     "mapping",
     "ordering",
     "plotting",

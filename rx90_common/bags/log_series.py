@@ -15,7 +15,7 @@ from rx90_common.bags.array_table import ArrayTable
 from rx90_common.bags.batch import Int64Array
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.log_table import LogTable
-from rx90_common.bags.mapping import ARRAYS, LogMapping
+from rx90_common.bags.mapping import ARRAYS, LogMapping, mapping_of
 from rx90_common.bags.topics import absolute
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import counted, plain, quoted
@@ -85,8 +85,7 @@ def read_logs(
     Raises:
         BagError: if a log cannot be read, does not fit its mapping or holds damaged rows.
     """
-    if not mapping.topics:
-        raise BagError(f"{plain(mapping.file)}: names no columns of {plain(paths[0])}; accepted: such as position")
+    mapping = mapping_of(paths[0], mapping)
     if len(paths) != mapping.files:
         given = f"{len(paths)} log{'s' * (len(paths) != 1)}"
         raise BagError(f"{given}; accepted: {mapping.files}, those that {plain(mapping.file)} takes columns from")

@@ -329,7 +329,7 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
     """Return what the columns of a log hold: as given, or by the file beside it that is named as the log, with .yaml.
 
     Raises:
-        BagError: if there is none.
+        BagError: if there is none, or it names no columns.
         ConfigError: if the file is not acceptable.
     """
     beside = path.with_suffix(".yaml")
@@ -338,4 +338,7 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
             f"{plain(path)}: no {plain(beside.name)} beside it, which says what its columns hold; accepted: that file, "
             "or --signals FILE"
         )
-    return LogMapping.load(beside) if mapping is None else mapping
+    found = LogMapping.load(beside) if mapping is None else mapping
+    if not found.topics:
+        raise BagError(f"{plain(found.file)}: names no columns of {plain(path)}; accepted: such as position")
+    return found

@@ -18,17 +18,10 @@ from rx90_common.exchange.topics import MOTOR_STATES
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
+from rx90_emulator.identification.model.arm_layout import NO_OPTIONS, MessageOptions, arm_layout, with_signals
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.layout import (
-    JOINT_STATES,
-    NO_OPTIONS,
-    BagLayout,
-    MessageOptions,
-    arm_layout,
-    recorded_topic,
-    with_signals,
-)  # fmt: skip
+from rx90_emulator.identification.records.layout import JOINT_STATES, BagLayout, recorded_topic
 from rx90_emulator.loop.setup import Setup
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from scipy.signal import resample_poly
 
 import rx90_emulator as rx
@@ -130,6 +131,29 @@ def test_the_layout_is_undone(measured: Measured) -> None:
     assert changed.time[0] > 1.6e9
     for name in ("torque_rms", "torque_share", "position_rms", "lag"):
         np.testing.assert_allclose(getattr(changed, name), getattr(plain, name), rtol=2e-3, atol=1e-6)
+
+
+def test_a_table_of_motors_is_compared_as_their_bag(measured: Measured) -> None:
+    """Motor angles and torques in an NPZ file, by a map beside it, give the bag's figures, set-points included."""
+    motors, reference = measured.run.series["motor_states"], measured.run.series["rx90_controller/reference"]
+    both = np.isin(motors.stamp_ns, reference.stamp_ns)
+    bag = measured.write("some", motors.take(both), (reference,))
+    arrays = {"t": motors.stamp_ns[both]}
+    topics: dict[str, Any] = {}
+    for series, topic in ((motors.take(both), "motor_states"), (reference, "rx90_controller/reference")):
+        topics[topic] = {"names": list(series.names)}
+        for field, unit in (("position", "rad"), ("velocity", "rad/s"), ("effort", "Nm")):
+            if field in series.fields and not (series is reference and field == "effort"):
+                arrays[f"{topic}_{field}".replace("/", "_")] = series.fields[field]
+                columns = [f"{topic}_{field}[{k}]".replace("/", "_") for k in range(6)]
+                topics[topic][field] = {"columns": columns, "unit": unit}
+    np.savez(measured.folder / "log.npz", **arrays)
+    content = {"time": {"column": "t", "unit": "ns"}, "topic": "motor_states", "topics": topics}
+    (measured.folder / "log.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    table, plain = (rx.compare_measured(log, measured.setup) for log in (measured.folder / "log.npz", bag))
+    assert table.setpoints == plain.setpoints == "rx90_controller/reference in the bag"
+    np.testing.assert_array_equal(table.torque, plain.torque)
+    np.testing.assert_array_equal(table.simulated_torque, plain.simulated_torque)
 
 
 def test_a_delay_is_found_and_taken_out(measured: Measured) -> None:

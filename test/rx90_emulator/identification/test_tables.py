@@ -1,0 +1,219 @@
+"""Tables read as they are, by a signal map: CSV, Parquet and NPZ give what a bag of the same numbers gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from foreign_arms import Curve, Program, drive_torque, urdf_text
+
+import rx90_emulator as rx
+from rx90_common.bags.reading import read_joint_states
+from rx90_common.base.errors import DONE, REFUSED, ConfigError
+from rx90_emulator.cli.frame import run
+from rx90_emulator.identification.model.options import MeasuredLayout
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.view.bags.recording import open_recording
+
+CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)
+RATE, GEAR, CONSTANT, ZERO = 100.0, -50.0, 0.08, 0.3
+Columns = dict[str, Any]
+
+
+def write_table(path: Path, columns: Columns) -> Path:
+    """Write columns as the suffix says."""
+    if path.suffix == ".npz":
+        np.savez(path, **columns)
+    elif path.suffix == ".parquet":
+        pq.write_table(pa.table(columns), path)
+    else:
+        rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+        path.write_text("\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows)]), encoding="utf-8")
+    return path
+
+
+def write_map(path: Path, **content: object) -> Path:
+    """Write a signal map of one motor, whose keys may be changed or, by None, left out."""
+    usual: dict[str, object] = {
+        "time": {"column": "t", "unit": "ms"},
+        "names": ["hinge"],
+        "position": {"columns": ["q"], "unit": "deg"},
+        "velocity": {"columns": ["dq"], "unit": "rpm"},
+        "effort": {"columns": ["i"], "unit": "mA"},
+        "gear": [GEAR],
+        "torque_constant": [CONSTANT],
+        "zero": [ZERO],
+    }
+    kept = {key: value for key, value in (usual | content).items() if value is not None}
+    path.write_text(yaml.safe_dump(kept), encoding="utf-8")
+    return path
+
+
+class Hinge:
+    """A joint's URDF, friction, a bag of a run of it, and its motor's columns in a laboratory's units."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.urdf = folder, folder / "arm.urdf"
+        self.urdf.write_text(urdf_text(["hinge"], ["0 1 0"], [2.0]), encoding="utf-8")
+        model = pin.buildModelFromXML(self.urdf.read_text(encoding="utf-8"))
+        q, v = Program([[1.0]], [[0.2]], np.geomspace(0.05, 1.0, 6).tolist(), RATE).motion()
+        torque = drive_torque(model, np.eye(1), [CURVE], (q, v), RATE)
+        self.bag = folder / "run"
+        stamps = np.arange(len(q)) * round(1e9 / RATE)
+        rx.write_joint_states(self.bag, [rx.JointSeries("/joint_states", ("hinge",), stamps, q, v, torque)])
+        self.columns: Columns = {
+            "t": np.arange(len(q)) * (1000.0 / RATE),
+            "q": np.rad2deg((q[:, 0] + ZERO) * GEAR),
+            "dq": v[:, 0] * GEAR * 30.0 / np.pi,
+            "i": 1000.0 * torque[:, 0] / GEAR / CONSTANT,
+        }
+        elements = {"hinge": rx.FrictionElement(**vars(CURVE), c0=1e5, c1=0.0)}
+        (folder / "friction.yaml").write_text(rx.FrictionFile(elements).text(), encoding="utf-8")
+        self.friction = str(folder / "friction.yaml")
+
+
+@pytest.fixture(scope="module")
+def hinge(tmp_path_factory: pytest.TempPathFactory) -> Hinge:
+    """Return a joint that swings there and back at six speeds."""
+    return Hinge(tmp_path_factory.mktemp("hinge"))
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
+def test_friction_against_a_table_is_that_against_a_bag(hinge: Hinge, tmp_path: Path, suffix: str) -> None:
+    """A motor's degrees, rpm and mA with gear, torque constant and zero in the map beside are the joint's states."""
+    table = write_table(tmp_path / f"log{suffix}", hinge.columns)
+    write_map(tmp_path / "log.yaml")
+    bag, found = (
+        rx.check_friction(hinge.friction, [log], rx.RobotOptions(urdf=hinge.urdf))[0] for log in (hinge.bag, table)
+    )
+    assert found.passed
+    np.testing.assert_allclose(found.torque.recorded, bag.torque.recorded, atol=1e-9)
+    np.testing.assert_allclose(found.torque.predicted, bag.torque.predicted, atol=1e-6)
+    assert (tmp_path / "log.yaml").is_file()
+    assert len(list(tmp_path.iterdir())) == 2  # no bag was made
+
+
+def test_one_map_serves_many_tables_and_says_what_the_options_say(
+    hinge: Hinge, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`--signals` names a map for all tables; gear, constant and zero may stand in it, or be options, not both."""
+    table, whole = write_table(tmp_path / "log.csv", hinge.columns), write_map(tmp_path / "arm_map.yaml")
+    bare = write_map(tmp_path / "bare.yaml", gear=None, torque_constant=None, zero=None)
+    words = ["--urdf", str(hinge.urdf), "--friction", hinge.friction, "--validation", str(table), "--signals"]
+    options = ["--gear", str(GEAR), "--torque-constant", str(CONSTANT), "--zero", str(ZERO)]
+    said = []
+    for more in ([str(whole)], [str(bare), *options]):
+        assert run("rx90_identify", [*words, *more]) == DONE
+        said.append(capsys.readouterr().out)
+    assert said[0] == said[1]
+    assert run("rx90_identify", [*words, str(whole), *options]) == REFUSED
+    assert "--gear beside gear in " in capsys.readouterr().err
+
+
+def test_a_map_says_what_a_bag_holds(hinge: Hinge, tmp_path: Path) -> None:
+    """A map without columns stands for the options of a bag: zeros are subtracted, wrong ones show."""
+    shifted = write_map(tmp_path / "map.yaml", time=None, position=None, velocity=None, effort=None, gear=None,
+                        torque_constant=None, zero=[0.4])  # fmt: skip
+    plain, same, by_map = (
+        rx.check_friction(hinge.friction, [hinge.bag], rx.RobotOptions(urdf=hinge.urdf, **options))[0]
+        for options in ({}, {"zero": [0.4]}, {"signals": shifted})
+    )
+    np.testing.assert_array_equal(by_map.torque.predicted, same.torque.predicted)
+    assert by_map.rms[0] > 2.0 * plain.rms[0]
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
+def test_stamps_and_numbers_are_those_of_the_table(tmp_path: Path, suffix: str) -> None:
+    """Whole ns of the wall clock and numbers of two joints, one reversed, come to the last bit; NPZ has rows, too."""
+    t = 1_700_000_000_000_000_001 + np.arange(50) * 1_000_003
+    q = np.random.default_rng(4).normal(size=(50, 2))
+    names = ["q[0]", "q[1]"]
+    columns = {"t": t, "q": q} if suffix == ".npz" else {"t": t, "q[0]": q[:, 0], "q[1]": q[:, 1]}
+    table = write_table(tmp_path / f"log{suffix}", columns)
+    field = {"columns": names, "unit": "rad", "factor": [1, -1]}
+    write_map(tmp_path / "log.yaml", time={"column": "t", "unit": "ns"}, names=["a", "b"], position=field,
+              velocity=None, effort=None)  # fmt: skip
+    series = read_joint_states(table, "joint_states")
+    np.testing.assert_array_equal(series.stamp_ns, t)
+    np.testing.assert_array_equal(series.position, q * [1, -1])
+    assert series.names == ("a", "b")
+
+
+def test_view_and_plot_show_a_table(shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Six joints of a table are drawn and played as those of a bag."""
+    q = np.linspace(0.0, 0.2, 30)[:, None] * np.ones(6) + [0.0, 0.3, 0.9, 0.4, 0.5, 0.0]
+    table = write_table(tmp_path / "arm.npz", {"t": np.arange(30) / 10.0, "q": q})
+    field = {"columns": [f"q[{k}]" for k in range(6)], "unit": "rad"}
+    signals = write_map(tmp_path / "map.yaml", time={"column": "t", "unit": "s"}, position=field, velocity=None,
+                        names=[f"j{k}" for k in range(6)], effort=None, gear=None, torque_constant=None,
+                        zero=[0.1] * 6)  # fmt: skip
+    recording = open_recording(table, shipped.robot, shipped.files, MeasuredLayout(signals=signals))
+    np.testing.assert_allclose(recording.arm.values["position"], q - 0.1, atol=1e-15)
+    picture = tmp_path / "page.svg"
+    assert run("rx90_bag", ["plot", str(table), "--signals", str(signals), "-o", str(picture)]) == DONE
+    assert "j5" in picture.read_text(encoding="utf-8")
+    assert run("rx90_bag", ["plot", str(table), "-o", str(tmp_path / "other.svg")]) == REFUSED
+    assert "no arm.yaml beside it, which says what its columns hold; accepted" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("suffix", "change", "said"),
+    [
+        (".csv", {"velocity": {"columns": ["speed"], "unit": "rpm"}}, "no column 'speed'; there are t, q, dq, i"),
+        (".parquet", {"velocity": {"columns": ["speed"], "unit": "rpm"}}, "no column 'speed'; there are t, q, dq, i"),
+        (".npz", {"velocity": {"columns": [9], "unit": "rpm"}}, "no column 9; there are t, q, dq, i"),
+        (".npz", {"time": {"column": "i", "unit": "s"}}, "accepted: 0 to 2147483648 s"),
+        (".csv", {"gear": [1, 2]}, "--gear: 2 values; accepted: 1 for 1 joints"),
+        (".csv", {"gear": [0]}, "gear[0] is 0.0; accepted"),
+        (".csv", {"time": None}, "time and rate: none is there; accepted: one of them"),
+        (".csv", {"names": None}, "names is missing"),
+        (
+            ".csv",
+            {"time": None, "position": None, "velocity": None, "effort": None},
+            "names no columns of ",
+        ),
+        (".csv", {"topics": {"joint_states": {"names": ["a"], "position": {"columns": ["q"], "unit": "rad"}}}},
+         "topics has joint_states, too, which stands twice"),
+        (".parquet", {"effort": {"columns": ["i"], "unit": "mA", "file": 2}}, ": 1 log; accepted: 2, those that"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_one_line(
+    hinge: Hinge, tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str, change: dict[str, Any], said: str
+) -> None:
+    """A map and a table that do not fit each other are refused with the value and what is accepted."""
+    table = write_table(tmp_path / f"log{suffix}", hinge.columns)
+    write_map(tmp_path / "log.yaml", **change)
+    words = ["--urdf", str(hinge.urdf), "--friction", hinge.friction, "--validation", str(table)]
+    assert run("rx90_identify", words) == REFUSED
+    err = capsys.readouterr().err
+    assert said in err
+    assert len(err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
+def test_damaged_tables_are_one_line(hinge: Hinge, tmp_path: Path, suffix: str) -> None:
+    """Cut off or foreign files, absurd numbers and NaN are refused; nothing is left out in silence."""
+    write_map(tmp_path / "log.yaml")
+    spoilt = hinge.columns | {"q": hinge.columns["q"].copy()}
+    spoilt["q"][7] = np.nan
+    table = write_table(tmp_path / f"log{suffix}", spoilt)
+    with pytest.raises(rx.Rx90Error, match=r"1 corrupt row, line \d+ .*column q is '?nan'?.*accepted: whole rows"):
+        read_joint_states(table, "joint_states")
+    table.write_bytes(table.read_bytes()[:-100] if suffix != ".csv" else b"\x00\xff" * 50)
+    with pytest.raises(rx.Rx90Error, match=r"damaged|holds no row of numbers"):
+        read_joint_states(table, "joint_states")
+
+
+def test_tables_of_two_arms_are_refused(hinge: Hinge, tmp_path: Path) -> None:
+    """Maps beside tables that say different things of the arm are refused."""
+    tables = [write_table(tmp_path / f"{name}.csv", hinge.columns) for name in "ab"]
+    write_map(tmp_path / "a.yaml")
+    write_map(tmp_path / "b.yaml", gear=[GEAR + 1.0])
+    with pytest.raises(ConfigError, match=r"b\.yaml says other things of the arm than .*a\.yaml"):
+        rx.check_friction(hinge.friction, tables, rx.RobotOptions(urdf=hinge.urdf))
