@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 import pyarrow as pa
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from rx90_common.bags.batch import Int64Array
 from rx90_common.bags.log_table import LARGEST, LAST_NS
 from rx90_common.bags.mapping import Column, FieldMapping, LogMapping
+from rx90_common.bags.storage_files import DamagedError, library_errors
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain, quoted
@@ -98,25 +98,24 @@ class ArrayTable:
 def _columns(path: Path) -> dict[str, NDArray[Any]]:
     """Return the columns of numbers and times by their names."""
     found: dict[str, NDArray[Any]] = {}
+    parquet = path.suffix.lower() == ".parquet"
     try:
-        if path.suffix.lower() == ".parquet":
-            table = pq.read_table(path)
-            for name, column in zip(table.column_names, table.columns, strict=True):
-                if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
-                    found[name] = column.to_numpy()
-                elif pa.types.is_timestamp(column.type):
-                    found[name] = column.cast(pa.timestamp("ns")).to_numpy()
+        with library_errors():
+            if parquet:
+                table = pq.read_table(path, page_checksum_verification=True)
+                for name, column in zip(table.column_names, table.columns, strict=True):
+                    if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
+                        found[name] = column.to_numpy()
+                    elif pa.types.is_timestamp(column.type):
+                        found[name] = column.cast(pa.timestamp("ns")).to_numpy()
+                return found
+            with np.load(path, allow_pickle=False) as arrays:
+                for name in arrays.files:
+                    values = arrays[name]
+                    if values.dtype.kind in "fiuM" and values.ndim == 1:
+                        found[name] = values
+                    elif values.dtype.kind in "fiu" and values.ndim == 2:
+                        found |= {f"{name}[{k}]": values[:, k] for k in range(values.shape[1])}
             return found
-        with np.load(path, allow_pickle=False) as arrays:
-            for name in arrays.files:
-                values = arrays[name]
-                if values.dtype.kind in "fiuM" and values.ndim == 1:
-                    found[name] = values
-                elif values.dtype.kind in "fiu" and values.ndim == 2:
-                    found |= {f"{name}[{k}]": values[:, k] for k in range(values.shape[1])}
-        return found
-    except OSError as error:
-        raise BagError(f"{plain(path)}: cannot be read ({plain(error.strerror or error)})") from error
-    except (pa.ArrowException, BadZipFile, ValueError, EOFError) as error:
-        kind = "Parquet" if path.suffix.lower() == ".parquet" else "NPZ"
-        raise BagError(f"{plain(path)}: is no {kind} file, or damaged ({plain(error)})") from error
+    except DamagedError as error:
+        raise BagError(f"{plain(path)}: is no {'Parquet' if parquet else 'NPZ'} file, or damaged ({error})") from error

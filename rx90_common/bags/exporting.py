@@ -219,7 +219,8 @@ def _write_parquet(path: Path, tables: Sequence[JointSeries], written: Callable[
         fields.append(pa.field(name, pa.float64(), False, about))
         arrays.append(np.ascontiguousarray(series.fields[field][:, series.names.index(joint)]))
     schema = pa.schema(fields, {"topic": series.topic})
-    pq.write_table(pa.Table.from_arrays([pa.array(one) for one in arrays], schema=schema), path)
+    table = pa.Table.from_arrays([pa.array(one) for one in arrays], schema=schema)
+    pq.write_table(table, path, write_page_checksum=True)
     written(series.messages)
 
 
