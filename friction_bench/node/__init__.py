@@ -1,3 +1,1 @@
 """The friction rig's node: a rig on ROS topics and services."""
-
-__all__ = ["bench_node"]

@@ -1,3 +1,1 @@
 """The contract of FollowJointTrajectory without ROS: requests checked, tolerances, and what becomes of a goal."""
-
-__all__ = ["execution", "request"]

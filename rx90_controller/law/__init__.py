@@ -1,3 +1,1 @@
 """The CS7B's control law and its supervision, compiled, and the controller that the nodes and the closed loop use."""
-
-__all__ = ["cs7b", "loops", "model", "model_friction", "parameters", "servo", "supervision"]

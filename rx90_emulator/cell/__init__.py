@@ -1,3 +1,1 @@
 """Simulation and controller in one process: both nodes, their ticks exchanged in memory."""
-
-__all__ = ["composition"]

@@ -1,3 +1,1 @@
 """The demonstration: the whole suite run on the reference task, compared and reported."""
-
-__all__ = ["demonstration"]

@@ -7,5 +7,3 @@ friction file against bags, and `job` writes what they return. `excitation.ident
 plateaus: runs of any shape give base parameters and friction. `validation.measured.compare_measured` holds a measured
 run against the closed loop along its path.
 """
-
-__all__ = ["identify", "job"]

@@ -1,3 +1,1 @@
 """The perturbation method: deviations from a nominal motion, linear in the arm, non-linear in the friction."""
-
-__all__ = ["model"]

@@ -20,5 +20,3 @@ shows once, when it is made, and has its functions called on that thread:
 Subfolders are such parts: `live/` reads running nodes. A part that needs nodes gets them through clients in
 `rx90_common/exchange/` and the rooms' `node/`. The command that puts parts together is `rx90_emulator/cli/view.py`.
 """
-
-__all__ = ["announcement", "arm", "changes", "line", "output", "page", "plot_export", "plots", "state", "widgets"]

@@ -1,3 +1,1 @@
 """The recorder: messages taken from DDS as they are, counted, and written in order."""
-
-__all__ = ["recording"]

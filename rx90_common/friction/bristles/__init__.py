@@ -1,3 +1,1 @@
 """Other bristles than LuGre's: elasto-plastic, and Maxwell slip."""
-
-__all__ = ["blocks", "step"]

@@ -1,3 +1,1 @@
 """Parts of a friction element beyond its bristle law, each a block of the friction file: load, temperature, ..."""
-
-__all__ = ["bristles", "load", "part", "record", "ripple", "scatter", "step", "temperature"]

@@ -4,19 +4,3 @@ filtering (runs at an even rate, differentiated) -> linear_parameters (what is l
 stacked rows) -> least_squares, instruments (values and their deviations); gains, load_parts (from known payloads);
 friction/ (which parts each element has) -> bodies, consistency (links that can exist) -> torques, result.
 """
-
-__all__ = [
-    "bodies",
-    "checks",
-    "consistency",
-    "filtering",
-    "gains",
-    "identify",
-    "instruments",
-    "least_squares",
-    "linear_parameters",
-    "payload",
-    "problem",
-    "result",
-    "torques",
-]

@@ -1,3 +1,1 @@
 """Dedicated motions from which friction can be identified: planned, checked, and run on the engine or the nodes."""
-
-__all__ = ["folder", "job", "load", "motion", "plan"]

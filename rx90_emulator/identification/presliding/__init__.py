@@ -1,3 +1,1 @@
 """The presliding regime, c0 and c1, from micro-oscillations."""
-
-__all__ = ["bristle_motion", "fit", "kinds"]

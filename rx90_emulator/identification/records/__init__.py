@@ -1,3 +1,1 @@
 """Bags of any robot, read as joint-side records: position, velocity and drive torque of each joint."""
-
-__all__ = ["layout", "reading", "record"]

@@ -3,5 +3,3 @@
 prediction: the torques of a friction along a recorded motion, with a verdict. measured: the closed loop without ROS
 along the measured path or the recorded set-points, with a verdict on torques and positions.
 """
-
-__all__ = ["measured", "options", "prediction"]

@@ -3,5 +3,3 @@
 layout (whose joint angles) -> recording (a bag's series in memory, as tracks) -> difference, path -> player (arms,
 controls, plots, facts); job puts these together.
 """
-
-__all__ = ["job"]

@@ -1,3 +1,1 @@
 """The arm of running nodes on the page: pose, spot and trace, plots, and what the nodes say of themselves."""
-
-__all__ = ["live_view", "record_button", "source", "tour"]

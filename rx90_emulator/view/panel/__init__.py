@@ -2,5 +2,3 @@
 
 It speaks to the nodes by their public topics and services alone, through `Operator`, which has a thread of its own.
 """
-
-__all__ = ["operator", "panel"]

@@ -3,5 +3,3 @@
 information (what a motion tells of the parameters), limits (what it must keep) -> design (the search for one run, and
 a series of them) -> table (what is printed of it).
 """
-
-__all__ = ["options", "table"]
