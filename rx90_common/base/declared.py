@@ -86,11 +86,13 @@ class Declared:
     blocks: ClassVar[Mapping[str, str]] = {}
 
     def __post_init__(self) -> None:
-        section = _Fields({}, Path(self.name))
+        section = None  # most values are what they should be; a sweep makes thousands of elements
         for one in declarations(type(self)).values():
             value = getattr(self, one.name)
-            if one.in_python is None or one.by_owner or _same(value, one.default):
+            plain = tuple(value.tolist()) if isinstance(value, np.ndarray) else value
+            if one.in_python is None or one.in_python.holds(plain) or one.by_owner or _same(value, one.default):
                 continue
+            section = section or _Fields({}, Path(self.name))
             section.content[one.name] = in_file(value)
             taken = one.in_python.take(section, one.name)
             if one.kind is not _ARRAY:  # as a file gives it: no NumPy scalar, which writers do not know

@@ -45,6 +45,10 @@ class Entry:
         """
         raise NotImplementedError
 
+    def holds(self, value: object) -> bool:  # noqa: ARG002 - of numbers
+        """Return True for a value that `take` would return as it is; False leaves the question to `take`."""
+        return False
+
     def rules(self) -> JsonSchema:
         """Return what a value must keep, as a JSON schema."""
         raise NotImplementedError
@@ -66,6 +70,11 @@ class Number(Entry):
     above: bool = False
     nonzero: bool = False
     infinite: bool = False
+
+    def holds(self, value: object) -> bool:
+        """Return whether it is a finite float in the range."""
+        inside = type(value) is float and self.low <= value <= self.high and abs(value) < math.inf
+        return inside and not (self.above and value == self.low) and not (self.nonzero and value == 0.0)
 
     def take(self, section: Section, key: str) -> float:
         """Return the number."""
@@ -90,6 +99,10 @@ class Numbers(Number):
 
     _: KW_ONLY
     count: int
+
+    def holds(self, value: object) -> bool:
+        """Return whether it is a tuple of so many of these."""
+        return type(value) is tuple and len(value) == self.count and all(map(super().holds, value))
 
     def take(self, section: Section, key: str) -> Any:
         """Return them as a tuple."""
