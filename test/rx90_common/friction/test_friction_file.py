@@ -38,9 +38,6 @@ from rx90_emulator.loop.setup import Setup
 Edit = Callable[..., Path]
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 ELEMENTS = (*NAMES, "joint_5_6")
-KEYS = ("tau_c", "tau_s", "omega_s", "delta", "c0", "c1", "c2", "omega_d", "alpha")
-MAY_BE_ZERO = {"c1", "c2"}
-MAY_BE_LEFT_OUT = {"omega_d", "alpha"}
 
 
 def refusal(path: Path) -> str:
@@ -48,57 +45,11 @@ def refusal(path: Path) -> str:
     return refusal_by(lambda file: load_friction(file, NAMES), path)
 
 
-@pytest.mark.parametrize("key", KEYS)
-@pytest.mark.parametrize("value", [-1.5, 0.0, math.nan, math.inf, -math.inf, "soft", None, True, [1.0], {}])
-def test_a_bad_value_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, key: str, value: Any) -> None:
-    """Each key of an element refuses what is not in its range, naming file, element, key and value."""
-    path = edited_yaml(shipped_files.friction, ("elements", "joint_3", key), value)
-    if (value == 0.0 and key in MAY_BE_ZERO) or (value == math.inf and key == "omega_d"):
-        load_friction(path, NAMES)
-        return
-    text = refusal(path)
-    assert "elements.joint_3" in text
-    if value != {}:
-        assert key in text
-        assert repr(value) in text or str(value) in text
-
-
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_a_missing_element_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, name: str) -> None:
     """Without one of the seven elements the file is refused by the missing element's name."""
     path = edited_yaml(shipped_files.friction, ("elements", name), None, remove=True)
     assert f"elements.{name} is missing" in refusal(path)
-
-
-@pytest.mark.parametrize("key", [k for k in KEYS if k not in MAY_BE_LEFT_OUT])
-def test_a_missing_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, key: str) -> None:
-    """An element that lacks a value is refused by element and key."""
-    path = edited_yaml(shipped_files.friction, ("elements", "joint_5_6", key), None, remove=True)
-    assert f"elements.joint_5_6.{key} is missing" in refusal(path)
-
-
-@pytest.mark.parametrize(
-    "place",
-    [("tau_z",), ("elements", "joint_7"), ("elements", "joint_1", "tauc")],
-    ids=["file", "elements", "element"],
-)
-def test_an_unknown_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, ...]) -> None:
-    """A misspelt key is refused at every level instead of being ignored."""
-    other = dict.fromkeys((k for k in KEYS if k not in MAY_BE_LEFT_OUT), 1.0)
-    path = edited_yaml(shipped_files.friction, place, other if place[-1] == "joint_7" else 1.0)
-    assert f"{'.'.join(place)} is not a known key" in refusal(path)
-
-
-def test_a_key_that_stands_twice_is_refused(shipped_files: RobotFiles, tmp_path: Path) -> None:
-    """A repeated key is refused: its first value would be lost silently."""
-    text = shipped_files.friction.read_text().replace("delta: 1.0,", "delta: 1.0, delta: 2.0,", 1)
-    path = tmp_path / "friction.yaml"
-    path.write_text(text)
-    with pytest.raises(ConfigError) as caught:
-        load_friction(path, NAMES)
-    assert "'delta' stands twice" in str(caught.value)
-    assert str(caught.value).startswith(str(path))
-    assert "\n" not in str(caught.value)
 
 
 def test_static_below_coulomb_torque_is_refused(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
@@ -170,36 +121,6 @@ def test_an_omega_d_that_is_left_out_may_be_written(shipped_files: RobotFiles, e
         else:
             with pytest.raises(ConfigError, match=rf"joint_1.{key} is {value}; accepted: a (finite )?number >= 1e-09"):
                 load_friction(path, NAMES)
-
-
-@pytest.mark.parametrize("value", [math.nan, -1.0, 0.0])
-@pytest.mark.parametrize("name", [f.name for f in dataclasses.fields(FrictionElement)])
-def test_an_element_built_in_python_is_checked(name: str, value: float) -> None:
-    """FrictionElement refuses the same values when no file is involved."""
-    good = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
-    if value == 0.0 and name in MAY_BE_ZERO:
-        assert getattr(dataclasses.replace(good, **{name: value}), name) == 0.0
-    else:
-        with pytest.raises(ConfigError, match=rf"{name} is {value}; accepted"):
-            dataclasses.replace(good, **{name: value})
-
-
-def test_the_range_stands_in_the_message_as_in_the_declaration() -> None:
-    """Each parameter refuses what its own words exclude, and takes what they include, in the element as in a file."""
-    good = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
-    for parameter in FRICTION_PARAMETERS:
-        number, name = parameter.number, parameter.attributes[0]
-        refused = [math.nan, -1.0, number.low if number.above else np.nextafter(number.low, -1.0)]
-        refused += [] if number.infinite else [math.inf]
-        refused += [np.nextafter(number.high, math.inf)] if number.high < math.inf else []
-        for value in refused:
-            with pytest.raises(ConfigError, match=rf"^{name} is .*; accepted: a (finite )?number "):
-                dataclasses.replace(good, **{name: value})
-        accepted = [number.high] if number.high < math.inf else [math.inf] if number.infinite else []
-        for value in [number.low] * (not number.above) + accepted:
-            smaller = {"tau_c_positive": value} if parameter.name == "tau_s" else {}
-            if not (smaller and value == 0.0):  # tau_s is at least tau_c, which is above 0
-                assert getattr(dataclasses.replace(good, **{name: value}, **smaller), name) == value
 
 
 def test_files_and_legends_follow_from_the_fields(shipped_files: RobotFiles) -> None:
