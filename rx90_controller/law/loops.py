@@ -2,20 +2,24 @@
 
 Blocks of the paper: PI on the position error and FF from the set-points at the position rate, D on the
 measured velocity and C, the current loop with its amplifier, at the base rate. All quantities are on the
-motor side, because each controller serves one motor.
+motor side, because each controller serves one motor. The formulas are for one motor or for lanes of them. The drives'
+supervision compares following errors and speeds of the joints with their limits.
 """
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.description.wrist import to_motor
-from rx90_common.kernels.compiled import kernel
-from rx90_common.kernels.lanes import load, store
-from rx90_controller.law.model_torque import FRESH, MODEL_STATE_DTYPE, add_model_torque, begin_parts, hand_over
-from rx90_controller.law.servo import load_gains, position_servo, velocity_servo
-from rx90_controller.law.supervision import beyond_limits, not_finite
+from rx90_common.kernels.compiled import inlined, kernel
+from rx90_common.kernels.elementary import signed_power
+from rx90_common.kernels.lanes import Lanes, absolute, any_lane, append, first, lane, load, select, store
+from rx90_controller.law.model import FRESH, MODEL_STATE_DTYPE, add_model_torque, begin_parts, hand_over
+
+_LARGEST = float(np.finfo(np.float64).max)
 
 LAW_STATE_DTYPE = np.dtype(
     [
@@ -34,6 +38,134 @@ LAW_STATE_DTYPE = np.dtype(
     ],
     align=True,
 )
+
+
+class Gains(NamedTuple):
+    """Constants of CONTROLLER_DTYPE that the formulas use."""
+
+    proportional: Lanes
+    integral: Lanes
+    integrator_limit: Lanes
+    derivative: Lanes
+    velocity_weight: Lanes
+    inertia: Lanes
+    coulomb: Lanes
+    coulomb_velocity: Lanes
+    viscous: Lanes
+    viscous_exponent: Lanes
+    torque_constant: Lanes
+    peak_current: Lanes
+    current_step: Lanes
+
+
+class PositionLoop(NamedTuple):
+    """What the position loop leaves for the velocity loop: errors and torques."""
+
+    error: Lanes
+    integrator: Lanes
+    position_torque: Lanes
+    feed_forward: Lanes
+
+
+class VelocityLoop(NamedTuple):
+    """What the velocity loop leaves: commanded and motor current, torque, the sign of the amplifier's saturation."""
+
+    commanded: Lanes
+    current: Lanes
+    command: Lanes
+    limited: Lanes
+
+
+@inlined
+def clip(x: Lanes, bound: Lanes) -> Lanes:
+    """Return x limited to +-bound; NaN stays NaN."""
+    return select(x > bound, bound, select(x < -bound, -bound, x))
+
+
+@inlined
+def load_gains(law: Any, width: int) -> Gains:
+    """Return the first `width` lanes of a record of CONTROLLER_DTYPE; `width` is a literal."""
+    return Gains(
+        load(law.proportional, width),
+        load(law.integral, width),
+        load(law.integrator_limit, width),
+        load(law.derivative, width),
+        load(law.velocity_weight, width),
+        load(law.inertia, width),
+        load(law.coulomb, width),
+        load(law.coulomb_velocity, width),
+        load(law.viscous, width),
+        load(law.viscous_exponent, width),
+        load(law.torque_constant, width),
+        load(law.peak_current, width),
+        load(law.current_step, width),
+    )
+
+
+@inlined
+def position_servo(
+    gains: Any,
+    position_setpoint: Lanes,
+    velocity_setpoint: Lanes,
+    acceleration_setpoint: Lanes,
+    position: Lanes,
+    integrator: Lanes,
+    limited: Lanes,
+) -> PositionLoop:
+    """Return PI and FF of one position tick; `limited` is the sign of the last tick's saturation."""
+    error = position_setpoint - position
+    # Anti-windup: no integration further into the amplifier's saturation.
+    advanced = clip(integrator + gains.integral * error, gains.integrator_limit)
+    integrator = select(error * limited <= 0.0, advanced, integrator)
+    # The sign function, made continuous: a set-point that crosses zero must not switch the torque back and forth.
+    sign = clip(velocity_setpoint / gains.coulomb_velocity, 1.0)
+    viscous = gains.viscous * signed_power(velocity_setpoint, gains.viscous_exponent)
+    feed_forward = gains.inertia * acceleration_setpoint + gains.coulomb * sign + viscous
+    return PositionLoop(error, integrator, gains.proportional * error + integrator, feed_forward)
+
+
+@inlined
+def velocity_servo(
+    gains: Any,
+    current_gain: Lanes,
+    position_torque: Lanes,
+    feed_forward: Lanes,
+    velocity_setpoint: Lanes,
+    velocity: Lanes,
+    current: Lanes,
+) -> VelocityLoop:
+    """Return D and C of one base tick: damping, amplifier limit, current loop of first order with limited slew."""
+    damping = gains.derivative * (gains.velocity_weight * velocity_setpoint - velocity)
+    wanted = (position_torque + feed_forward + damping) / gains.torque_constant
+    limited = select(wanted > gains.peak_current, 1.0, select(wanted < -gains.peak_current, -1.0, 0.0 * wanted))
+    commanded = clip(wanted, gains.peak_current)
+    change = current_gain * (commanded - current)
+    current = current + clip(change, gains.current_step)
+    return VelocityLoop(commanded, current, gains.torque_constant * current, limited)
+
+
+@inlined
+def _not_finite(torque: Lanes) -> bool:
+    """Return whether one of six torques is infinite or NaN."""
+    return any_lane(select(absolute(torque) <= _LARGEST, 0.0, 1.0) > 0.0)
+
+
+@inlined
+def _beyond_limits(law: Any, error: Lanes, velocity: Lanes) -> bool:
+    """Return whether a joint is beyond a limit, or a value is NaN; six lanes, motor side.
+
+    Args:
+        law: constants, a record of CONTROLLER_DTYPE.
+        error: position errors, rad.
+        velocity: measured velocities, rad/s.
+    """
+    # Motor 6 turns with joints 5 and 6 together.
+    share = law.gear[5] / law.gear[4]
+    following = append(first(error, 5), lane(error, 5) - share * lane(error, 4))
+    speed = append(first(velocity, 5), lane(velocity, 5) - share * lane(velocity, 4))
+    # The comparisons are false for NaN too.
+    fast = select(absolute(speed) <= load(law.over_speed, 6), 0.0, 1.0)
+    return any_lane(select(absolute(following) <= load(law.following_error, 6), fast, 1.0) > 0.0)
 
 
 @kernel
@@ -97,7 +229,7 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
         add_model_torque(law, state, setpoint)
     if other_parts:
         hand_over(law, state)
-    return beyond_limits(law, loop.error, measured)
+    return _beyond_limits(law, loop.error, measured)
 
 
 @kernel
@@ -127,4 +259,4 @@ def velocity_loop(laws: Record, states: Record, velocity: Array) -> bool:
     store(state.command, loop.command)
     store(state.limited, loop.limited)
     store(state.saturated, load(state.saturated, 6) + loop.limited * loop.limited)
-    return not_finite(loop.command)
+    return _not_finite(loop.command)

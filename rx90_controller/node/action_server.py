@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable
 from typing import Any
 
 from builtin_interfaces.msg import Duration
@@ -16,35 +15,35 @@ from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.rates import NANOSECONDS, Rates
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.message_times import ros_time
 from rx90_common.exchange.qos import REQUEST_QOS
-from rx90_controller.goals.execution import Feedback, Outcome, Phase
-from rx90_controller.goals.request import GoalError, ResultCode, TrajectoryRequest, check_goal
+from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.trajectory.request import Feedback, Outcome, State, TrajectoryRequest
 
-_LOOK = 0.5  # s between two looks for the simulation, while there is a goal
+_WATCH_PERIOD = 0.5  # s between two looks for the simulation, while there is a goal
 _SIMULATION_TIMEOUT = 2.0  # s without one, after which the goal is given up
-_KEPT = 60.0  # s for which results are kept for clients that ask late; a goal may be large
+_RESULT_KEPT = 60.0  # s for which results are kept for clients that ask late; a goal may be large
 _RESULT_GRACE = 2.0  # s in which the client of the last goal may ask for its result
-_TURNS, _TURN = 10, 0.01  # turns of the executor in which a result is sent, and s of each at the most
+_FLUSH_SPINS, _SPIN_TIMEOUT = 10, 0.01  # turns of the executor in which a result is sent, and s of each at the most
 _ENDS = "the controller ends"
 
 
 class _Server(ActionServer):
-    """rclpy's server, for goals that others execute and that have ended when it is told.
+    """rclpy's server, for goals that others execute and that have ended when it learns of their end.
 
     Its own way is a function that runs while a goal does: it would keep the executor, or, if it waits for something,
     be called again and again, which takes a whole core (rclpy 7).
     """
 
-    heard: Callable[[bytes], object]
+    on_result_request: Callable[[bytes], object]
 
     async def execute(self, taken_data: dict[str, Any]) -> None:
         """Serve requests, and note the goal whose result is asked for."""
         await super().execute(taken_data)
         if "result" in taken_data:
-            self.heard(bytes(taken_data["result"][1].goal_id.uuid))
+            self.on_result_request(bytes(taken_data["result"][1].goal_id.uuid))
 
     def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Callable[..., Any] | None) -> None:
         """Do nothing: the goal is executed by the thread that ticks."""
@@ -54,48 +53,24 @@ class _Server(ActionServer):
         super().notify_execute(handle, end)
 
 
-class _Sender:
-    """One goal's way back to who has sent it.
-
-    Args:
-        server: that has the goal.
-        handle: of the goal.
-        feedback: makes the action's feedback.
-        forget: called once the result is sent.
+class _GoalClient:
+    """Who sent a goal: gets feedback and result by the goal's handle.
 
     Attributes:
         asked: whether the client has asked for the result.
     """
 
-    def __init__(
-        self,
-        server: _Server,
-        handle: ServerGoalHandle,
-        feedback: Callable[[Feedback], Any],
-        forget: Callable[[], object],
-    ) -> None:
-        self._server, self._handle, self._feedback, self._forget = server, handle, feedback, forget
+    def __init__(self, action: FollowJointTrajectoryAction, handle: ServerGoalHandle, goal: TrajectoryRequest) -> None:
+        self._action, self.handle, self.goal = action, handle, goal
         self.asked = False
-
-    @property
-    def answered(self) -> bool:
-        """Return whether the goal has ended, and its client has asked how."""
-        return self.asked and not self._handle.is_active
 
     def on_feedback(self, feedback: Feedback) -> None:
         """Send feedback."""
-        self._handle.publish_feedback(self._feedback(feedback))
+        self.handle.publish_feedback(self._action.feedback_message(feedback))
 
     def on_result(self, outcome: Outcome) -> None:
         """Send the result."""
-        self._server.finish(self._handle, partial(_end, outcome))
-        self._forget()
-
-
-def _end(outcome: Outcome, handle: ServerGoalHandle) -> Any:
-    """Give a goal its last state and return its result."""
-    {Phase.SUCCEEDED: handle.succeed, Phase.ABORTED: handle.abort, Phase.CANCELED: handle.canceled}[outcome.phase]()
-    return result_message(outcome)
+        self._action.finish(self, outcome)
 
 
 class FollowJointTrajectoryAction:
@@ -107,24 +82,14 @@ class FollowJointTrajectoryAction:
     Args:
         node: whose action it is.
         loop: follows the goals.
-        names: of the joints.
-        rates: of the loops.
-        simulation_there: tells whether there is a simulation.
+        cs7b: of the loop.
+        simulation_there: returns whether there is a simulation.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        loop: ServoLoop,
-        names: Sequence[str],
-        rates: Rates,
-        simulation_there: Callable[[], bool],
-    ) -> None:
-        self._names = names
+    def __init__(self, node: Node, loop: ServoLoop, cs7b: CS7B, simulation_there: Callable[[], bool]) -> None:
         self._node, self._loop, self._simulation_there = node, loop, simulation_there
-        self._position_hz = rates.position_hz
-        self._feedback = partial(feedback_message, names=names, tick_ns=rates.period_ns * rates.ratio)
-        self._senders: dict[bytes, _Sender] = {}  # of the goals that a client may still cancel
+        self._names, self._tick_ns = list(cs7b.joint_names), cs7b.rates.period_ns * cs7b.rates.ratio
+        self._clients: dict[bytes, _GoalClient] = {}  # of the goals that may still be cancelled
         self._checked: TrajectoryRequest | None = None  # the goal that is accepted next
         self._checking = threading.Lock()  # an executor of several threads goes on while the node ends
         self._ending = False
@@ -133,30 +98,31 @@ class FollowJointTrajectoryAction:
             node,
             FollowJointTrajectory,
             "~/follow_joint_trajectory",
-            execute_callback=_end,
+            execute_callback=lambda _: None,
             goal_callback=self._on_goal,
             handle_accepted_callback=self._on_accepted,
             cancel_callback=self._on_cancel,
             goal_service_qos_profile=REQUEST_QOS.profile,
             result_service_qos_profile=REQUEST_QOS.profile,
             cancel_service_qos_profile=REQUEST_QOS.profile,
-            result_timeout=_KEPT,
+            result_timeout=_RESULT_KEPT,
         )
-        self._server.heard = self._on_asked
-        self._timer = node.create_timer(_LOOK, self._look)
+        self._server.on_result_request = self._on_result_request
+        node.create_timer(_WATCH_PERIOD, self._watch_simulation)
 
     def end(self) -> None:
         """End the active goal because the node ends, and send its result; take no other."""
         with self._checking, self._loop.between_ticks() as requests:
-            self._ending, ending = True, list(self._senders.values())
+            self._ending, ending = True, list(self._clients.values())
             requests.drop(_ENDS)
         self._loop.report()
-        executor, until, turns = self._node.executor, time.monotonic() + _RESULT_GRACE, _TURNS
-        # A client that asked while another goal was checked has not been heard yet.
-        while executor is not None and turns > 0:
-            executor.spin_once(timeout_sec=_TURN if ending else 0.0)
-            if time.monotonic() > until or all(sender.answered for sender in ending):
-                turns -= 1
+        executor, until, spins = self._node.executor, time.monotonic() + _RESULT_GRACE, _FLUSH_SPINS
+        # A client that asked while another goal was checked has not been answered yet.
+        while executor is not None and spins > 0:
+            executor.spin_once(timeout_sec=_SPIN_TIMEOUT if ending else 0.0)
+            answered = all(client.asked and not client.handle.is_active for client in ending)
+            if answered or time.monotonic() > until:
+                spins -= 1
 
     def close(self) -> None:
         """Serve no more goals; those that there were have ended."""
@@ -167,63 +133,35 @@ class FollowJointTrajectoryAction:
     def _on_goal(self, message: Any) -> GoalResponse:
         """Check a goal."""
         with self._checking:
-            return self._check(message)
-
-    def _check(self, message: Any) -> GoalResponse:
-        loop = self._loop
-        with loop.between_ticks() as requests:
-            options, tolerances = requests.options, requests.tolerances
-        try:
-            if self._ending:
-                raise GoalError(ResultCode.INVALID_GOAL, _ENDS)
-            # Not between two ticks: a long one takes longer than these.
-            goal = check_goal(message, self._names, tolerances, options, self._position_hz)
-            with loop.between_ticks() as requests:
-                requests.check(goal, loop.inactive or self._missing())
-        except GoalError as error:
-            with loop.between_ticks() as requests:
-                requests.refused("goal", error)
-            return GoalResponse.REJECT
-        self._checked = goal
-        return GoalResponse.ACCEPT
-
-    def _missing(self) -> str:
-        return "" if self._simulation_there() else "there is no simulation; accepted: once there is one"
+            missing = "" if self._simulation_there() else "there is no simulation; accepted: once there is one"
+            self._checked = self._loop.receive_goal(message, _ENDS if self._ending else missing)
+        return GoalResponse.REJECT if self._checked is None else GoalResponse.ACCEPT
 
     def _on_accepted(self, handle: ServerGoalHandle) -> None:
         """Follow the goal that was checked just before, once its client has got the answer."""
         with self._checking:
-            self._follow(handle)
-
-    def _follow(self, handle: ServerGoalHandle) -> None:
-        loop, goal = self._loop, self._checked
-        assert goal is not None
-        handle.execute()
-        name = bytes(handle.goal_id.uuid)
-        sender = _Sender(self._server, handle, self._feedback, partial(self._senders.pop, name))
-        self._senders[name] = sender
-        with loop.joined(goal) as (requests, plan):
-            if loop.running:
-                requests.take(goal, loop.inactive, plan, sender)
-            else:
-                requests.wait(goal, sender)
+            goal = self._checked
+            assert goal is not None
+            handle.execute()
+            goal.client = self._clients[bytes(handle.goal_id.uuid)] = _GoalClient(self, handle, goal)
+            self._loop.offer(goal)
             if self._ending:
-                requests.drop(_ENDS)
+                with self._loop.between_ticks() as requests:
+                    requests.drop(_ENDS)
 
-    def _on_asked(self, name: bytes) -> None:
-        sender = self._senders.get(name)
-        if sender is not None:
-            sender.asked = True
+    def _on_result_request(self, name: bytes) -> None:
+        if name in self._clients:
+            self._clients[name].asked = True
 
     def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
         """Cancel a goal; where its end is on the way already, its client gets that."""
-        sender = self._senders.get(bytes(handle.goal_id.uuid))
-        if sender is not None:
+        client = self._clients.get(bytes(handle.goal_id.uuid))
+        if client is not None:
             with self._loop.between_ticks() as requests:
-                requests.cancel(sender)
+                requests.cancel(client.goal)
         return CancelResponse.ACCEPT
 
-    def _look(self) -> None:
+    def _watch_simulation(self) -> None:
         """Give the goal up whose simulation is gone."""
         now = time.monotonic()
         with self._loop.between_ticks() as requests:
@@ -232,21 +170,29 @@ class FollowJointTrajectoryAction:
             elif now - self._seen > _SIMULATION_TIMEOUT:
                 requests.drop(f"the simulation is gone, for more than {_SIMULATION_TIMEOUT:g} s", halt=True)
 
+    # What clients get.
 
-def feedback_message(feedback: Feedback, names: Sequence[str], tick_ns: int) -> Any:
-    """Return a FollowJointTrajectory.Feedback; `tick_ns` is the period of the position loop."""
-    return FollowJointTrajectory.Feedback(
-        header=Header(stamp=ros_time(feedback.tick * tick_ns)),
-        joint_names=list(names),
-        desired=_point(feedback.desired, feedback.desired_time),
-        actual=_point(feedback.actual, feedback.actual_time),
-        error=_point(feedback.error, feedback.desired_time),
-    )
+    def finish(self, client: _GoalClient, outcome: Outcome) -> None:
+        """Send a client the result of its goal."""
 
+        def end(handle: ServerGoalHandle) -> Any:
+            {State.SUCCEEDED: handle.succeed, State.ABORTED: handle.abort, State.CANCELED: handle.canceled}[
+                outcome.state
+            ]()
+            return FollowJointTrajectory.Result(error_code=int(outcome.code), error_string=outcome.text)
 
-def result_message(outcome: Outcome) -> Any:
-    """Return a FollowJointTrajectory.Result."""
-    return FollowJointTrajectory.Result(error_code=int(outcome.code), error_string=outcome.text)
+        self._server.finish(client.handle, end)
+        self._clients.pop(bytes(client.handle.goal_id.uuid))
+
+    def feedback_message(self, feedback: Feedback) -> Any:
+        """Return a FollowJointTrajectory.Feedback."""
+        return FollowJointTrajectory.Feedback(
+            header=Header(stamp=ros_time(feedback.tick * self._tick_ns)),
+            joint_names=self._names,
+            desired=_point(feedback.desired, feedback.desired_time),
+            actual=_point(feedback.actual, feedback.actual_time),
+            error=_point(feedback.error, feedback.desired_time),
+        )
 
 
 def _point(state: Array, seconds: float) -> JointTrajectoryPoint:

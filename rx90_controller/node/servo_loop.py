@@ -7,70 +7,23 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.motor_messages import MotorStates
-from rx90_controller.goals.request import TrajectoryRequest
-from rx90_controller.law.cs7b import CS7B
-from rx90_controller.law.supervision import DriveFault
-from rx90_controller.node.requests import Log, Requests
-from rx90_controller.trajectory import Plan
+from rx90_controller.law.cs7b import CS7B, DriveFault
+from rx90_controller.node.requests import Outputs, Requests
+from rx90_controller.trajectory.request import TrajectoryRequest
 
 INACTIVE: Final = "the controller is inactive; accepted: in state active"
-
-
 _ATTEMPTS = 3  # to join a long trajectory beside the ticks, each with more time than the one before
-_Record = np.ndarray[Any, Any]
-
-
-class LawChanges:
-    """Hands constants of the law from the executor's thread to the one that ticks.
-
-    They count from a tick of the position loop on: before it the velocity loop would have gains that do not belong to
-    the torque of the position loop. Integrators, which hold torques, go on as they are.
-
-    Args:
-        law: that is changed, shape (1,), CONTROLLER_DTYPE.
-        post: has something called later, on the executor's thread.
-    """
-
-    def __init__(self, law: _Record, post: Callable[[Callable[[], None]], None]) -> None:
-        self._law, self._post = law, post
-        self.waiting: deque[tuple[_Record, Callable[[int], None]]] = deque()
-
-    def add(self, law: _Record, effective: Callable[[int], None]) -> None:
-        """Let these constants count soon; `effective` is then called with the time of the first tick, ns."""
-        self.waiting.append((law, effective))
-
-    def apply(self, stamp_ns: int) -> None:
-        """Let those that wait count from this tick of the position loop on."""
-        while self.waiting:
-            self._law[:], effective = self.waiting.popleft()
-            self._post(partial(effective, stamp_ns))
-
-
-class Outputs(Log, Protocol):
-    """Where set-points, tracking errors, accepted trajectories and lines for the user go.
-
-    Attributes:
-        ready: the line that says that the first states have come.
-    """
-
-    ready: str
-
-    def wait_for_subscribers(self) -> None:
-        """Wait, not without end, until those who listen will get the first message."""
-
-    def publish(self, stamp_ns: int) -> None:
-        """Publish what the position loop has left."""
 
 
 class ServoLoop:
-    """Runs the CS7B as `ServoLoops` says; trajectories and switches may come from another thread, between ticks.
+    """Runs the CS7B as `ServoLoops` says; requests and switches may come from another thread, between ticks.
 
     Args:
         cs7b: the control law, warmed up.
@@ -83,7 +36,6 @@ class ServoLoop:
         active, enabled: whether the node is active, and whether the motors get torque.
         fault: why the supervision has cut the power, until it is switched on again.
         running: whether there have been states.
-        law_changes: other constants of the law, from the next tick of the position loop on.
     """
 
     def __init__(self, cs7b: CS7B, outputs: Outputs, horizon: float, monitor_ticks: int = 50) -> None:
@@ -94,7 +46,7 @@ class ServoLoop:
         self.active = self.enabled = True
         self.fault: DriveFault | None = None
         self._released = False  # switched off since the last tick: also if it is on again by now, the motion is over
-        self.law_changes = LawChanges(cs7b.law, self._requests.post)
+        self._law_changes: deque[tuple[np.ndarray[Any, Any], Callable[[int], None]]] = deque()
         self.running = self._unpublished = False  # whether the position loop has left something
 
     # The ticking thread.
@@ -120,24 +72,29 @@ class ServoLoop:
         """Run the loops that are due; return whether the motors get torque."""
         cs7b = self._cs7b
         with self._lock:
-            if self.law_changes.waiting and cs7b.on_position_tick:
-                self.law_changes.apply(stamp_ns)
+            slow = cs7b.on_position_tick
+            while self._law_changes and slow:
+                cs7b.law[:], effective = self._law_changes.popleft()
+                self._requests.post(partial(effective, stamp_ns))
             if self._released or not self.enabled:
                 self._released = False
                 self._requests.note_dropped("the torque is off")
                 cs7b.release(states.position, stamp_ns // cs7b.rates.period_ns + 1)
                 return False
-            slow = cs7b.on_position_tick
             if slow:
                 self._requests.note_end()
             cs7b.step(states.position, states.velocity, states.torque)
             self._unpublished = slow
-            if cs7b.fault is None:
+            fault = cs7b.fault
+            if fault is None:
                 return True
-            if cs7b.fault.parameter:
+            if fault.parameter:
                 self._unpublished = False  # torques that are no numbers
             self._publish(stamp_ns)  # before the reset: what has led to the fault is to be seen
-            self._trip(cs7b.fault)
+            self.enabled, self.fault = False, fault
+            text = f"{fault}; torque off, brakes closed, trajectory dropped, until ~/enable is called with true"
+            self._requests.note(text, wrong=True)
+            self._requests.drop(f"{fault}; torque off, brakes closed")
             cs7b.release(states.position, cs7b.tick)
             return False
 
@@ -151,12 +108,6 @@ class ServoLoop:
             self._unpublished = False
             self._requests.step()
             self._outputs.publish(stamp_ns)
-
-    def _trip(self, fault: DriveFault) -> None:
-        self.enabled, self.fault = False, fault
-        text = f"{fault}; torque off, brakes closed, trajectory dropped, until ~/enable is called with true"
-        self._requests.note(text, wrong=True)
-        self._requests.drop(f"{fault}; torque off, brakes closed")
 
     def skip(self, count: int) -> None:
         """Let `count` ticks of the position loop pass without set-points: a running trajectory comes later."""
@@ -180,6 +131,14 @@ class ServoLoop:
         self.active = on
         self.enable(on, "the controller is deactivated, the torque is off")
 
+    def change_law(self, law: np.ndarray[Any, Any], effective: Callable[[int], None]) -> None:
+        """Let other constants of the law, shape (1,), CONTROLLER_DTYPE, count from the next position tick on.
+
+        Before it the velocity loop would have gains that do not belong to the torque of the position loop. Integrators,
+        which hold torques, go on as they are. `effective` is then called, by `report`, with the time of that tick, ns.
+        """
+        self._law_changes.append((law, effective))
+
     @property
     def inactive(self) -> str:
         """Return why nothing can be followed now, and what is accepted; empty if something can."""
@@ -199,50 +158,55 @@ class ServoLoop:
 
     # The executor's thread.
 
-    @property
-    def rejections(self) -> tuple[int, str]:
-        """Return how many trajectories and goals were refused, and which was the last, when and why."""
-        return self._requests.rejected, self._requests.last_rejection
-
-    @contextmanager
-    def joined(self, request: TrajectoryRequest) -> Iterator[tuple[Requests, Plan | None]]:
-        """Give the requests between two ticks, and the plan of a long trajectory that was joined beside the ticks.
-
-        Where the motion changes meanwhile, or the time was too short, it is joined again. Without a plan, as for a
-        short trajectory, and where no attempt was in time, it is to be joined between the two ticks.
-        """
-        for attempt in range(_ATTEMPTS if request.long else 0):
-            with self.between_ticks() as requests:
-                plan = requests.plan(request, attempt) if self.running and not self.inactive else None
-            if plan is None:
-                break
-            plan.join()
-            with self.between_ticks() as requests:
-                if requests.fits(plan):
-                    yield requests, plan
-                    return
-        with self.between_ticks() as requests:
-            yield requests, None
-
-    def offer(self, trajectory: Any) -> None:
-        """Follow a trajectory_msgs/JointTrajectory, at the latest once there are states; the log says if not.
-
-        One without points stops the arm.
-        """
+    def receive(self, message: Any) -> None:
+        """Follow a trajectory_msgs/JointTrajectory of the topic; the log says if not. One without points is a stop."""
         try:
-            with self.between_ticks():
+            with self._lock:
                 if self.running and self.inactive:
                     raise TrajectoryError(self.inactive)
-            request = self._requests.checked(trajectory)
+            request = self._requests.checked(message)
         except TrajectoryError as error:
-            with self.between_ticks() as requests:
-                requests.refused("trajectory", error)
-            return
-        with self.joined(request) as (requests, plan):
+            with self._lock:
+                self._requests.refused("trajectory", error)
+        else:
+            self.offer(request)
+
+    def receive_goal(self, goal: Any, missing: str = "") -> TrajectoryRequest | None:
+        """Return a goal of FollowJointTrajectory, checked wherever the arm is; None if it is refused: the log says why.
+
+        `missing` is why no goal can be followed now, beside `inactive`.
+        """
+        try:
+            request = self._requests.checked(goal.trajectory, goal)
+            with self._lock:
+                self._requests.check_goal(request, self.inactive or missing)
+        except TrajectoryError as error:
+            with self._lock:
+                self._requests.refused("goal", error)
+            return None
+        return request
+
+    def offer(self, request: TrajectoryRequest) -> None:
+        """Follow a request, at the latest once there are states, or refuse it.
+
+        A long one is joined to the motion beside the ticks; where the motion changes meanwhile, or the time was too
+        short, once more with more time. A short one, and one that was never in time, is joined between two ticks.
+        """
+        for attempt in range(_ATTEMPTS if request.long else 0):
+            with self._lock:
+                if not self.running or self.inactive:
+                    break
+                joined = self._requests.joined_ahead(request, attempt)
+            joined.compute()
+            with self._lock:
+                if self.running and self._requests.fits(joined):
+                    self._requests.follow(request, self.inactive, joined)
+                    return
+        with self._lock:
             if self.running:
-                requests.take(request, self.inactive, plan)
+                self._requests.follow(request, self.inactive)
             else:
-                requests.wait(request)
+                self._requests.wait(request)
 
     def report(self) -> None:
         """Print and publish what there is to say; called after each `Outputs.wake`."""

@@ -16,7 +16,7 @@ from rx90_common.friction.bristles.step import bristles_step
 from rx90_common.friction.compiled_elements import load_elements
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, absolute, fma, load, select, store
-from rx90_controller.law.servo import load_gains, position_servo, velocity_servo
+from rx90_controller.law.loops import load_gains, position_servo, velocity_servo
 from rx90_emulator.perturbation.batch import FEW, MANY
 from rx90_sim.drives import observe, whole_steps
 

@@ -11,7 +11,7 @@ from goal_arm import Arm, checked, message, stamp, tolerance, two
 from joint_moves import HOME, NAMES, PERIOD, ZERO
 
 from rx90_common.base.errors import ConfigError
-from rx90_controller.goals.request import GoalError, GoalTolerances, ResultCode
+from rx90_controller.trajectory.request import GoalError, GoalTolerances, ResultCode
 
 
 def apart() -> list[SimpleNamespace]:
@@ -125,14 +125,14 @@ def test_tolerances_are_the_defaults_unless_the_goal_says_otherwise() -> None:
 
 def test_defaults_are_those_of_the_original() -> None:
     """Without parameters there is no tolerance but 0.01 rad/s at the goal, and a goal may take for ever."""
-    plain = GoalTolerances.defaults(NAMES)
+    plain = GoalTolerances.of_parameters(NAMES)
     assert np.all(plain.path == np.inf)
     assert np.all(plain.goal[[0, 2]] == np.inf)
     assert np.all(plain.goal[1] == 0.01)
     assert plain.goal_time == np.inf
-    for bad in ({"goal_time": -1.0}, {"trajectory": {"joint_1": np.nan}}, {"goal": {"elbow": 0.1}}):
+    for bad in ({"constraints.goal_time": -1.0}, {"constraints.joint_1.trajectory": np.nan}):
         with pytest.raises(ConfigError, match=r"^constraints.* accepted: "):
-            GoalTolerances.defaults(NAMES, **bad)
+            GoalTolerances.of_parameters(NAMES, bad)
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ def test_what_cannot_be_followed_now_is_refused(
         arm.offer("a", message(**goal), inactive)
     assert caught.value.code is code
     assert words in str(caught.value)
-    assert arm.runner.active is None
+    assert arm.active is None
     arm.run(100)
     assert np.all(np.array(arm.setpoints) == [HOME, ZERO, ZERO])
 
@@ -183,7 +183,7 @@ def test_a_point_at_the_start_where_the_arm_is_succeeds_at_once(
         there = message(to=HOME + 1e-6, seconds=0.0, stamp=begins, velocities=velocities)
         assert arm.offer("there", there) is None
         events = arm.run(300)
-        assert [(event.key, event.outcome.phase.name) for event in events] == [("there", "SUCCEEDED")]
+        assert [(event.key, event.outcome.state.name) for event in events] == [("there", "SUCCEEDED")]
         assert events[0].outcome.tick == round(begins / PERIOD)
         moved = np.array(arm.setpoints)
         assert np.abs(moved[:, 0] - HOME).max() < 1.1e-6
@@ -205,4 +205,4 @@ def test_a_point_at_the_start_elsewhere_or_over_is_refused() -> None:
     with pytest.raises(GoalError, match=r"the last point is at 0\.1 s") as caught:
         arm.offer("over", message(seconds=0.0, stamp=0.1))
     assert caught.value.code is ResultCode.OLD_HEADER_TIMESTAMP
-    assert [event.outcome.phase.name for event in arm.run(600)] == ["SUCCEEDED"]
+    assert [event.outcome.state.name for event in arm.run(600)] == ["SUCCEEDED"]

@@ -4,19 +4,35 @@ from __future__ import annotations
 
 import copy
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
+from unittest import mock
 
 import numpy as np
 from joint_moves import HOME, NAMES, PERIOD, ZERO
 
 from rx90_common.base.arrays import Array
-from rx90_controller.goals.execution import Event, GoalRunner
-from rx90_controller.goals.request import GoalOptions, GoalTolerances, check_goal
+from rx90_common.base.rates import Rates
+from rx90_controller.node.requests import Requests
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
+from rx90_controller.trajectory.request import (
+    Feedback,
+    GoalError,
+    GoalOptions,
+    GoalTolerances,
+    Outcome,
+    TrajectoryRequest,
+    check_request,
+)
 
 LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), np.full(6, 20.0), 1e-3)
-DEFAULTS = GoalTolerances.defaults(
-    NAMES, goal_time=0.5, stopped_velocity_tolerance=0.02, trajectory={"joint_2": 0.05}, goal={"joint_3": 0.01}
+DEFAULTS = GoalTolerances.of_parameters(
+    NAMES,
+    {
+        "constraints.goal_time": 0.5,
+        "constraints.stopped_velocity_tolerance": 0.02,
+        "constraints.joint_2.trajectory": 0.05,
+        "constraints.joint_3.goal": 0.01,
+    },
 )
 
 
@@ -59,9 +75,9 @@ def message(to: Array | None = None, seconds: float = 0.6, **changed: Any) -> Si
     return goal
 
 
-def checked(goal: SimpleNamespace, **options: bool) -> Any:
+def checked(goal: SimpleNamespace, **options: bool) -> TrajectoryRequest:
     """Return a checked goal."""
-    return check_goal(goal, NAMES, DEFAULTS, GoalOptions(**options), 1000)
+    return check_request(goal.trajectory, DEFAULTS, GoalOptions(**options), 1000, goal)
 
 
 def two(first: float, second: float) -> list[SimpleNamespace]:
@@ -72,30 +88,84 @@ def two(first: float, second: float) -> list[SimpleNamespace]:
     return points
 
 
+class Event(NamedTuple):
+    """How a goal has ended, and which."""
+
+    key: str
+    outcome: Outcome
+
+
 class Arm:
-    """A runner, its generator, and an arm whose state is the set-point plus an error that a test sets."""
+    """A queue of requests, its generator, and an arm whose state is the set-point plus an error that a test sets.
+
+    Attributes:
+        feedback: the newest of the active goal.
+        active: key of the goal that is followed, if there is one.
+    """
 
     def __init__(self, **options: bool) -> None:
         self.trajectory = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-        self.runner = GoalRunner(self.trajectory, 10.0)
+        self.joint_names, self.rates, self.position_tick = NAMES, Rates(), 0
+        self.setpoint, self.off, self.off_speed = np.array([HOME, ZERO, ZERO]), ZERO.copy(), ZERO.copy()
+        outputs: Any = mock.Mock()
+        law: Any = self
+        self.requests = Requests(law, outputs, 10.0, 1)
         self.options = options
-        self.tick = 0
-        self.off, self.off_speed = ZERO.copy(), ZERO.copy()
         self.setpoints: list[Array] = []
+        self.active: str | None = None
+        self.feedback: Feedback | None = None
+        self._goals: dict[str, TrajectoryRequest] = {}
+        self._ended: list[Event] = []
 
-    def offer(self, key: str, goal: SimpleNamespace, inactive: str = "") -> Event | None:
-        """Offer a goal now; return the event of the one before."""
-        return self.runner.offer(key, checked(goal, **self.options), self.tick, inactive)[1]
+    @property
+    def tick(self) -> int:
+        """Return the next tick."""
+        return self.position_tick
+
+    def measured(self) -> tuple[Array, Array]:
+        """Return where the arm is and how fast."""
+        return self.setpoint[0] - self.off, self.setpoint[1] - self.off_speed
+
+    def offer(self, key: str, goal: SimpleNamespace | TrajectoryRequest, inactive: str = "") -> Event | None:
+        """Offer a goal now; return the event of the one before, and raise what it is refused for."""
+        request = goal if isinstance(goal, TrajectoryRequest) else checked(goal, **self.options)
+        request.client = mock.Mock()
+        self.requests.follow(request, inactive)
+        if request.outcome is not None:
+            raise GoalError(request.outcome.code, request.outcome.text)
+        self._goals[key] = request
+        events = self.events()
+        self.active = key
+        return events[0] if events else None
+
+    def cancel(self) -> Event | None:
+        """Cancel the goal offered last."""
+        self.requests.cancel([*self._goals.values()][-1])
+        return next(iter(self.events()), None)
+
+    def drop(self, reason: str) -> Event | None:
+        """End the goal for a reason."""
+        self.requests.drop(reason)
+        return next(iter(self.events()), None)
+
+    def events(self) -> list[Event]:
+        """Return which goals have ended since the last call."""
+        found = [Event(key, goal.outcome) for key, goal in self._goals.items() if goal.outcome is not None]
+        new, self._ended = [event for event in found if event not in self._ended], found
+        if new:
+            self.active = self.feedback = None
+        return new
 
     def run(self, ticks: int) -> list[Event]:
         """Run ticks; return the events."""
         events = []
         for _ in range(ticks):
-            desired = self.trajectory.setpoints(self.tick)[0]
-            self.setpoints.append(desired)
-            event = self.runner.step(self.tick, desired, desired[0] - self.off, desired[1] - self.off_speed)
-            events += [event] if event is not None else []
-            self.tick += 1
+            self.setpoint = self.trajectory.setpoints(self.position_tick)[0]
+            self.setpoints.append(self.setpoint)
+            self.position_tick += 1
+            self.requests.step()
+            events += self.events()
+            self.feedback = self._goals[self.active].feedback if self.active is not None else None
         return events
 
     def stopped_smoothly(self) -> bool:
