@@ -8,7 +8,7 @@ supervision compares following errors and speeds of the joints with their limits
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -40,42 +40,6 @@ LAW_STATE_DTYPE = np.dtype(
 )
 
 
-class Gains(NamedTuple):
-    """Constants of CONTROLLER_DTYPE that the formulas use."""
-
-    proportional: Lanes
-    integral: Lanes
-    integrator_limit: Lanes
-    derivative: Lanes
-    velocity_weight: Lanes
-    inertia: Lanes
-    coulomb: Lanes
-    coulomb_velocity: Lanes
-    viscous: Lanes
-    viscous_exponent: Lanes
-    torque_constant: Lanes
-    peak_current: Lanes
-    current_step: Lanes
-
-
-class PositionLoop(NamedTuple):
-    """What the position loop leaves for the velocity loop: errors and torques."""
-
-    error: Lanes
-    integrator: Lanes
-    position_torque: Lanes
-    feed_forward: Lanes
-
-
-class VelocityLoop(NamedTuple):
-    """What the velocity loop leaves: commanded and motor current, torque, the sign of the amplifier's saturation."""
-
-    commanded: Lanes
-    current: Lanes
-    command: Lanes
-    limited: Lanes
-
-
 @inlined
 def clip(x: Lanes, bound: Lanes) -> Lanes:
     """Return x limited to +-bound; NaN stays NaN."""
@@ -83,65 +47,72 @@ def clip(x: Lanes, bound: Lanes) -> Lanes:
 
 
 @inlined
-def load_gains(law: Any, width: int) -> Gains:
-    """Return the first `width` lanes of a record of CONTROLLER_DTYPE; `width` is a literal."""
-    return Gains(
-        load(law.proportional, width),
-        load(law.integral, width),
-        load(law.integrator_limit, width),
-        load(law.derivative, width),
-        load(law.velocity_weight, width),
-        load(law.inertia, width),
-        load(law.coulomb, width),
-        load(law.coulomb_velocity, width),
-        load(law.viscous, width),
-        load(law.viscous_exponent, width),
-        load(law.torque_constant, width),
-        load(law.peak_current, width),
-        load(law.current_step, width),
-    )
-
-
-@inlined
 def position_servo(
-    gains: Any,
+    law: Any,
+    width: int,
     position_setpoint: Lanes,
     velocity_setpoint: Lanes,
     acceleration_setpoint: Lanes,
     position: Lanes,
     integrator: Lanes,
     limited: Lanes,
-) -> PositionLoop:
-    """Return PI and FF of one position tick; `limited` is the sign of the last tick's saturation."""
+) -> tuple[Lanes, Lanes, Lanes, Lanes]:
+    """Return position error, integrator, torque of PI and torque of FF of one position tick.
+
+    Args:
+        law: constants, a record of CONTROLLER_DTYPE.
+        width: how many lanes of them, a literal.
+        position_setpoint: of the motors, rad.
+        velocity_setpoint: rad/s.
+        acceleration_setpoint: rad/s^2.
+        position: measured, rad.
+        integrator: Nm.
+        limited: sign of the last tick's saturation.
+    """
     error = position_setpoint - position
     # Anti-windup: no integration further into the amplifier's saturation.
-    advanced = clip(integrator + gains.integral * error, gains.integrator_limit)
+    advanced = clip(integrator + load(law.integral, width) * error, load(law.integrator_limit, width))
     integrator = select(error * limited <= 0.0, advanced, integrator)
     # The sign function, made continuous: a set-point that crosses zero must not switch the torque back and forth.
-    sign = clip(velocity_setpoint / gains.coulomb_velocity, 1.0)
-    viscous = gains.viscous * signed_power(velocity_setpoint, gains.viscous_exponent)
-    feed_forward = gains.inertia * acceleration_setpoint + gains.coulomb * sign + viscous
-    return PositionLoop(error, integrator, gains.proportional * error + integrator, feed_forward)
+    sign = clip(velocity_setpoint / load(law.coulomb_velocity, width), 1.0)
+    viscous = load(law.viscous, width) * signed_power(velocity_setpoint, load(law.viscous_exponent, width))
+    feed_forward = load(law.inertia, width) * acceleration_setpoint + load(law.coulomb, width) * sign + viscous
+    return error, integrator, load(law.proportional, width) * error + integrator, feed_forward
 
 
 @inlined
 def velocity_servo(
-    gains: Any,
+    law: Any,
+    width: int,
     current_gain: Lanes,
     position_torque: Lanes,
     feed_forward: Lanes,
     velocity_setpoint: Lanes,
     velocity: Lanes,
     current: Lanes,
-) -> VelocityLoop:
-    """Return D and C of one base tick: damping, amplifier limit, current loop of first order with limited slew."""
-    damping = gains.derivative * (gains.velocity_weight * velocity_setpoint - velocity)
-    wanted = (position_torque + feed_forward + damping) / gains.torque_constant
-    limited = select(wanted > gains.peak_current, 1.0, select(wanted < -gains.peak_current, -1.0, 0.0 * wanted))
-    commanded = clip(wanted, gains.peak_current)
+) -> tuple[Lanes, Lanes, Lanes, Lanes]:
+    """Return commanded current, A, motor current, torque, Nm, and sign of the amplifier's saturation of a base tick.
+
+    They are damping, amplifier limit, and current loop of first order with limited slew.
+
+    Args:
+        law: constants, a record of CONTROLLER_DTYPE.
+        width: how many lanes of them, a literal.
+        current_gain: of the current loop.
+        position_torque: of PI, Nm.
+        feed_forward: of FF, Nm.
+        velocity_setpoint: of the motors, rad/s.
+        velocity: measured, rad/s.
+        current: in the motors, A.
+    """
+    damping = load(law.derivative, width) * (load(law.velocity_weight, width) * velocity_setpoint - velocity)
+    peak, constant = load(law.peak_current, width), load(law.torque_constant, width)
+    wanted = (position_torque + feed_forward + damping) / constant
+    limited = select(wanted > peak, 1.0, select(wanted < -peak, -1.0, 0.0 * wanted))
+    commanded = clip(wanted, peak)
     change = current_gain * (commanded - current)
-    current = current + clip(change, gains.current_step)
-    return VelocityLoop(commanded, current, gains.torque_constant * current, limited)
+    current = current + clip(change, load(law.current_step, width))
+    return commanded, current, constant * current, limited
 
 
 @inlined
@@ -210,8 +181,9 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
         begin_parts(state)
     for k in range(3):
         to_motor(law.gear, setpoint[k], state.reference[k])
-    loop = position_servo(
-        load_gains(law, 6),
+    error, integrator, position_torque, feed_forward = position_servo(
+        law,
+        6,
         load(state.reference[0], 6),
         load(state.reference[1], 6),
         load(state.reference[2], 6),
@@ -219,17 +191,17 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
         load(state.integrator, 6),
         load(state.limited, 6),
     )
-    store(state.error, loop.error)
     measured = load(velocity, 6)
+    store(state.error, error)
     store(state.velocity_error, load(state.reference[1], 6) - measured)
-    store(state.integrator, loop.integrator)
-    store(state.position_torque, loop.position_torque)
-    store(state.feed_forward, loop.feed_forward)
+    store(state.integrator, integrator)
+    store(state.position_torque, position_torque)
+    store(state.feed_forward, feed_forward)
     if law.model.parts != 0:
         add_model_torque(law, state, setpoint)
     if other_parts:
         hand_over(law, state)
-    return _beyond_limits(law, loop.error, measured)
+    return _beyond_limits(law, error, measured)
 
 
 @kernel
@@ -245,8 +217,9 @@ def velocity_loop(laws: Record, states: Record, velocity: Array) -> bool:
         Whether a torque is not finite: the drives are to be switched off.
     """
     law, state = laws[0], states[0]
-    loop = velocity_servo(
-        load_gains(law, 6),
+    commanded, current, command, limited = velocity_servo(
+        law,
+        6,
         law.current_gain,
         load(state.position_torque, 6),
         load(state.feed_forward, 6),
@@ -254,9 +227,9 @@ def velocity_loop(laws: Record, states: Record, velocity: Array) -> bool:
         load(velocity, 6),
         load(state.current, 6),
     )
-    store(state.commanded, loop.commanded)
-    store(state.current, loop.current)
-    store(state.command, loop.command)
-    store(state.limited, loop.limited)
-    store(state.saturated, load(state.saturated, 6) + loop.limited * loop.limited)
-    return _not_finite(loop.command)
+    store(state.commanded, commanded)
+    store(state.current, current)
+    store(state.command, command)
+    store(state.limited, limited)
+    store(state.saturated, load(state.saturated, 6) + limited * limited)
+    return _not_finite(command)

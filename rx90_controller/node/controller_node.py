@@ -61,8 +61,7 @@ from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
 from rx90_controller.trajectory.points import check_trajectory_bytes
 
 if TYPE_CHECKING:
-    from rx90_controller.node.action_server import FollowJointTrajectoryAction
-    from rx90_controller.node.client_topics import ControllerState
+    from rx90_controller.node.client_interfaces import ControllerState, FollowJointTrajectoryAction
 
 _TRAJECTORY = "~/joint_trajectory"
 _MATCH_ATTEMPTS = 100  # of 50 ms
@@ -183,9 +182,8 @@ class Control:
         self.loop = loop = ServoLoop(cs7b, outputs, declare_horizon(node), goals.monitor_ticks)
         loop.active = loop.enabled = False
         law.change_with(loop.change_law)
-        with loop.between_ticks() as requests:
-            requests.options, requests.tolerances = goals.options, goals.tolerances
-            cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
+        loop.options, loop.tolerances = goals.options, goals.tolerances
+        cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
         outputs.report = node.create_guard_condition(loop.report)
         messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
         self._pacer = Pacer(rates.period, 1.0)
@@ -235,15 +233,13 @@ class Control:
         cs7b, loop, counts = self._cs7b, self.loop, self._pacer.take()
         (tick, at), self._reported = self._reported, (cs7b.tick, time.monotonic())
         now_tick, now = self._reported
-        with loop.between_ticks() as requests:
-            rejected, last_rejection = requests.rejected, requests.last_rejection
         values = {
             "time mode": self.serving.mode or "unknown: no simulation yet",
             "controller time, s": f"{cs7b.tick * cs7b.rates.period:.3f}",
             "rate, Hz": f"{max(0.0, (now_tick - tick) / (now - at)):.1f}",  # 0 over a reset
             "saturated ticks": " ".join(str(n) for n in cs7b.saturated),
-            "rejected trajectories": str(rejected),
-            "last rejection": last_rejection or "none",
+            "rejected trajectories": str(loop.rejected),
+            "last rejection": loop.last_rejection or "none",
             "enabled": "true" if loop.enabled else "false",
         }
         if self.serving.mode == FREE_RUNNING:
@@ -270,8 +266,7 @@ def make_action(
     if missing is not None:
         node.get_logger().info(f"the action follow_joint_trajectory is off: {missing}")
         return None
-    from rx90_controller.node.action_server import FollowJointTrajectoryAction
-    from rx90_controller.node.client_topics import SpeedScaling, serve_state_query
+    from rx90_controller.node.client_interfaces import FollowJointTrajectoryAction, SpeedScaling, serve_state_query
 
     SpeedScaling(node, loop, cs7b)
     serve_state_query(node, loop, cs7b)
@@ -282,7 +277,7 @@ def make_controller_state(node: ManagedNode, cs7b: CS7B, state_ticks: int) -> Co
     """Return what publishes the controller's state; None without control_msgs."""
     if missing_control_msgs() is not None:
         return None
-    from rx90_controller.node.client_topics import ControllerState
+    from rx90_controller.node.client_interfaces import ControllerState
 
     return ControllerState(node, cs7b, state_ticks)
 

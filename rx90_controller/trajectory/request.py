@@ -8,10 +8,10 @@ those of ros2_controllers' joint_trajectory_controller (docs/howto/action.md). N
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -204,22 +204,6 @@ class State(Enum):
     CANCELED = "canceled"
 
 
-class Outcome(NamedTuple):
-    """How a request has ended.
-
-    Attributes:
-        state: SUCCEEDED, ABORTED or CANCELED, as the action's states.
-        code: of the result.
-        text: error_string of the result, one line.
-        tick: position tick of the end.
-    """
-
-    state: State
-    code: ResultCode
-    text: str
-    tick: int
-
-
 class Feedback(NamedTuple):
     """How a request goes at a position tick.
 
@@ -240,16 +224,6 @@ class Feedback(NamedTuple):
     actual_time: float
 
 
-class Client(Protocol):
-    """Who sent a goal; called by the executor's thread, in the order of what has happened."""
-
-    def on_feedback(self, feedback: Feedback) -> None:
-        """Take note of how the goal goes."""
-
-    def on_result(self, outcome: Outcome) -> None:
-        """Take note of how it has ended; the last call."""
-
-
 @dataclass(eq=False)
 class TrajectoryRequest:
     """A trajectory that somebody sent, with what has become of it.
@@ -262,9 +236,11 @@ class TrajectoryRequest:
         options: what else was accepted when it came.
         is_goal: whether it came as a goal: the way then leads to its points from where the path is. A point of the
             topic's at the start is followed to the bit, unless the start is over.
-        client: of a goal; None for a trajectory of the topic.
-        state: where it is.
-        outcome: how it has ended; None before.
+        on_feedback: of a goal, called by the executor's thread now and then while it is followed.
+        on_result: likewise, called once it has ended.
+        state: where it is; once it has ended SUCCEEDED, ABORTED or CANCELED.
+        code: of the result, once it has ended.
+        reason: how it has ended, one line, error_string of the result; empty before.
         feedback: how it went in the last step; None before the first.
     """
 
@@ -274,9 +250,11 @@ class TrajectoryRequest:
     tolerances: GoalTolerances
     options: GoalOptions
     is_goal: bool = False
-    client: Client | None = None
+    on_feedback: Callable[[Feedback], None] | None = None
+    on_result: Callable[[], None] | None = None
     state: State = State.RECEIVED
-    outcome: Outcome | None = None
+    code: ResultCode = ResultCode.SUCCESSFUL
+    reason: str = ""
     feedback: Feedback | None = None
     _began: int = 0  # tick of the first step
     _settling: int | None = None  # tick in which the last point was reached
@@ -306,8 +284,8 @@ class TrajectoryRequest:
             return generator.join(self.points, now, self.start, anywhere=anywhere)
         return generator.accept(self.points, now, self.start)
 
-    def step(self, tick: int, desired: Array, actual: Array, trajectory: TrajectoryGenerator) -> Outcome | None:
-        """Compare the set-point of a position tick with the measured state; return how the request ends, if it does.
+    def step(self, tick: int, desired: Array, actual: Array, trajectory: TrajectoryGenerator) -> None:
+        """Compare the set-point of a position tick with the measured state; end the request where that decides it.
 
         Along the path its tolerances hold, from the first sample to the last one before the last point. From the last
         point on the goal is reached as soon as its tolerances hold, and missed once `goal_time` is over.
@@ -318,37 +296,30 @@ class TrajectoryRequest:
             actual: measured, likewise.
             trajectory: generator that follows it.
         """
-        progress = trajectory.progress(tick)
+        progress, period, tolerances = trajectory.progress(tick), trajectory.period, self.tolerances
         if self.state is State.WAITING and progress.time < 0.0:
-            return None
-        first, tolerances, period = self.feedback is None, self.tolerances, trajectory.period
+            return
+        first = self.feedback is None
         if first:
             self.state, self._began = State.FOLLOWED, tick
         error = desired - actual
         self.feedback = Feedback(tick, desired, actual, error, progress.time, (tick - self._began) * period)
         reached, now = progress.time >= progress.last, f"{tick * period:.6g} s"
-        where = f"{now}, {progress.time:.6g} s on the trajectory"
-        if first or not reached:
-            worst = tolerances.worst(error, tolerances.path)
-            if worst is not None:
-                text = f"{worst} along the path, at {where}"
-                return self.end(State.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, text, tick)
-        if not reached:
-            return None
-        self._settling = tick if self._settling is None else self._settling
-        worst, late = tolerances.worst(error, tolerances.goal), (tick - self._settling) * period
-        if worst is None:
-            text = f"goal reached at {now}, {late:.6g} s after the last point"
-            return self.end(State.SUCCEEDED, ResultCode.SUCCESSFUL, text, tick)
-        if late > tolerances.goal_time:
-            text = f"{worst} at the goal, {late:.6g} s after the last point, at {where}"
-            return self.end(State.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED, text, tick)
-        return None
+        where = f"at {now}, {progress.time:.6g} s on the trajectory"
+        if (first or not reached) and (worst := tolerances.worst(error, tolerances.path)) is not None:
+            self.end(State.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, f"{worst} along the path, {where}")
+        elif reached:
+            self._settling = tick if self._settling is None else self._settling
+            worst, late = tolerances.worst(error, tolerances.goal), (tick - self._settling) * period
+            after = f"{late:.6g} s after the last point"
+            if worst is None:
+                self.end(State.SUCCEEDED, ResultCode.SUCCESSFUL, f"goal reached at {now}, {after}")
+            elif late > tolerances.goal_time:
+                self.end(State.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED, f"{worst} at the goal, {after}, {where}")
 
-    def end(self, state: State, code: ResultCode, text: str, tick: int) -> Outcome:
+    def end(self, state: State, code: ResultCode, reason: str) -> None:
         """End it, once."""
-        self.state, self.outcome = state, Outcome(state, code, text, tick)
-        return self.outcome
+        self.state, self.code, self.reason = state, code, reason
 
 
 def check_request(

@@ -261,8 +261,7 @@ def test_options_of_goals_hold_for_the_topic(rig: Rig, option: str, change: str,
         given.points[0].positions, given.points[0].time_from_start = [0.5] * 6, SimpleNamespace(sec=0, nanosec=0)
     rig.loop.receive(given)
     assert rig.around.lines[-1].startswith(f"trajectory rejected: {refusal}")
-    with rig.loop.between_ticks() as goals:
-        goals.options = GoalOptions(**{option: True})
+    rig.loop.options = GoalOptions(**{option: True})
     rig.loop.receive(given)
     assert "accepted" in rig.around.lines[-1]
     held, velocity, _ = rig.cs7b.trajectory.setpoints(2000)[0]
@@ -280,7 +279,7 @@ def test_two_senders_are_one_queue_and_none_is_heard_while_not_active(rig: Rig) 
     for given in (rig.trajectory(0.1), rig.empty(), message(rig, 30, 1.0)):
         rig.loop.receive(given)
         assert rig.around.lines[-1] == "trajectory rejected: the controller is inactive; accepted: in state active"
-    assert rig.rejected == 3
+    assert rig.loop.rejected == 3
 
 
 def test_only_a_trajectory_that_is_followed_ends_a_goal(rig: Rig) -> None:
@@ -291,8 +290,8 @@ def test_only_a_trajectory_that_is_followed_ends_a_goal(rig: Rig) -> None:
     sender.on_result.assert_not_called()
     with mock.patch.object(rig.around, "error") as error:
         rig.loop.receive(rig.trajectory(0.01))
-    (outcome,) = sender.on_result.call_args.args
-    assert outcome.text.startswith("replaced by a trajectory on the topic")
+    (ended,) = sender.on_result.call_args.args
+    assert ended.reason.startswith("replaced by a trajectory on the topic")
     error.assert_not_called()
 
 

@@ -12,7 +12,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from rx90_common.base.rates import Rates
-from rx90_controller.node.requests import Requests
+from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 from rx90_controller.trajectory.request import (
     GoalError,
@@ -93,9 +93,11 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
     """
     generator = np.random.default_rng(20)
     trajectory = TrajectoryGenerator(LIMITS, PERIOD, np.zeros(6))
-    cs7b: Any = SimpleNamespace(trajectory=trajectory, joint_names=NAMES, rates=Rates(), position_tick=1000)
+    cs7b: Any = SimpleNamespace(
+        trajectory=trajectory, joint_names=NAMES, rates=Rates(), position_tick=1000, command=np.zeros(6)
+    )
     outputs: Any = mock.Mock()
-    requests = Requests(cs7b, outputs, 60.0, 1)
+    loop = ServoLoop(cs7b, outputs, 60.0, 1)
     tolerances = GoalTolerances.of_parameters(NAMES)
     active: TrajectoryRequest | None = None
     now, handed_over, reasons, path = 1000, 0, [], []
@@ -104,7 +106,7 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
         try:
             message = random_goal(generator, now * PERIOD, options)
             goal = check_request(message.trajectory, tolerances, options, 1000, message)
-            goal.client, plan = mock.Mock(), None
+            goal.on_result, plan = mock.Mock(), None
             if generator.random() < 0.5:
                 plan = JoinedAhead(goal, trajectory, now)
                 plan.compute()
@@ -116,20 +118,20 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
             cs7b.position_tick = now
             plan = plan if plan is not None and plan.fits(now) else None
             with mock.patch.object(trajectory, "join", wraps=trajectory.join) as joined:
-                requests.follow(goal, "", plan)
-            if goal.outcome is None:
+                loop._follow(goal, plan)
+            if not goal.reason:
                 handed_over += not joined.called
-                assert active is None or active.outcome is not None
+                assert active is None or active.reason
                 active = goal
             else:
-                reasons.append(goal.outcome.text)
-                assert active is None or active.outcome is None or active.outcome.text.startswith("cancelled")
+                reasons.append(goal.reason)
+                assert active is None or not active.reason or active.reason.startswith("cancelled")
         except GoalError as error:
             reasons.append(str(error))
         count = int(generator.integers(0, 400))
         cs7b.position_tick = now
         if generator.random() < 0.1 and active is not None:
-            requests.cancel(active)
+            loop.cancel(active)
         if generator.random() < 0.1:
             trajectory.set_speed_scaling(float(generator.choice([0.0, 0.3, 1.0, 1.0])), now)
         path.append(trajectory.setpoints(now, count))

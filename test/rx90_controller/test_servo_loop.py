@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from servo_rig import Rig
 
-from rx90_controller.trajectory.request import Feedback, Outcome, State
+from rx90_controller.trajectory.request import Feedback, State, TrajectoryRequest
 
 
 def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
@@ -79,7 +79,7 @@ def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: R
     rig.position = np.full(6, 3.0)
     assert rig.run(0, 3) == [False] * 3
     rig.loop.receive(rig.trajectory(0.2))
-    assert rig.rejected == 1
+    assert rig.loop.rejected == 1
     assert "the controller is disabled" in rig.around.lines[-1]
     rig.loop.enable(True)
     assert rig.run(3, 8) == [True] * 8
@@ -111,7 +111,7 @@ def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
     assert rig.around.published[-1] == 4 * rig.period  # what has led to it can be seen
     assert rig.loop.fault is not None
     rig.loop.receive(rig.trajectory(0.2))
-    assert rig.rejected == 1
+    assert rig.loop.rejected == 1
     rig.loop.enable(True)
     assert rig.run(402, 8) == [True] * 8
     assert rig.loop.fault is None
@@ -141,7 +141,7 @@ def test_a_stamp_too_far_ahead_is_refused(rig: Rig) -> None:
         "or simulated time within 60 s"
     ]
     rig.loop.receive(rig.empty(stamp=(60, 101_000_000)))
-    assert rig.rejected == 2
+    assert rig.loop.rejected == 2
     rig.loop.receive(rig.trajectory(0.1, stamp=(60, 100_000_000)))
     assert rig.around.lines[-1] == "trajectory accepted: 1 points, 1.000 s from 60.100 s"
     assert rig.around.taken == [(1, 60_100_000_000, "")]
@@ -197,7 +197,7 @@ class Sender:
 
     def __init__(self) -> None:
         self.feedback: list[Feedback] = []
-        self.ends: list[Outcome] = []
+        self.ends: list[TrajectoryRequest] = []
         self.on_feedback, self.on_result = self.feedback.append, self.ends.append
 
 
@@ -234,4 +234,4 @@ def test_a_goal_ends_with_what_ends_its_motion(rig: Rig) -> None:
         "the torque is off", "the torque comes back with the next tick", "replaced by a trajectory on the topic",
     )  # fmt: skip
     for told, text in zip(ends, words, strict=True):
-        assert text in told[0].text
+        assert text in told[0].reason

@@ -28,8 +28,7 @@ def held(rig: Rig) -> Callable[..., Rig]:
     """Return what gives the rig, at rest, with these constraints."""
 
     def make(constraints: dict[str, float] | None = None) -> Rig:
-        with rig.loop.between_ticks() as goals:
-            goals.tolerances = GoalTolerances.of_parameters(rig.names, constraints)
+        rig.loop.tolerances = GoalTolerances.of_parameters(rig.names, constraints)
         rig.loop.hold(rig.states(0))
         rig.around.lines.clear()
         return rig
@@ -108,8 +107,7 @@ def test_what_is_held_to_constraints(held: Callable[..., Rig]) -> None:
     rig = held({"constraints.joint_1.trajectory": 0.02})
     rig.loop.receive(rig.trajectory(0.1))
     rig.loop.receive(rig.trajectory(9.0))
-    with rig.loop.between_ticks() as goals:
-        goals.tolerances = GoalTolerances.of_parameters(rig.names, {"constraints.joint_1.trajectory": 0.05})
+    rig.loop.tolerances = GoalTolerances.of_parameters(rig.names, {"constraints.joint_1.trajectory": 0.05})
     rig.run(0, RATIO * 500)
     assert "accepted up to 0.02 rad" in aborted(rig)[0]
     rig.loop.hold(rig.states(0))
@@ -144,8 +142,7 @@ def test_nothing_is_told_of_a_trajectory_that_is_over(held: Callable[..., Rig]) 
 
 def test_one_that_waited_for_the_first_states_is_held_to_them_too(rig: Rig) -> None:
     """From its start on; until there are states there is nothing to compare."""
-    with rig.loop.between_ticks() as goals:
-        goals.tolerances = GoalTolerances.of_parameters(rig.names, {"constraints.joint_1.trajectory": 0.02})
+    rig.loop.tolerances = GoalTolerances.of_parameters(rig.names, {"constraints.joint_1.trajectory": 0.02})
     rig.loop.receive(rig.trajectory(0.1))
     rig.loop.hold(rig.states(0))
     rig.run(0, RATIO * 1000)

@@ -12,14 +12,16 @@ from joint_moves import HOME, NAMES, PERIOD, ZERO
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.rates import Rates
-from rx90_controller.node.requests import Requests
+from rx90_common.exchange.motor_messages import MotorStates
+from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 from rx90_controller.trajectory.request import (
     Feedback,
     GoalError,
     GoalOptions,
     GoalTolerances,
-    Outcome,
+    ResultCode,
+    State,
     TrajectoryRequest,
     check_request,
 )
@@ -92,24 +94,49 @@ class Event(NamedTuple):
     """How a goal has ended, and which."""
 
     key: str
-    outcome: Outcome
+    state: State
+    code: ResultCode
+    text: str
+    tick: int
+
+
+class Law:
+    """What a servo loop needs of a control law; each tick is one of the position loop."""
+
+    joint_names, rates, command, fault, on_position_tick = NAMES, Rates(1000, 1000), ZERO, None, True
+
+    def __init__(self, trajectory: TrajectoryGenerator) -> None:
+        self.trajectory, self.position_tick = trajectory, 0
+        self.setpoint, self.off, self.off_speed = np.array([HOME, ZERO, ZERO]), ZERO.copy(), ZERO.copy()
+
+    def step(self, *_: object) -> None:
+        """Run a tick."""
+        self.setpoint = self.trajectory.setpoints(self.position_tick)[0]
+        self.position_tick += 1
+
+    def measured(self) -> tuple[Array, Array]:
+        """Return where the arm is and how fast."""
+        return self.setpoint[0] - self.off, self.setpoint[1] - self.off_speed
 
 
 class Arm:
-    """A queue of requests, its generator, and an arm whose state is the set-point plus an error that a test sets.
+    """A servo loop, its generator, and an arm whose state is the set-point plus an error that a test sets.
 
     Attributes:
         feedback: the newest of the active goal.
         active: key of the goal that is followed, if there is one.
     """
 
-    def __init__(self, **options: bool) -> None:
+    def __init__(
+        self, horizon: float = 10.0, limits: JointLimits = LIMITS, home: Array = HOME, **options: bool
+    ) -> None:
         self.trajectory = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-        self.joint_names, self.rates, self.position_tick = NAMES, Rates(), 0
-        self.setpoint, self.off, self.off_speed = np.array([HOME, ZERO, ZERO]), ZERO.copy(), ZERO.copy()
-        outputs: Any = mock.Mock()
-        law: Any = self
-        self.requests = Requests(law, outputs, 10.0, 1)
+        self.law = Law(self.trajectory)
+        self.off, self.off_speed = self.law.off, self.law.off_speed
+        self.outputs: Any = mock.Mock()
+        law: Any = self.law
+        self.loop = ServoLoop(law, self.outputs, 10.0, 1)
+        self.loop.running = True
         self.options = options
         self.setpoints: list[Array] = []
         self.active: str | None = None
@@ -120,52 +147,50 @@ class Arm:
     @property
     def tick(self) -> int:
         """Return the next tick."""
-        return self.position_tick
+        return self.law.position_tick
 
-    def measured(self) -> tuple[Array, Array]:
-        """Return where the arm is and how fast."""
-        return self.setpoint[0] - self.off, self.setpoint[1] - self.off_speed
-
-    def offer(self, key: str, goal: SimpleNamespace | TrajectoryRequest, inactive: str = "") -> Event | None:
+    def offer(self, key: str, goal: SimpleNamespace | TrajectoryRequest) -> Event | None:
         """Offer a goal now; return the event of the one before, and raise what it is refused for."""
         request = goal if isinstance(goal, TrajectoryRequest) else checked(goal, **self.options)
-        request.client = mock.Mock()
-        self.requests.follow(request, inactive)
-        if request.outcome is not None:
-            raise GoalError(request.outcome.code, request.outcome.text)
+        request.on_result = lambda: self._note(key, request)
+        request.on_feedback = lambda feedback: setattr(self, "feedback", feedback)
         self._goals[key] = request
-        events = self.events()
-        self.active = key
+        self.loop.offer(request)
+        events = self._events()
+        if request.reason:
+            raise GoalError(request.code, request.reason)
+        self.active, self.feedback = key, None
         return events[0] if events else None
 
     def cancel(self) -> Event | None:
         """Cancel the goal offered last."""
-        self.requests.cancel([*self._goals.values()][-1])
-        return next(iter(self.events()), None)
+        self.loop.cancel([*self._goals.values()][-1])
+        return next(iter(self._events()), None)
 
     def drop(self, reason: str) -> Event | None:
         """End the goal for a reason."""
-        self.requests.drop(reason)
-        return next(iter(self.events()), None)
+        self.loop.drop(reason)
+        return next(iter(self._events()), None)
 
-    def events(self) -> list[Event]:
-        """Return which goals have ended since the last call."""
-        found = [Event(key, goal.outcome) for key, goal in self._goals.items() if goal.outcome is not None]
-        new, self._ended = [event for event in found if event not in self._ended], found
-        if new:
+    def _note(self, key: str, goal: TrajectoryRequest) -> None:
+        self._ended.append(Event(key, goal.state, goal.code, goal.reason, self.tick))
+        if key == self.active:
             self.active = self.feedback = None
-        return new
+
+    def _events(self) -> list[Event]:
+        """Return which goals have ended since the last call."""
+        self.loop.report()
+        ended, self._ended = self._ended, []
+        return ended
 
     def run(self, ticks: int) -> list[Event]:
         """Run ticks; return the events."""
         events = []
         for _ in range(ticks):
-            self.setpoint = self.trajectory.setpoints(self.position_tick)[0]
-            self.setpoints.append(self.setpoint)
-            self.position_tick += 1
-            self.requests.step()
-            events += self.events()
-            self.feedback = self._goals[self.active].feedback if self.active is not None else None
+            self.loop.step(self.tick * 1_000_000, MotorStates(0, ZERO, ZERO))
+            self.setpoints.append(self.law.setpoint)
+            self.loop.after_command(0)
+            events += self._events()
         return events
 
     def stopped_smoothly(self) -> bool:

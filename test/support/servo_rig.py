@@ -78,13 +78,9 @@ class Rig:
     def goal(self, trajectory: SimpleNamespace, client: Any) -> TrajectoryRequest:
         """Return a trajectory as a goal with the usual tolerances and options."""
         points, tolerances = points_from_message(self.names, trajectory), GoalTolerances.of_parameters(self.names)
-        return TrajectoryRequest(trajectory, points, None, tolerances, GoalOptions(), is_goal=True, client=client)
-
-    @property
-    def rejected(self) -> int:
-        """Return how many requests were refused."""
-        with self.loop.between_ticks() as requests:
-            return requests.rejected
+        goal = TrajectoryRequest(trajectory, points, None, tolerances, GoalOptions(), is_goal=True)
+        goal.on_feedback, goal.on_result = client.on_feedback, lambda: client.on_result(goal)
+        return goal
 
     def trajectory(self, target: float, seconds: int = 1, stamp: tuple[int, int] = (0, 0)) -> SimpleNamespace:
         """Return a message that moves all joints to `target`, rad, from a time on, in s and ns; (0, 0): now."""
