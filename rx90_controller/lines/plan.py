@@ -176,15 +176,31 @@ def check_plan(plan: LinePlan, limits: JointLimits, period: float, start: Array,
 
 @dataclass(frozen=True)
 class Approach:
-    """A joint-space move to the start of the line.
+    """A move in joint space from rest to rest, to the start of the line; all joints start and stop together.
 
     Attributes:
         speed: share of the joints' speed limits, in (0, 1].
         acceleration: of each joint, rad/s².
+
+    Raises:
+        LineError: if speed or acceleration are not usable.
     """
 
     speed: float = 0.25
     acceleration: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.speed <= 1.0:
+            raise LineError(f"the approach speed is {self.speed:g}; accepted: a share in (0, 1] of the joint speeds")
+        if not (math.isfinite(self.acceleration) and self.acceleration > 0.0):
+            raise LineError(f"the approach acceleration is {self.acceleration:g} rad/s^2; accepted: a number > 0")
+
+    def duration(self, robot: RobotModel, start: Array, end: Array) -> float:
+        """Return how long a quintic move between two poses, rad, shape (6,), takes, s: up to 15/8 dq/T, 10/√3 dq/T²."""
+        way = np.abs(end - start)
+        by_speed = 15.0 / 8.0 * way / (self.speed * robot.max_velocity)
+        by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / self.acceleration)
+        return float(np.maximum(by_speed, by_acceleration).max())
 
 
 class ApproachedLine(NamedTuple):
@@ -230,36 +246,10 @@ def approached(
             f"{name} is at {here[joint]:.4f} rad, the line starts at {plan.start_pose[joint]:.4f} rad; accepted: "
             f"within {limits.start_tolerance:g} rad, or --approach"
         )
-    duration = approach_time(plan.path.robot, here, plan.start_pose, approach.speed, approach.acceleration)
-    duration = math.ceil(duration * 1e3) / 1e3
+    duration = math.ceil(approach.duration(plan.path.robot, here, plan.start_pose) * 1e3) / 1e3
     check_plan(plan, limits, period, here, duration)
     points = replace(plan.points, times=plan.times + duration)
     return ApproachedLine(points, duration, plan.duration + duration, name, way)
-
-
-def approach_time(robot: RobotModel, start: Array, end: Array, speed: float, acceleration: float) -> float:
-    """Return the duration of a quintic move from rest to rest in joint space, s.
-
-    Such a move peaks at 15/8·Δq/T and 10/√3·Δq/T²; all joints start and stop together.
-
-    Args:
-        robot: the arm.
-        start: (6,) rad.
-        end: (6,) rad.
-        speed: share of each joint's speed limit that may be used, in (0, 1].
-        acceleration: of each joint, rad/s².
-
-    Raises:
-        LineError: if speed or acceleration are not usable.
-    """
-    if not 0.0 < speed <= 1.0:
-        raise LineError(f"the approach speed is {speed:g}; accepted: a share in (0, 1] of the joint speeds")
-    if not (np.isfinite(acceleration) and acceleration > 0.0):
-        raise LineError(f"the approach acceleration is {acceleration:g} rad/s^2; accepted: a number > 0")
-    way = np.abs(end - start)
-    by_speed = 15.0 / 8.0 * way / (speed * robot.max_velocity)
-    by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / acceleration)
-    return float(np.maximum(by_speed, by_acceleration).max())
 
 
 def describe_line(plan: LinePlan) -> str:

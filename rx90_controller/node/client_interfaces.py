@@ -206,30 +206,38 @@ def _point(state: Array, seconds: float) -> JointTrajectoryPoint:
     )
 
 
-class SpeedScaling:
-    """Follows trajectories at the share of their speed that is asked for, also while one runs."""
+def serve_clients(
+    node: Node, loop: ServoLoop, cs7b: CS7B, simulation_there: Callable[[], bool]
+) -> FollowJointTrajectoryAction:
+    """Serve the action, which is returned, `query_state`, and speed scaling; the arguments are the action's."""
+    _serve_speed_scaling(node, loop, cs7b)
+    _serve_state_query(node, loop, cs7b)
+    return FollowJointTrajectoryAction(node, loop, cs7b, simulation_there)
 
-    def __init__(self, node: Node, loop: ServoLoop, cs7b: CS7B) -> None:
-        self._loop, self._cs7b, self._log = loop, cs7b, node.get_logger()
-        self._announced: float | None = None
-        # Some repeat theirs hundreds of times a second, right or wrong.
-        self._complaints = ThrottledLog(lambda text: node.get_logger().error(text))
-        # Latched, as the original has it: what was asked for before this node was there counts, too.
-        subscribe(node, SpeedScalingFactor, "~/speed_scaling_input", self._on_factor, LATCHED_QOS.profile)
 
-    def _on_factor(self, message: SpeedScalingFactor) -> None:
+def _serve_speed_scaling(node: Node, loop: ServoLoop, cs7b: CS7B) -> None:
+    """Follow trajectories at the share of their speed that is asked for, also while one runs."""
+    log, announced = node.get_logger(), None
+    # Some repeat theirs hundreds of times a second, right or wrong.
+    complaints = ThrottledLog(lambda text: node.get_logger().error(text))
+
+    def on_factor(message: SpeedScalingFactor) -> None:
+        nonlocal announced
         try:
-            with self._loop.between_ticks():
-                self._cs7b.trajectory.set_speed_scaling(message.factor, self._cs7b.position_tick)
+            with loop.between_ticks():
+                cs7b.trajectory.set_speed_scaling(message.factor, cs7b.position_tick)
         except TrajectoryError as error:
-            self._complaints.say("factor", f"{error}; ignored")
+            complaints.say("factor", f"{error}; ignored")
         else:
-            if message.factor != self._announced:
-                self._log.info(f"speed scaling {message.factor:g}")
-                self._announced = message.factor
+            if message.factor != announced:
+                log.info(f"speed scaling {message.factor:g}")
+                announced = message.factor
+
+    # Latched, as the original has it: what was asked for before this node was there counts, too.
+    subscribe(node, SpeedScalingFactor, "~/speed_scaling_input", on_factor, LATCHED_QOS.profile)
 
 
-def serve_state_query(node: Node, loop: ServoLoop, cs7b: CS7B) -> None:
+def _serve_state_query(node: Node, loop: ServoLoop, cs7b: CS7B) -> None:
     """Answer what the set-point was, or will be, at a time of the running trajectory."""
     trajectory, tick_ns = cs7b.trajectory, cs7b.rates.period_ns * cs7b.rates.ratio
 

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -177,7 +178,9 @@ class Control:
                 f"not used, parameters of joint_trajectory_controller: {', '.join(goals.without_use)}; the law is the "
                 "CS7B's, set-points go on from set-points along splines, and whatever stops decelerates"
             )
-        outputs = ControllerOutputs(node, channel, cs7b, name, make_controller_state(node, cs7b, goals.state_ticks))
+        interfaces = import_client_interfaces(node)
+        state = None if interfaces is None else interfaces.ControllerState(node, cs7b, goals.state_ticks)
+        outputs = ControllerOutputs(node, channel, cs7b, name, state)
         self.publishers = outputs.publishers
         self.loop = loop = ServoLoop(cs7b, outputs, declare_horizon(node), goals.monitor_ticks)
         loop.active = loop.enabled = False
@@ -194,7 +197,9 @@ class Control:
         qos = TRAJECTORY_QOS.profile
         subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, qos, check_trajectory_bytes)
         node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS.profile)
-        self.action = make_action(node, loop, cs7b, channel)
+        self.action: FollowJointTrajectoryAction | None = None
+        if interfaces is not None:
+            self.action = interfaces.serve_clients(node, loop, cs7b, lambda: channel.matches().publishers > 0)
         allow_goal_changes(node, cs7b, loop)
         self._reported = (0, time.monotonic())  # tick and time of the last status
         self._diagnostics = Diagnostics(node, self._status)
@@ -258,28 +263,15 @@ class Control:
         return DiagnosticStatus.OK, "following a trajectory" if moving else "holding", values
 
 
-def make_action(
-    node: ManagedNode, loop: ServoLoop, cs7b: CS7B, channel: TickChannel
-) -> FollowJointTrajectoryAction | None:
-    """Serve the action and what belongs to it; without control_msgs say once how to get it, and return None."""
+def import_client_interfaces(node: ManagedNode) -> ModuleType | None:
+    """Return the module of what needs control_msgs; where that is missing say once how to get it, and return None."""
     missing = missing_control_msgs()
     if missing is not None:
         node.get_logger().info(f"the action follow_joint_trajectory is off: {missing}")
         return None
-    from rx90_controller.node.client_interfaces import FollowJointTrajectoryAction, SpeedScaling, serve_state_query
+    from rx90_controller.node import client_interfaces
 
-    SpeedScaling(node, loop, cs7b)
-    serve_state_query(node, loop, cs7b)
-    return FollowJointTrajectoryAction(node, loop, cs7b, lambda: channel.matches().publishers > 0)
-
-
-def make_controller_state(node: ManagedNode, cs7b: CS7B, state_ticks: int) -> ControllerState | None:
-    """Return what publishes the controller's state; None without control_msgs."""
-    if missing_control_msgs() is not None:
-        return None
-    from rx90_controller.node.client_interfaces import ControllerState
-
-    return ControllerState(node, cs7b, state_ticks)
+    return client_interfaces
 
 
 class ControllerNode:

@@ -130,10 +130,9 @@ class TrajectoryClient:
             ExchangeError: if no joint states come within the client's timeout.
         """
         # The arm is in the controller's namespace, which need not be ours.
-        topic = self.topic.rsplit("/", 2)[0] + "/joint_states"
-        arm = self._arm = self._newest(topic, names, "position of the six joints")
-        assert arm.position is not None
-        return arm.position
+        self._arm = self._newest(self.topic.rsplit("/", 2)[0] + "/joint_states", names, "position of the six joints")
+        assert self._arm.position is not None
+        return self._arm.position
 
     def standing_time(self) -> float | None:
         """Return the time at which the simulation stands still, s; None if it runs or `joint_positions` was not asked.

@@ -15,7 +15,5 @@ def test_one_line_says_that_the_action_is_off_and_how_to_turn_it_on(monkeypatch:
     monkeypatch.setattr(controller_node, "missing_control_msgs", lambda: "needs control_msgs; accepted: make action")
     said: list[str] = []
     node: Any = SimpleNamespace(get_logger=lambda: SimpleNamespace(info=said.append))
-    nothing: Any = None
-    assert controller_node.make_action(node, nothing, nothing, nothing) is None
-    assert controller_node.make_controller_state(node, nothing, 1) is None
+    assert controller_node.import_client_interfaces(node) is None
     assert said == ["the action follow_joint_trajectory is off: needs control_msgs; accepted: make action"]

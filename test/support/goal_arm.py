@@ -127,9 +127,7 @@ class Arm:
         active: key of the goal that is followed, if there is one.
     """
 
-    def __init__(
-        self, horizon: float = 10.0, limits: JointLimits = LIMITS, home: Array = HOME, **options: bool
-    ) -> None:
+    def __init__(self, **options: bool) -> None:
         self.trajectory = TrajectoryGenerator(LIMITS, PERIOD, HOME)
         self.law = Law(self.trajectory)
         self.off, self.off_speed = self.law.off, self.law.off_speed
