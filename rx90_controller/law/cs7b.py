@@ -2,23 +2,95 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Record
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.wrist import to_joint, to_joint_torque
 from rx90_controller.law.loops import LAW_STATE_DTYPE, law_release, law_reset, position_loop, velocity_loop
-from rx90_controller.law.model_friction import cool_model
+from rx90_controller.law.model import cool_model
 from rx90_controller.law.parameters import CS7BParameters
-from rx90_controller.law.supervision import DriveFault
 from rx90_controller.trajectory import TrajectoryGenerator
 
-_LOOKAHEAD = 64
+_LOOKAHEAD = 64  # set-points that are sampled at once
+_PARAMETERS = {
+    "inertia": "servo.inertia",
+    "derivative": "servo.kv",
+    "proportional": "servo.kp",
+    "integral": "servo.ki",
+    "integrator_limit": "servo.integrator_limit",
+    "coulomb": "feed_forward.coulomb_torque",
+    "viscous": "feed_forward.viscous_friction",
+}
+"""Constants of the law by the parameter that makes them; those that go into others come first."""
+_ABSURD = 1e100
+
+
+class DriveFault(NamedTuple):
+    """Why the supervision cut the power.
+
+    Attributes:
+        joint: name of the joint.
+        quantity: "following error", "speed" or "torque".
+        value: of it, in `unit`.
+        limit: the most that is accepted.
+        unit: "rad", "rad/s" or "Nm".
+        time: of the measurement, s.
+        parameter: what made the law give no finite torque; empty for a limit.
+    """
+
+    joint: str
+    quantity: str
+    value: float
+    limit: float
+    unit: str
+    time: float
+    parameter: str = ""
+
+    @classmethod
+    def of(cls, names: Sequence[str], laws: Record, states: Record, time: float) -> DriveFault:
+        """Return what is furthest beyond its limit after a position loop that found something there at `time`, s."""
+        law, state = laws[0], states[0]
+        found = []
+        for quantity, unit, motor, motor_limit in (
+            ("following error", "rad", state["error"], law["following_error"]),
+            ("speed", "rad/s", state["reference"][1] - state["velocity_error"], law["over_speed"]),
+        ):
+            value, limit = np.empty(6), motor_limit / np.abs(law["gear"])
+            to_joint(np.ascontiguousarray(law["gear"]), np.ascontiguousarray(motor), value)
+            share = np.nan_to_num(np.abs(value) / limit, nan=np.inf)
+            k = int(np.argmax(share))
+            fault = cls(names[k], quantity, float(value[k]), float(limit[k]), unit, time)
+            found.append((float(share[k]), fault))
+        return max(found, key=lambda each: each[0])[1]
+
+    @classmethod
+    def of_torque(cls, names: Sequence[str], laws: Record, states: Record, time: float) -> DriveFault:
+        """Return the first joint whose torque is not finite after a velocity loop that found one at `time`, s."""
+        law, torque = laws[0], states[0]["command"]
+        motor = int(np.argmin(np.isfinite(torque)))
+        absurd = [name for constant, name in _PARAMETERS.items() if not abs(law[constant][motor]) < _ABSURD]
+        other = "the feed-forward's model" if law["model"]["parts"] else "a measured state"
+        parameter = absurd[0] if absurd else other
+        return cls(names[motor], "torque", float(torque[motor]), np.inf, "Nm", time, parameter)
+
+    def __str__(self) -> str:
+        """Return it as one line with the value and what is accepted."""
+        if self.parameter:
+            return (
+                f"{self.joint}: torque {self.value:g} {self.unit} at {self.time:.6g} s, by {self.parameter}; "
+                "accepted: finite torques"
+            )
+        return (
+            f"{self.joint}: {self.quantity} {self.value:.4g} {self.unit} at {self.time:.6g} s; accepted: up to "
+            f"{self.limit:.4g} {self.unit}"
+        )
 
 
 class CS7B:
@@ -43,7 +115,8 @@ class CS7B:
         self._gear = drives.gear
         self.trajectory = TrajectoryGenerator(parameters.limits(robot), rates.position_period, np.zeros(6))
         self.tick = 0
-        self._lookahead = Lookahead(self.trajectory)
+        # Set-points ahead, from a position tick on, of a revision of the generator.
+        self._ahead, self._ahead_from, self._ahead_revision = np.zeros((0, 3, 6)), 0, self.trajectory.revision
         # Fixed memory: what is sent in every tick is read from there.
         self._reference = np.zeros((3, 6))
         self._error = np.zeros((3, 6))
@@ -112,13 +185,15 @@ class CS7B:
         """
         tick, slow = divmod(self.tick, self.rates.ratio)
         if slow == 0:
-            self.setpoint, self._measured = self._lookahead.at(tick), (position, velocity, torque)
+            row, revision = tick - self._ahead_from, self.trajectory.revision
+            if self._ahead_revision != revision or not 0 <= row < len(self._ahead):
+                self._ahead = self.trajectory.setpoints(tick, _LOOKAHEAD)
+                self._ahead_from, self._ahead_revision, row = tick, revision, 0
+            self.setpoint, self._measured = self._ahead[row], (position, velocity, torque)
             self._reference[:2], self._details[0] = self.setpoint[:2], self.setpoint[2]
-            tripped = position_loop(self.law, self.state, self.setpoint, position, velocity)
-            if tripped:
+            if position_loop(self.law, self.state, self.setpoint, position, velocity):
                 self.note_fault()
-        lost = velocity_loop(self.law, self.state, velocity)
-        if lost and self.fault is None:
+        if velocity_loop(self.law, self.state, velocity) and self.fault is None:
             time = self.tick * self.rates.period
             self.fault = DriveFault.of_torque(self.joint_names, self.law, self.state, time)
         self.tick += 1
@@ -174,23 +249,3 @@ class CS7B:
         commanded[:], reported = self.state["commanded"][0], self._measured[2] if self._currents_err else None
         current[:] = self.state["current"][0] if reported is None else reported / self.law["torque_constant"][0]
         return acceleration, commanded, current
-
-
-class Lookahead:
-    """The set-points of a generator, also of one whose trajectories change in between."""
-
-    def __init__(self, generator: TrajectoryGenerator) -> None:
-        self._generator = generator
-        self._block = np.zeros((0, 3, 6))
-        self._first = 0  # position tick of the first set-point in it
-        self._revision = generator.revision
-
-    def at(self, tick: int) -> Array:
-        """Return that of a position tick: position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6)."""
-        row = tick - self._first
-        if self._revision != self._generator.revision or not 0 <= row < len(self._block):
-            self._block = self._generator.setpoints(tick, _LOOKAHEAD)
-            self._first, row = tick, 0
-            self._revision = self._generator.revision
-        setpoint: Array = self._block[row]
-        return setpoint

@@ -2,20 +2,24 @@
 
 Blocks of the paper: PI on the position error and FF from the set-points at the position rate, D on the
 measured velocity and C, the current loop with its amplifier, at the base rate. All quantities are on the
-motor side, because each controller serves one motor.
+motor side, because each controller serves one motor. The formulas are for one motor or for lanes of them. The drives'
+supervision compares following errors and speeds of the joints with their limits.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.description.wrist import to_motor
-from rx90_common.kernels.compiled import kernel
-from rx90_common.kernels.lanes import load, store
-from rx90_controller.law.model_torque import FRESH, MODEL_STATE_DTYPE, add_model_torque, begin_parts, hand_over
-from rx90_controller.law.servo import load_gains, position_servo, velocity_servo
-from rx90_controller.law.supervision import beyond_limits, not_finite
+from rx90_common.kernels.compiled import inlined, kernel
+from rx90_common.kernels.elementary import signed_power
+from rx90_common.kernels.lanes import Lanes, absolute, any_lane, append, first, lane, load, select, store
+from rx90_controller.law.model import FRESH, MODEL_STATE_DTYPE, add_model_torque, begin_parts, hand_over
+
+_LARGEST = float(np.finfo(np.float64).max)
 
 LAW_STATE_DTYPE = np.dtype(
     [
@@ -34,6 +38,105 @@ LAW_STATE_DTYPE = np.dtype(
     ],
     align=True,
 )
+
+
+@inlined
+def clip(x: Lanes, bound: Lanes) -> Lanes:
+    """Return x limited to +-bound; NaN stays NaN."""
+    return select(x > bound, bound, select(x < -bound, -bound, x))
+
+
+@inlined
+def position_servo(
+    law: Any,
+    width: int,
+    position_setpoint: Lanes,
+    velocity_setpoint: Lanes,
+    acceleration_setpoint: Lanes,
+    position: Lanes,
+    integrator: Lanes,
+    limited: Lanes,
+) -> tuple[Lanes, Lanes, Lanes, Lanes]:
+    """Return position error, integrator, torque of PI and torque of FF of one position tick.
+
+    Args:
+        law: constants, a record of CONTROLLER_DTYPE.
+        width: how many lanes of them, a literal.
+        position_setpoint: of the motors, rad.
+        velocity_setpoint: rad/s.
+        acceleration_setpoint: rad/s^2.
+        position: measured, rad.
+        integrator: Nm.
+        limited: sign of the last tick's saturation.
+    """
+    error = position_setpoint - position
+    # Anti-windup: no integration further into the amplifier's saturation.
+    advanced = clip(integrator + load(law.integral, width) * error, load(law.integrator_limit, width))
+    integrator = select(error * limited <= 0.0, advanced, integrator)
+    # The sign function, made continuous: a set-point that crosses zero must not switch the torque back and forth.
+    sign = clip(velocity_setpoint / load(law.coulomb_velocity, width), 1.0)
+    viscous = load(law.viscous, width) * signed_power(velocity_setpoint, load(law.viscous_exponent, width))
+    feed_forward = load(law.inertia, width) * acceleration_setpoint + load(law.coulomb, width) * sign + viscous
+    return error, integrator, load(law.proportional, width) * error + integrator, feed_forward
+
+
+@inlined
+def velocity_servo(
+    law: Any,
+    width: int,
+    current_gain: Lanes,
+    position_torque: Lanes,
+    feed_forward: Lanes,
+    velocity_setpoint: Lanes,
+    velocity: Lanes,
+    current: Lanes,
+) -> tuple[Lanes, Lanes, Lanes, Lanes]:
+    """Return commanded current, A, motor current, torque, Nm, and sign of the amplifier's saturation of a base tick.
+
+    They are damping, amplifier limit, and current loop of first order with limited slew.
+
+    Args:
+        law: constants, a record of CONTROLLER_DTYPE.
+        width: how many lanes of them, a literal.
+        current_gain: of the current loop.
+        position_torque: of PI, Nm.
+        feed_forward: of FF, Nm.
+        velocity_setpoint: of the motors, rad/s.
+        velocity: measured, rad/s.
+        current: in the motors, A.
+    """
+    damping = load(law.derivative, width) * (load(law.velocity_weight, width) * velocity_setpoint - velocity)
+    peak, constant = load(law.peak_current, width), load(law.torque_constant, width)
+    wanted = (position_torque + feed_forward + damping) / constant
+    limited = select(wanted > peak, 1.0, select(wanted < -peak, -1.0, 0.0 * wanted))
+    commanded = clip(wanted, peak)
+    change = current_gain * (commanded - current)
+    current = current + clip(change, load(law.current_step, width))
+    return commanded, current, constant * current, limited
+
+
+@inlined
+def _not_finite(torque: Lanes) -> bool:
+    """Return whether one of six torques is infinite or NaN."""
+    return any_lane(select(absolute(torque) <= _LARGEST, 0.0, 1.0) > 0.0)
+
+
+@inlined
+def _beyond_limits(law: Any, error: Lanes, velocity: Lanes) -> bool:
+    """Return whether a joint is beyond a limit, or a value is NaN; six lanes, motor side.
+
+    Args:
+        law: constants, a record of CONTROLLER_DTYPE.
+        error: position errors, rad.
+        velocity: measured velocities, rad/s.
+    """
+    # Motor 6 turns with joints 5 and 6 together.
+    share = law.gear[5] / law.gear[4]
+    following = append(first(error, 5), lane(error, 5) - share * lane(error, 4))
+    speed = append(first(velocity, 5), lane(velocity, 5) - share * lane(velocity, 4))
+    # The comparisons are false for NaN too.
+    fast = select(absolute(speed) <= load(law.over_speed, 6), 0.0, 1.0)
+    return any_lane(select(absolute(following) <= load(law.following_error, 6), fast, 1.0) > 0.0)
 
 
 @kernel
@@ -78,8 +181,9 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
         begin_parts(state)
     for k in range(3):
         to_motor(law.gear, setpoint[k], state.reference[k])
-    loop = position_servo(
-        load_gains(law, 6),
+    error, integrator, position_torque, feed_forward = position_servo(
+        law,
+        6,
         load(state.reference[0], 6),
         load(state.reference[1], 6),
         load(state.reference[2], 6),
@@ -87,17 +191,17 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
         load(state.integrator, 6),
         load(state.limited, 6),
     )
-    store(state.error, loop.error)
     measured = load(velocity, 6)
+    store(state.error, error)
     store(state.velocity_error, load(state.reference[1], 6) - measured)
-    store(state.integrator, loop.integrator)
-    store(state.position_torque, loop.position_torque)
-    store(state.feed_forward, loop.feed_forward)
+    store(state.integrator, integrator)
+    store(state.position_torque, position_torque)
+    store(state.feed_forward, feed_forward)
     if law.model.parts != 0:
         add_model_torque(law, state, setpoint)
     if other_parts:
         hand_over(law, state)
-    return beyond_limits(law, loop.error, measured)
+    return _beyond_limits(law, error, measured)
 
 
 @kernel
@@ -113,8 +217,9 @@ def velocity_loop(laws: Record, states: Record, velocity: Array) -> bool:
         Whether a torque is not finite: the drives are to be switched off.
     """
     law, state = laws[0], states[0]
-    loop = velocity_servo(
-        load_gains(law, 6),
+    commanded, current, command, limited = velocity_servo(
+        law,
+        6,
         law.current_gain,
         load(state.position_torque, 6),
         load(state.feed_forward, 6),
@@ -122,9 +227,9 @@ def velocity_loop(laws: Record, states: Record, velocity: Array) -> bool:
         load(velocity, 6),
         load(state.current, 6),
     )
-    store(state.commanded, loop.commanded)
-    store(state.current, loop.current)
-    store(state.command, loop.command)
-    store(state.limited, loop.limited)
-    store(state.saturated, load(state.saturated, 6) + loop.limited * loop.limited)
-    return not_finite(loop.command)
+    store(state.commanded, commanded)
+    store(state.current, current)
+    store(state.command, command)
+    store(state.limited, limited)
+    store(state.saturated, load(state.saturated, 6) + limited * limited)
+    return _not_finite(command)

@@ -22,8 +22,7 @@ from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.kernels.elementary_arrays import exponential_less_one_of, powers
-from rx90_controller.law.model import MODEL, ModelFiles
-from rx90_controller.law.model_torque import FRICTION, INVERSE_DYNAMICS, MODEL_DTYPE
+from rx90_controller.law.model import FRICTION, INVERSE_DYNAMICS, MODEL, MODEL_DTYPE, ModelFiles
 from rx90_controller.trajectory import JointLimits
 
 CONTROLLER_DTYPE = np.dtype(

@@ -1,1 +1,1 @@
-"""Straight Cartesian lines of the tool: task, profile, path, plan and approach."""
+"""Straight Cartesian lines of the tool: task and profile, joint path, plan and approach."""

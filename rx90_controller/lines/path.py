@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import LineError
 from rx90_common.description.inverse import (
     SphericalWristArm,
@@ -21,19 +20,14 @@ from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import axis_rotation, length, product, rpy_rotation, solved, turn_between
 from rx90_controller.lines.task import LineTask
 
-# The line is examined at points at most this far apart, and at this many at least.
-_STEP = 1e-3
-_FEWEST = 200
-# Between two examined points a joint may differ from its own slope by so much; a change of branch is larger.
-_JUMP = 0.05
-# A joint that turns less than this over the whole line is held still: the rounding of the inverse kinematics
+# The line is examined at points at most this far apart, m, and at this many at least.
+_EXAMINED_STEP = 1e-3
+_MIN_EXAMINED = 200
+# Between two examined points a joint may differ from its own slope by so much, rad; a change of branch is larger.
+_MAX_JUMP = 0.05
+# A joint that turns less than this over the whole line, rad, is held still: the rounding of the inverse kinematics
 # would otherwise reach the friction compensation as a velocity of changing sign.
 _STILL = 1e-10
-
-
-class _Fault(NamedTuple):
-    at: int
-    text: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +52,14 @@ class JointPath:
 
     def at(self, distance: Array) -> tuple[Array, Array, Array]:
         """Return joint angles (n, 6) in rad, and their first and second derivative in rad/m and rad/m²."""
-        chain = self.robot.chain
-        near = np.clip(np.searchsorted(self.distance, distance), 0, len(self.distance) - 1)
-        q = _solve(self.robot, self.task, distance, self.position[near])
+        chain, poses = self.robot.chain, line_poses(self.task, distance)
+        near = self.position[np.clip(np.searchsorted(self.distance, distance), 0, len(self.distance) - 1)]
+        arm = SphericalWristArm.from_chain(chain)
+        if arm is not None:
+            q = nearest_turn(arm.solve(chain, poses, self.task.branch), near)
+        else:
+            found = [solve_near(chain, Pose(*pose), guess) for *pose, guess in zip(*poses, near, strict=True)]
+            q = np.array([np.full(6, np.nan) if row is None else row for row in found])
         slope = _slope(self.robot, self.task, q)
         # The line's own second derivative by the distance is zero, in position and in orientation.
         bend = -solved(jacobian(chain, q), bias_acceleration(chain, q, slope))
@@ -80,19 +79,10 @@ def line_poses(task: LineTask, distance: Array) -> Pose:
 
 
 def _slope(robot: RobotModel, task: LineTask, q: Array) -> Array:
+    """Return the derivative of joint angles by the distance, rad/m, shape (n, 6)."""
     turn = turn_between(task.start_rpy, task.end_rpy)
     twist = np.concatenate([np.subtract(task.end, task.start), turn]) / task.length
     return solved(jacobian(robot.chain, q), np.broadcast_to(twist, q.shape))
-
-
-def _solve(robot: RobotModel, task: LineTask, distance: Array, guess: Array) -> Array:
-    """Return the joint angles (n, 6) near `guess` (n, 6); NaN rows where there are none."""
-    poses = line_poses(task, distance)
-    arm = SphericalWristArm.from_chain(robot.chain)
-    if arm is not None:
-        return nearest_turn(arm.solve(robot.chain, poses, task.branch), guess)
-    rows = [solve_near(robot.chain, Pose(*pose), g) for *pose, g in zip(*poses, guess, strict=True)]
-    return np.array([np.full(6, np.nan) if row is None else row for row in rows])
 
 
 def _follow(robot: RobotModel, task: LineTask, distance: Array) -> Array:
@@ -109,11 +99,60 @@ def _follow(robot: RobotModel, task: LineTask, distance: Array) -> Array:
             if guess is None:
                 break
             q[k] = guess
-    lost = np.flatnonzero(np.isnan(q).any(axis=1))
-    end = lost[0] if lost.size else len(q)
-    q[end:] = np.nan
-    q[:end] = np.unwrap(q[:end], axis=0)
+    lost = _first(np.asarray(np.isnan(q).any(axis=1)))
+    q[lost:] = np.nan
+    q[:lost] = np.unwrap(q[:lost], axis=0)
     return q
+
+
+def plan_path(robot: RobotModel, task: LineTask) -> JointPath:
+    """Find the joint path of a line and examine it from start to end.
+
+    Raises:
+        LineError: saying where on the line the arm cannot go, the joint or singularity, and what is accepted.
+    """
+    distance = np.linspace(0.0, task.length, max(_MIN_EXAMINED, int(np.ceil(task.length / _EXAMINED_STEP))) + 1)
+    q, faults = _follow(robot, task, distance), dict[int, str]()  # the first reason, by the place
+    reached = _first(np.asarray(np.isnan(q).any(axis=1)))
+    if reached < len(q):
+        faults[reached] = "out of reach; accepted: a pose that the arm can take"
+    q = _center_turns(robot, q[:reached])
+    for j, name in enumerate(robot.joint_names):
+        at = _first((q[:, j] < robot.lower[j]) | (q[:, j] > robot.upper[j]))
+        if at < len(q):
+            accepted = f"[{robot.lower[j]:.4f}, {robot.upper[j]:.4f}]"
+            faults.setdefault(at, f"{name} at {q[at, j]:.4f} rad; accepted: {accepted}")
+    margins = singularity_margins(robot.chain, q)
+    for kind, values in margins.items():
+        at = _first(values < task.singularity_margin)
+        if at < len(values):
+            accepted = f">= {task.singularity_margin:g}"
+            faults.setdefault(at, f"{kind} singularity, margin {values[at]:.4f}; accepted: {accepted}")
+    q = q[: min(faults, default=len(q))]
+    slope = _slope(robot, task, q)
+    gap = np.abs(np.diff(q, axis=0) - 0.5 * (slope[1:] + slope[:-1]) * np.diff(distance[: len(q)])[:, None])
+    jumps = np.argwhere(gap > _MAX_JUMP)
+    if jumps.size:
+        k, j = jumps[0].tolist()
+        jump = q[k + 1, j] - q[k, j]
+        faults[k + 1] = f"{robot.joint_names[j]} jumps by {jump:.3f} rad to another branch; accepted: no jump"
+    # What no speed can mend comes first: near a singularity the joint speeds grow, whatever the line's speed.
+    faults = faults or _speed_faults(robot, task, distance, slope)
+    if faults:
+        first = min(faults)
+        at_m = float(distance[first])
+        raise LineError(
+            f"the line cannot be travelled at {at_m:.3f} m from its start ({at_m / task.length:.0%}): {faults[first]}"
+        )
+    q = np.where(np.ptp(q, axis=0) < _STILL, np.round(q[0], 12), q)
+    worst = {kind: int(np.argmin(values)) for kind, values in margins.items()}
+    where = {kind: (float(margins[kind][k]), float(distance[k])) for kind, k in worst.items()}
+    return JointPath(robot, task, distance, q, slope, where)
+
+
+def _first(rows: Mask) -> int:
+    """Return the number of the first row that is true; how many rows there are if none is."""
+    return int(np.argmax(rows)) if rows.any() else len(rows)
 
 
 def _center_turns(robot: RobotModel, q: Array) -> Array:
@@ -125,89 +164,17 @@ def _center_turns(robot: RobotModel, q: Array) -> Array:
     return np.asarray(q + shift)
 
 
-def plan_path(robot: RobotModel, task: LineTask) -> JointPath:
-    """Find the joint path of a line and examine it from start to end.
-
-    Raises:
-        LineError: saying where on the line the arm cannot go, the joint or singularity, and what is accepted.
-    """
-    distance = np.linspace(0.0, task.length, max(_FEWEST, int(np.ceil(task.length / _STEP))) + 1)
-    q = _follow(robot, task, distance)
-    faults = _reach_faults(q)
-    q = _center_turns(robot, q[: _first(faults, len(q))])
-    faults += _limit_faults(robot, q)
-    margins = singularity_margins(robot.chain, q)
-    faults += _singularity_faults(task, margins)
-    q = q[: _first(faults, len(q))]
-    slope = _slope(robot, task, q)
-    faults += _jump_faults(robot, distance, q, slope)
-    # What no speed can mend comes first: near a singularity the joint speeds grow, whatever the line's speed.
-    faults = faults or _speed_faults(robot, task, distance, slope)
-    if faults:
-        _refuse(task, distance, min(faults, key=lambda fault: fault.at))
-    q = np.where(np.ptp(q, axis=0) < _STILL, np.round(q[0], 12), q)
-    worst = {kind: int(np.argmin(values)) for kind, values in margins.items()}
-    where = {kind: (float(margins[kind][k]), float(distance[k])) for kind, k in worst.items()}
-    return JointPath(robot, task, distance, q, slope, where)
-
-
-def _first(faults: list[_Fault], count: int) -> int:
-    return min((fault.at for fault in faults), default=count)
-
-
-def _refuse(task: LineTask, distance: Array, fault: _Fault) -> NoReturn:
-    at = float(distance[fault.at])
-    raise LineError(f"the line cannot be travelled at {at:.3f} m from its start ({at / task.length:.0%}): {fault.text}")
-
-
-def _reach_faults(q: Array) -> list[_Fault]:
-    lost = np.flatnonzero(np.isnan(q).any(axis=1))
-    return [_Fault(int(lost[0]), "out of reach; accepted: a pose that the arm can take")] if lost.size else []
-
-
-def _limit_faults(robot: RobotModel, q: Array) -> list[_Fault]:
-    faults = []
-    for j, name in enumerate(robot.joint_names):
-        bad = np.flatnonzero((q[:, j] < robot.lower[j]) | (q[:, j] > robot.upper[j]))
-        if bad.size:
-            value = q[bad[0], j]
-            text = f"{name} at {value:.4f} rad; accepted: [{robot.lower[j]:.4f}, {robot.upper[j]:.4f}]"
-            faults.append(_Fault(int(bad[0]), text))
-    return faults
-
-
-def _singularity_faults(task: LineTask, margins: dict[str, Array]) -> list[_Fault]:
-    faults = []
-    for kind, values in margins.items():
-        bad = np.flatnonzero(values < task.singularity_margin)
-        if bad.size:
-            text = f"{kind} singularity, margin {values[bad[0]]:.4f}; accepted: >= {task.singularity_margin:g}"
-            faults.append(_Fault(int(bad[0]), text))
-    return faults
-
-
-def _speed_faults(robot: RobotModel, task: LineTask, distance: Array, slope: Array) -> list[_Fault]:
-    faults = []
+def _speed_faults(robot: RobotModel, task: LineTask, distance: Array, slope: Array) -> dict[int, str]:
+    """Return where joints would be too fast, with what is accepted."""
+    faults: dict[int, str] = {}
     rate = np.abs(slope) * task.profile().speed_at(distance)[:, None]
     for j, name in enumerate(robot.joint_names):
-        bad = np.flatnonzero(rate[:, j] > robot.max_velocity[j])
-        if bad.size:
-            at_most = task.speed * robot.max_velocity[j] / rate[:, j].max()
+        at = _first(rate[:, j] > robot.max_velocity[j])
+        if at < len(rate):
+            most = task.speed * robot.max_velocity[j] / rate[:, j].max()
             text = (
-                f"{name} would turn at {rate[bad[0], j]:.3f} rad/s; accepted: <= {robot.max_velocity[j]:.3f} "
-                f"rad/s (a line speed of about {at_most:.3g} m/s)"
+                f"{name} would turn at {rate[at, j]:.3f} rad/s; accepted: <= {robot.max_velocity[j]:.3f} rad/s (a line "
+                f"speed of about {most:.3g} m/s)"
             )
-            faults.append(_Fault(int(bad[0]), text))
+            faults.setdefault(at, text)
     return faults
-
-
-def _jump_faults(robot: RobotModel, distance: Array, q: Array, slope: Array) -> list[_Fault]:
-    step = np.diff(distance[: len(q)])[:, None]
-    gap = np.abs(np.diff(q, axis=0) - 0.5 * (slope[1:] + slope[:-1]) * step)
-    bad = np.argwhere(gap > _JUMP)
-    if not bad.size:
-        return []
-    k, j = bad[0]
-    jump = q[k + 1, j] - q[k, j]
-    text = f"{robot.joint_names[j]} jumps by {jump:.3f} rad to another branch; accepted: no jump"
-    return [_Fault(int(k + 1), text)]

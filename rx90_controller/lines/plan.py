@@ -1,4 +1,4 @@
-"""Straight Cartesian lines as joint trajectories for a controller that interpolates with quintics.
+"""Straight Cartesian lines, and moves to their start, for a controller that interpolates with quintics.
 
 The acceleration along the line jumps at the corners of the trapezoidal profile. A quintic segment that ended
 in a corner could only have one of the two accelerations there and would miss the other over its whole
@@ -10,7 +10,9 @@ between them is small enough.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,10 +26,10 @@ from rx90_controller.lines.task import LineTask
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
 
-TIP_TOLERANCE = 1e-7
-_WIDEST_SPACING = 0.064
+TIP_TOLERANCE = 1e-7  # m
+_WIDEST_SPACING = 0.064  # s
 _REFINEMENTS = 6
-_PROBES = 8
+_PROBES = 8  # between two knots
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,18 +133,17 @@ def _knots(task: LineTask, spacing: float, window: float) -> Array:
     # A window never reaches past the middle to the next corner, nor past the trajectory's ends.
     share = np.concatenate([[1.0], np.full(len(gaps) - 2, 0.5), [1.0]]) * gaps
     half = np.minimum(window / 2.0, np.minimum(share[:-1], share[1:]))
-    times = [np.array([0.0, end])]
     edges = np.sort(np.concatenate([corners - half, corners + half]))
-    times.append(edges)
-    for a, b in zip(edges[1:-1:2], edges[2:-1:2], strict=True):
-        times.append(np.linspace(a, b, int(np.ceil((b - a) / spacing)) + 1))
+    between = zip(edges[1:-1:2], edges[2:-1:2], strict=True)
+    times = [np.linspace(a, b, int(np.ceil((b - a) / spacing)) + 1) for a, b in between]
+    times += [np.array([0.0, end]), edges]
     # Messages carry whole nanoseconds; the values must belong to the times that are sent.
     return np.unique(np.round(np.concatenate(times), 9))
 
 
 def _through(path: JointPath, times: Array) -> LinePlan:
-    task = path.task
-    motion = task.profile().sample(times - task.rest_before)
+    """Return the plan whose knots are at some times, with its tip error."""
+    motion = path.task.profile().sample(times - path.task.rest_before)
     q, slope, bend = path.at(motion.distance)
     speed, acceleration = motion.speed[:, None], motion.acceleration[:, None]
     qd = slope * speed + 0.0  # without the signs of zeros
@@ -150,8 +151,7 @@ def _through(path: JointPath, times: Array) -> LinePlan:
     plan = LinePlan(path, times, q, qd, qdd, 0.0)
     probes = np.linspace(times[:-1], times[1:], _PROBES + 2)[1:-1].T.ravel()
     tip = forward(path.robot.chain, plan.setpoints(probes)[:, 0]).position
-    error = float(length(tip - plan.tip(probes)).max())
-    return LinePlan(path, times, q, qd, qdd, error)
+    return replace(plan, tip_error=float(length(tip - plan.tip(probes)).max()))
 
 
 def check_plan(plan: LinePlan, limits: JointLimits, period: float, start: Array, delay: float = 0.0) -> None:
@@ -174,37 +174,88 @@ def check_plan(plan: LinePlan, limits: JointLimits, period: float, start: Array,
         raise LineError(f"the controller would refuse the line: {error}") from error
 
 
-def approach_time(robot: RobotModel, start: Array, end: Array, speed: float, acceleration: float) -> float:
-    """Return the duration of a quintic move from rest to rest in joint space, s.
+@dataclass(frozen=True)
+class Approach:
+    """A move in joint space from rest to rest, to the start of the line; all joints start and stop together.
 
-    Such a move peaks at 15/8·Δq/T and 10/√3·Δq/T²; all joints start and stop together.
-
-    Args:
-        robot: the arm.
-        start: (6,) rad.
-        end: (6,) rad.
-        speed: share of each joint's speed limit that may be used, in (0, 1].
+    Attributes:
+        speed: share of the joints' speed limits, in (0, 1].
         acceleration: of each joint, rad/s².
 
     Raises:
         LineError: if speed or acceleration are not usable.
     """
-    if not 0.0 < speed <= 1.0:
-        raise LineError(f"the approach speed is {speed:g}; accepted: a share in (0, 1] of the joint speeds")
-    if not (np.isfinite(acceleration) and acceleration > 0.0):
-        raise LineError(f"the approach acceleration is {acceleration:g} rad/s^2; accepted: a number > 0")
-    way = np.abs(end - start)
-    by_speed = 15.0 / 8.0 * way / (speed * robot.max_velocity)
-    by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / acceleration)
-    return float(np.maximum(by_speed, by_acceleration).max())
+
+    speed: float = 0.25
+    acceleration: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.speed <= 1.0:
+            raise LineError(f"the approach speed is {self.speed:g}; accepted: a share in (0, 1] of the joint speeds")
+        if not (math.isfinite(self.acceleration) and self.acceleration > 0.0):
+            raise LineError(f"the approach acceleration is {self.acceleration:g} rad/s^2; accepted: a number > 0")
+
+    def duration(self, robot: RobotModel, start: Array, end: Array) -> float:
+        """Return how long a quintic move between two poses, rad, shape (6,), takes, s: up to 15/8 dq/T, 10/√3 dq/T²."""
+        way = np.abs(end - start)
+        by_speed = 15.0 / 8.0 * way / (self.speed * robot.max_velocity)
+        by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / self.acceleration)
+        return float(np.maximum(by_speed, by_acceleration).max())
+
+
+class ApproachedLine(NamedTuple):
+    """A plan with the move to its start, as it is sent.
+
+    Attributes:
+        points: of the line; the first one comes after the time of the approach.
+        approach: that time, s; 0 where the arm stands at the start.
+        duration: of both, s.
+        farthest: the joint that has the longest way to the start.
+        way: its way, rad.
+    """
+
+    points: TrajectoryPoints
+    approach: float
+    duration: float
+    farthest: str
+    way: float
+
+
+def approached(
+    plan: LinePlan, here: Array, limits: JointLimits, period: float, approach: Approach | None
+) -> ApproachedLine:
+    """Return a line with the move to its start, checked as the controller does.
+
+    Args:
+        plan: the line.
+        here: where the arm stands, rad, shape (6,).
+        limits: the controller's.
+        period: of its set-points, s.
+        approach: the move, None where the arm has to stand there already.
+
+    Raises:
+        LineError: if the arm stands elsewhere without an approach, or the controller would refuse the approach.
+    """
+    gap = np.abs(here - plan.start_pose)
+    joint = int(np.argmax(gap))
+    name, way = plan.joint_names[joint], float(gap[joint])
+    if way <= limits.start_tolerance:
+        return ApproachedLine(plan.points, 0.0, plan.duration, name, way)
+    if approach is None:
+        raise LineError(
+            f"{name} is at {here[joint]:.4f} rad, the line starts at {plan.start_pose[joint]:.4f} rad; accepted: "
+            f"within {limits.start_tolerance:g} rad, or --approach"
+        )
+    duration = math.ceil(approach.duration(plan.path.robot, here, plan.start_pose) * 1e3) / 1e3
+    check_plan(plan, limits, period, here, duration)
+    points = replace(plan.points, times=plan.times + duration)
+    return ApproachedLine(points, duration, plan.duration + duration, name, way)
 
 
 def describe_line(plan: LinePlan) -> str:
     """Return a table of the plan for a person."""
     task, profile = plan.task, plan.task.profile()
-    robot = plan.path.robot
     begin, end = plan.motion
-    degrees = np.degrees
     lines = [
         f"line      {task.length:.4f} m at {profile.peak_speed:.4g} m/s, {task.acceleration:.4g} m/s^2",
         f"time      {plan.duration:.3f} s, moving from {begin:.3f} s to {end:.3f} s",
@@ -218,8 +269,8 @@ def describe_line(plan: LinePlan) -> str:
     lines.append(f"{'joint':<10}{'start':>9}{'lowest':>9}{'highest':>9} deg{'peak':>9} deg/s{'of limit':>10}")
     peak = np.abs(plan.velocity).max(axis=0)
     columns = (plan.start_pose, plan.position.min(axis=0), plan.position.max(axis=0), peak)
-    share = peak / robot.max_velocity
-    for name, *values, part in zip(plan.joint_names, *(degrees(c) for c in columns), share, strict=True):
+    share = peak / plan.path.robot.max_velocity
+    for name, *values, part in zip(plan.joint_names, *(np.degrees(column) for column in columns), share, strict=True):
         start, low, high, fast = values
         lines.append(f"{name:<10}{start:9.2f}{low:9.2f}{high:9.2f}    {fast:9.2f}      {part:10.1%}")
     return "\n".join(lines)

@@ -1,21 +1,277 @@
-"""The controller node: its lifecycle around a `Control`."""
+"""The controller node: parameters, topics and services around one control law, and its lifecycle."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from types import ModuleType
+from typing import TYPE_CHECKING
 
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.guard_condition import GuardCondition
 from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory
 
+from rx90_common.base.errors import ExchangeError, MessageError
+from rx90_common.base.quoting import one_line, plain
+from rx90_common.description.drives import load_drives
+from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.channel import Channel
+from rx90_common.exchange.control_messages import missing_control_msgs
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.lifecycle import ManagedNode, started
-from rx90_common.exchange.node_tools import declare_rates
-from rx90_common.exchange.tick_channel import Ends, MakeChannel
+from rx90_common.exchange.message_times import ros_time
+from rx90_common.exchange.motor_messages import MotorMessages
+from rx90_common.exchange.node_tools import Diagnostics, declare_rates
+from rx90_common.exchange.pacing import Pacer
+from rx90_common.exchange.qos import LATCHED_QOS, REQUEST_QOS, STATE_QOS, TICK_QOS, TRAJECTORY_QOS
+from rx90_common.exchange.qos_overrides import publish
+from rx90_common.exchange.subscribing import subscribe
+from rx90_common.exchange.throttle import ThrottledLog
+from rx90_common.exchange.tick_channel import Ends, MakeChannel, TickChannel
 from rx90_common.exchange.time_mode import TimeMode
-from rx90_controller.node.control import FILE_PARAMETERS, Control, declare_decimation, declare_horizon
-from rx90_controller.node.parameters import forget_law_parameters
+from rx90_common.exchange.topics import (
+    DETAILS,
+    FREE_RUNNING,
+    MOTOR_COMMANDS,
+    MOTOR_NAMES,
+    MOTOR_STATES,
+    TIME_MODE,
+    TRAJECTORY_ACCEPTED,
+)
+from rx90_controller.law.cs7b import CS7B
+from rx90_controller.law.parameters import CS7BParameters
+from rx90_controller.node.parameters import (
+    FILE_PARAMETERS,
+    LawParameters,
+    allow_goal_changes,
+    declare_decimation,
+    declare_goal_parameters,
+    declare_horizon,
+    forget_law_parameters,
+)
+from rx90_controller.node.serving import Serving
+from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
+from rx90_controller.trajectory.points import check_trajectory_bytes
+
+if TYPE_CHECKING:
+    from rx90_controller.node.client_interfaces import ControllerState, FollowJointTrajectoryAction
+
+_TRAJECTORY = "~/joint_trajectory"
+_MATCH_ATTEMPTS = 100  # of 50 ms
+
+
+class ControllerOutputs:
+    """What the loops did, as topics, and lines for the user; called by the ticking thread: `Outputs`."""
+
+    def __init__(
+        self, node: ManagedNode, channel: TickChannel, cs7b: CS7B, robot: str, state: ControllerState | None
+    ) -> None:
+        self._node, self._cs7b, self._state, self._log = node, cs7b, state, node.get_logger()
+        self.ready = (
+            f"ready: {robot}, velocity loops at {cs7b.rates.base_hz} Hz, position loops at {cs7b.rates.position_hz} "
+            f"Hz, states on {channel.subscribe_topic}, trajectories on {node.resolve_topic_name(_TRAJECTORY)}"
+        )
+        self.report: GuardCondition | None = None
+        codec, motors = JointStateCodec(cs7b.joint_names), JointStateCodec(MOTOR_NAMES)
+
+        def topic(name: str) -> Publisher:
+            return publish(node, JointState, f"~/{name}", STATE_QOS.profile)
+
+        # The arrays are always the same, brought up to date by a call of the same method.
+        self._every_tick = [
+            (topic("reference"), cs7b.reference, codec.encoder(*cs7b.reference())),
+            (topic("tracking_error"), cs7b.tracking_error, codec.encoder(*cs7b.tracking_error())),
+        ]
+        details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
+        self._details = [(topic(name), names.encoder(effort=values)) for name, names, values in details]
+        self._detail_ns = cs7b.rates.period_ns * cs7b.rates.ratio * declare_decimation(node)
+        self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS.profile)
+        self.publishers: tuple[Publisher, ...] = (
+            *(row[0] for row in self._every_tick),
+            *(row[0] for row in self._details),
+            self._accepted,
+            *([state.publisher] if state is not None else []),
+            channel.publisher,
+        )
+
+    def wait_for_subscribers(self) -> None:
+        """Wait until subscribers, also those of the commands, are matched."""
+        node_tools.wait_until_matched(self._node, self.publishers, _MATCH_ATTEMPTS)
+
+    def publish(self, stamp_ns: int) -> None:
+        """Publish what the position loop has left."""
+        # What nobody listens to is not sent: a message costs the tick more than the law.
+        for publisher, update, encode in self._every_tick:
+            if publisher.get_subscription_count():
+                update()
+                publisher.publish(encode(stamp_ns))
+        if stamp_ns % self._detail_ns == 0:
+            self._cs7b.details()
+            for publisher, encode in self._details:
+                if publisher.get_subscription_count():
+                    publisher.publish(encode(stamp_ns))
+        if self._state is not None and stamp_ns % self._state.period_ns == 0:
+            self._state.publish(stamp_ns)
+
+    def wake(self) -> None:
+        """Have the node's executor report; callable from every thread."""
+        if self.report is not None:
+            self.report.trigger()
+
+    def accepted(self, trajectory: JointTrajectory, start_ns: int, source: str = "") -> None:
+        """Publish a trajectory as it came, stamped with its start; the frame says where from."""
+        followed = JointTrajectory(joint_names=trajectory.joint_names, points=trajectory.points)
+        followed.header.stamp, followed.header.frame_id = ros_time(start_ns), source
+        self._accepted.publish(followed)
+
+    # rclpy takes a line of code for one severity only: it must not see who else calls these.
+
+    def info(self, text: str) -> None:
+        """Print what happened."""
+        self._log.info(one_line(text))
+
+    def error(self, text: str) -> None:
+        """Print what went wrong."""
+        self._log.error(one_line(text))
+
+
+class Control:
+    """What a configured controller consists of; the torque is off until `loop` is activated.
+
+    Args:
+        node: owner of topics, services and parameters.
+        files: the robot's.
+        make_channel: makes the exchange with the simulation.
+        local: whether a simulation in this process says how time is kept, by `serving.follow`; else the topic does.
+
+    Raises:
+        Rx90Error: for files and parameters that are refused, and a second controller.
+
+    Attributes:
+        loop: follows trajectories.
+        serving: runs it tick by tick.
+        publishers: of all that the ticking thread sends.
+        action: where control_msgs is there.
+    """
+
+    def __init__(self, node: ManagedNode, files: RobotFiles, make_channel: MakeChannel, *, local: bool) -> None:
+        self._log = node.get_logger()
+        rates = declare_rates(node)
+        robot, drives = load_robot(files.urdf), load_drives(files.drives)
+        record = partial(CS7BParameters.record, robot=robot, drives=drives, rates=rates)
+        law = LawParameters(node, files.controller, record)
+        self._cs7b = cs7b = CS7B(robot, drives, law.parameters, rates)
+        cs7b.warm_up()
+        name = plain(robot.model.name)
+        channel = make_channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
+        goals = declare_goal_parameters(node, cs7b.joint_names, rates)
+        if goals.without_use:
+            self._log.warning(
+                f"not used, parameters of joint_trajectory_controller: {', '.join(goals.without_use)}; the law is the "
+                "CS7B's, set-points go on from set-points along splines, and whatever stops decelerates"
+            )
+        interfaces = import_client_interfaces(node)
+        state = None if interfaces is None else interfaces.ControllerState(node, cs7b, goals.state_ticks)
+        outputs = ControllerOutputs(node, channel, cs7b, name, state)
+        self.publishers = outputs.publishers
+        self.loop = loop = ServoLoop(cs7b, outputs, declare_horizon(node), goals.monitor_ticks)
+        loop.active = loop.enabled = False
+        law.change_with(loop.change_law)
+        loop.options, loop.tolerances = goals.options, goals.tolerances
+        cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
+        outputs.report = node.create_guard_condition(loop.report)
+        messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
+        self._pacer = Pacer(rates.period, 1.0)
+        self.serving = Serving(channel, messages, loop, self._pacer, outputs.info, name)
+        self._complaints = ThrottledLog(outputs.error)
+        if not local:
+            subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
+        qos = TRAJECTORY_QOS.profile
+        subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, qos, check_trajectory_bytes)
+        node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS.profile)
+        self.action: FollowJointTrajectoryAction | None = None
+        if interfaces is not None:
+            self.action = interfaces.serve_clients(node, loop, cs7b, lambda: channel.matches().publishers > 0)
+        allow_goal_changes(node, cs7b, loop)
+        self._reported = (0, time.monotonic())  # tick and time of the last status
+        self._diagnostics = Diagnostics(node, self._status)
+
+    def tick_loop(self) -> None:
+        """Answer the simulation until `serving.stop`, on the ticking thread.
+
+        Raises:
+            ExchangeError: if the simulation's rates are not this one's.
+        """
+        self.serving.run()
+        node_tools.wait_until_received(self.publishers)
+
+    # Topics, services and diagnostics, on the executor's thread.
+
+    def _on_mode(self, message: String) -> None:
+        try:
+            self.serving.follow(TimeMode.parse(message.data))
+        except MessageError as error:
+            self._complaints.say("mode", f"{error}; ignored")
+        except ExchangeError:
+            pass  # ends `tick_loop`
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if request.data and not self.loop.active:
+            response.message = INACTIVE
+            return response
+        self.loop.enable(request.data)
+        response.success = True
+        response.message = "torque on" if request.data else "torque off, brakes closed"
+        self._log.info(response.message)
+        return response
+
+    def _status(self) -> tuple[bytes, str, dict[str, str]]:
+        """Return level, message and values of how law, loops and ticks go, once a second, for `Diagnostics`."""
+        cs7b, loop, counts = self._cs7b, self.loop, self._pacer.take()
+        (tick, at), self._reported = self._reported, (cs7b.tick, time.monotonic())
+        now_tick, now = self._reported
+        values = {
+            "time mode": self.serving.mode or "unknown: no simulation yet",
+            "controller time, s": f"{cs7b.tick * cs7b.rates.period:.3f}",
+            "rate, Hz": f"{max(0.0, (now_tick - tick) / (now - at)):.1f}",  # 0 over a reset
+            "saturated ticks": " ".join(str(n) for n in cs7b.saturated),
+            "rejected trajectories": str(loop.rejected),
+            "last rejection": loop.last_rejection or "none",
+            "enabled": "true" if loop.enabled else "false",
+        }
+        if self.serving.mode == FREE_RUNNING:
+            values |= {
+                "worst period, ms": f"{counts.worst * 1e3:.3f}",
+                "late ticks": str(counts.late),
+                "dropped ticks": str(counts.dropped),
+            }
+        if loop.fault is not None:
+            return DiagnosticStatus.ERROR, f"{loop.fault}; torque off, brakes closed", values
+        if not loop.running:
+            return DiagnosticStatus.WARN, "waiting for the simulation", values
+        if not loop.active:
+            return DiagnosticStatus.OK, "inactive", values
+        moving = cs7b.trajectory.moving(cs7b.position_tick)
+        return DiagnosticStatus.OK, "following a trajectory" if moving else "holding", values
+
+
+def import_client_interfaces(node: ManagedNode) -> ModuleType | None:
+    """Return the module of what needs control_msgs; where that is missing say once how to get it, and return None."""
+    missing = missing_control_msgs()
+    if missing is not None:
+        node.get_logger().info(f"the action follow_joint_trajectory is off: {missing}")
+        return None
+    from rx90_controller.node import client_interfaces
+
+    return client_interfaces
 
 
 class ControllerNode:
@@ -37,15 +293,13 @@ class ControllerNode:
         self.node = ManagedNode("rx90_controller", own_args, self)
         self._ends, self._local = Ends(make_channel), local
         self._control: Control | None = None
+        self._answer: Callable[[], None] | None = None
         self._time_mode: TimeMode | None = None
         self._answering = threading.Lock()
         declare_rates(self.node)
-        self._files()
+        self.node.declare_robot_files(*FILE_PARAMETERS)
         declare_horizon(self.node)
         declare_decimation(self.node)
-
-    def _files(self) -> RobotFiles:
-        return self.node.declare_robot_files(*FILE_PARAMETERS)
 
     # Transitions, on the executor's thread.
 
@@ -56,30 +310,33 @@ class ControllerNode:
             Rx90Error: for files and parameters that are refused, a second controller, or a simulation in this process
                 that does not fit.
         """
-        self._control = control = Control(self.node, self._files(), self._ends.make, local=self._local)
+        files = self.node.declare_robot_files(*FILE_PARAMETERS)
+        self._control = control = Control(self.node, files, self._ends.make, local=self._local)
         if self._time_mode is not None:
-            control.follow(self._time_mode)
+            control.serving.follow(self._time_mode)
         if self._local:
-            self._serve = control.hand_over()
-        self.node.ticking.begin(control.tick_loop, control.stop)
+            self._answer = control.serving.hand_over()
+        self.node.ticking.begin(control.tick_loop, control.serving.stop)
 
     def activate(self) -> None:
-        """Give the motors torque."""
+        """Give the motors torque: hold the arm, follow trajectories."""
         if self._control is not None:
-            self._control.activate()
+            self._control.loop.activate(True)
 
     def deactivate(self) -> None:
-        """Take the torque away and close the brakes."""
+        """End the motion; torque off, brakes closed. Ticks are answered all the same, and time goes on."""
         if self._control is not None:
-            self._control.deactivate()
+            self._control.loop.activate(False)
+            self._control.loop.report()
+            self.node.get_logger().info("inactive: torque off, brakes closed")
 
     def cleanup(self) -> None:
         """Let go of the robot."""
         self.node.ticking.finish()
         with self._answering:
-            control, self._control = self._control, None
-        if control is not None:
-            control.close()
+            control, self._control, self._answer = self._control, None, None
+        if control is not None and control.action is not None:
+            control.action.close()
         self._ends.close()
         forget_law_parameters(self.node)
 
@@ -88,8 +345,7 @@ class ControllerNode:
     @property
     def publishers(self) -> tuple[Publisher, ...]:
         """Return the publishers of all that ticks send."""
-        control = self._control
-        return () if control is None else control.publishers
+        return () if self._control is None else self._control.publishers
 
     def follow(self, time_mode: TimeMode | None) -> None:
         """Keep time as the simulation does; None: there is none.
@@ -99,13 +355,13 @@ class ControllerNode:
         """
         self._time_mode = time_mode
         if self._control is not None and time_mode is not None:
-            self._control.follow(time_mode)
+            self._control.serving.follow(time_mode)
 
     def answer(self) -> None:
         """Answer one tick in lock-step, on the thread that ticks; nothing while there is nothing to answer with."""
         with self._answering:
-            if self._control is not None:
-                self._serve()
+            if self._answer is not None:
+                self._answer()
 
     # Its ticking thread, and the end.
 
@@ -121,7 +377,9 @@ class ControllerNode:
         """End `tick_loop` soon, and send what there is to say."""
         self.node.ticking.stop()
         if self._control is not None:
-            self._control.flush_before_shutdown()
+            if self._control.action is not None:
+                self._control.action.end()
+            self._control.loop.report()
 
 
 def spin(args: Sequence[str]) -> None:

@@ -1,11 +1,11 @@
-"""Parameters of the node: of goals, named as those of joint_trajectory_controller, and of the law, from its file."""
+"""Parameters of the node: files, of goals by the names of joint_trajectory_controller, of the law as in its file."""
 
 from __future__ import annotations
 
 import copy
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -22,23 +22,15 @@ from rx90_common.base.section import Section
 from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.node_tools import declare
 from rx90_common.exchange.parameter_changes import ChangeGroup, Effective
-from rx90_controller.goals.request import GoalOptions, GoalTolerances
+from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CONTROLLER, CS7BParameters, read_controller
 from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.trajectory.request import GoalOptions, GoalTolerances
 
+FILE_PARAMETERS: Final = ("urdf", "drives", "controller")
+"""Files of the robot that the node can be given."""
 _LARGEST = 1e6  # rad, rad/s, s
-
-_OPTIONS = {
-    "allow_partial_joints_goal": "whether a trajectory may name some of the joints; the others hold",
-    "allow_nonzero_velocity_at_trajectory_end": "whether the last point may have a velocity; then the arm brakes",
-    "allow_trajectory_replacement": "whether points may be left out that are not later than the start, which leads on "
-    "from where the path is then",
-    "velocities_from_positions": "whether velocities between the first and the last point are computed from the "
-    "positions; for points whose velocities do not belong to these",
-}
-"""What else is accepted, as `GoalOptions` says it."""
-
 _WITHOUT_USE = re.compile(
     r"(command_joints|(command|state)_interfaces|speed_scaling\.(command|state)_interface|open_loop_control|cmd_timeout"
     r"|interpolate_from_desired_state|interpolation_method|allow_integration_in_goal_trajectories"
@@ -49,9 +41,21 @@ _OF_JOINTS: Final = "; six values, one for each motor, seen from its joint"
 _CHANGEABLE: Final = ("servo", "feed_forward", "supervision")
 
 
+def declare_horizon(node: Node) -> float:
+    """Declare, unless it is, and return how far ahead a trajectory may start, s."""
+    about = "how far ahead of the controller's own time the stamp of a trajectory may lie, s"
+    return declare(node, "start_horizon", 60.0, about, low=0.0, high=1e6)
+
+
+def declare_decimation(node: Node) -> int:
+    """Declare, unless it is, and return how many position ticks there are for each message of DETAILS."""
+    about = f"position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}"
+    return declare(node, "detail_decimation", DETAIL_DECIMATION, about, low=1, high=1_000_000)
+
+
 @dataclass(frozen=True)
 class GoalParameters:
-    """What trajectories and goals are held to, and how often it is said how they go.
+    """What trajectories and goals are held to, and how often it is published how they go.
 
     Attributes:
         options: what else is accepted.
@@ -98,15 +102,23 @@ def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> G
     Raises:
         ConfigError: naming parameter, value and what is accepted.
     """
-    limits = {
+
+    def ticks(name: str, default: float, about: str) -> int:
+        about = f"{about}, in simulated time, Hz; every whole number of position ticks"
+        return max(1, round(rates.position_hz / declare(node, name, default, about, low=0.1, high=20000.0)))
+
+    tolerances = {
         name: declare(node, name, default, about, low=0.0, high=_LARGEST)
-        for name, (default, about) in _limits(names).items()
+        for name, (default, about) in _constraints(names).items()
+    }
+    options = {
+        option.name: declare(node, option.name, False, option.metadata["about"]) for option in fields(GoalOptions)
     }
     return GoalParameters(
-        _options(node),
-        _tolerances(names, limits),
-        _ticks(node, rates, "action_monitor_rate", 20.0, "rate of the action's feedback, in simulated time, Hz"),
-        _ticks(node, rates, "state_publish_rate", 50.0, "rate of ~/controller_state, in simulated time, Hz"),
+        GoalOptions(**options),
+        GoalTolerances.of_parameters(names, tolerances),
+        ticks("action_monitor_rate", 20.0, "rate of the action's feedback"),
+        ticks("state_publish_rate", 50.0, "rate of ~/controller_state"),
         declare(
             node, "speed_scaling.initial_scaling_factor", 1.0,
             "share of their own speed at which trajectories are followed, until ~/speed_scaling_input says otherwise",
@@ -119,32 +131,23 @@ def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> G
 def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:
     """Let what is accepted, and the tolerances, be changed for the next goals and trajectories."""
 
-    def next_goals(effective: Effective) -> None:
-        with loop.between_ticks():
-            tick = cs7b.position_tick
-        effective(tick * cs7b.rates.ratio * cs7b.rates.period_ns)
+    def setter(attribute: str) -> Callable[[Any, Effective], None]:
+        def apply(value: Any, effective: Effective) -> None:
+            with loop.between_ticks():
+                setattr(loop, attribute, value)
+                tick = cs7b.position_tick
+            effective(tick * cs7b.rates.ratio * cs7b.rates.period_ns)
 
-    def set_options(options: GoalOptions, effective: Effective) -> None:
-        with loop.between_ticks() as requests:
-            requests.options = options
-        next_goals(effective)
-
-    def set_tolerances(tolerances: GoalTolerances, effective: Effective) -> None:
-        with loop.between_ticks() as requests:
-            requests.tolerances = tolerances
-        next_goals(effective)
+        return apply
 
     names = cs7b.joint_names
-    node.changes.allow(ChangeGroup(tuple(_OPTIONS), lambda values: GoalOptions(**values), set_options))
-    node.changes.allow(ChangeGroup(tuple(_limits(names)), partial(_tolerances, names), set_tolerances))
+    options = tuple(option.name for option in fields(GoalOptions))
+    node.changes.allow(ChangeGroup(options, lambda values: GoalOptions(**values), setter("options")))
+    tolerances = partial(GoalTolerances.of_parameters, names)
+    node.changes.allow(ChangeGroup(tuple(_constraints(names)), tolerances, setter("tolerances")))
 
 
-def _options(node: Node) -> GoalOptions:
-    usual = GoalOptions()
-    return GoalOptions(**{name: declare(node, name, getattr(usual, name), about) for name, about in _OPTIONS.items()})
-
-
-def _limits(names: Sequence[str]) -> dict[str, tuple[float, str]]:
+def _constraints(names: Sequence[str]) -> dict[str, tuple[float, str]]:
     """Return the parameters of tolerances, with their defaults and what they mean."""
     limits = {
         "constraints.goal_time": (0.0, "how long after its end a motion may take to be at its goal, s; 0: for ever"),
@@ -157,27 +160,6 @@ def _limits(names: Sequence[str]) -> dict[str, tuple[float, str]]:
         limits[f"constraints.{name}.trajectory"] = (0.0, f"how far {name} may be off the path, rad; 0: any")
         limits[f"constraints.{name}.goal"] = (0.0, f"how far {name} may be off at the goal, rad; 0: any")
     return limits
-
-
-def _tolerances(names: Sequence[str], values: Mapping[str, float]) -> GoalTolerances:
-    return GoalTolerances.defaults(
-        names,
-        goal_time=values["constraints.goal_time"],
-        stopped_velocity_tolerance=values["constraints.stopped_velocity_tolerance"],
-        trajectory={name: values[f"constraints.{name}.trajectory"] for name in names},
-        goal={name: values[f"constraints.{name}.goal"] for name in names},
-    )
-
-
-def _ticks(node: Node, rates: Rates, name: str, default: float, about: str) -> int:
-    rate = declare(node, name, default, f"{about}; every whole number of position ticks", low=0.1, high=20000.0)
-    return max(1, round(rates.position_hz / rate))
-
-
-def _about(shape: Entry) -> str:
-    """Return what a value of the controller file means, as other parameters say it."""
-    unit = f", {shape.unit}" if len(shape.unit) > 1 else ""
-    return f"{shape.about[:-1]}{unit}{_OF_JOINTS if isinstance(shape, Numbers) else ''}"
 
 
 LAW_ENTRIES: Final = {
@@ -237,3 +219,9 @@ class LawParameters:
             section, _, key = name.partition(".")
             content[section][key] = value if isinstance(value, bool | float) else list(value)
         return read_controller(Section(content, Path("parameter")), self._model)
+
+
+def _about(shape: Entry) -> str:
+    """Return what a value of the controller file means, as other parameters say it."""
+    unit = f", {shape.unit}" if len(shape.unit) > 1 else ""
+    return f"{shape.about[:-1]}{unit}{_OF_JOINTS if isinstance(shape, Numbers) else ''}"

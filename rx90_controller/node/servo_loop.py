@@ -1,4 +1,10 @@
-"""The CS7B in operation: it holds the arm, follows trajectories and can be switched off; needs no ROS."""
+"""The CS7B in operation: it holds the arm, follows requests one at a time and can be switched off; needs no ROS.
+
+Requests come by topic or as goals of the action, one queue for all who send. One that is followed takes the place of
+the one before; one that is refused leaves that alone. One that succeeds leaves the arm at its last point; whatever else
+ends one leaves the set-points as they are, but for a cancel and a violated tolerance, where the arm stops along the
+path. To print may take longer than a tick: the thread that ticks only notes what is to be said.
+"""
 
 from __future__ import annotations
 
@@ -12,48 +18,27 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from rx90_common.base.errors import TrajectoryError
+from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.motor_messages import MotorStates
-from rx90_controller.goals.request import TrajectoryRequest
-from rx90_controller.law.cs7b import CS7B
-from rx90_controller.law.supervision import DriveFault
-from rx90_controller.node.requests import Log, Requests
-from rx90_controller.trajectory import Plan
+from rx90_common.exchange.topics import OF_ACTION
+from rx90_controller.law.cs7b import CS7B, DriveFault
+from rx90_controller.trajectory.generator import PastError, Schedule, points_left
+from rx90_controller.trajectory.request import (
+    GoalOptions,
+    GoalTolerances,
+    JoinedAhead,
+    ResultCode,
+    State,
+    TrajectoryRequest,
+    check_request,
+)
 
 INACTIVE: Final = "the controller is inactive; accepted: in state active"
-
-
 _ATTEMPTS = 3  # to join a long trajectory beside the ticks, each with more time than the one before
-_Record = np.ndarray[Any, Any]
 
 
-class LawChanges:
-    """Hands constants of the law from the executor's thread to the one that ticks.
-
-    They count from a tick of the position loop on: before it the velocity loop would have gains that do not belong to
-    the torque of the position loop. Integrators, which hold torques, go on as they are.
-
-    Args:
-        law: that is changed, shape (1,), CONTROLLER_DTYPE.
-        post: has something called later, on the executor's thread.
-    """
-
-    def __init__(self, law: _Record, post: Callable[[Callable[[], None]], None]) -> None:
-        self._law, self._post = law, post
-        self.waiting: deque[tuple[_Record, Callable[[int], None]]] = deque()
-
-    def add(self, law: _Record, effective: Callable[[int], None]) -> None:
-        """Let these constants count soon; `effective` is then called with the time of the first tick, ns."""
-        self.waiting.append((law, effective))
-
-    def apply(self, stamp_ns: int) -> None:
-        """Let those that wait count from this tick of the position loop on."""
-        while self.waiting:
-            self._law[:], effective = self.waiting.popleft()
-            self._post(partial(effective, stamp_ns))
-
-
-class Outputs(Log, Protocol):
+class Outputs(Protocol):
     """Where set-points, tracking errors, accepted trajectories and lines for the user go.
 
     Attributes:
@@ -68,14 +53,26 @@ class Outputs(Log, Protocol):
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""
 
+    def wake(self) -> None:
+        """Have `ServoLoop.report` called soon, by another thread than the one that ticks."""
+
+    def accepted(self, trajectory: Any, start_ns: int, source: str = "") -> None:
+        """Publish a trajectory that is followed, when it starts, ns, and OF_ACTION for one that was a goal."""
+
+    def info(self, text: str) -> None:
+        """Print what happened."""
+
+    def error(self, text: str) -> None:
+        """Print what went wrong."""
+
 
 class ServoLoop:
-    """Runs the CS7B as `ServoLoops` says; trajectories and switches may come from another thread, between ticks.
+    """Runs the CS7B as `ServoLoops` says; requests and switches may come from another thread, between ticks.
 
     Args:
         cs7b: the control law, warmed up.
-        outputs: get what it does, and what became of a trajectory.
-        horizon: how far ahead of its own time, s, a trajectory may start.
+        outputs: get what it does, and what became of a request.
+        horizon: how far ahead of its own time, s, a request may start.
         monitor_ticks: position ticks from one feedback of a goal to the next.
 
     Attributes:
@@ -83,19 +80,33 @@ class ServoLoop:
         active, enabled: whether the node is active, and whether the motors get torque.
         fault: why the supervision has cut the power, until it is switched on again.
         running: whether there have been states.
-        law_changes: other constants of the law, from the next tick of the position loop on.
+        options: what else is accepted; may be changed for the next requests.
+        tolerances: of goals that have none of their own, and of trajectories; may be changed for the next ones.
+        rejected: number of requests that were refused.
+        last_rejection: which was the last of them, when and why; empty before the first.
     """
 
     def __init__(self, cs7b: CS7B, outputs: Outputs, horizon: float, monitor_ticks: int = 50) -> None:
-        self._cs7b, self._outputs = cs7b, outputs
-        self._requests = Requests(cs7b, outputs, horizon, monitor_ticks)
-        self._lock = threading.Lock()
+        self._cs7b, self._outputs, self._horizon, self._monitor_ticks = cs7b, outputs, horizon, monitor_ticks
+        self._period, self._lock = cs7b.rates.position_period, threading.Lock()
         self.command = cs7b.command
         self.active = self.enabled = True
         self.fault: DriveFault | None = None
         self._released = False  # switched off since the last tick: also if it is on again by now, the motion is over
-        self.law_changes = LawChanges(cs7b.law, self._requests.post)
+        self._law_changes: deque[tuple[np.ndarray[Any, Any], Callable[[int], None]]] = deque()
         self.running = self._unpublished = False  # whether the position loop has left something
+        self.options, self.tolerances = GoalOptions(), GoalTolerances.of_parameters(cs7b.joint_names)
+        self._waiting: TrajectoryRequest | None = None  # for the first states
+        self._followed: TrajectoryRequest | None = None  # a goal, or a trajectory that is held to tolerances
+        self._velocity, self._tick = np.zeros(6), -1  # measured last while something was followed
+        self.rejected, self.last_rejection = 0, ""
+        self._reports: deque[Callable[[], None]] = deque()
+
+    @contextmanager
+    def between_ticks(self) -> Iterator[None]:
+        """Run no tick until the block is left; no method of this class may be called in it."""
+        with self._lock:
+            yield
 
     # The ticking thread.
 
@@ -104,40 +115,50 @@ class ServoLoop:
         self._outputs.wait_for_subscribers()
 
     def hold(self, states: MotorStates) -> None:
-        """Hold the arm where it is; a trajectory that waited for the first states begins."""
+        """Hold the arm where it is; a request that waited for the first states begins."""
         with self._lock:
             if self.running:
                 reason = f"the states go on from {states.stamp_ns / NANOSECONDS:.6g} s; holding"
-                self._requests.note_dropped(reason)
-                self._requests.drop(reason)
+                self._note_dropped(reason)
+                self._drop(reason)
             else:
-                self._requests.note(self._outputs.ready)
+                self._note(self._outputs.ready)
             self._cs7b.reset(states.position, states.stamp_ns // self._cs7b.rates.period_ns)
             self.running = True
-            self._requests.begin(self.inactive)
+            waiting, self._waiting = self._waiting, None
+            if waiting is not None:
+                self._follow(waiting)
 
     def step(self, stamp_ns: int, states: MotorStates) -> bool:
         """Run the loops that are due; return whether the motors get torque."""
         cs7b = self._cs7b
         with self._lock:
-            if self.law_changes.waiting and cs7b.on_position_tick:
-                self.law_changes.apply(stamp_ns)
+            slow = cs7b.on_position_tick
+            while self._law_changes and slow:
+                cs7b.law[:], effective = self._law_changes.popleft()
+                self._post(partial(effective, stamp_ns))
             if self._released or not self.enabled:
                 self._released = False
-                self._requests.note_dropped("the torque is off")
+                self._note_dropped("the torque is off")
                 cs7b.release(states.position, stamp_ns // cs7b.rates.period_ns + 1)
                 return False
-            slow = cs7b.on_position_tick
             if slow:
-                self._requests.note_end()
+                end = cs7b.trajectory.ended(cs7b.position_tick)
+                if end is not None:
+                    what = "stopped" if end.stop else "trajectory ended"
+                    self._note(f"{what} at {end.tick * self._period:.3f} s; holding")
             cs7b.step(states.position, states.velocity, states.torque)
             self._unpublished = slow
-            if cs7b.fault is None:
+            fault = cs7b.fault
+            if fault is None:
                 return True
-            if cs7b.fault.parameter:
+            if fault.parameter:
                 self._unpublished = False  # torques that are no numbers
             self._publish(stamp_ns)  # before the reset: what has led to the fault is to be seen
-            self._trip(cs7b.fault)
+            self.enabled, self.fault = False, fault
+            text = f"{fault}; torque off, brakes closed, trajectory dropped, until ~/enable is called with true"
+            self._note(text, wrong=True)
+            self._drop(f"{fault}; torque off, brakes closed")
             cs7b.release(states.position, cs7b.tick)
             return False
 
@@ -146,24 +167,34 @@ class ServoLoop:
         with self._lock:
             self._publish(stamp_ns)
 
-    def _publish(self, stamp_ns: int) -> None:
-        if self._unpublished:
-            self._unpublished = False
-            self._requests.step()
-            self._outputs.publish(stamp_ns)
-
-    def _trip(self, fault: DriveFault) -> None:
-        self.enabled, self.fault = False, fault
-        text = f"{fault}; torque off, brakes closed, trajectory dropped, until ~/enable is called with true"
-        self._requests.note(text, wrong=True)
-        self._requests.drop(f"{fault}; torque off, brakes closed")
-
     def skip(self, count: int) -> None:
         """Let `count` ticks of the position loop pass without set-points: a running trajectory comes later."""
         with self._lock:
             self._cs7b.skip(count)
 
-    # Any thread.
+    def _publish(self, stamp_ns: int) -> None:
+        if self._unpublished:
+            self._unpublished = False
+            if self._followed is not None:
+                self._watch(self._followed)
+            self._outputs.publish(stamp_ns)
+
+    def _watch(self, request: TrajectoryRequest) -> None:
+        """Hold a request to its tolerances, after a tick of the position loop."""
+        cs7b, trajectory = self._cs7b, self._cs7b.trajectory
+        tick, desired, (position, velocity) = cs7b.position_tick - 1, cs7b.setpoint.copy(), cs7b.measured()
+        acceleration = (velocity - self._velocity) / trajectory.period if tick == self._tick + 1 else desired[2]
+        self._velocity, self._tick = velocity, tick
+        request.step(tick, desired, np.stack([position, velocity, acceleration]), trajectory)
+        if request.reason:
+            self._followed = None
+            if request.state is State.ABORTED:
+                trajectory.halt(tick + 1)
+            self._deliver(request)
+        elif request.on_feedback is not None and request.feedback is not None and tick % self._monitor_ticks == 0:
+            self._post(partial(request.on_feedback, request.feedback))
+
+    # Switches, from any thread.
 
     def enable(self, on: bool, why: str = "the torque is off") -> None:
         """Switch the torque on or off; off, the brakes hold the arm, and the goal ends with `why`."""
@@ -173,12 +204,20 @@ class ServoLoop:
                 self.fault = None
             else:
                 self._released = True
-                self._requests.drop(why)
+                self._drop(why)
 
     def activate(self, on: bool) -> None:
         """Follow the node into its state active, where the torque is on, or out of it."""
         self.active = on
         self.enable(on, "the controller is deactivated, the torque is off")
+
+    def change_law(self, law: np.ndarray[Any, Any], effective: Callable[[int], None]) -> None:
+        """Let other constants of the law, shape (1,), CONTROLLER_DTYPE, count from the next position tick on.
+
+        Before it the velocity loop would have gains that do not belong to the torque of the position loop. Integrators,
+        which hold torques, go on as they are. `effective` is then called, by `report`, with the time of that tick, ns.
+        """
+        self._law_changes.append((law, effective))
 
     @property
     def inactive(self) -> str:
@@ -191,59 +230,189 @@ class ServoLoop:
             return "the controller is disabled; accepted: after a call of ~/enable with true"
         return "the torque comes back with the next tick; accepted: from then on" if self._released else ""
 
-    @contextmanager
-    def between_ticks(self) -> Iterator[Requests]:
-        """Give the requests; no tick is run until the block is left."""
-        with self._lock:
-            yield self._requests
+    # Requests, from the executor's thread.
 
-    # The executor's thread.
-
-    @property
-    def rejections(self) -> tuple[int, str]:
-        """Return how many trajectories and goals were refused, and which was the last, when and why."""
-        return self._requests.rejected, self._requests.last_rejection
-
-    @contextmanager
-    def joined(self, request: TrajectoryRequest) -> Iterator[tuple[Requests, Plan | None]]:
-        """Give the requests between two ticks, and the plan of a long trajectory that was joined beside the ticks.
-
-        Where the motion changes meanwhile, or the time was too short, it is joined again. Without a plan, as for a
-        short trajectory, and where no attempt was in time, it is to be joined between the two ticks.
-        """
-        for attempt in range(_ATTEMPTS if request.long else 0):
-            with self.between_ticks() as requests:
-                plan = requests.plan(request, attempt) if self.running and not self.inactive else None
-            if plan is None:
-                break
-            plan.join()
-            with self.between_ticks() as requests:
-                if requests.fits(plan):
-                    yield requests, plan
-                    return
-        with self.between_ticks() as requests:
-            yield requests, None
-
-    def offer(self, trajectory: Any) -> None:
-        """Follow a trajectory_msgs/JointTrajectory, at the latest once there are states; the log says if not.
-
-        One without points stops the arm.
-        """
+    def receive(self, message: Any) -> None:
+        """Follow a trajectory_msgs/JointTrajectory of the topic; the log says if not. One without points is a stop."""
         try:
-            with self.between_ticks():
+            with self._lock:
                 if self.running and self.inactive:
                     raise TrajectoryError(self.inactive)
-            request = self._requests.checked(trajectory)
+            request = self._checked(message)
         except TrajectoryError as error:
-            with self.between_ticks() as requests:
-                requests.refused("trajectory", error)
-            return
-        with self.joined(request) as (requests, plan):
+            with self._lock:
+                self._refused("trajectory", error)
+        else:
+            self.offer(request)
+
+    def receive_goal(self, goal: Any, missing: str = "") -> TrajectoryRequest | None:
+        """Return a goal of FollowJointTrajectory, checked wherever the arm is; None if it is refused: the log says why.
+
+        `missing` is why no goal can be followed now, beside `inactive`.
+        """
+        try:
+            request = self._checked(goal.trajectory, goal)
+            with self._lock:
+                if self.inactive or missing:
+                    raise TrajectoryError(self.inactive or missing)
+                assert request.points is not None
+                points_left(request.points, self._cs7b.position_tick, request.start, self._period)
+        except TrajectoryError as error:
+            with self._lock:
+                self._refused("goal", error)
+            return None
+        return request
+
+    def _checked(self, message: Any, goal: Any = None) -> TrajectoryRequest:
+        """Return a trajectory, of the topic or of a goal, checked by itself; may take long, so not between ticks."""
+        return check_request(message, self.tolerances, self.options, self._cs7b.rates.position_hz, goal)
+
+    def offer(self, request: TrajectoryRequest) -> None:
+        """Follow a request, at the latest once there are states, or refuse it.
+
+        A long one is joined to the motion beside the ticks; where the motion changes meanwhile, or the time was too
+        short, once more with more time. A short one, and one that was never in time, is joined between two ticks.
+        """
+        for attempt in range(_ATTEMPTS if request.long else 0):
+            with self._lock:
+                if not self.running or self.inactive:
+                    break
+                joined = JoinedAhead(request, self._cs7b.trajectory, self._cs7b.position_tick, attempt)
+            joined.compute()
+            with self._lock:
+                if joined.fits(self._cs7b.position_tick):
+                    self._follow(request, joined)
+                    return
+        with self._lock:
             if self.running:
-                requests.take(request, self.inactive, plan)
+                self._follow(request)
+                return
+            replaces = self._waiting is not None and not self._waiting.is_goal
+            self._drop(_reason_replaced(request), wanted=True)
+            self._waiting, request.state = request, State.WAITING
+            instead = ", in place of the one that waited" if replaces else ""
+            self._note(f"a {request.kind} waits for the simulation's first tick{instead}")
+
+    @property
+    def has_goal(self) -> bool:
+        """Return whether a goal is followed, or waits for the first states."""
+        return any(request is not None and request.is_goal for request in (self._followed, self._waiting))
+
+    def cancel(self, request: TrajectoryRequest) -> None:
+        """Cancel a goal: the arm stops along the path. One that has ended meanwhile keeps its end."""
+        with self._lock:
+            if self._waiting is request:
+                self._waiting, text = None, "cancelled before the simulation's first tick"
+            elif self._followed is request:
+                schedule = self._cs7b.trajectory.halt(self._cs7b.position_tick)
+                begin, end = schedule.begin * self._period, schedule.end * self._period
+                self._followed, text = None, f"cancelled; stopping from {begin:.6g} s on, at rest at {end:.6g} s"
             else:
-                requests.wait(request)
+                return
+            request.end(State.CANCELED, ResultCode.SUCCESSFUL, text)
+            self._deliver(request)
+
+    def drop(self, reason: str, *, halt: bool = False) -> None:
+        """End the goal, if there is one, with -1 and a reason: `halt` on its path."""
+        with self._lock:
+            goal = self._followed is not None and self._followed.is_goal
+            self._drop(reason)
+            if halt and goal:
+                self._cs7b.trajectory.halt(self._cs7b.position_tick)
 
     def report(self) -> None:
         """Print and publish what there is to say; called after each `Outputs.wake`."""
-        self._requests.report()
+        while self._reports:
+            self._reports.popleft()()
+
+    # Between ticks.
+
+    def _follow(self, request: TrajectoryRequest, joined: JoinedAhead | None = None) -> None:
+        """Follow a request, which may be joined already, in place of what runs, or refuse it and let that go on."""
+        now, trajectory, period = self._cs7b.position_tick, self._cs7b.trajectory, self._period
+        try:
+            if self.inactive:
+                raise TrajectoryError(self.inactive)
+            if request.start is not None and (request.start - now) * period > self._horizon:
+                raise TrajectoryError(
+                    f"start time {request.start * period:.3f} s, the controller's time is {now * period:.3f} s; "
+                    f"accepted: 0 for now, or simulated time within {self._horizon:g} s"
+                )
+            schedule = request.enter(trajectory, now) if joined is None else joined.adopt(now)
+        except TrajectoryError as error:
+            self._refused(request.kind, error, quiet=request.is_goal)
+            past = isinstance(error, PastError)
+            request.end(State.ABORTED, ResultCode.OLD_HEADER_TIMESTAMP if past else ResultCode.INVALID_GOAL, str(error))
+            if request.is_goal:
+                self._deliver(request)
+            return
+        self._drop(_reason_replaced(request), wanted=True)
+        request.state = State.WAITING if request.is_goal else State.FOLLOWED
+        if request.is_goal or request.tolerances.end_motions:
+            # What runs until a trajectory of the topic starts is held to its tolerances, too.
+            self._followed = request
+        self._announce(request, schedule)
+
+    def _drop(self, reason: str, *, wanted: bool = False) -> None:
+        """End the goal, if there is one, with -1 and a reason; `wanted`, so nothing went wrong."""
+        when = f", at {self._cs7b.position_tick * self._period:.6g} s"
+        waiting, followed, self._followed = self._waiting, self._followed, None
+        if waiting is not None and waiting.is_goal:
+            self._waiting, followed, when = None, waiting, ""
+        if followed is not None and followed.is_goal:
+            followed.end(State.ABORTED, ResultCode.INVALID_GOAL, f"{reason}{when}")
+            self._deliver(followed, wanted=wanted)
+
+    def _deliver(self, request: TrajectoryRequest, *, wanted: bool = False) -> None:
+        """Have the client of a goal learn how it has ended, and note it."""
+        aborted = request.state is State.ABORTED
+        if request.on_result is not None:
+            self._post(request.on_result)
+            self._note(one_line(f"goal {request.state.value}: {request.reason}"), wrong=aborted and not wanted)
+        elif aborted:
+            self._note(f"trajectory aborted: {request.reason}; stopping and holding", wrong=True)
+
+    def _announce(self, request: TrajectoryRequest, schedule: Schedule) -> None:
+        """Note what is followed, and publish it with its start."""
+        points = request.points
+        begin, end = schedule.begin * self._period, schedule.end * self._period
+        start = schedule.begin if request.start is None or points is None else request.start
+        if points is None:
+            text = f"empty trajectory: stopping from {begin:.3f} s on, at rest at {end:.3f} s"
+        else:
+            text = f"{request.kind} accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin:.3f} s"
+            if points.smooth:
+                text += "; velocities from its positions"
+            if schedule.blend_error > 0.0:
+                text += f"; its ramps pass the points in between at up to {schedule.blend_error:.3g} rad"
+        start_ns = start * self._cs7b.rates.period_ns * self._cs7b.rates.ratio
+        source = OF_ACTION if request.is_goal else ""
+        self._reports.append(partial(self._outputs.accepted, request.message, start_ns, source))
+        self._note(text)
+
+    def _refused(self, kind: str, error: TrajectoryError, *, quiet: bool = False) -> None:
+        """Count a goal or a trajectory that was refused, and note why, unless its result says so."""
+        self.rejected += 1
+        self.last_rejection = f"{kind} at {self._cs7b.position_tick * self._period:.3f} s: {error}"
+        if not quiet:
+            self._note(f"{kind} rejected: {error}", wrong=True)
+
+    def _note_dropped(self, why: str) -> None:
+        """Note that a trajectory comes to no end, if one runs or waits for its start."""
+        now = self._cs7b.position_tick
+        if self._cs7b.trajectory.moving(now):
+            self._note(f"trajectory dropped at {now * self._period:.3f} s: {why}")
+
+    def _note(self, text: str, *, wrong: bool = False) -> None:
+        """Note a line."""
+        self._post(partial(self._outputs.error if wrong else self._outputs.info, text))
+
+    def _post(self, call: Callable[[], None]) -> None:
+        """Have something done by `report`, after what was noted before."""
+        self._reports.append(call)
+        self._outputs.wake()
+
+
+def _reason_replaced(request: TrajectoryRequest) -> str:
+    """Return why what ran before a request has ended."""
+    return "pre-empted by a new goal" if request.is_goal else "replaced by a trajectory on the topic"

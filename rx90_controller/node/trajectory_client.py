@@ -25,10 +25,9 @@ from rx90_common.exchange.client_node import POLL, ClientNode
 from rx90_common.exchange.message_times import ros_time
 from rx90_common.exchange.ros_start import reason
 from rx90_common.exchange.service_calls import ServiceRequest, spoken
-from rx90_controller.lines.approach import Approach, ApproachedLine, approached
-from rx90_controller.lines.plan import LinePlan
+from rx90_controller.lines.plan import Approach, LinePlan, approached
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
-from rx90_controller.trajectory.message import stamped_points
+from rx90_controller.trajectory.points import message_content
 
 _SETTLED = 1.2  # s without a change among those that listen; each participant announces itself every second, config/dds
 _NEXT_SAMPLE = 1.5  # s; at the slowest real_time_factor the samples of a simulation that runs come every second
@@ -42,7 +41,7 @@ class NewestPositions:
     Attributes:
         position: rad, in the order of the names; None before the first message.
         time: its stamp, s.
-        heard: number of messages.
+        count: number of messages.
         standing: whether the newest has the stamp of the one before it: time stands still.
     """
 
@@ -50,7 +49,7 @@ class NewestPositions:
         self._names = names
         self.position: Array | None = None
         self.time = -1.0
-        self.heard = 0
+        self.count = 0
         self.standing = False
         # One message in the queue: only the newest is looked at.
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -61,12 +60,12 @@ class NewestPositions:
         if set(self._names) <= position.keys():
             self.position = np.array([position[name] for name in self._names])
             time, self.time = self.time, message_time_ns(message.header.stamp) / NANOSECONDS
-            self.heard += 1
+            self.count += 1
             self.standing = self.time == time
 
 
 class TrajectoryClient:
-    """Sends trajectories to one controller node and hears its set-points and the arm beside it.
+    """Sends trajectories to one controller node, and listens to its set-points and to the arm beside it.
 
     Args:
         client: the node to do it with.
@@ -131,10 +130,9 @@ class TrajectoryClient:
             ExchangeError: if no joint states come within the client's timeout.
         """
         # The arm is in the controller's namespace, which need not be ours.
-        topic = self.topic.rsplit("/", 2)[0] + "/joint_states"
-        arm = self._arm = self._newest(topic, names, "position of the six joints")
-        assert arm.position is not None
-        return arm.position
+        self._arm = self._newest(self.topic.rsplit("/", 2)[0] + "/joint_states", names, "position of the six joints")
+        assert self._arm.position is not None
+        return self._arm.position
 
     def standing_time(self) -> float | None:
         """Return the time at which the simulation stands still, s; None if it runs or `joint_positions` was not asked.
@@ -144,8 +142,8 @@ class TrajectoryClient:
         arm = self._arm
         if arm is None:
             return None
-        heard, deadline = arm.heard, time.monotonic() + _NEXT_SAMPLE
-        while arm.heard == heard and time.monotonic() < deadline:
+        count, deadline = arm.count, time.monotonic() + _NEXT_SAMPLE
+        while arm.count == count and time.monotonic() < deadline:
             self._client.spin()
         return arm.time if arm.standing else None
 
@@ -207,13 +205,8 @@ def trajectory_message(names: Sequence[str], points: TrajectoryPoints, start_tim
     message = JointTrajectory(joint_names=list(names))
     message.header.stamp = ros_time(round(start_time * NANOSECONDS))
     message.points = [
-        JointTrajectoryPoint(
-            positions=point.position,
-            velocities=point.velocity,
-            accelerations=point.acceleration,
-            time_from_start=Duration(sec=point.sec, nanosec=point.nanosec),
-        )
-        for point in stamped_points(points)
+        JointTrajectoryPoint(**(point | {"time_from_start": Duration(**point["time_from_start"])}))
+        for point in message_content(names, points)["points"]
     ]
     return message
 
@@ -251,17 +244,6 @@ def deliver(client: ClientNode, plan: LinePlan, delivery: Delivery) -> None:
     """
     trajectory = TrajectoryClient(client, delivery.controller)
     trajectory.wait_for_controller()
-    line = _line(client, trajectory, plan, delivery)
-    trajectory.send(plan.joint_names, line.points, delivery.start_time)
-    start = f"at {delivery.start_time:g} s" if delivery.start_time else "now"
-    client.say(f"sent {len(line.points.times)} points to {trajectory.topic}: start {start}, {line.duration:.3f} s")
-    standing = trajectory.standing_time()
-    if standing is not None:
-        client.say(f"the simulation's time stands still at {standing:.6g} s: the arm moves when it runs on")
-
-
-def _line(client: ClientNode, trajectory: TrajectoryClient, plan: LinePlan, delivery: Delivery) -> ApproachedLine:
-    """Return the line with the approach from where the arm stands."""
     here = plan.start_pose
     if delivery.approach is not None or delivery.start_time <= 0.0:
         here = trajectory.joint_positions(plan.joint_names)
@@ -269,4 +251,9 @@ def _line(client: ClientNode, trajectory: TrajectoryClient, plan: LinePlan, deli
     line = approached(plan, here, delivery.limits, delivery.set_point_period, delivery.approach)
     if line.approach > 0.0:
         client.say(f"approach: {np.degrees(line.way):.1f} deg in {line.farthest}, {line.approach:.3f} s")
-    return line
+    trajectory.send(plan.joint_names, line.points, delivery.start_time)
+    start = f"at {delivery.start_time:g} s" if delivery.start_time else "now"
+    client.say(f"sent {len(line.points.times)} points to {trajectory.topic}: start {start}, {line.duration:.3f} s")
+    standing = trajectory.standing_time()
+    if standing is not None:
+        client.say(f"the simulation's time stands still at {standing:.6g} s: the arm moves when it runs on")

@@ -1,19 +1,7 @@
-"""Joint trajectories: splines through the given points, checks, and the 1 kHz set-point generator."""
+"""Joint trajectories: points, paths through them, limits, the 1 kHz set-point generator, and requests of clients."""
 
-from rx90_controller.trajectory.generator import PastError, Plan, Schedule, TrajectoryGenerator, points_left
+from rx90_controller.trajectory.generator import TrajectoryGenerator
 from rx90_controller.trajectory.limits import JointLimits
-from rx90_controller.trajectory.motions import Progress
 from rx90_controller.trajectory.points import TrajectoryPoints
 
-__all__ = [
-    "JointLimits",
-    "PastError",
-    "Plan",
-    "Progress",
-    "Schedule",
-    "TrajectoryGenerator",
-    "TrajectoryPoints",
-    "message",
-    "points_left",
-    "spline",
-]
+__all__ = ["JointLimits", "TrajectoryGenerator", "TrajectoryPoints"]

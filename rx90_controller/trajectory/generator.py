@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
-from rx90_controller.trajectory.joining import braked, check_near, connect, merged, remainder
+from rx90_controller.trajectory.followed_path import FollowedPath, Path, PathTime
 from rx90_controller.trajectory.limits import JointLimits
-from rx90_controller.trajectory.motions import FollowedPath, Motions, Path
-from rx90_controller.trajectory.path_time import PathTime
+from rx90_controller.trajectory.paths import connect, stop
 from rx90_controller.trajectory.points import TrajectoryPoints
-from rx90_controller.trajectory.ramps import stop
-from rx90_controller.trajectory.spline import Bounds, Spline, smooth
+from rx90_controller.trajectory.spline import Bounds, joined, merged, remainder, resting, smooth
 
-_ANEW = ", or velocities_from_positions, where the points' velocities do not belong to their positions"
-_PATIENCE = 3  # a stop along the path may take so many times as long as one joint by joint
-_CHECKED_AT_ONCE = 4096
-# The largest acceleration lies between two set-points, and may be a little more than the largest set-point.
-_SLACK = 1e-3  # of the limit
+_ADVICE = ", or velocities_from_positions, where the points' velocities do not belong to their positions"
+_MAX_HALT_RATIO = 3  # a stop along the path may take so many times as long as one joint by joint
 
 
 class PastError(TrajectoryError):
@@ -41,20 +35,122 @@ class Schedule(NamedTuple):
     blend_error: float
 
 
-class TrajectoryGenerator(Motions):
+class Progress(NamedTuple):
+    """How far a trajectory is: time on its path from its begin, negative before, and that of its last point, s."""
+
+    time: float
+    last: float
+
+
+class End(NamedTuple):
+    """The position tick in which a motion has come to its end, and whether it was a stop."""
+
+    tick: int
+    stop: bool
+
+
+class TrajectoryGenerator:
     """Set-points q, dq/dt and d2q/dt2 on the ticks of the position loop.
 
-    Time is counted in position ticks and never read from a clock. A trajectory replaces the running one at
-    its start tick; a refused one leaves everything untouched.
+    One motion runs or holds, and one may wait for its start. Time is counted in position ticks and never read from a
+    clock. A trajectory replaces the running one at its start tick; a refused one leaves everything untouched.
+
+    Args:
+        limits: that set-points keep.
+        period: of the position loop, s.
+        hold: position to hold, rad, shape (6,).
+
+    Attributes:
+        revision: changes whenever set-points that were sampled in advance may be out of date.
+        factor: what `set_speed_scaling` was given last, 1 in the beginning.
     """
+
+    def __init__(self, limits: JointLimits, period: float, hold: Array) -> None:
+        self.limits = limits
+        self.period = period
+        self.revision = 0
+        self.factor = 1.0
+        self._origin: tuple[int, int | None] = (0, None)  # of a fork: revision and start of what waited
+        self.reset(hold)
 
     def warm_up(self) -> None:
         """Compile, or load, the kernels that a running arm may need."""
         rest = np.zeros((2, 6))
         spline = smooth(np.array([0.0, 1.0]), rest, rest)
         Bounds.of(spline.coefficients, np.ones(1))
-        law = PathTime(spline, self.limits.acceleration, self.period, tick=0, time=0.0, rate=1.0, wanted=0.0)
-        law.settles(1)
+        PathTime(spline, self.limits.acceleration, self.period, tick=0, time=0.0, rate=1.0, wanted=0.0).settles(1)
+
+    def reset(self, hold: Array) -> None:
+        """Drop every trajectory and hold a position, rad, shape (6,)."""
+        rest = Path(resting(np.array(hold, dtype=np.float64)), 0.0, 0.0)
+        self._current = FollowedPath(0, rest, self.period, announced=True)
+        self._next: FollowedPath | None = None
+        self.revision += 1
+
+    def delay(self, count: int, now: int) -> None:
+        """Shift the running trajectory by `count` ticks, which passed without set-points up to tick `now`.
+
+        A trajectory that is to follow it is shifted as well, because it begins where the running one will then be. If
+        the arm rests, it keeps its start tick, or starts now if that has passed.
+        """
+        self._promote(now - count)
+        at_rest = not self._current.runs(now - count)
+        self._current.delay(count)
+        if self._next is not None:
+            self._next.delay(max(now - self._next.start, 0) if at_rest else count)
+        self.revision += 1
+
+    # What the set-points are.
+
+    def setpoints(self, tick: int, count: int = 1) -> Array:
+        """Return the set-points of `count` position ticks from `tick` on, shape (count, 3, 6).
+
+        Ticks must not go back to before the last `accept`.
+        """
+        if self._next is None:
+            return self._current.setpoints(tick, count)
+        head = min(max(self._next.start - tick, 0), count)
+        before = self._current.setpoints(tick, head)
+        return np.concatenate([before, self._next.setpoints(tick + head, count - head)])
+
+    def moving(self, tick: int) -> bool:
+        """Return whether a trajectory runs, is held on its path, or waits for its start at position tick `tick`."""
+        return (self._next or self._current).runs(tick)
+
+    def ended(self, tick: int) -> End | None:
+        """Return when a trajectory or a stop has come to its end, once for each that does.
+
+        To be called in every position tick. A trajectory that another one has replaced has no end.
+        """
+        self._promote(tick)
+        motion = self._current
+        if motion.announced or not motion.over(tick):
+            return None
+        motion.announced = True
+        return End(tick if motion.laws else motion.end, motion.path.stop)
+
+    def state(self, tick: float) -> Array:
+        """Return the set-point of the running trajectory at a time in position ticks, whole or not, shape (3, 6).
+
+        In the past as far as the running trajectory goes back, in the future as it is with the present scaling.
+
+        Raises:
+            TrajectoryError: for a time before that.
+        """
+        motion = self._effective(tick)
+        since = motion.start if motion.oldest is None else motion.oldest
+        if not tick >= since:
+            raise TrajectoryError(
+                f"time {tick * self.period:.6g} s; accepted: from {since * self.period:.6g} s on, where the running "
+                "motion begins"
+            )
+        state: Array = motion.states(np.array([tick], dtype=np.float64))[0]
+        return state
+
+    def progress(self, tick: int) -> Progress:
+        """Return how far the trajectory that was taken last is at a position tick."""
+        motion = self._next or self._current
+        return Progress(motion.at(tick)[0] - motion.path.begin, motion.path.last - motion.path.begin)
 
     def refined(self, ratio: int) -> TrajectoryGenerator:
         """Return a generator of the same motions, at full speed, whose ticks are `ratio` times as frequent."""
@@ -63,12 +159,41 @@ class TrajectoryGenerator(Motions):
         finer._next = self._next and self._next.refined(ratio)
         return finer
 
-    def enter(self, points: TrajectoryPoints, now: int, start: int | None, *, anywhere: bool, exact: bool) -> Schedule:
-        """Take a trajectory as `accept` does if `exact`, else, and where its start is over, as `join` does."""
-        late = start is not None and start < now
-        if exact and not anywhere and not late:
-            return self.accept(points, now, start)
-        return self.join(points, now, start, anywhere=anywhere)
+    # At what speed.
+
+    def speed_scaling(self, tick: int) -> float:
+        """Return the speed along the path at a position tick, as a share of the trajectory's own; at rest `factor`."""
+        motion = self._effective(tick)
+        return motion.at(tick)[1] if motion.runs(tick) else self.factor
+
+    def set_speed_scaling(self, factor: float, now: int) -> None:
+        """Follow trajectories at `factor` of their speed, in [0, 1], from position tick `now` on; 0 holds on the path.
+
+        Also while one runs: the time on its path then runs slower or faster, as quickly as the accelerations allow.
+        What waits behind a running motion comes later by as much as that one is slowed down; what waits at rest keeps
+        its start. A stop that begins at once is not slowed down. It stays over `reset`.
+
+        Raises:
+            TrajectoryError: if the factor is not a number in [0, 1].
+        """
+        if not 0.0 <= factor <= 1.0:
+            raise TrajectoryError(f"speed scaling {factor:g}; accepted: a number in [0, 1]")
+        self._promote(now)
+        if factor == self.factor:
+            return
+        self.factor = factor
+        motion, waiting = self._effective(now), self._next
+        acceleration = self.limits.acceleration
+        if motion.runs(now) and not motion.fixed:
+            if waiting is not None and motion is not waiting:
+                self._current, self._next = motion.over_to(waiting.path, waiting.start), None
+                motion = self._current
+            motion.go_at(factor, acceleration, now)
+        elif waiting is not None and motion is not waiting:
+            waiting.go_at(factor, acceleration, waiting.start, 1.0 if motion.runs(waiting.start) else factor)
+        self.revision += 1
+
+    # New motions.
 
     def accept(self, points: TrajectoryPoints, now: int, start: int | None) -> Schedule:
         """Take a trajectory; return when it runs.
@@ -106,9 +231,9 @@ class TrajectoryGenerator(Motions):
         if late == 0.0 and points.times[0] == 0.0 and not anywhere:
             held = self._base(now).entry(begin)
             first = points.held_at(held[0])
-            check_near(first, held, self.limits)
+            self.limits.check_near(first, held)
             if first.velocity is not None and (first.degrees is None or first.degrees[0] > 1):
-                self.limits.check_start(held, np.stack([held[0], first.velocity[0]]), self.period)
+                self.limits.check_start(held, first.velocity[0], self.period)
         return self._take(left, now, begin, follow=anywhere)
 
     def stop(self, now: int, start: int | None) -> Schedule:
@@ -121,8 +246,9 @@ class TrajectoryGenerator(Motions):
         base = self._base(now)
         # At once from what the arm does; later along the path, whose speed may have changed by then.
         position, velocity, _ = base.setpoints(now, 1)[0] if begin == now else base.entry(begin)
+        spline = stop(position, velocity, self.limits.acceleration)
         rate = None if begin == now else self._rate(base, begin)
-        return self._run(base, Path.of(stop(position, velocity, self.limits.acceleration), stop=True), begin, rate)
+        return self._follow(base, Path(spline, 0.0, spline.duration, stop=True), begin, rate)
 
     def halt(self, now: int) -> Schedule:
         """Come to rest on the path, within the accelerations, from position tick `now` on, and hold.
@@ -138,10 +264,48 @@ class TrajectoryGenerator(Motions):
             return Schedule(base.start, base.end, 0.0)
         position, velocity, _ = base.setpoints(now, 1)[0]
         shortest = float((np.abs(velocity) / acceleration).max())
-        spline = base.halted(now, acceleration, _PATIENCE * math.ceil(shortest / self.period) + 2)
+        spline = base.halted(now, acceleration, _MAX_HALT_RATIO * math.ceil(shortest / self.period) + 2)
         if spline is None:
             spline = stop(position, velocity, acceleration)
-        return self._run(base, Path.of(spline, stop=True), now, None)
+        return self._follow(base, Path(spline, 0.0, spline.duration, stop=True), now, None)
+
+    # New motions that are computed beside the ticks.
+
+    def fork(self, now: int) -> TrajectoryGenerator | None:
+        """Return a generator that goes on as this one does from tick `now` on, for another thread to `join` to.
+
+        What waits for its start is not in it: what is joined replaces that. None where the scaling has changed while
+        something waited: what runs until then would depend on that.
+        """
+        self._promote(now)
+        if self._current.before is not None:
+            return None
+        fork = copy.copy(self)
+        fork._origin = (self.revision, None if self._next is None else self._next.start)
+        fork._current, fork._next = self._current.copied(), None
+        return fork
+
+    def continues(self, fork: TrajectoryGenerator, now: int) -> bool:
+        """Return whether a fork still begins as this generator does: no other motion has come in between."""
+        revision, waited = fork._origin
+        return self.revision == revision and (waited is None or waited >= now)
+
+    def adopt(self, fork: TrajectoryGenerator, late: int) -> None:
+        """Go on as a fork that this one `continues` does; what was joined to it comes `late` ticks later."""
+        if fork._next is not None:
+            fork._next.delay(late)
+        fork._current.announced = self._current.announced
+        self._current, self._next = fork._current, fork._next
+        self.revision += 1
+
+    def _effective(self, tick: float) -> FollowedPath:
+        """Return the motion whose set-point a tick gets."""
+        return self._current if self._next is None or tick < self._next.start else self._next
+
+    def _promote(self, tick: int) -> None:
+        """Make a trajectory that began before position tick `tick` the running one."""
+        if self._next is not None and self._next.start < tick:
+            self._current, self._next = self._next, None
 
     def _begin(self, now: int, start: int | None) -> int:
         begin = now if start is None else start
@@ -152,6 +316,19 @@ class TrajectoryGenerator(Motions):
             )
         self._promote(now)
         return begin
+
+    def _base(self, now: int) -> FollowedPath:
+        """Return the running motion without what waits for its start."""
+        motion = self._current
+        if motion.before is None or motion.at(now)[0] >= motion.path.begin:
+            return motion
+        base = motion.on(motion.before)
+        base.go_at(self.factor, self.limits.acceleration, now)
+        return base
+
+    def _rate(self, base: FollowedPath, begin: int) -> float:
+        """Return the rate at which something begins behind a motion: that of the motion, or `factor` from rest."""
+        return base.at(begin)[1] if base.runs(begin) else self.factor
 
     def _take(self, points: TrajectoryPoints, now: int, begin: int, *, follow: bool) -> Schedule:
         """Check a trajectory and run it; joints that it does not name hold, or follow the running one."""
@@ -164,30 +341,32 @@ class TrajectoryGenerator(Motions):
         # An arm that was pushed beyond a limit may come back: from there on only inwards.
         allowed = np.where(outside > 0.0, outside + limits.start_tolerance, 0.0)
         points = points.held_at(held[0])
-        limits.check_points((points.position, points.velocity, points.acceleration), allowed, points.first)
+        limits.check_points(points, allowed)
         spline = connect(points, np.where(points.named, held, [held[0], np.zeros(6), np.zeros(6)]), limits)
         last = spline.duration
         if points.velocity is not None and points.velocity[-1].any():
-            spline = braked(spline, points.velocity[-1], limits)
-        if partial:
-            others = (
-                remainder(base.path.spline, base.at(begin)[0])
-                if follow
-                else stop(held[0], held[1], limits.acceleration)
-            )
-            spline = merged(spline, others, ~points.named)
-        limits.check_start(held, spline.sample(np.zeros(1))[0], self.period, points.first)
+            spline = joined(spline, last, stop(spline.final, points.velocity[-1], limits.acceleration))
+        if partial and follow:
+            spline = merged(spline, remainder(base.path.spline, base.at(begin)[0]), ~points.named)
+        elif partial:
+            spline = merged(spline, stop(held[0], held[1], limits.acceleration), ~points.named)
+        limits.check_start(held, spline.sample(np.zeros(1))[0, 1], self.period, points.first)
         try:
-            check_spline(spline, self.period, points, limits, allowed)
+            limits.check_motion(spline, self.period, points, allowed)
         except TrajectoryError as error:
             if points.velocity is None or points.smooth or np.count_nonzero(points.times) < 2:
                 raise
-            raise TrajectoryError(f"{error}{_ANEW}") from None
-        return self._run(base, Path.of(spline, last), begin, self.factor if rests else rate)
+            raise TrajectoryError(f"{error}{_ADVICE}") from None
+        return self._follow(base, Path(spline, 0.0, last), begin, self.factor if rests else rate)
 
-    def _run(self, base: FollowedPath, path: Path, begin: int, rate: float | None) -> Schedule:
-        self._follow(base, path, begin, rate)
-        return Schedule(begin, FollowedPath(begin, path, self.period).end, path.spline.blend_error)
+    def _follow(self, base: FollowedPath, path: Path, begin: int, rate: float | None) -> Schedule:
+        """Follow a path from a tick on, behind `base`, from a rate on; None for full speed whatever the scaling is."""
+        self.revision += 1
+        self._current, self._next = base, FollowedPath(begin, path, self.period, fixed=rate is None)
+        end = self._next.end
+        if rate is not None:
+            self._next.go_at(self.factor, self.limits.acceleration, begin, rate)
+        return Schedule(begin, end, path.spline.blend_error)
 
 
 def points_left(
@@ -209,159 +388,3 @@ def points_left(
             "later than that"
         )
     return begin, late, left
-
-
-class Plan:
-    """A trajectory on its way into a generator, which goes on meanwhile.
-
-    To be made between two ticks; then `join`, beside the ticks; then `adopt`, between two ticks again.
-    """
-
-    def __init__(
-        self,
-        generator: TrajectoryGenerator,
-        points: TrajectoryPoints,
-        start: int | None,
-        now: int,
-        lead: int,
-        *,
-        anywhere: bool,
-        exact: bool,
-    ) -> None:
-        """Plan for a generator, whose first tick that may still be changed is `now`; the others as `enter` has them.
-
-        A trajectory whose start does not lie ahead begins `lead` ticks later, when it should be there; from rest, where
-        it begins makes no difference, as soon as it is there.
-        """
-        generator._promote(now)
-        motion = generator._current
-        self._generator, self._revision = generator, generator.revision
-        self._points, self._start, self._anywhere, self._exact = points, start, anywhere, exact
-        # From rest what begins "now" may as well begin later.
-        self._may_be_late = start is None and not motion.runs(now)
-        ahead = start is not None and start >= now
-        # Where the scaling has changed while something waited, what runs until `now` would depend on that.
-        self._possible = motion.before is None
-        self._now = now
-        self._earliest = now if self._may_be_late or ahead else now + lead
-        self._waiting = generator._next
-        self._motion = replace(motion, laws=[copy.copy(law) for law in motion.laws])
-        self._twin = copy.copy(generator)
-        # What waits for its start is replaced: the twin has not got it.
-        self._twin._current, self._twin._next = self._motion, None
-        self._schedule: Schedule | None = None
-        self._error: TrajectoryError | None = None
-
-    def join(self) -> None:
-        """Compute what the generator would."""
-        if self._possible:
-            try:
-                self._schedule = self._twin.enter(
-                    self._points, self._earliest, self._start, anywhere=self._anywhere, exact=self._exact
-                )
-            except PastError as error:
-                # By then, but perhaps not yet.
-                self._error = error if self._earliest == self._now else None
-            except TrajectoryError as error:
-                self._error = error
-
-    def fits(self, now: int) -> bool:
-        """Return whether `adopt` will not return None at this tick."""
-        if self._generator.revision != self._revision or self._begun(now):
-            return False
-        if self._error is not None:
-            return True
-        return self._schedule is not None and (self._late(self._schedule, now) == 0 or self._may_be_late)
-
-    def adopt(self, now: int) -> Schedule | None:
-        """Let the generator follow the trajectory; return when it runs, or None if that has to be computed anew.
-
-        That is so where other motions have come in between, or the computation took longer than there was time for.
-        `now` is again the first tick that may still be changed.
-
-        Raises:
-            TrajectoryError: why the trajectory cannot be followed.
-        """
-        if not self.fits(now):
-            return None
-        if self._error is not None:
-            raise self._error
-        generator, twin, schedule = self._generator, self._twin, self._schedule
-        assert schedule is not None
-        late = self._late(schedule, now)
-        if twin._next is not None:
-            twin._next.delay(late)
-        self._motion.announced = generator._current.announced
-        generator._current, generator._next = twin._current, twin._next
-        generator.revision += 1
-        return Schedule(schedule.begin + late, schedule.end + late, schedule.blend_error)
-
-    def _begun(self, now: int) -> bool:
-        """Return whether what waited for its start then may have begun meanwhile."""
-        return self._waiting is not None and self._waiting.start < now
-
-    @staticmethod
-    def _late(schedule: Schedule, now: int) -> int:
-        return max(0, now - schedule.begin)
-
-
-def check_spline(spline: Spline, period: float, points: TrajectoryPoints, limits: JointLimits, allowed: Array) -> None:
-    """Check a motion: its set-points, and the accelerations between them.
-
-    What passes is within the accelerations wherever it is, so that it can be travelled at every lower speed too.
-
-    Args:
-        spline: the motion.
-        period: of the position loop, s.
-        points: that it goes through, to say which one is meant.
-        limits: to keep.
-        allowed: how far beyond the position limits the first set-point may lie, rad, shape (6,).
-
-    Raises:
-        TrajectoryError: naming joint, point, time, amount and limit.
-    """
-    if not allowed.any() and _surely_within(spline, points, limits):
-        return
-    last = int(np.ceil(spline.duration / period - 1e-6))
-    for first in range(0, last, _CHECKED_AT_ONCE):
-        # The blocks share a set-point, so that the step from one to the next is checked, too.
-        ticks = np.arange(first, min(first + _CHECKED_AT_ONCE, last) + 1)
-        times = np.asarray(ticks * period, dtype=np.float64)
-        allowed = limits.check(spline.sample(times), times, points.times, allowed, points.first)
-    _check_between(spline, points, limits)
-
-
-def _surely_within(spline: Spline, points: TrajectoryPoints, limits: JointLimits) -> bool:
-    """Return whether bounds tell that a spline is within the limits.
-
-    With a whole spline within the accelerations, its set-points are too, and the steps between them.
-    """
-    coefficients, span, bounds = spline.coefficients, np.diff(spline.times), []
-    if points.way is not None and len(span) == len(points.way.coefficients) + 1:
-        # Left is what leads to the first point.
-        coefficients, span, bounds = coefficients[:1], span[:1], [points.way.bounds]
-    bounds.append(Bounds.of(coefficients, span))
-    return all(limits.contain(*each) for each in bounds)
-
-
-def _check_between(spline: Spline, points: TrajectoryPoints, limits: JointLimits) -> None:
-    """Check the largest accelerations of all pieces."""
-    c, span = spline.coefficients, np.diff(spline.times)[:, None]
-    # The derivative of the acceleration is 6 c3 + 24 c4 s + 60 c5 s^2; the extremes lie at its roots or at the ends.
-    half, square = 12.0 * c[:, 4], 60.0 * c[:, 5]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        root = half + np.copysign(np.sqrt(half * half - square * 6.0 * c[:, 3]), half)
-        extremes = (-root / square, -6.0 * c[:, 3] / root)
-    for at in (np.zeros_like(half), span + np.zeros_like(half), *extremes):
-        inside = np.where((at > 0.0) & (at < span), at, np.where(at == span, at, 0.0))
-        value = 2.0 * c[:, 2] + inside * (6.0 * c[:, 3] + inside * (12.0 * c[:, 4] + inside * 20.0 * c[:, 5]))
-        beyond = np.argwhere(~(np.abs(value) <= (1.0 + _SLACK) * limits.acceleration))
-        if len(beyond):
-            row, joint = beyond[0]
-            time, most = spline.times[row] + inside[row, joint], limits.acceleration[joint]
-            middle = 0.5 * (spline.times[row] + spline.times[row + 1])
-            point = points.first + min(int(np.searchsorted(points.times, middle)), len(points.times) - 1)
-            raise TrajectoryError(
-                f"point {point}: {limits.names[joint]} gets an acceleration of {value[row, joint]:.6g} rad/s^2 on the "
-                f"way there, between two set-points, at {time:.6g} s; accepted: [{-most:.6g}, {most:.6g}]"
-            )

@@ -1,28 +1,33 @@
-"""The points of a trajectory as they came, checked and sorted into the robot's joint order."""
+"""The points of a trajectory, checked and in the robot's joint order, and the messages that carry them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.bags.topics import POINT_FIELDS
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.quoting import quoted
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import message_time_ns
+from rx90_common.exchange.cdr_reader import CdrReader
 from rx90_controller.trajectory.spline import Bounds, interpolate
 
 LONGEST = 3600.0
 """The longest trajectory, s: each of its set-points is checked before it may start."""
 _SHORTEST_STEP = 0.5e-9  # s; messages have whole nanoseconds
 # What joint_trajectory_controller takes for rest: time-optimal plans end at 1e-17 to 1e-15 rad/s.
-_REST = float(np.finfo(np.float32).eps)  # rad/s
-# A last point that says the one before again. MoveIt's time-optimal plans are sampled each 0.1 s and at their end, with
+_REST_VELOCITY = float(np.finfo(np.float32).eps)  # rad/s
+# A last point that repeats the one before. MoveIt's time-optimal plans are sampled each 0.1 s and at their end, with
 # the velocities at the end of a step of 1 ms: where the end comes less than that later, both points are at rest, apart
 # by what was braked.
-_SAME_TIME, _SAME_POSITION, _SAME_VELOCITY = 0.999e-3, 1e-4, 1e-9  # s, rad, rad/s
+_REPEATED_TIME, _REPEATED_POSITION, _REPEATED_VELOCITY = 0.999e-3, 1e-4, 1e-9  # s, rad, rad/s
+_MIN_POINT_BYTES = 4 * len(POINT_FIELDS) + 8  # four empty sequences and a time
 
 
 class Way(NamedTuple):
@@ -74,7 +79,7 @@ class TrajectoryPoints:
     ) -> TrajectoryPoints:
         """Check raw points, joints in any order; an empty vector, or none at all, means "not given".
 
-        Velocities within float's epsilon of 0 at the last point are 0, and a last point that says the one before again,
+        Velocities within float's epsilon of 0 at the last point are 0, and a last point that repeats the one before,
         less than a millisecond later, takes its place.
 
         Args:
@@ -90,38 +95,33 @@ class TrajectoryPoints:
         Raises:
             TrajectoryError: naming joint, index of the point and reason.
         """
-        robot_joints, joint_names, times = list(robot_joints), list(joint_names), list(times)
-        check_joints(robot_joints, joint_names, partial=partial)
-        if _says_again(times, position, velocity):
+        names = list(joint_names)
+        check_joints(robot_joints, names, partial=partial)
+        if _last_is_repeated(times, position, velocity):
             times, position, velocity, acceleration = (
                 [*rows[:-2], *rows[-1:]] for rows in (times, position, velocity, acceleration)
             )
         _check_times(times)
-        columns = [robot_joints.index(name) for name in joint_names]
-        tables = {
-            what: _table(what, values, len(times), columns, joint_names)
-            for what, values in (
-                ("positions", position),
-                ("velocities", velocity),
-                ("accelerations", acceleration),
-            )
-        }
-        if tables["positions"] is None:
+        columns = [list(robot_joints).index(name) for name in names]
+        q, v, a = (
+            _table(what, rows, len(times), columns, names)
+            for what, rows in (("positions", position), ("velocities", velocity), ("accelerations", acceleration))
+        )
+        if q is None:
             raise TrajectoryError("point 0: no positions; accepted: positions of all named joints in every point")
         degrees = _degrees(*(rows if len(rows) else [[]] * len(times) for rows in (velocity, acceleration)))
-        _rest_at_end(tables["velocities"], robot_joints, moving_end=moving_end)
-        named = np.isin(np.arange(6), columns)
-        return cls(
-            np.array(times, dtype=np.float64),
-            tables["positions"],
-            tables["velocities"],
-            tables["accelerations"],
-            named,
-            degrees=degrees,
-        )
+        if v is not None:
+            v[-1, np.abs(v[-1]) <= _REST_VELOCITY] = 0.0
+            fastest = int(np.argmax(np.abs(v[-1])))
+            if v[-1, fastest] != 0.0 and not moving_end:
+                raise TrajectoryError(
+                    f"point {len(v) - 1}: {robot_joints[fastest]} ends at {v[-1, fastest]:g} rad/s; accepted: 0 within "
+                    f"{_REST_VELOCITY:.3g} rad/s, the arm rests at the last point"
+                )
+        return cls(np.array(times, dtype=np.float64), q, v, a, np.isin(np.arange(6), columns), degrees=degrees)
 
     def prepared(self) -> TrajectoryPoints:
-        """Return them with the way between them computed, so that to take them needs less time."""
+        """Return them with the way between them computed, so that less is left to do between two ticks."""
         if self.velocity is None or self.degrees is not None or len(self.times) < 2 or self.smooth:
             return self
         # What overflows is beyond the limits, and refused by them.
@@ -145,7 +145,7 @@ class TrajectoryPoints:
     def after(self, time: float) -> TrajectoryPoints:
         """Return the points later than a time, s, with times from there on."""
         kept = self.times > time + _SHORTEST_STEP
-        velocity, acceleration = (None if t is None else t[kept] for t in (self.velocity, self.acceleration))
+        velocity, acceleration = (None if rows is None else rows[kept] for rows in (self.velocity, self.acceleration))
         dropped = int(np.count_nonzero(~kept))
         return replace(
             self,
@@ -184,21 +184,18 @@ def check_joints(robot_joints: Sequence[str], joint_names: Sequence[str], *, par
 
 
 def _check_times(times: Sequence[float]) -> None:
-    if not times:
+    if not len(times):
         raise TrajectoryError("no points; accepted: at least one")
     for i, time in enumerate(times):
         if not time <= LONGEST:
             raise TrajectoryError(f"point {i}: time_from_start {time:g} s; accepted: a number up to {LONGEST:g} s")
-    if times[0] < 0:
-        raise TrajectoryError(f"point 0: time_from_start {times[0]:g} s; accepted: >= 0")
-    if 0.0 < times[0] < _SHORTEST_STEP:
-        raise TrajectoryError(f"point 0: time_from_start {times[0]:g} s; accepted: 0, or a nanosecond and more")
-    for i in range(1, len(times)):
-        if not times[i] - times[i - 1] > _SHORTEST_STEP:
+        if i > 0 and not time - times[i - 1] > _SHORTEST_STEP:
             raise TrajectoryError(
-                f"point {i}: time_from_start {times[i]:g} s after {times[i - 1]:g} s; accepted: increasing times, a "
+                f"point {i}: time_from_start {time:g} s after {times[i - 1]:g} s; accepted: increasing times, a "
                 "nanosecond or more apart"
             )
+    if times[0] < 0 or 0.0 < times[0] < _SHORTEST_STEP:
+        raise TrajectoryError(f"point 0: time_from_start {times[0]:g} s; accepted: 0, or a nanosecond and more")
 
 
 def _table(
@@ -225,38 +222,95 @@ def _table(
 
 def _degrees(velocity: Sequence[Sequence[float]], acceleration: Sequence[Sequence[float]]) -> NDArray[np.intp] | None:
     """Return the degrees of the ways to n points by what these carry, shape (n,); None if all points are alike."""
-    moves, bends = ([len(row) > 0 for row in rows] for rows in (velocity, acceleration))
-    for i, (move, bend) in enumerate(zip(moves, bends, strict=True)):
-        if bend and not move:
-            raise TrajectoryError(f"point {i}: accelerations without velocities; accepted: velocities too")
-    if len({*moves}) == len({*bends}) == 1:
+    given = np.array([[len(row) > 0 for row in rows] for rows in (velocity, acceleration)])
+    without = np.flatnonzero(given[1] & ~given[0])
+    if without.size:
+        raise TrajectoryError(f"point {without[0]}: accelerations without velocities; accepted: velocities too")
+    if (given == given[:, :1]).all():
         return None
-    given = np.array([moves, bends])
     # The way to the first point comes from the set-point, which has all.
     curved, quintic = given & np.concatenate([given[:, :1], given[:, :-1]], axis=1)
     return np.asarray(1 + 2 * curved.astype(np.intp) + 2 * quintic)
 
 
-def _says_again(
+def _last_is_repeated(
     times: Sequence[float], position: Sequence[Sequence[float]], velocity: Sequence[Sequence[float]]
 ) -> bool:
-    """Return whether the last point says the one before again."""
-    if len(times) < 2 or not -_SHORTEST_STEP <= times[-1] - times[-2] <= _SAME_TIME:
+    """Return whether the last point repeats the one before."""
+    if len(times) < 2 or not -_SHORTEST_STEP <= times[-1] - times[-2] <= _REPEATED_TIME:
         return False
     return all(
         len(rows) == 0 or (len(rows[-1]) == len(rows[-2]) and np.allclose(rows[-1], rows[-2], rtol=0.0, atol=most))
-        for rows, most in ((position, _SAME_POSITION), (velocity, _SAME_VELOCITY))
+        for rows, most in ((position, _REPEATED_POSITION), (velocity, _REPEATED_VELOCITY))
     )
 
 
-def _rest_at_end(velocity: Array | None, names: list[str], *, moving_end: bool) -> None:
-    """Check that the last of the velocities, shape (n, 6), are 0, and make them so where they only are by rounding."""
-    if velocity is None:
-        return
-    velocity[-1, np.abs(velocity[-1]) <= _REST] = 0.0
-    joint = int(np.argmax(np.abs(velocity[-1])))
-    if velocity[-1, joint] != 0.0 and not moving_end:
-        raise TrajectoryError(
-            f"point {len(velocity) - 1}: {names[joint]} ends at {velocity[-1, joint]:g} rad/s; accepted: 0 within "
-            f"{_REST:.3g} rad/s, the arm rests at the last point"
-        )
+# Messages.
+
+
+def check_trajectory_bytes(raw: bytes) -> None:
+    """Check that the CDR bytes of a JointTrajectory are whole.
+
+    Raises:
+        ExchangeError: naming the field in which they are not.
+    """
+    reader = CdrReader(raw)
+    reader.stamp_ns()
+    reader.string("header.frame_id")
+    for i in range(reader.count("joint_names", least_bytes=4)):
+        reader.string(f"joint_names[{i}]")
+    for i in range(reader.count("points", least_bytes=_MIN_POINT_BYTES)):
+        for name in POINT_FIELDS:
+            reader.doubles(f"points[{i}].{name}")
+        reader.duration(f"points[{i}].time_from_start")
+
+
+def points_from_message(
+    robot_joints: Sequence[str], message: Any, *, partial: bool = False, moving_end: bool = False
+) -> TrajectoryPoints:
+    """Return the points of a JointTrajectory; `partial` and `moving_end` are those of `TrajectoryPoints.create`.
+
+    Raises:
+        TrajectoryError: naming joint, index of the point and reason.
+    """
+    for i, point in enumerate(message.points):
+        if len(point.effort) > 0:
+            raise TrajectoryError(f"point {i}: carries effort; accepted: positions, velocities, accelerations")
+    return TrajectoryPoints.create(
+        robot_joints,
+        message.joint_names,
+        # One division: the nearest number to the whole nanoseconds, as the planner has it.
+        [message_time_ns(point.time_from_start) / NANOSECONDS for point in message.points],
+        [point.positions for point in message.points],
+        [point.velocities for point in message.points],
+        [point.accelerations for point in message.points],
+        partial=partial,
+        moving_end=moving_end,
+    )
+
+
+def message_content(joint_names: Sequence[str], points: TrajectoryPoints) -> dict[str, Any]:
+    """Return the points as the content of a trajectory_msgs/JointTrajectory, as `ros2 topic pub` takes it in YAML.
+
+    What the points do not carry is an empty list.
+    """
+    tables = (points.position, points.velocity, points.acceleration)
+    columns = [[[]] * len(points.times) if rows is None else rows.tolist() for rows in tables]
+    if points.degrees is not None:
+        # A value that a point carries counts where the way on one of its sides has the degree for it.
+        around = np.maximum(points.degrees, np.append(points.degrees[1:], 1))
+        for rows, least in zip(columns[1:], (3, 5), strict=True):
+            rows[:] = [row if degree >= least else [] for row, degree in zip(rows, around, strict=True)]
+    times = [divmod(round(float(time) * NANOSECONDS), NANOSECONDS) for time in points.times]
+    return {
+        "joint_names": list(joint_names),
+        "points": [
+            {
+                "positions": position,
+                "velocities": velocity,
+                "accelerations": acceleration,
+                "time_from_start": {"sec": sec, "nanosec": nanosec},
+            }
+            for (sec, nanosec), position, velocity, acceleration in zip(times, *columns, strict=True)
+        ],
+    }

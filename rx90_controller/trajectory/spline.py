@@ -1,13 +1,14 @@
-"""Piecewise polynomials through trajectory points: cubic or quintic by what the points carry."""
+"""Piecewise polynomials: cubic or quintic through points, put together in time, and bounds of what they reach."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.kernels.compiled import kernel
 
 
@@ -174,3 +175,47 @@ def interpolate(times: Array, position: Array, velocity: Array, acceleration: Ar
         coefficients[:, 4] = (-15 * dp / h + 7 * dv - h * da) / (square * h)
         coefficients[:, 5] = (6 * dp / h - 3 * dv + h * da / 2) / (square * square)
     return Spline(times, coefficients, position[-1].copy())
+
+
+def joined(first: Spline, at: float, second: Spline) -> Spline:
+    """Return a spline that is the first one up to a time, s, and then the second one from its begin on."""
+    kept = first.times[:-1] < at
+    times, coefficients = [first.times[:-1][kept]], [first.coefficients[kept]]
+    if at > first.duration:
+        times.append(first.times[-1:])
+        coefficients.append(np.zeros((1, 6, 6)))
+        coefficients[-1][0, 0] = first.final
+    times.append(at + second.times)
+    coefficients.append(second.coefficients)
+    blend_error = max(first.blend_error, second.blend_error)
+    return Spline(np.concatenate(times), np.concatenate(coefficients), second.final, blend_error)
+
+
+def remainder(spline: Spline, at: float) -> Spline:
+    """Return what is left of a spline at a time, s, with times from there on."""
+    knots = np.concatenate([[at], spline.times[spline.times > at]])
+    return Spline(knots - at, _expanded(spline, knots[:-1]), spline.final)
+
+
+def merged(spline: Spline, other: Spline, joints: Mask) -> Spline:
+    """Return a spline with some joints, shape (6,), taken from another one."""
+    knots = np.union1d(spline.times, other.times)
+    coefficients = np.where(joints, _expanded(other, knots[:-1]), _expanded(spline, knots[:-1]))
+    return Spline(knots, coefficients, np.where(joints, other.final, spline.final), spline.blend_error)
+
+
+def _expanded(spline: Spline, knots: Array) -> Array:
+    """Return the coefficients of a spline by the times since other knots that include its own, shape (n, 6, 6)."""
+    piece = np.maximum(np.searchsorted(spline.times, knots, side="right") - 1, 0)
+    ended = knots >= spline.duration
+    coefficients = np.zeros((len(knots), 6, 6))
+    coefficients[ended, 0] = spline.final
+    old = spline.coefficients[piece[~ended]]
+    since = (knots[~ended] - spline.times[piece[~ended]])[:, None]
+    for power in range(6):
+        # Taylor's formula, by Horner's scheme.
+        value = np.zeros((len(old), 6))
+        for n in range(5, power - 1, -1):
+            value = value * since + comb(n, power) * old[:, n]
+        coefficients[~ended, power] = value
+    return coefficients

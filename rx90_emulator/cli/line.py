@@ -95,7 +95,7 @@ def main(options: argparse.Namespace) -> None:
     from rx90_common.description.robot import load_robot
     from rx90_controller.law.parameters import load_controller
     from rx90_controller.lines.plan import check_plan, describe_line, plan_line
-    from rx90_controller.trajectory.message import message_content
+    from rx90_controller.trajectory.points import message_content
 
     files = RobotFiles.of_options(options)
     robot, period = load_robot(files.urdf, files.tool), 1.0 / options.set_point_rate
@@ -156,7 +156,7 @@ def _send(plan: LinePlan, limits: JointLimits, options: argparse.Namespace) -> N
     prepare()
     # Here, because planning alone needs no ROS.
     from rx90_common.exchange.client_node import client_node
-    from rx90_controller.lines.approach import Approach
+    from rx90_controller.lines.plan import Approach
     from rx90_controller.node.trajectory_client import Delivery, deliver
 
     asked = {"speed": options.approach_speed, "acceleration": options.approach_acceleration}

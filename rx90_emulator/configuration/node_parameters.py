@@ -18,9 +18,14 @@ from rx90_common.exchange.lifecycle import declare_autostart
 from rx90_common.exchange.node_tools import declare_rates, declare_robot_files
 from rx90_common.exchange.parameter_changes import OF_ROS
 from rx90_common.exchange.qos_overrides import PREFIX
-from rx90_controller.node.control import FILE_PARAMETERS as CONTROLLER_FILES
-from rx90_controller.node.control import declare_decimation, declare_horizon
-from rx90_controller.node.parameters import LAW_ENTRIES, LawParameters, declare_goal_parameters
+from rx90_controller.node.parameters import FILE_PARAMETERS as CONTROLLER_FILES
+from rx90_controller.node.parameters import (
+    LAW_ENTRIES,
+    LawParameters,
+    declare_decimation,
+    declare_goal_parameters,
+    declare_horizon,
+)
 from rx90_sim.node.parameters import FILE_PARAMETERS as SIMULATION_FILES
 from rx90_sim.node.parameters import declare_step_ticks, read_parameters
 

@@ -16,9 +16,9 @@ from rx90_common.base.errors import BagError, TrajectoryError, check_type
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.topics import SEED, TEMPERATURE_RATE
-from rx90_controller.goals.request import GoalOptions
 from rx90_controller.law.parameters import CS7BParameters
-from rx90_controller.trajectory.message import points_from_message
+from rx90_controller.trajectory.points import points_from_message
+from rx90_controller.trajectory.request import GoalOptions
 from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup

@@ -26,7 +26,7 @@ from rx90_common.exchange.topics import (
     TRAJECTORY_ACCEPTED,
 )
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_controller.trajectory.message import message_content
+from rx90_controller.trajectory.points import message_content
 from rx90_emulator.loop.setup import Setup
 
 _NOT_DECIMATED = (MOTOR_STATES, MOTOR_COMMANDS, TEMPERATURES)

@@ -13,7 +13,7 @@ from rx90_common.base.entries import Integer, ListOf, Number, Texts
 from rx90_common.base.errors import ConfigError, TrajectoryError
 from rx90_common.base.groups import Group
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_controller.trajectory.message import points_from_message
+from rx90_controller.trajectory.points import points_from_message
 
 _ACCEPTED = "the YAML of a trajectory_msgs/JointTrajectory"
 _TIME = {

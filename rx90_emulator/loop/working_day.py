@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.friction.parts.temperature import TemperaturePart
-from rx90_controller.law.model_friction import ModelTemperatures
+from rx90_controller.law.model import ModelTemperatures
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.closed_loop import run_setpoints, setpoints_of
 from rx90_emulator.loop.line import path_accuracy, plan_line

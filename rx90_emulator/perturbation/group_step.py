@@ -16,7 +16,7 @@ from rx90_common.friction.bristles.step import bristles_step
 from rx90_common.friction.compiled_elements import load_elements
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, absolute, fma, load, select, store
-from rx90_controller.law.servo import load_gains, position_servo, velocity_servo
+from rx90_controller.law.loops import position_servo, velocity_servo
 from rx90_emulator.perturbation.batch import FEW, MANY
 from rx90_sim.drives import observe, whole_steps
 
@@ -165,8 +165,9 @@ def _record(jacobian: Array, state: Any, first: int, row: int, series: Series, l
 def _position_loops(servos: Record, reference: Array, state: Any, lanes: int) -> None:
     """Run PI and FF; leave the position errors in `rhs`."""
     for i in range(6):
-        loop = position_servo(
-            load_gains(servos[i], lanes),
+        error, integrator, position_torque, feed_forward = position_servo(
+            servos[i],
+            lanes,
             reference[0, i],
             reference[1, i],
             reference[2, i],
@@ -174,15 +175,15 @@ def _position_loops(servos: Record, reference: Array, state: Any, lanes: int) ->
             load(state.integrator[i], lanes),
             load(state.limited[i], lanes),
         )
-        store(state.integrator[i], loop.integrator)
-        store(state.position_torque[i], loop.position_torque)
-        store(state.feed_forward[i], loop.feed_forward)
-        store(state.rhs[i], loop.error)
+        store(state.integrator[i], integrator)
+        store(state.position_torque[i], position_torque)
+        store(state.feed_forward[i], feed_forward)
+        store(state.rhs[i], error)
 
 
 @inlined
 def _supervise(servos: Record, gear: Array, state: Any, lanes: int) -> None:
-    """Mark runs beyond a limit of `rx90_controller.law.supervision`; the position errors are in `rhs`."""
+    """Mark runs beyond a limit, as `rx90_controller.law.loops` does; the position errors are in `rhs`."""
     tripped = load(state.tripped[0], lanes)
     for i in range(6):
         error, speed = load(state.rhs[i], lanes), load(state.motor_velocity[i], lanes)
@@ -202,8 +203,9 @@ def _velocity_loops(servos: Record, gear: Array, velocity: Array, nominal: Array
     coupled = 0.0 * load(state.rhs[0], lanes)
     for n in range(6):
         i = 5 - n  # motor 6 first: it acts on joint 5, too
-        loop = velocity_servo(
-            load_gains(servos[i], lanes),
+        _, current, command, limited = velocity_servo(
+            servos[i],
+            lanes,
             load(servos[i].current_gain, lanes),
             load(state.position_torque[i], lanes),
             load(state.feed_forward[i], lanes),
@@ -211,10 +213,10 @@ def _velocity_loops(servos: Record, gear: Array, velocity: Array, nominal: Array
             load(state.motor_velocity[i], lanes),
             load(state.current[i], lanes),
         )
-        store(state.current[i], loop.current)
-        store(state.limited[i], loop.limited)
-        store(state.saturated[i], load(state.saturated[i], lanes) + loop.limited * loop.limited)
-        torque = gear[i] * loop.command
+        store(state.current[i], current)
+        store(state.limited[i], limited)
+        store(state.saturated[i], load(state.saturated[i], lanes) + limited * limited)
+        torque = gear[i] * command
         if i == 5:
             coupled = torque
         if i == 4:

@@ -70,7 +70,7 @@ def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, fiel
     assert rig.run(0, 8) == [True] * 8
     heard: list[int] = []
     with np.errstate(all="ignore"):
-        rig.loop.law_changes.add(absurd.record(shipped.robot, shipped.drives, shipped.rates), heard.append)
+        rig.loop.change_law(absurd.record(shipped.robot, shipped.drives, shipped.rates), heard.append)
     torques = rig.run(8, 40)
     assert not any(torques[4:])
     lines = [line for line in rig.around.lines if "torque nan Nm" in line]
@@ -79,7 +79,7 @@ def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, fiel
     assert np.isfinite(rig.loop.command).all()
     rig.loop.enable(True)  # nothing is mended: it stops again, and says so again
     assert not any(rig.run(48, 4))
-    rig.loop.law_changes.add(good, heard.append)
+    rig.loop.change_law(good, heard.append)
     rig.loop.enable(True)
     assert rig.run(52, 40) == [True] * 40
     assert sum("torque nan Nm" in line for line in rig.around.lines) == 2

@@ -13,7 +13,7 @@ from rx90_common.exchange.channel import Matches
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
 from rx90_common.exchange.pacing import Pacer
-from rx90_controller.node import free_running
+from rx90_controller.node import serving
 
 RATES = Rates(1000, 1000)
 TICK = RATES.period
@@ -78,7 +78,7 @@ class Loops:
         self.answered: list[tuple[int, int]] = []  # own tick, that of the states
         self.prepared = 0
         self.command = np.zeros(1)
-        self.side = free_running.FreeRunningController(
+        self.side = serving.FreeRunningController(
             simulation,
             MotorMessages("/motor_states", ["a"], RATES, self.command, self.refused.append),
             self,

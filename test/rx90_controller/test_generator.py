@@ -9,7 +9,7 @@ from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
-from rx90_controller.trajectory.message import stamped_points
+from rx90_controller.trajectory.points import message_content
 
 
 def test_without_a_trajectory_the_position_is_held(generator: TrajectoryGenerator) -> None:
@@ -189,9 +189,10 @@ def test_what_points_do_not_carry_is_interpolated_as_by_joint_trajectory_control
             middle = np.flatnonzero(inside)[300:-300]
             assert not got[middle, 2].any()
             assert np.abs(got[middle, 0] - want(t[middle])).max() < 2e-3
-    columns = zip(*stamped_points(sent), strict=True)
-    sec, nanosec, *again = (list(column) for column in columns)
-    again_times = [s + n * 1e-9 for s, n in zip(sec, nanosec, strict=True)]
+    messages = message_content(NAMES, sent)["points"]
+    again = ([message[name] for message in messages] for name in ("positions", "velocities", "accelerations"))
+    stamps = [message["time_from_start"] for message in messages]
+    again_times = [each["sec"] + each["nanosec"] * 1e-9 for each in stamps]
     twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
     twin.accept(TrajectoryPoints.create(NAMES, NAMES, again_times, *again), 0, None)
     assert twin.setpoints(0, end + 1)[:, :2] == pytest.approx(got[:, :2], abs=1e-6)

@@ -7,8 +7,7 @@ import pytest
 from goal_arm import Arm, message, tolerance, two
 from joint_moves import HOME, PERIOD, ZERO
 
-from rx90_controller.goals.execution import Phase
-from rx90_controller.goals.request import GoalError, ResultCode
+from rx90_controller.trajectory.request import GoalError, ResultCode, State
 
 
 def test_a_goal_that_is_followed_succeeds_at_its_last_point() -> None:
@@ -16,15 +15,13 @@ def test_a_goal_that_is_followed_succeeds_at_its_last_point() -> None:
     arm = Arm()
     assert arm.offer("a", message(stamp=0.1)) is None
     arm.run(100)
-    assert arm.runner.active == "a"
-    assert arm.runner.feedback is None
+    assert arm.active == "a"
+    assert arm.feedback is None
     assert arm.run(600) == []
     event = arm.run(1)[0]
-    assert event.key == "a"
-    assert event.outcome == (Phase.SUCCEEDED, ResultCode.SUCCESSFUL, event.outcome.text, 700)
-    assert event.outcome.text == "goal reached at 0.7 s, 0 s after the last point"
-    assert arm.runner.active is None
-    assert arm.runner.feedback is None
+    assert event == ("a", State.SUCCEEDED, 0, "goal reached at 0.7 s, 0 s after the last point", 701)
+    assert arm.active is None
+    assert arm.feedback is None
     assert arm.run(500) == []
     assert np.all(arm.setpoints[-1] == [HOME + 0.2, ZERO, ZERO])
 
@@ -36,7 +33,7 @@ def test_feedback_says_what_is_wanted_and_what_is() -> None:
     arm.trajectory.set_speed_scaling(0.5, 0)
     arm.offer("a", message())
     arm.run(301)
-    feedback = arm.runner.feedback
+    feedback = arm.feedback
     assert feedback is not None
     assert feedback.tick == 300
     assert feedback.desired[0] == pytest.approx(HOME + 0.2 * (3 * 0.25**2 - 2 * 0.25**3))
@@ -54,17 +51,17 @@ def test_a_cancelled_goal_stops_along_the_path(at: int) -> None:
     arm, way = Arm(), np.array([0.2, 0.1, -0.1, 0.3, 0.2, 0.4])
     arm.offer("a", message(HOME + way))
     arm.run(at)
-    event = arm.runner.cancel(arm.tick)
+    event = arm.cancel()
     assert event is not None
     assert event.key == "a"
-    assert event.outcome[:2] == (Phase.CANCELED, ResultCode.SUCCESSFUL)
-    assert event.outcome.text.startswith(f"cancelled; stopping from {at * PERIOD:g} s on, at rest at ")
-    assert arm.runner.cancel(arm.tick) is None
+    assert event[1:3] == (State.CANCELED, ResultCode.SUCCESSFUL)
+    assert event.text.startswith(f"cancelled; stopping from {at * PERIOD:g} s on, at rest at ")
+    assert arm.cancel() is None
     assert arm.run(300) == []
     assert arm.stopped_smoothly()
     share = (np.array(arm.setpoints)[:, 0] - HOME) / way
     assert np.abs(share - share[:, :1]).max() < 1e-9
-    assert arm.trajectory.ended(arm.tick) is not None
+    assert arm.outputs.info.call_args.args[0].startswith("stopped at ")
 
 
 def test_a_new_goal_pre_empts_the_one_before() -> None:
@@ -75,12 +72,12 @@ def test_a_new_goal_pre_empts_the_one_before() -> None:
     with pytest.raises(GoalError) as caught:
         arm.offer("b", message(HOME + 9.0))
     assert caught.value.code is ResultCode.INVALID_GOAL
-    assert arm.runner.active == "a"
+    assert arm.active == "a"
     event = arm.offer("c", message(HOME - 0.1, 0.9))
     assert event is not None
-    assert event == ("a", (Phase.ABORTED, ResultCode.INVALID_GOAL, "pre-empted by a new goal, at 0.2 s", 200))
+    assert event == ("a", State.ABORTED, ResultCode.INVALID_GOAL, "pre-empted by a new goal, at 0.2 s", 200)
     ended = arm.run(1000)
-    assert [(each.key, each.outcome.phase) for each in ended] == [("c", Phase.SUCCEEDED)]
+    assert [(each.key, each.state) for each in ended] == [("c", State.SUCCEEDED)]
     assert arm.stopped_smoothly()
     assert np.all(arm.setpoints[-1][0] == HOME - 0.1)
 
@@ -88,11 +85,11 @@ def test_a_new_goal_pre_empts_the_one_before() -> None:
 def test_what_ends_the_following_ends_the_goal() -> None:
     """Brakes, a reset or a deactivation: code -1 with the reason; what the arm does is left to who says so."""
     arm = Arm()
-    assert arm.runner.drop("the torque is off", 0) is None
+    assert arm.drop("the torque is off") is None
     arm.offer("a", message())
     arm.run(100)
-    event = arm.runner.drop("the torque is off", arm.tick)
-    assert event == ("a", (Phase.ABORTED, ResultCode.INVALID_GOAL, "the torque is off, at 0.1 s", 100))
+    event = arm.drop("the torque is off")
+    assert event == ("a", State.ABORTED, ResultCode.INVALID_GOAL, "the torque is off, at 0.1 s", 100)
     arm.run(600)
     assert np.all(arm.setpoints[-1][0] == HOME + 0.2)
 
@@ -104,11 +101,11 @@ def test_a_goal_held_on_its_path_goes_on_and_succeeds() -> None:
     arm.run(200)
     arm.trajectory.set_speed_scaling(0.0, arm.tick)
     assert arm.run(3000) == []
-    held = arm.runner.feedback
+    held = arm.feedback
     assert held is not None
     assert held.desired_time < 0.3
     arm.trajectory.set_speed_scaling(1.0, arm.tick)
-    assert [each.outcome.phase for each in arm.run(800)] == [Phase.SUCCEEDED]
+    assert [each.state for each in arm.run(800)] == [State.SUCCEEDED]
     assert arm.stopped_smoothly()
 
 
@@ -122,7 +119,7 @@ def test_a_goal_may_start_where_the_path_is_now() -> None:
         goal = message(points=both)
         if allowed:
             arm.offer("b", goal)
-            assert [each.outcome.phase for each in arm.run(900)] == [Phase.SUCCEEDED]
+            assert [each.state for each in arm.run(900)] == [State.SUCCEEDED]
             assert arm.stopped_smoothly()
         else:
             with pytest.raises(GoalError, match=r"starts at .* accepted: within"):

@@ -9,8 +9,7 @@ import pytest
 from goal_arm import Arm, message, stamp, tolerance
 from joint_moves import HOME, NAMES, PERIOD
 
-from rx90_controller.goals.execution import Phase
-from rx90_controller.goals.request import GoalOptions, GoalTolerances, ResultCode, check_goal
+from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, ResultCode, State, check_request
 
 
 @pytest.mark.parametrize(
@@ -35,9 +34,9 @@ def test_a_path_tolerance_holds_from_the_first_sample_on(
     assert arm.run(at) == []
     (arm.off, arm.off_speed)[row][3] = amount
     event = arm.run(1)[0]
-    assert event.outcome[:2] == (Phase.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED)
+    assert event[1:3] == (State.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED)
     time = f"{at * PERIOD:g} s"
-    assert event.outcome.text == f"joint_4: {said} along the path, at {time}, {time} on the trajectory"
+    assert event.text == f"joint_4: {said} along the path, at {time}, {time} on the trajectory"
     assert arm.run(300) == []
     assert arm.stopped_smoothly()
     assert np.abs(arm.setpoints[-1][0] - HOME).max() < 0.15
@@ -50,8 +49,8 @@ def test_an_acceleration_beyond_its_tolerance_is_found() -> None:
     assert arm.run(100) == []
     arm.off_speed[0] = 0.02
     event = arm.run(1)[0]
-    assert event.outcome.code is ResultCode.PATH_TOLERANCE_VIOLATED
-    assert event.outcome.text.startswith("joint_1: acceleration error 19.99 rad/s^2, accepted up to 8 rad/s^2 along")
+    assert event.code is ResultCode.PATH_TOLERANCE_VIOLATED
+    assert event.text.startswith("joint_1: acceleration error 19.99 rad/s^2, accepted up to 8 rad/s^2 along")
 
 
 def test_what_is_furthest_beyond_its_tolerance_is_named() -> None:
@@ -60,7 +59,7 @@ def test_what_is_furthest_beyond_its_tolerance_is_named() -> None:
         arm = Arm()
         arm.offer("a", message(path_tolerance=[tolerance("joint_5", 0.4), tolerance("joint_2", 0.1)]))
         arm.off[1], arm.off[4] = 0.5, wrong
-        assert arm.run(1)[0].outcome.text.startswith(f"{joint}: position error")
+        assert arm.run(1)[0].text.startswith(f"{joint}: position error")
 
 
 def test_a_goal_is_reached_once_its_tolerances_hold() -> None:
@@ -70,9 +69,9 @@ def test_a_goal_is_reached_once_its_tolerances_hold() -> None:
     arm.run(600)
     arm.off[2], arm.off[1] = 0.011, 0.06
     assert arm.run(150) == []
-    assert arm.runner.active == "a"
+    assert arm.active == "a"
     arm.off[2] = 0.009
-    assert arm.run(1)[0].outcome.text == "goal reached at 0.75 s, 0.15 s after the last point"
+    assert arm.run(1)[0].text == "goal reached at 0.75 s, 0.15 s after the last point"
 
 
 def test_a_goal_that_is_not_reached_in_time_is_aborted() -> None:
@@ -82,8 +81,8 @@ def test_a_goal_that_is_not_reached_in_time_is_aborted() -> None:
     arm.off[2] = 0.011
     assert arm.run(801) == []
     event = arm.run(1)[0]
-    assert event.outcome[:2] == (Phase.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
-    assert event.outcome.text == (
+    assert event[1:3] == (State.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
+    assert event.text == (
         "joint_3: position error 0.011 rad, accepted up to 0.01 rad at the goal, 0.201 s after the last point, "
         "at 0.801 s, 0.801 s on the trajectory"
     )
@@ -95,12 +94,13 @@ def test_a_goal_that_is_not_reached_in_time_is_aborted() -> None:
 def test_without_goal_time_a_goal_settles_for_ever() -> None:
     """With goal_time 0 in defaults and goal, the stopped-velocity tolerance alone decides, however long it takes."""
     arm = Arm()
-    goal = check_goal(message(), NAMES, GoalTolerances.defaults(NAMES), GoalOptions(), 1000)
-    arm.runner.offer("a", goal, 0)
+    goal = message()
+    tolerances = GoalTolerances.of_parameters(NAMES)
+    arm.offer("a", check_request(goal.trajectory, tolerances, GoalOptions(), 1000, goal))
     arm.off_speed[0] = 0.011
     assert arm.run(5000) == []
     arm.off_speed[0] = 0.009
-    assert arm.run(1)[0].outcome.phase is Phase.SUCCEEDED
+    assert arm.run(1)[0].state is State.SUCCEEDED
 
 
 def test_tolerances_of_a_goal_end_with_it() -> None:
@@ -112,4 +112,4 @@ def test_tolerances_of_a_goal_end_with_it() -> None:
     arm.offer("b", message())
     event = arm.run(1)[0]
     assert event.key == "b"
-    assert event.outcome.code is ResultCode.PATH_TOLERANCE_VIOLATED
+    assert event.code is ResultCode.PATH_TOLERANCE_VIOLATED

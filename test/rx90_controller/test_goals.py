@@ -11,7 +11,7 @@ from goal_arm import Arm, checked, message, stamp, tolerance, two
 from joint_moves import HOME, NAMES, PERIOD, ZERO
 
 from rx90_common.base.errors import ConfigError
-from rx90_controller.goals.request import GoalError, GoalTolerances, ResultCode
+from rx90_controller.trajectory.request import GoalError, GoalTolerances, ResultCode
 
 
 def apart() -> list[SimpleNamespace]:
@@ -125,47 +125,49 @@ def test_tolerances_are_the_defaults_unless_the_goal_says_otherwise() -> None:
 
 def test_defaults_are_those_of_the_original() -> None:
     """Without parameters there is no tolerance but 0.01 rad/s at the goal, and a goal may take for ever."""
-    plain = GoalTolerances.defaults(NAMES)
+    plain = GoalTolerances.of_parameters(NAMES)
     assert np.all(plain.path == np.inf)
     assert np.all(plain.goal[[0, 2]] == np.inf)
     assert np.all(plain.goal[1] == 0.01)
     assert plain.goal_time == np.inf
-    for bad in ({"goal_time": -1.0}, {"trajectory": {"joint_1": np.nan}}, {"goal": {"elbow": 0.1}}):
+    for bad in ({"constraints.goal_time": -1.0}, {"constraints.joint_1.trajectory": np.nan}):
         with pytest.raises(ConfigError, match=r"^constraints.* accepted: "):
-            GoalTolerances.defaults(NAMES, **bad)
+            GoalTolerances.of_parameters(NAMES, bad)
 
 
 @pytest.mark.parametrize(
     ("goal", "inactive", "code", "words"),
     [
-        ({}, "the controller is disabled; accepted: after ~/enable", ResultCode.INVALID_GOAL, "is disabled; accepted"),
+        ({}, True, ResultCode.INVALID_GOAL, "is disabled; accepted"),
         (
             {"stamp": 0.2},
-            "",
+            False,
             ResultCode.OLD_HEADER_TIMESTAMP,
             "the last point is at 0.8 s, the controller's",
         ),
         (
             {"stamp": 11.5},
-            "",
+            False,
             ResultCode.INVALID_GOAL,
             "start time 11.500 s, the controller's time is 1.000 s; accepted",
         ),
-        ({"seconds": 0.01}, "", ResultCode.INVALID_GOAL, "point 0: joint_1 gets a set-point velocity"),
-        ({"to": HOME + 2.0 * np.eye(6)[4]}, "", ResultCode.INVALID_GOAL, "joint_5 has the position 2.5 rad"),
+        ({"seconds": 0.01}, False, ResultCode.INVALID_GOAL, "point 0: joint_1 gets a set-point velocity"),
+        ({"to": HOME + 2.0 * np.eye(6)[4]}, False, ResultCode.INVALID_GOAL, "joint_5 has the position 2.5 rad"),
     ],
 )
 def test_what_cannot_be_followed_now_is_refused(
-    goal: dict[str, Any], inactive: str, code: ResultCode, words: str
+    goal: dict[str, Any], inactive: bool, code: ResultCode, words: str
 ) -> None:
     """Not active, all in the past, too far ahead, beyond a limit: refused with its code, and nothing moves."""
     arm = Arm()
     arm.run(1000)
+    arm.loop.enabled = not inactive
     with pytest.raises(GoalError) as caught:
-        arm.offer("a", message(**goal), inactive)
+        arm.offer("a", message(**goal))
     assert caught.value.code is code
     assert words in str(caught.value)
-    assert arm.runner.active is None
+    assert arm.active is None
+    arm.loop.enabled = True
     arm.run(100)
     assert np.all(np.array(arm.setpoints) == [HOME, ZERO, ZERO])
 
@@ -183,8 +185,8 @@ def test_a_point_at_the_start_where_the_arm_is_succeeds_at_once(
         there = message(to=HOME + 1e-6, seconds=0.0, stamp=begins, velocities=velocities)
         assert arm.offer("there", there) is None
         events = arm.run(300)
-        assert [(event.key, event.outcome.phase.name) for event in events] == [("there", "SUCCEEDED")]
-        assert events[0].outcome.tick == round(begins / PERIOD)
+        assert [(event.key, event.state.name) for event in events] == [("there", "SUCCEEDED")]
+        assert events[0].tick == round(begins / PERIOD) + 1
         moved = np.array(arm.setpoints)
         assert np.abs(moved[:, 0] - HOME).max() < 1.1e-6
         assert not moved[:, 1:].any()
@@ -205,4 +207,4 @@ def test_a_point_at_the_start_elsewhere_or_over_is_refused() -> None:
     with pytest.raises(GoalError, match=r"the last point is at 0\.1 s") as caught:
         arm.offer("over", message(seconds=0.0, stamp=0.1))
     assert caught.value.code is ResultCode.OLD_HEADER_TIMESTAMP
-    assert [event.outcome.phase.name for event in arm.run(600)] == ["SUCCEEDED"]
+    assert [event.state.name for event in arm.run(600)] == ["SUCCEEDED"]

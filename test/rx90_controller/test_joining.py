@@ -14,7 +14,8 @@ from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
-from rx90_controller.trajectory import JointLimits, PastError, TrajectoryGenerator, TrajectoryPoints
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
+from rx90_controller.trajectory.generator import PastError
 
 MOST = np.array([18.0, 12.0, 12.0, 40.0, 40.0, 60.0])
 LIMITS = JointLimits(NAMES, np.full(6, -3.0), np.full(6, 3.0), np.full(6, 4.0), MOST, 1e-3)
@@ -124,7 +125,7 @@ def test_points_may_be_prepared(late: int) -> None:
 @pytest.mark.parametrize("times", [[3600.0], [1800.0, 3600.0]])
 def test_an_hour_within_the_limits_is_not_sampled(times: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
     """What its polynomials show to be within the limits is taken at once, be it one point or more, prepared or not."""
-    monkeypatch.setattr(JointLimits, "check", lambda *_: pytest.fail("millions of set-points are looked at"))
+    monkeypatch.setattr(JointLimits, "_of_setpoints", lambda *_: pytest.fail("millions of set-points are looked at"))
     plain = points(times, [HOME + 0.1] * len(times), [ZERO] * len(times))
     for each in (plain, plain.prepared()):
         generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)

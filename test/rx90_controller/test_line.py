@@ -16,7 +16,7 @@ from rx90_common.description.inverse import SphericalWristArm
 from rx90_common.description.kinematics import forward, jacobian, path_error
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
-from rx90_controller.lines.plan import LinePlan, approach_time, plan_line
+from rx90_controller.lines.plan import Approach, LinePlan, plan_line
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
@@ -262,7 +262,7 @@ def test_approach_uses_its_limits_and_no_more(shipped: Setup, acceleration: floa
     """A quintic of that duration reaches but never passes the allowed speed or acceleration."""
     robot = shipped.robot
     start, end = np.zeros(6), np.array([0.5, -0.8, 1.2, 0.0, 0.3, -2.0])
-    duration = approach_time(robot, start, end, 0.25, acceleration)
+    duration = Approach(0.25, acceleration).duration(robot, start, end)
     rest = np.zeros((2, 6))
     values = np.stack([[start, end], rest, rest], axis=1)
     move = BPoly.from_derivatives([0.0, duration], list(values))

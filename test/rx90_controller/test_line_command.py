@@ -24,7 +24,7 @@ from trajectory_msgs.msg import JointTrajectory
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path
 from rx90_common.process.children import executable
-from rx90_controller.lines.plan import approach_time, plan_line
+from rx90_controller.lines.plan import Approach, plan_line
 from rx90_controller.lines.task import load_task
 from rx90_controller.node.trajectory_client import TrajectoryClient
 from rx90_emulator.cli.frame import run
@@ -263,7 +263,7 @@ def test_approach_comes_first_where_the_arm_stands_elsewhere(
     first = listener.taken[0].points[0]
     assert np.array_equal(first.positions, plan.start_pose)
     assert not np.any(first.velocities)
-    expected = approach_time(shipped.robot, here, plan.start_pose, 0.25, 2.0)
+    expected = Approach().duration(shipped.robot, here, plan.start_pose)
     delay = first.time_from_start.sec + 1e-9 * first.time_from_start.nanosec
     assert expected <= delay < expected + 1e-3
 

@@ -16,7 +16,7 @@ from rx90_common.base.errors import ConfigError, LineError, Rx90Error
 from rx90_common.base.share import config_path
 from rx90_common.description.branch import Branch
 from rx90_common.description.kinematics import forward
-from rx90_controller.lines.plan import approach_time, plan_line
+from rx90_controller.lines.plan import Approach, plan_line
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.loop.setup import Setup
 
@@ -171,7 +171,7 @@ def test_a_branch_has_three_known_labels() -> None:
 
 
 @pytest.mark.parametrize(("speed", "acceleration"), [(0.0, 1.0), (1.1, 1.0), (0.5, 0.0), (0.5, float("nan"))])
-def test_approach_limits_are_checked(shipped: Setup, speed: float, acceleration: float) -> None:
+def test_approach_limits_are_checked(speed: float, acceleration: float) -> None:
     """A share outside (0, 1] or a useless acceleration is refused."""
     with pytest.raises(LineError, match="accepted:"):
-        approach_time(shipped.robot, np.zeros(6), np.ones(6), speed, acceleration)
+        Approach(speed, acceleration)

@@ -22,8 +22,7 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.loops import position_loop
-from rx90_controller.law.model import ArmModel
-from rx90_controller.law.model_friction import ModelTemperatures
+from rx90_controller.law.model import ArmModel, ModelTemperatures
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from servo_rig import Rig
 
-from rx90_controller.goals.request import GoalOptions
 from rx90_controller.trajectory import TrajectoryGenerator, points
-from rx90_controller.trajectory.message import points_from_message
+from rx90_controller.trajectory.points import points_from_message
+from rx90_controller.trajectory.request import GoalOptions
 
 TICKS = 8  # that pass while a stamped trajectory is joined
 
@@ -96,9 +96,7 @@ def time(seconds: float) -> tuple[int, int]:
 def goal(rig: Rig, trajectory: SimpleNamespace) -> mock.Mock:
     """Offer a goal as the action does; return who has sent it."""
     sender = mock.Mock()
-    asked = rig.goal(trajectory)
-    with rig.loop.joined(asked) as (requests, plan):
-        requests.take(asked, rig.loop.inactive, plan, sender)
+    rig.loop.offer(rig.goal(trajectory, sender))
     return sender
 
 
@@ -116,11 +114,11 @@ def test_what_may_take_long_is_checked_while_ticks_run(
         table.side_effect = lambda *_: ways.beside.append(not rig.loop._lock.locked()) or mock.DEFAULT
         for _ in range(3):
             given = message(rig, count, last)
-            rig.loop.offer(given) if offered == "topic" else goal(rig, given)
+            rig.loop.receive(given) if offered == "topic" else goal(rig, given)
             ways.run(30)
-        rig.loop.offer(message(rig, 1, 1.0, start=3.0))  # waits
+        rig.loop.receive(message(rig, 1, 1.0, start=3.0))  # waits
         if offered == "topic":
-            rig.loop.offer(message(rig, count, last))
+            rig.loop.receive(message(rig, count, last))
     source = "" if offered == "topic" else "follow_joint_trajectory"
     assert [each[2] for each in rig.around.taken[:4]] == [source] * 3 + [""]
     of_one = [True, True, True, beside]  # its three tables and its way
@@ -131,12 +129,12 @@ def test_what_may_take_long_is_checked_while_ticks_run(
 def test_ten_thousand_points_and_an_hour_leave_the_ticks_alone(ways: Ways) -> None:
     """On the topic the lock of the ticks is held only to ask and to hand over, never while set-points are checked."""
     rig = ways.rig
-    rig.loop.offer(message(rig, 10_000, 100.0))
+    rig.loop.receive(message(rig, 10_000, 100.0))
     ways.run(100)
     hour = message(rig, 3, 3600.0)
     for each in hour.points:
         each.velocities = []
-    rig.loop.offer(hour)
+    rig.loop.receive(hour)
     assert ways.beside == [True, True]
     assert [line.split(" from ")[0] for line in rig.around.lines] == [
         "trajectory accepted: 10000 points, 100.000 s",
@@ -157,11 +155,11 @@ def test_a_long_stamped_trajectory_gives_the_same_bits_whenever_it_comes(ways: W
         rig.loop.hold(rig.states(0))
         ways.tick = 0
         ways.meanwhile = lambda _: None
-        rig.loop.offer(first)
+        rig.loop.receive(first)
         ways.run(early)
         ways.meanwhile = lambda _: ways.run(TICKS)
         ways.beside.clear()
-        rig.loop.offer(last)
+        rig.loop.receive(last)
         assert ways.beside == [True]
         ways.run(1000 - early - TICKS)
         motion = rig.cs7b.trajectory.setpoints(1000, 21_000)
@@ -171,14 +169,14 @@ def test_a_long_stamped_trajectory_gives_the_same_bits_whenever_it_comes(ways: W
 def test_what_the_time_was_too_short_for_is_joined_again_beside_the_ticks(ways: Ways) -> None:
     """So where ticks have changed the motion meanwhile, and where the start has passed: the tick is not held up."""
     rig = ways.rig
-    rig.loop.offer(message(rig, 2, 2.0))
+    rig.loop.receive(message(rig, 2, 2.0))
     ways.run(100)
     lead = round((5e-3 + 30 * 1e-4 + 1.5 * 5e-4) * 1e3)
     ways.beside.clear()
     ways.meanwhile = lambda call: ways.run(lead + 5 if call == 0 else 3)
     now = rig.cs7b.position_tick
     ways.calls = 0
-    rig.loop.offer(message(rig, 30, 1.5))
+    rig.loop.receive(message(rig, 30, 1.5))
     assert ways.beside == [True, True]
     begin = now + lead + 5 + 4 * lead
     assert rig.around.lines[-1].endswith(f"1.500 s from {begin * 1e-3:.3f} s")
@@ -186,14 +184,14 @@ def test_what_the_time_was_too_short_for_is_joined_again_beside_the_ticks(ways: 
     ways.beside.clear()
     ways.meanwhile = lambda call: rig.loop.skip(1) if call == 0 else None
     ways.calls = 0
-    rig.loop.offer(message(rig, 30, 1.5))
+    rig.loop.receive(message(rig, 30, 1.5))
     assert ways.beside == [True, True]
 
     ways.beside.clear()
     ways.meanwhile = lambda call: ways.run(20) if call == 0 else None
     ways.calls = 0
     start = (rig.cs7b.position_tick + 10) * 1e-3
-    rig.loop.offer(message(rig, 30, 1.5, start=start))
+    rig.loop.receive(message(rig, 30, 1.5, start=start))
     assert ways.beside == [True, True]
     assert "accepted" in rig.around.lines[-1]
 
@@ -203,10 +201,10 @@ def test_the_last_of_several_is_followed(ways: Ways) -> None:
     rig = ways.rig
     ways.meanwhile = lambda _: ways.run(1)
     for target, count in ((0.01, 30), (-0.01, 1), (0.015, 40), (0.02, 21)):
-        rig.loop.offer(message(rig, count, 2.0, target=target))
+        rig.loop.receive(message(rig, count, 2.0, target=target))
     ways.run(12)
-    rig.loop.offer(rig.trajectory(0.005, stamp=(7, 0)))
-    rig.loop.offer(message(rig, 25, 1.0, start=6.0, target=0.03, base=0.02))
+    rig.loop.receive(rig.trajectory(0.005, stamp=(7, 0)))
+    rig.loop.receive(message(rig, 25, 1.0, start=6.0, target=0.03, base=0.02))
     assert len(rig.around.taken) == 6
     assert rig.cs7b.trajectory.setpoints(5900)[0, 0] == pytest.approx([0.02] * 6)
     assert rig.cs7b.trajectory.setpoints(9000)[0, 0] == pytest.approx([0.03] * 6)
@@ -218,12 +216,12 @@ def test_of_a_trajectory_that_has_begun_the_rest_is_followed(ways: Ways, count: 
     rig = ways.rig
     ways.run(500)
     ways.meanwhile = lambda _: None
-    rig.loop.offer(message(rig, count, 2.0, start=0.1))
+    rig.loop.receive(message(rig, count, 2.0, start=0.1))
     assert "accepted" in rig.around.lines[-1]
     ways.run(1700)
     assert rig.cs7b.trajectory.setpoints(2100)[0, 0] == pytest.approx([0.02] * 6)
     assert not rig.cs7b.trajectory.moving(2100)
-    rig.loop.offer(message(rig, count, 2.0, start=0.1))
+    rig.loop.receive(message(rig, count, 2.0, start=0.1))
     assert rig.around.lines[-1] == (
         "trajectory rejected: the last point is at 2.1 s, the controller's time is 2.2 s; accepted: points later than "
         "that"
@@ -232,10 +230,10 @@ def test_of_a_trajectory_that_has_begun_the_rest_is_followed(ways: Ways, count: 
 
 def test_what_is_no_trajectory_leaves_the_one_that_waits(rig: Rig) -> None:
     """Before the first states a trajectory is checked by itself at once; a wrong one takes nobody's place."""
-    rig.loop.offer(rig.trajectory(0.1))
+    rig.loop.receive(rig.trajectory(0.1))
     wrong = rig.trajectory(0.2)
     wrong.joint_names[2] = "elbow"
-    rig.loop.offer(wrong)
+    rig.loop.receive(wrong)
     assert rig.around.lines[-1].startswith("trajectory rejected: unknown joint 'elbow'")
     rig.loop.hold(rig.states(400))
     assert rig.around.lines[-1] == "trajectory accepted: 1 points, 1.000 s from 0.100 s"
@@ -261,11 +259,10 @@ def test_options_of_goals_hold_for_the_topic(rig: Rig, option: str, change: str,
         given.points[-1].velocities = [0.01] * 6
     else:
         given.points[0].positions, given.points[0].time_from_start = [0.5] * 6, SimpleNamespace(sec=0, nanosec=0)
-    rig.loop.offer(given)
+    rig.loop.receive(given)
     assert rig.around.lines[-1].startswith(f"trajectory rejected: {refusal}")
-    with rig.loop.between_ticks() as goals:
-        goals.options = GoalOptions(**{option: True})
-    rig.loop.offer(given)
+    rig.loop.options = GoalOptions(**{option: True})
+    rig.loop.receive(given)
     assert "accepted" in rig.around.lines[-1]
     held, velocity, _ = rig.cs7b.trajectory.setpoints(2000)[0]
     assert held == pytest.approx([0.0 if change == "joints" else 0.02, *[0.02] * 5])
@@ -276,25 +273,25 @@ def test_two_senders_are_one_queue_and_none_is_heard_while_not_active(rig: Rig) 
     """Each message takes the place of the one before, whoever sent it; deactivated, each is refused with why."""
     rig.loop.hold(rig.states(0))
     for target in (0.01, -0.01, 0.02):
-        rig.loop.offer(rig.trajectory(target))
+        rig.loop.receive(rig.trajectory(target))
     assert rig.cs7b.trajectory.setpoints(1000)[0, 0] == pytest.approx([0.02] * 6)
     rig.loop.activate(False)
     for given in (rig.trajectory(0.1), rig.empty(), message(rig, 30, 1.0)):
-        rig.loop.offer(given)
+        rig.loop.receive(given)
         assert rig.around.lines[-1] == "trajectory rejected: the controller is inactive; accepted: in state active"
-    assert rig.loop.rejections[0] == 3
+    assert rig.loop.rejected == 3
 
 
 def test_only_a_trajectory_that_is_followed_ends_a_goal(rig: Rig) -> None:
     """One that is refused leaves the goal alone; that another one replaces it is no error."""
     rig.loop.hold(rig.states(0))
     sender = goal(rig, rig.trajectory(0.02))
-    rig.loop.offer(rig.trajectory(9.0))
+    rig.loop.receive(rig.trajectory(9.0))
     sender.on_result.assert_not_called()
     with mock.patch.object(rig.around, "error") as error:
-        rig.loop.offer(rig.trajectory(0.01))
-    (outcome,) = sender.on_result.call_args.args
-    assert outcome.text.startswith("replaced by a trajectory on the topic")
+        rig.loop.receive(rig.trajectory(0.01))
+    (ended,) = sender.on_result.call_args.args
+    assert ended.reason.startswith("replaced by a trajectory on the topic")
     error.assert_not_called()
 
 
@@ -304,7 +301,7 @@ def test_nothing_is_computed_for_a_controller_that_is_not_active(ways: Ways) -> 
     rig.loop.activate(False)
     wrong = message(rig, 30, 1.0)
     wrong.joint_names[0] = "elbow"
-    rig.loop.offer(wrong)
+    rig.loop.receive(wrong)
     goal(rig, message(rig, 30, 1.0))
     assert "the controller is inactive" in rig.around.lines[-2]
     assert "the controller is inactive" in rig.around.lines[-1]

@@ -6,13 +6,15 @@ from copy import copy
 
 import numpy as np
 import pytest
-from joint_moves import HOME, LIMITS, PERIOD, move
+from joint_moves import HOME, LIMITS, NAMES, PERIOD, move
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
-from rx90_controller.trajectory import Plan, TrajectoryGenerator, TrajectoryPoints
+from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
+from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, JoinedAhead, TrajectoryRequest
 
-NOW, LEAD, END = 500, 30, 1000
+NOW, END = 500, 1000
+LEAD = 24  # ticks: at the second attempt four times 5 ms, and a little for one point and one second
 BACK = move(0.05, 1.0)
 
 
@@ -26,11 +28,12 @@ def running() -> TrajectoryGenerator:
 
 def planned(
     generator: TrajectoryGenerator, points: TrajectoryPoints = BACK, now: int = NOW, start: int | None = None
-) -> Plan:
+) -> JoinedAhead:
     """Return a trajectory that was joined at a tick."""
-    plan = Plan(generator, points, start, now, LEAD, anywhere=False, exact=False)
-    plan.join()
-    return plan
+    request = TrajectoryRequest(None, points, start, GoalTolerances.of_parameters(NAMES), GoalOptions(), is_goal=True)
+    ahead = JoinedAhead(request, generator, now, 1)
+    ahead.compute()
+    return ahead
 
 
 def rest(generator: TrajectoryGenerator, tick: int) -> Array:
@@ -54,8 +57,8 @@ def test_what_would_come_too_late_is_not_handed_over() -> None:
     """On the way, one tick behind the lead, or behind a start that has been stamped: to be joined anew."""
     for start, late in ((None, LEAD + 1), (NOW + 5, 6), (NOW, 1)):
         plan = planned(running(), start=start)
-        assert plan.adopt(NOW + late) is None
-        assert plan.adopt(NOW + late - 1) is not None
+        assert not plan.fits(NOW + late)
+        assert plan.fits(NOW + late - 1)
 
 
 def test_from_rest_it_begins_when_it_is_there() -> None:
@@ -71,8 +74,9 @@ def test_what_waits_is_replaced_unless_it_has_begun_meanwhile() -> None:
     generator, alone = running(), running()
     generator.join(move(0.6, 2.0), NOW, NOW + 10, anywhere=False)
     plan = planned(generator)
-    assert plan.adopt(NOW + 11) is None
-    assert plan.adopt(NOW + 10) is not None
+    assert not plan.fits(NOW + 11)
+    assert plan.fits(NOW + 10)
+    plan.adopt(NOW + 10)
     alone.join(BACK, NOW, NOW + LEAD, anywhere=False)
     assert np.array_equal(rest(generator, NOW + 10), rest(alone, NOW + 10))
 
@@ -82,10 +86,10 @@ def test_a_change_of_the_speed_makes_it_out_of_date() -> None:
     generator = running()
     plan = planned(generator)
     generator.set_speed_scaling(0.5, NOW)
-    assert plan.adopt(NOW) is None
-    assert planned(generator).adopt(NOW) is not None
+    assert not plan.fits(NOW)
+    planned(generator).adopt(NOW)
     generator.set_speed_scaling(0.8, NOW + LEAD - 1)
-    assert planned(generator, now=NOW + LEAD - 1).adopt(NOW + LEAD - 1) is None
+    assert not planned(generator, now=NOW + LEAD - 1).fits(NOW + LEAD - 1)
 
 
 def test_to_join_leaves_the_generator_alone() -> None:
@@ -94,9 +98,9 @@ def test_to_join_leaves_the_generator_alone() -> None:
     generator.set_speed_scaling(0.5, NOW)
     (law,) = generator._current.laws
     before, revision, shape = rest(copy(generator), NOW)[0], generator.revision, law._series.shape
-    plan = Plan(generator, BACK, None, NOW, 400, anywhere=False, exact=False)
-    assert law is not plan._motion.laws[0]
-    plan.join()
+    fork = generator.fork(NOW)
+    assert fork is not None
+    fork.join(BACK, NOW + 400, None, anywhere=False)
     assert generator.revision == revision
     assert law._series.shape == shape
     assert np.array_equal(generator.setpoints(NOW)[0], before)
@@ -107,7 +111,7 @@ def test_an_end_is_told_once() -> None:
     generator = running()
     plan = planned(generator, now=END - 1)
     assert generator.ended(END) is not None
-    assert plan.adopt(END + 1) is not None
+    plan.adopt(END + 1)
     assert [generator.ended(END + k) for k in range(1, LEAD - 1)] == [None] * (LEAD - 2)
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory import JointLimits
-from rx90_controller.trajectory.ramps import straight
+from rx90_controller.trajectory.paths import straight
 
 Array = NDArray[np.float64]
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))

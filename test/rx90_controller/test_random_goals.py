@@ -11,9 +11,17 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from rx90_controller.goals.execution import GoalRunner
-from rx90_controller.goals.request import GoalError, GoalOptions, GoalTolerances, check_goal
+from rx90_common.base.rates import Rates
+from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
+from rx90_controller.trajectory.request import (
+    GoalError,
+    GoalOptions,
+    GoalTolerances,
+    JoinedAhead,
+    TrajectoryRequest,
+    check_request,
+)
 
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), np.full(6, 20.0), 1e-3)
@@ -85,33 +93,45 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
     """
     generator = np.random.default_rng(20)
     trajectory = TrajectoryGenerator(LIMITS, PERIOD, np.zeros(6))
-    runner = GoalRunner(trajectory, 60.0)
-    tolerances = GoalTolerances.defaults(NAMES)
+    cs7b: Any = SimpleNamespace(
+        trajectory=trajectory, joint_names=NAMES, rates=Rates(), position_tick=1000, command=np.zeros(6)
+    )
+    outputs: Any = mock.Mock()
+    loop = ServoLoop(cs7b, outputs, 60.0, 1)
+    tolerances = GoalTolerances.of_parameters(NAMES)
+    active: TrajectoryRequest | None = None
     now, handed_over, reasons, path = 1000, 0, [], []
-    for key in range(GOALS):
+    for _ in range(GOALS):
         options = GoalOptions(*(bool(flag) for flag in generator.integers(0, 2, 4)))
-        before = runner.active
         try:
-            goal = check_goal(random_goal(generator, now * PERIOD, options), NAMES, tolerances, options, 1000)
-            plan = None
+            message = random_goal(generator, now * PERIOD, options)
+            goal = check_request(message.trajectory, tolerances, options, 1000, message)
+            goal.on_result, plan = mock.Mock(), None
             if generator.random() < 0.5:
-                plan = goal.plan(trajectory, now)
-                plan.join()
+                plan = JoinedAhead(goal, trajectory, now)
+                plan.compute()
                 if generator.random() < 0.3:
                     trajectory.halt(now)
                 path.append(trajectory.setpoints(now, meanwhile := int(generator.integers(0, 40))))
                 now += meanwhile
                 trajectory.ended(now)
+            cs7b.position_tick = now
+            plan = plan if plan is not None and plan.fits(now) else None
             with mock.patch.object(trajectory, "join", wraps=trajectory.join) as joined:
-                runner.offer(key + 1, goal, now, plan=plan)
-            handed_over += not joined.called
-            assert runner.active == key + 1
+                loop._follow(goal, plan)
+            if not goal.reason:
+                handed_over += not joined.called
+                assert active is None or active.reason
+                active = goal
+            else:
+                reasons.append(goal.reason)
+                assert active is None or not active.reason or active.reason.startswith("cancelled")
         except GoalError as error:
             reasons.append(str(error))
-            assert runner.active == before
         count = int(generator.integers(0, 400))
-        if generator.random() < 0.1:
-            runner.cancel(now)
+        cs7b.position_tick = now
+        if generator.random() < 0.1 and active is not None:
+            loop.cancel(active)
         if generator.random() < 0.1:
             trajectory.set_speed_scaling(float(generator.choice([0.0, 0.3, 1.0, 1.0])), now)
         path.append(trajectory.setpoints(now, count))

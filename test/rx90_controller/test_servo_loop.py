@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from servo_rig import Rig
 
-from rx90_controller.goals.execution import Feedback, Outcome, Phase
+from rx90_controller.trajectory.request import Feedback, State, TrajectoryRequest
 
 
 def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
@@ -14,8 +14,8 @@ def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
 
     The ticking thread only notes that, and leaves it to the executor's to print: a terminal may keep it waiting.
     """
-    rig.loop.offer(rig.trajectory(0.2))
-    rig.loop.offer(rig.trajectory(0.1))
+    rig.loop.receive(rig.trajectory(0.2))
+    rig.loop.receive(rig.trajectory(0.1))
     waits = "a trajectory waits for the simulation's first tick"
     assert rig.around.lines == [waits, f"{waits}, in place of the one that waited"]
     rig.loop.begin()
@@ -35,11 +35,11 @@ def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
 def test_a_motion_that_comes_to_no_end_is_told_of(rig: Rig) -> None:
     """States that begin anew, as after a reset, drop a motion, and one that waits for its start: one line with why."""
     rig.loop.hold(rig.states(0))
-    rig.loop.offer(rig.trajectory(0.1))
+    rig.loop.receive(rig.trajectory(0.1))
     rig.run(0, 400)
     rig.loop.hold(rig.states(0))
     assert rig.around.lines[-1] == "trajectory dropped at 0.100 s: the states go on from 0 s; holding"
-    rig.loop.offer(rig.trajectory(0.1, stamp=(5, 0)))
+    rig.loop.receive(rig.trajectory(0.1, stamp=(5, 0)))
     rig.loop.enable(False)
     rig.run(0, 400)
     assert rig.around.lines[-1] == "trajectory dropped at 0.000 s: the torque is off"
@@ -48,13 +48,13 @@ def test_a_motion_that_comes_to_no_end_is_told_of(rig: Rig) -> None:
 def test_an_end_is_called_what_it_is(rig: Rig) -> None:
     """A motion that ends before a stop that was asked for in time, and a stop that ends before a motion begins."""
     rig.loop.hold(rig.states(0))
-    rig.loop.offer(rig.trajectory(0.1))
+    rig.loop.receive(rig.trajectory(0.1))
     rig.run(0, 4)
-    rig.loop.offer(rig.empty(stamp=(1, 200_000_000)))
+    rig.loop.receive(rig.empty(stamp=(1, 200_000_000)))
     rig.run(4, 4000)
     assert rig.around.lines[-1] == "trajectory ended at 1.000 s; holding"
     rig.run(4004, 800)
-    rig.loop.offer(rig.trajectory(0.2, stamp=(3, 0)))
+    rig.loop.receive(rig.trajectory(0.2, stamp=(3, 0)))
     rig.run(4804, 4)
     assert rig.around.lines[-1] == "stopped at 1.200 s; holding"
 
@@ -74,12 +74,12 @@ def test_set_points_are_published_in_ticks_of_the_position_loop(rig: Rig) -> Non
 def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: Rig) -> None:
     """Without torque the set-points follow the arm and trajectories are refused; on again it is held where it is."""
     rig.loop.hold(rig.states(0))
-    rig.loop.offer(rig.trajectory(0.1))
+    rig.loop.receive(rig.trajectory(0.1))
     rig.loop.enable(False)
     rig.position = np.full(6, 3.0)
     assert rig.run(0, 3) == [False] * 3
-    rig.loop.offer(rig.trajectory(0.2))
-    assert rig.loop.rejections[0] == 1
+    rig.loop.receive(rig.trajectory(0.2))
+    assert rig.loop.rejected == 1
     assert "the controller is disabled" in rig.around.lines[-1]
     rig.loop.enable(True)
     assert rig.run(3, 8) == [True] * 8
@@ -90,7 +90,7 @@ def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: R
 def test_off_and_on_between_two_ticks_ends_the_motion(rig: Rig) -> None:
     """Switched off and on again before the next tick: one tick without torque, then the arm is held where it is."""
     rig.loop.hold(rig.states(0))
-    rig.loop.offer(rig.trajectory(0.1))
+    rig.loop.receive(rig.trajectory(0.1))
     rig.run(0, 40)
     rig.loop.enable(False)
     rig.loop.enable(True)
@@ -101,7 +101,7 @@ def test_off_and_on_between_two_ticks_ends_the_motion(rig: Rig) -> None:
 def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
     """The supervision takes the torque away for good, drops the motion and says why, once; `enable` brings it back."""
     rig.loop.hold(rig.states(0))
-    rig.loop.offer(rig.trajectory(0.5))
+    rig.loop.receive(rig.trajectory(0.5))
     assert rig.run(0, 2) == [True] * 2
     rig.position = np.array([0.0, 0.301 * 85.0, 0.0, 0.0, 0.0, 0.0])  # the gear of joint 2 is 85
     assert rig.run(2, 400) == [True] * 2 + [False] * 398
@@ -110,8 +110,8 @@ def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
     assert sum("following error" in each for each in rig.around.lines) == 1
     assert rig.around.published[-1] == 4 * rig.period  # what has led to it can be seen
     assert rig.loop.fault is not None
-    rig.loop.offer(rig.trajectory(0.2))
-    assert rig.loop.rejections[0] == 1
+    rig.loop.receive(rig.trajectory(0.2))
+    assert rig.loop.rejected == 1
     rig.loop.enable(True)
     assert rig.run(402, 8) == [True] * 8
     assert rig.loop.fault is None
@@ -122,7 +122,7 @@ def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
 def test_skipped_ticks_come_later(rig: Rig) -> None:
     """A motion goes on where it was after ticks without set-points."""
     rig.loop.hold(rig.states(0))
-    rig.loop.offer(rig.trajectory(0.1))
+    rig.loop.receive(rig.trajectory(0.1))
     rig.run(0, 2000)
     before = rig.cs7b.reference()[0].copy()
     rig.loop.skip(300)
@@ -135,14 +135,14 @@ def test_a_stamp_too_far_ahead_is_refused(rig: Rig) -> None:
     """A stamp of the wall clock, or one beyond the horizon, is one line with both times and what is accepted."""
     rig.loop.hold(rig.states(400))
     rig.around.lines.clear()
-    rig.loop.offer(rig.trajectory(0.1, stamp=(1_795_000_000, 250_000_000)))
+    rig.loop.receive(rig.trajectory(0.1, stamp=(1_795_000_000, 250_000_000)))
     assert rig.around.lines == [
         "trajectory rejected: start time 1795000000.250 s, the controller's time is 0.100 s; accepted: 0 for now, "
         "or simulated time within 60 s"
     ]
-    rig.loop.offer(rig.empty(stamp=(60, 101_000_000)))
-    assert rig.loop.rejections[0] == 2
-    rig.loop.offer(rig.trajectory(0.1, stamp=(60, 100_000_000)))
+    rig.loop.receive(rig.empty(stamp=(60, 101_000_000)))
+    assert rig.loop.rejected == 2
+    rig.loop.receive(rig.trajectory(0.1, stamp=(60, 100_000_000)))
     assert rig.around.lines[-1] == "trajectory accepted: 1 points, 1.000 s from 60.100 s"
     assert rig.around.taken == [(1, 60_100_000_000, "")]
 
@@ -151,7 +151,7 @@ def test_an_end_is_told_once(rig: Rig) -> None:
     """What is accepted is published with its start; the end of the motion is one line with its time."""
     rig.loop.hold(rig.states(0))
     rig.around.lines.clear()
-    rig.loop.offer(rig.trajectory(0.1, stamp=(0, 500_000)))
+    rig.loop.receive(rig.trajectory(0.1, stamp=(0, 500_000)))
     assert rig.around.taken == [(1, 1_000_000, "")]
     rig.run(0, 4004)
     assert len(rig.around.lines) == 1
@@ -166,9 +166,9 @@ def test_an_empty_trajectory_stops_within_the_accelerations_and_holds(rig: Rig, 
     """Position and velocity of the set-points go on without a jump, then the place is held; two lines tell it."""
     rig.loop.hold(rig.states(0))
     rig.around.lines.clear()
-    rig.loop.offer(rig.trajectory(0.2))
+    rig.loop.receive(rig.trajectory(0.2))
     rig.run(0, 1600)
-    rig.loop.offer(rig.empty(rig.names[::-1] if named else (), stamp=(0, 420_000_000)))
+    rig.loop.receive(rig.empty(rig.names[::-1] if named else (), stamp=(0, 420_000_000)))
     generator, most = rig.cs7b.trajectory, rig.cs7b.trajectory.limits.acceleration
     got = generator.setpoints(400, 800)
     assert (np.abs(np.diff(got[:, 1], axis=0)) <= most * 1e-3 + 1e-12).all()
@@ -186,8 +186,8 @@ def test_an_empty_trajectory_for_other_joints_is_refused(rig: Rig) -> None:
     """Names that are not all of the arm's joints stop nothing."""
     rig.loop.hold(rig.states(0))
     rig.around.lines.clear()
-    rig.loop.offer(rig.trajectory(0.2))
-    rig.loop.offer(rig.empty(["joint_1"]))
+    rig.loop.receive(rig.trajectory(0.2))
+    rig.loop.receive(rig.empty(["joint_1"]))
     assert rig.around.lines[-1].startswith("trajectory rejected: joint 'joint_2' is missing; accepted: all of")
     assert rig.cs7b.trajectory.moving(10)
 
@@ -197,15 +197,14 @@ class Sender:
 
     def __init__(self) -> None:
         self.feedback: list[Feedback] = []
-        self.ends: list[Outcome] = []
+        self.ends: list[TrajectoryRequest] = []
         self.on_feedback, self.on_result = self.feedback.append, self.ends.append
 
 
 def offer(rig: Rig, target: float) -> Sender:
     """Offer a goal that moves all joints to `target`, rad, in a second."""
-    sender, trajectory = Sender(), rig.trajectory(target)
-    with rig.loop.between_ticks() as requests:
-        requests.take(rig.goal(trajectory), rig.loop.inactive, sender=sender)
+    sender = Sender()
+    rig.loop.offer(rig.goal(rig.trajectory(target), sender))
     return sender
 
 
@@ -227,12 +226,12 @@ def test_a_goal_ends_with_what_ends_its_motion(rig: Rig) -> None:
     early = offer(rig, 0.1)  # the arm is held anew in the next tick
     rig.run(8400, 4)
     replaced = offer(rig, 0.1)
-    rig.loop.offer(rig.trajectory(0.05))
+    rig.loop.receive(rig.trajectory(0.05))
     ends = [sender.ends for sender in (faulty, begun, renewed, switched, early, replaced)]
-    assert [[(end.phase, end.code) for end in told] for told in ends] == [[(Phase.ABORTED, -1)]] * 6
+    assert [[(end.state, end.code) for end in told] for told in ends] == [[(State.ABORTED, -1)]] * 6
     words = (
         "following error", "accepted: after a call of ~/enable with true", "the states go on from 2 s; holding",
         "the torque is off", "the torque comes back with the next tick", "replaced by a trajectory on the topic",
     )  # fmt: skip
     for told, text in zip(ends, words, strict=True):
-        assert text in told[0].text
+        assert text in told[0].reason

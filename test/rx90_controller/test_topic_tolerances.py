@@ -6,14 +6,13 @@ The motors of the rig stand still, so the error of a joint is its set-point: the
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 from unittest import mock
 
 import numpy as np
 import pytest
 from servo_rig import Rig
 
-from rx90_controller.goals.request import GoalTolerances
+from rx90_controller.trajectory.request import GoalTolerances
 
 RATIO = 4  # ticks for each of the position loop, which come every millisecond
 
@@ -28,9 +27,8 @@ def ticks_to(error: float, target: float = 0.1) -> int:
 def held(rig: Rig) -> Callable[..., Rig]:
     """Return what gives the rig, at rest, with these constraints."""
 
-    def make(**constraints: Any) -> Rig:
-        with rig.loop.between_ticks() as goals:
-            goals.tolerances = GoalTolerances.defaults(rig.names, **constraints)
+    def make(constraints: dict[str, float] | None = None) -> Rig:
+        rig.loop.tolerances = GoalTolerances.of_parameters(rig.names, constraints)
         rig.loop.hold(rig.states(0))
         rig.around.lines.clear()
         return rig
@@ -45,9 +43,9 @@ def aborted(rig: Rig) -> list[str]:
 
 def test_a_joint_off_the_path_is_told_once_and_the_arm_stops_and_holds(held: Callable[..., Rig]) -> None:
     """At the first set-point beyond: one line with joint, error, tolerance and time; rest within the accelerations."""
-    rig = held(trajectory={"joint_3": 0.02, "joint_4": 0.09})
+    rig = held({"constraints.joint_3.trajectory": 0.02, "constraints.joint_4.trajectory": 0.09})
     tick = ticks_to(0.02)
-    rig.loop.offer(rig.trajectory(0.1))
+    rig.loop.receive(rig.trajectory(0.1))
     rig.run(0, RATIO * tick)
     assert aborted(rig) == []
     rig.run(RATIO * tick, RATIO)
@@ -62,14 +60,14 @@ def test_a_joint_off_the_path_is_told_once_and_the_arm_stops_and_holds(held: Cal
     assert not motion[-1, 1:].any()
     assert all(rig.run(RATIO * (tick + 1), RATIO * 1500))
     assert len(aborted(rig)) == 1
-    rig.loop.offer(rig.trajectory(0.0))
+    rig.loop.receive(rig.trajectory(0.0))
     assert "accepted" in rig.around.lines[-1]
 
 
 def test_a_goal_that_is_not_reached_in_time_is_told_once(held: Callable[..., Rig]) -> None:
     """`goal` and `goal_time`: a tick beyond the time after the last point; within the tolerance nothing is said."""
-    rig = held(goal={"joint_2": 0.05}, goal_time=0.2)
-    rig.loop.offer(rig.trajectory(0.1))
+    rig = held({"constraints.joint_2.goal": 0.05, "constraints.goal_time": 0.2})
+    rig.loop.receive(rig.trajectory(0.1))
     rig.run(0, RATIO * 1201)
     assert aborted(rig) == []
     rig.run(RATIO * 1201, RATIO * 500)
@@ -77,7 +75,7 @@ def test_a_goal_that_is_not_reached_in_time_is_told_once(held: Callable[..., Rig
         "trajectory aborted: joint_2: position error 0.1 rad, accepted up to 0.05 rad at the goal, 0.201 s after the "
         "last point, at 1.201 s, 1.201 s on the trajectory; stopping and holding"
     ]
-    rig.loop.offer(rig.trajectory(0.04))
+    rig.loop.receive(rig.trajectory(0.04))
     rig.run(RATIO * 1701, RATIO * 2000)
     assert len(aborted(rig)) == 1
 
@@ -85,7 +83,7 @@ def test_a_goal_that_is_not_reached_in_time_is_told_once(held: Callable[..., Rig
 def test_by_default_nothing_is_given_up(held: Callable[..., Rig]) -> None:
     """Without constraints an arm that does not follow is the supervision's concern alone, as before."""
     rig = held()
-    rig.loop.offer(rig.trajectory(0.1))
+    rig.loop.receive(rig.trajectory(0.1))
     rig.run(0, RATIO * 3000)
     assert aborted(rig) == []
 
@@ -93,11 +91,11 @@ def test_by_default_nothing_is_given_up(held: Callable[..., Rig]) -> None:
 @pytest.mark.parametrize("stops", [False, True])
 def test_what_runs_is_held_to_the_path_while_the_next_one_waits(held: Callable[..., Rig], stops: bool) -> None:
     """Also before the start of what came last, a trajectory or a stop, which is dropped then."""
-    rig = held(trajectory={"joint_1": 0.02})
-    rig.loop.offer(rig.trajectory(0.1))
+    rig = held({"constraints.joint_1.trajectory": 0.02})
+    rig.loop.receive(rig.trajectory(0.1))
     rig.run(0, RATIO)
     stamp = (1, 500_000_000)
-    rig.loop.offer(rig.empty(stamp=stamp) if stops else rig.trajectory(0.0, stamp=stamp))
+    rig.loop.receive(rig.empty(stamp=stamp) if stops else rig.trajectory(0.0, stamp=stamp))
     rig.run(RATIO, RATIO * 2500)
     assert len(aborted(rig)) == 1
     assert f", at {ticks_to(0.02) * 1e-3:.6g} s" in aborted(rig)[0]
@@ -106,19 +104,18 @@ def test_what_runs_is_held_to_the_path_while_the_next_one_waits(held: Callable[.
 
 def test_what_is_held_to_constraints(held: Callable[..., Rig]) -> None:
     """The newest trajectory to those of its time; a refused one changes nothing; a goal has its own; off: none."""
-    rig = held(trajectory={"joint_1": 0.02})
-    rig.loop.offer(rig.trajectory(0.1))
-    rig.loop.offer(rig.trajectory(9.0))
-    with rig.loop.between_ticks() as goals:
-        goals.tolerances = GoalTolerances.defaults(rig.names, trajectory={"joint_1": 0.05})
+    rig = held({"constraints.joint_1.trajectory": 0.02})
+    rig.loop.receive(rig.trajectory(0.1))
+    rig.loop.receive(rig.trajectory(9.0))
+    rig.loop.tolerances = GoalTolerances.of_parameters(rig.names, {"constraints.joint_1.trajectory": 0.05})
     rig.run(0, RATIO * 500)
     assert "accepted up to 0.02 rad" in aborted(rig)[0]
     rig.loop.hold(rig.states(0))
-    rig.loop.offer(rig.trajectory(0.1))
+    rig.loop.receive(rig.trajectory(0.1))
     rig.run(0, RATIO * 700)
     assert "accepted up to 0.05 rad" in aborted(rig)[1]
     rig.loop.hold(rig.states(0))
-    rig.loop.offer(rig.trajectory(0.1))
+    rig.loop.receive(rig.trajectory(0.1))
     goal(rig)
     rig.run(0, RATIO * 1500)
     assert len(aborted(rig)) == 2
@@ -126,8 +123,8 @@ def test_what_is_held_to_constraints(held: Callable[..., Rig]) -> None:
 
 def test_nothing_is_told_of_a_trajectory_that_is_over(held: Callable[..., Rig]) -> None:
     """Dropped by an arm without torque, or reached: an arm that is pushed away later is not its concern."""
-    rig = held(goal={"joint_1": 0.02}, goal_time=0.2)
-    rig.loop.offer(rig.trajectory(0.1))
+    rig = held({"constraints.joint_1.goal": 0.02, "constraints.goal_time": 0.2})
+    rig.loop.receive(rig.trajectory(0.1))
     rig.run(0, RATIO)
     rig.loop.enable(False)
     rig.loop.enable(True)
@@ -136,7 +133,7 @@ def test_nothing_is_told_of_a_trajectory_that_is_over(held: Callable[..., Rig]) 
     rig.run(2 * RATIO, RATIO * 401)
     assert np.abs(rig.cs7b.setpoint[0] - rig.cs7b.measured()[0]).max() > 0.02
     rig.position = np.zeros(6)
-    rig.loop.offer(rig.trajectory(0.01))
+    rig.loop.receive(rig.trajectory(0.01))
     rig.run(403 * RATIO, RATIO * 1001)
     rig.position = np.full(6, 3.0)
     rig.run(1404 * RATIO, RATIO * 400)
@@ -145,9 +142,8 @@ def test_nothing_is_told_of_a_trajectory_that_is_over(held: Callable[..., Rig]) 
 
 def test_one_that_waited_for_the_first_states_is_held_to_them_too(rig: Rig) -> None:
     """From its start on; until there are states there is nothing to compare."""
-    with rig.loop.between_ticks() as goals:
-        goals.tolerances = GoalTolerances.defaults(rig.names, trajectory={"joint_1": 0.02})
-    rig.loop.offer(rig.trajectory(0.1))
+    rig.loop.tolerances = GoalTolerances.of_parameters(rig.names, {"constraints.joint_1.trajectory": 0.02})
+    rig.loop.receive(rig.trajectory(0.1))
     rig.loop.hold(rig.states(0))
     rig.run(0, RATIO * 1000)
     assert len(aborted(rig)) == 1
@@ -155,5 +151,4 @@ def test_one_that_waited_for_the_first_states_is_held_to_them_too(rig: Rig) -> N
 
 def goal(rig: Rig) -> None:
     """Offer a goal without tolerances that moves all joints to 0.1 rad in a second."""
-    with rig.loop.between_ticks() as requests:
-        requests.take(rig.goal(rig.trajectory(0.1)), rig.loop.inactive, sender=mock.Mock())
+    rig.loop.offer(rig.goal(rig.trajectory(0.1), mock.Mock()))

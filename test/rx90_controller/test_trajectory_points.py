@@ -11,7 +11,7 @@ import pytest
 
 from rx90_common.base.errors import ExchangeError, Rx90Error, TrajectoryError
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_controller.trajectory.message import check_trajectory_bytes
+from rx90_controller.trajectory.points import check_trajectory_bytes
 
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 ROW = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
@@ -61,7 +61,7 @@ REFUSALS: list[tuple[dict[str, Any], str]] = [
     ({"joint_names": NAMES[:5]}, "joint 'joint_6' is missing; accepted: all of"),
     ({"joint_names": ()}, "joint 'joint_1' is missing"),
     ({"times": [], "position": [], "velocity": [], "acceleration": []}, "no points; accepted: at least one"),
-    ({"times": [-0.5, 2.0, 3.0]}, "point 0: time_from_start -0.5 s; accepted: >= 0"),
+    ({"times": [-0.5, 2.0, 3.0]}, "point 0: time_from_start -0.5 s; accepted: 0, or a nanosecond and more"),
     ({"times": [1.0, 1.0, 2.0]}, "point 1: time_from_start 1 s after 1 s; accepted: increasing"),
     (
         {"times": [1.0, 2.0, 2.0], "position": [ROW, REST, ROW]},

@@ -4,19 +4,37 @@ from __future__ import annotations
 
 import copy
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
+from unittest import mock
 
 import numpy as np
 from joint_moves import HOME, NAMES, PERIOD, ZERO
 
 from rx90_common.base.arrays import Array
-from rx90_controller.goals.execution import Event, GoalRunner
-from rx90_controller.goals.request import GoalOptions, GoalTolerances, check_goal
+from rx90_common.base.rates import Rates
+from rx90_common.exchange.motor_messages import MotorStates
+from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
+from rx90_controller.trajectory.request import (
+    Feedback,
+    GoalError,
+    GoalOptions,
+    GoalTolerances,
+    ResultCode,
+    State,
+    TrajectoryRequest,
+    check_request,
+)
 
 LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), np.full(6, 20.0), 1e-3)
-DEFAULTS = GoalTolerances.defaults(
-    NAMES, goal_time=0.5, stopped_velocity_tolerance=0.02, trajectory={"joint_2": 0.05}, goal={"joint_3": 0.01}
+DEFAULTS = GoalTolerances.of_parameters(
+    NAMES,
+    {
+        "constraints.goal_time": 0.5,
+        "constraints.stopped_velocity_tolerance": 0.02,
+        "constraints.joint_2.trajectory": 0.05,
+        "constraints.joint_3.goal": 0.01,
+    },
 )
 
 
@@ -59,9 +77,9 @@ def message(to: Array | None = None, seconds: float = 0.6, **changed: Any) -> Si
     return goal
 
 
-def checked(goal: SimpleNamespace, **options: bool) -> Any:
+def checked(goal: SimpleNamespace, **options: bool) -> TrajectoryRequest:
     """Return a checked goal."""
-    return check_goal(goal, NAMES, DEFAULTS, GoalOptions(**options), 1000)
+    return check_request(goal.trajectory, DEFAULTS, GoalOptions(**options), 1000, goal)
 
 
 def two(first: float, second: float) -> list[SimpleNamespace]:
@@ -72,30 +90,105 @@ def two(first: float, second: float) -> list[SimpleNamespace]:
     return points
 
 
+class Event(NamedTuple):
+    """How a goal has ended, and which."""
+
+    key: str
+    state: State
+    code: ResultCode
+    text: str
+    tick: int
+
+
+class Law:
+    """What a servo loop needs of a control law; each tick is one of the position loop."""
+
+    joint_names, rates, command, fault, on_position_tick = NAMES, Rates(1000, 1000), ZERO, None, True
+
+    def __init__(self, trajectory: TrajectoryGenerator) -> None:
+        self.trajectory, self.position_tick = trajectory, 0
+        self.setpoint, self.off, self.off_speed = np.array([HOME, ZERO, ZERO]), ZERO.copy(), ZERO.copy()
+
+    def step(self, *_: object) -> None:
+        """Run a tick."""
+        self.setpoint = self.trajectory.setpoints(self.position_tick)[0]
+        self.position_tick += 1
+
+    def measured(self) -> tuple[Array, Array]:
+        """Return where the arm is and how fast."""
+        return self.setpoint[0] - self.off, self.setpoint[1] - self.off_speed
+
+
 class Arm:
-    """A runner, its generator, and an arm whose state is the set-point plus an error that a test sets."""
+    """A servo loop, its generator, and an arm whose state is the set-point plus an error that a test sets.
+
+    Attributes:
+        feedback: the newest of the active goal.
+        active: key of the goal that is followed, if there is one.
+    """
 
     def __init__(self, **options: bool) -> None:
         self.trajectory = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-        self.runner = GoalRunner(self.trajectory, 10.0)
+        self.law = Law(self.trajectory)
+        self.off, self.off_speed = self.law.off, self.law.off_speed
+        self.outputs: Any = mock.Mock()
+        law: Any = self.law
+        self.loop = ServoLoop(law, self.outputs, 10.0, 1)
+        self.loop.running = True
         self.options = options
-        self.tick = 0
-        self.off, self.off_speed = ZERO.copy(), ZERO.copy()
         self.setpoints: list[Array] = []
+        self.active: str | None = None
+        self.feedback: Feedback | None = None
+        self._goals: dict[str, TrajectoryRequest] = {}
+        self._ended: list[Event] = []
 
-    def offer(self, key: str, goal: SimpleNamespace, inactive: str = "") -> Event | None:
-        """Offer a goal now; return the event of the one before."""
-        return self.runner.offer(key, checked(goal, **self.options), self.tick, inactive)[1]
+    @property
+    def tick(self) -> int:
+        """Return the next tick."""
+        return self.law.position_tick
+
+    def offer(self, key: str, goal: SimpleNamespace | TrajectoryRequest) -> Event | None:
+        """Offer a goal now; return the event of the one before, and raise what it is refused for."""
+        request = goal if isinstance(goal, TrajectoryRequest) else checked(goal, **self.options)
+        request.on_result = lambda: self._note(key, request)
+        request.on_feedback = lambda feedback: setattr(self, "feedback", feedback)
+        self._goals[key] = request
+        self.loop.offer(request)
+        events = self._events()
+        if request.reason:
+            raise GoalError(request.code, request.reason)
+        self.active, self.feedback = key, None
+        return events[0] if events else None
+
+    def cancel(self) -> Event | None:
+        """Cancel the goal offered last."""
+        self.loop.cancel([*self._goals.values()][-1])
+        return next(iter(self._events()), None)
+
+    def drop(self, reason: str) -> Event | None:
+        """End the goal for a reason."""
+        self.loop.drop(reason)
+        return next(iter(self._events()), None)
+
+    def _note(self, key: str, goal: TrajectoryRequest) -> None:
+        self._ended.append(Event(key, goal.state, goal.code, goal.reason, self.tick))
+        if key == self.active:
+            self.active = self.feedback = None
+
+    def _events(self) -> list[Event]:
+        """Return which goals have ended since the last call."""
+        self.loop.report()
+        ended, self._ended = self._ended, []
+        return ended
 
     def run(self, ticks: int) -> list[Event]:
         """Run ticks; return the events."""
         events = []
         for _ in range(ticks):
-            desired = self.trajectory.setpoints(self.tick)[0]
-            self.setpoints.append(desired)
-            event = self.runner.step(self.tick, desired, desired[0] - self.off, desired[1] - self.off_speed)
-            events += [event] if event is not None else []
-            self.tick += 1
+            self.loop.step(self.tick * 1_000_000, MotorStates(0, ZERO, ZERO))
+            self.setpoints.append(self.law.setpoint)
+            self.loop.after_command(0)
+            events += self._events()
         return events
 
     def stopped_smoothly(self) -> bool:

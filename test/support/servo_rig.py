@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from rx90_common.exchange.motor_messages import MotorStates
-from rx90_controller.goals.request import GoalOptions, GoalTolerances, TrajectoryRequest
 from rx90_controller.node.servo_loop import ServoLoop
-from rx90_controller.trajectory.message import points_from_message
+from rx90_controller.trajectory.points import points_from_message
+from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, TrajectoryRequest
 from rx90_emulator.loop.setup import Setup
 
 
@@ -74,10 +75,12 @@ class Rig:
             self.loop.after_command(tick * self.period)
         return torques
 
-    def goal(self, trajectory: SimpleNamespace) -> TrajectoryRequest:
+    def goal(self, trajectory: SimpleNamespace, client: Any) -> TrajectoryRequest:
         """Return a trajectory as a goal with the usual tolerances and options."""
-        points, tolerances = points_from_message(self.names, trajectory), GoalTolerances.defaults(self.names)
-        return TrajectoryRequest(trajectory, points, None, tolerances, GoalOptions(), is_goal=True)
+        points, tolerances = points_from_message(self.names, trajectory), GoalTolerances.of_parameters(self.names)
+        goal = TrajectoryRequest(trajectory, points, None, tolerances, GoalOptions(), is_goal=True)
+        goal.on_feedback, goal.on_result = client.on_feedback, lambda: client.on_result(goal)
+        return goal
 
     def trajectory(self, target: float, seconds: int = 1, stamp: tuple[int, int] = (0, 0)) -> SimpleNamespace:
         """Return a message that moves all joints to `target`, rad, from a time on, in s and ns; (0, 0): now."""

@@ -13,8 +13,7 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 from rx90_controller.law.parameters import load_controller
-from rx90_controller.lines.approach import Approach
-from rx90_controller.lines.plan import plan_line
+from rx90_controller.lines.plan import Approach, plan_line
 from rx90_controller.lines.task import load_task
 from rx90_controller.node.trajectory_client import Delivery, deliver
 from rx90_emulator.view.live.live_view import LiveView

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_controller.lines.approach import Approach
+from rx90_controller.lines.plan import Approach
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.view.changes import on_change, put

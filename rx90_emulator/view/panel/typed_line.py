@@ -14,8 +14,7 @@ from rx90_common.base.quoting import quoted
 from rx90_common.description.branch import Branch
 from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
-from rx90_controller.lines.approach import Approach, ApproachedLine, approached
-from rx90_controller.lines.plan import LinePlan, check_plan, plan_line
+from rx90_controller.lines.plan import Approach, ApproachedLine, LinePlan, approached, check_plan, plan_line
 from rx90_controller.lines.task import LineTask
 from rx90_controller.trajectory import JointLimits
 from rx90_controller.trajectory.spline import interpolate

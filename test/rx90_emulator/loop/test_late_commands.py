@@ -17,7 +17,7 @@ from rx90_common.exchange.lockstep import LockstepController
 from rx90_common.exchange.motor_messages import MotorMessages
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.topics import MOTOR_NAMES
-from rx90_controller.node import free_running
+from rx90_controller.node import serving
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.node import held_command
@@ -74,9 +74,9 @@ class Nodes:
         messages = MotorMessages("/motor_states", MOTOR_NAMES, rates, cs7b.command, self.said.append)
         messages.same_rates = True
         pacer = Pacer(rates.period, 1.0, lambda: 0.0, lambda _: None)
-        self.controller = free_running.FreeRunningController(theirs, messages, self.loop, pacer, self.said.append)
+        self.controller = serving.FreeRunningController(theirs, messages, self.loop, pacer, self.said.append)
         lockstep = LockstepController(theirs, messages, self.loop, self.said.append)
-        self._modes = {"free_running": self.controller.serve, "lock_step": lambda: lockstep.serve(0.0)}
+        self._modes = {"serving": self.controller.serve, "lock_step": lambda: lockstep.serve(0.0)}
         ours.serve = self.controller.serve
         self.setup = setup
         codec, self._encode = (
@@ -169,7 +169,7 @@ def test_a_reset_and_a_new_mode_end_a_motion(nodes: Nodes) -> None:
     nodes.run(400, repeat(1))
     assert not nodes.moving
     assert nodes.plant.joint_states()[0] == pytest.approx(HOME, abs=1e-3)
-    for mode in ("lock_step", "free_running"):
+    for mode in ("lock_step", "serving"):
         nodes.cs7b.trajectory.accept(motion(nodes.setup, 2), nodes.cs7b.position_tick, None)
         nodes.run(1000, repeat(1))
         assert nodes.moving

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rx90_controller.lines.approach import Approach
+from rx90_controller.lines.plan import Approach
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.panel import jog_sliders

@@ -1,1 +1,0 @@
-"""The contract of FollowJointTrajectory without ROS: requests checked, tolerances, and what becomes of a goal."""

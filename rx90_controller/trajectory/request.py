@@ -1,0 +1,432 @@
+"""One trajectory request: what a client sends, by topic or as a goal of FollowJointTrajectory, from check to end.
+
+A request is checked by itself, by the thread that received it; joined to the motion, beside the ticks where that may
+take long; followed, and held to its tolerances tick by tick; and ended, with a result code and a reason. The rules are
+those of ros2_controllers' joint_trajectory_controller (docs/howto/action.md). No call reads a clock.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError, TrajectoryError
+from rx90_common.base.quoting import quoted
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import message_time_ns
+from rx90_controller.trajectory.generator import PastError, Schedule, TrajectoryGenerator
+from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, points_from_message
+
+_QUANTITIES = (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s^2"))  # the rows of tolerances
+_ERASED = -1.0
+_NOT_SERVED = ("component_path_tolerance", "component_goal_tolerance")
+_SHORT_POINTS, _SHORT_S = 20, 20.0  # points, s: of a trajectory that can be joined between two ticks
+# A long trajectory whose start is "now" begins so much later: s, for each point, and for each second of it, in which a
+# thousand set-points may have to be checked.
+_LEAD, _LEAD_PER_POINT, _LEAD_PER_SECOND = 5e-3, 1e-4, 5e-4
+_LEAD_GROWTH = 4  # at each further attempt
+
+
+class ResultCode(IntEnum):
+    """The codes of a FollowJointTrajectory result (control_msgs)."""
+
+    SUCCESSFUL = 0
+    INVALID_GOAL = -1
+    INVALID_JOINTS = -2
+    OLD_HEADER_TIMESTAMP = -3
+    PATH_TOLERANCE_VIOLATED = -4
+    GOAL_TOLERANCE_VIOLATED = -5
+
+
+class GoalError(TrajectoryError):
+    """A request is refused; the text is one line with the value and what is accepted.
+
+    Attributes:
+        code: the result code that says why.
+    """
+
+    def __init__(self, code: ResultCode, text: str) -> None:
+        """Refuse a request with a code and a line."""
+        super().__init__(text)
+        self.code = code
+
+
+def _option(about: str) -> bool:
+    option: bool = field(default=False, metadata={"about": about})
+    return option
+
+
+@dataclass(frozen=True)
+class GoalOptions:
+    """What else is accepted, each option a parameter of the node; the first three are joint_trajectory_controller's.
+
+    Joints that a request does not name brake to rest if they move, or with `allow_trajectory_replacement` go on along
+    their trajectory. Behind a last point with a velocity each joint brakes, unless another trajectory follows.
+    """
+
+    allow_partial_joints_goal: bool = _option("whether a trajectory may name some of the joints; the others hold")
+    allow_nonzero_velocity_at_trajectory_end: bool = _option(
+        "whether the last point may have a velocity; then the arm brakes"
+    )
+    allow_trajectory_replacement: bool = _option(
+        "whether points may be left out that are not later than the start, which leads on from where the path is then"
+    )
+    velocities_from_positions: bool = _option(
+        "whether velocities between the first and the last point are computed from the positions; for points whose "
+        "velocities do not belong to these"
+    )
+
+
+@dataclass(frozen=True)
+class GoalTolerances:
+    """GoalTolerances of six joints; infinite where there is none.
+
+    Attributes:
+        names: of the joints.
+        path: of position rad, velocity rad/s and acceleration rad/s^2 along the path, shape (3, 6).
+        goal: likewise at its end.
+        goal_time: how long after its end the goal may take to be reached, s; infinite for "for ever".
+    """
+
+    names: tuple[str, ...]
+    path: Array
+    goal: Array
+    goal_time: float
+
+    @classmethod
+    def of_parameters(cls, names: Sequence[str], values: Mapping[str, float] | None = None) -> GoalTolerances:
+        """Return the tolerances that joint_trajectory_controller's parameters `constraints.*` stand for, 0 for none.
+
+        Args:
+            names: of the joints.
+            values: by parameter; what is left out has the original's default.
+
+        Raises:
+            ConfigError: for a number that is negative or not finite.
+        """
+        defaults = {"constraints.stopped_velocity_tolerance": 0.01}
+
+        def limit(name: str) -> float:
+            value = {**defaults, **(values or {})}.get(f"constraints.{name}", 0.0)
+            if not 0.0 <= value < math.inf:
+                raise ConfigError(f"constraints.{name} is {value}; accepted: a finite number >= 0, 0 for no limit")
+            return value or math.inf
+
+        path, goal = np.full((3, 6), np.inf), np.full((3, 6), np.inf)
+        path[0] = [limit(f"{name}.trajectory") for name in names]
+        goal[0] = [limit(f"{name}.goal") for name in names]
+        goal[1] = limit("stopped_velocity_tolerance")
+        return cls(tuple(names), path, goal, limit("goal_time"))
+
+    @property
+    def end_motions(self) -> bool:
+        """Return whether they can end a motion before it reaches its goal."""
+        return math.isfinite(self.goal_time) or bool(np.isfinite(self.path).any())
+
+    def of_goal(self, path: Sequence[Any], goal: Sequence[Any], goal_time: float) -> GoalTolerances:
+        """Return these with those of a goal in their place: 0 keeps the default, -1 erases it.
+
+        Args:
+            path: control_msgs/JointTolerance: name, position, velocity, acceleration.
+            goal: likewise.
+            goal_time: goal_time_tolerance, s; 0 keeps the default, -1 is "for ever".
+
+        Raises:
+            GoalError: INVALID_JOINTS for an unknown or repeated joint, INVALID_GOAL for another negative number or one
+                that is not finite.
+        """
+        return GoalTolerances(
+            self.names,
+            self._table("path_tolerance", path, self.path),
+            self._table("goal_tolerance", goal, self.goal),
+            _resolved("goal_time_tolerance", "s", goal_time, self.goal_time),
+        )
+
+    def _table(self, what: str, given: Sequence[Any], defaults: Array) -> Array:
+        table, seen = defaults.copy(), set()
+        for tolerance in given:
+            name = str(tolerance.name)
+            if name not in self.names or name in seen:
+                reason = "stands twice" if name in seen else "is unknown"
+                raise GoalError(
+                    ResultCode.INVALID_JOINTS,
+                    f"{what}: joint {quoted(name)} {reason}; accepted: {', '.join(self.names)}, each at most once",
+                )
+            seen.add(name)
+            joint = self.names.index(name)
+            for row, (quantity, unit) in enumerate(_QUANTITIES):
+                value = float(getattr(tolerance, quantity))
+                table[row, joint] = _resolved(f"{what}: {quantity} of {name}", unit, value, table[row, joint])
+        return table
+
+    def worst(self, error: Array, limit: Array) -> str | None:
+        """Return what is furthest beyond its tolerance, relatively, in words; None if nothing is; shape (3, 6) each."""
+        beyond = ~(np.abs(error) <= limit) & np.isfinite(limit)
+        if not beyond.any():
+            return None
+        share = np.where(beyond, np.nan_to_num(np.abs(error) / limit, nan=np.inf), -1.0)
+        row, joint = divmod(int(np.argmax(share)), error.shape[1])
+        quantity, unit = _QUANTITIES[row]
+        return (
+            f"{self.names[joint]}: {quantity} error {error[row, joint]:.4g} {unit}, accepted up to "
+            f"{limit[row, joint]:.4g} {unit}"
+        )
+
+
+def _resolved(what: str, unit: str, value: float, default: float) -> float:
+    """Return what a goal's tolerance stands for."""
+    if value == 0.0:
+        return default
+    if value == _ERASED:
+        return math.inf
+    if not 0.0 < value < math.inf:
+        raise GoalError(
+            ResultCode.INVALID_GOAL,
+            f"{what} is {value:g} {unit}; accepted: a finite number > 0, 0 for the default, -1 for none",
+        )
+    return value
+
+
+class State(Enum):
+    """Where a request is."""
+
+    RECEIVED = "received"  # and checked by itself
+    WAITING = "waiting"  # for the first states of the simulation, or for its start
+    FOLLOWED = "followed"
+    SUCCEEDED = "succeeded"
+    ABORTED = "aborted"
+    CANCELED = "canceled"
+
+
+class Feedback(NamedTuple):
+    """How a request goes at a position tick.
+
+    Attributes:
+        tick: position tick.
+        desired: set-point: position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6).
+        actual: measured, shape (3, 6); the acceleration is the difference of the velocities over a tick.
+        error: desired less actual, shape (3, 6).
+        desired_time: time on the trajectory, s from its start; slower than `actual_time` where speed is scaled.
+        actual_time: time since its start, s.
+    """
+
+    tick: int
+    desired: Array
+    actual: Array
+    error: Array
+    desired_time: float
+    actual_time: float
+
+
+@dataclass(eq=False)
+class TrajectoryRequest:
+    """A trajectory that somebody sent, with what has become of it.
+
+    Attributes:
+        message: trajectory_msgs/JointTrajectory, as it came.
+        points: times from the stamp on; prepared, because they are joined between two ticks. None stops the arm.
+        start: its stamp in position ticks; None for now.
+        tolerances: that hold for it.
+        options: what else was accepted when it came.
+        is_goal: whether it came as a goal: the way then leads to its points from where the path is. A point of the
+            topic's at the start is followed to the bit, unless the start is over.
+        on_feedback: of a goal, called by the executor's thread now and then while it is followed.
+        on_result: likewise, called once it has ended.
+        state: where it is; once it has ended SUCCEEDED, ABORTED or CANCELED.
+        code: of the result, once it has ended.
+        reason: how it has ended, one line, error_string of the result; empty before.
+        feedback: how it went in the last step; None before the first.
+    """
+
+    message: Any
+    points: TrajectoryPoints | None
+    start: int | None
+    tolerances: GoalTolerances
+    options: GoalOptions
+    is_goal: bool = False
+    on_feedback: Callable[[Feedback], None] | None = None
+    on_result: Callable[[], None] | None = None
+    state: State = State.RECEIVED
+    code: ResultCode = ResultCode.SUCCESSFUL
+    reason: str = ""
+    feedback: Feedback | None = None
+    _began: int = 0  # tick of the first step
+    _settling: int | None = None  # tick in which the last point was reached
+
+    @property
+    def kind(self) -> str:
+        """Return "goal" or "trajectory", for messages to users."""
+        return "goal" if self.is_goal else "trajectory"
+
+    @property
+    def long(self) -> bool:
+        """Return whether to check it against the limits may take longer than a tick."""
+        points = self.points
+        return points is not None and (len(points.times) > _SHORT_POINTS or bool(points.times[-1] > _SHORT_S))
+
+    def enter(self, generator: TrajectoryGenerator, now: int) -> Schedule:
+        """Let a generator follow it, or stop; `now` is the first tick that may still be changed.
+
+        Raises:
+            PastError: if all its points lie in the past.
+            TrajectoryError: if it starts elsewhere than the arm is, or breaks a limit.
+        """
+        if self.points is None:
+            return generator.stop(now, self.start)
+        anywhere, late = self.options.allow_trajectory_replacement, self.start is not None and self.start < now
+        if self.is_goal or anywhere or late:
+            return generator.join(self.points, now, self.start, anywhere=anywhere)
+        return generator.accept(self.points, now, self.start)
+
+    def step(self, tick: int, desired: Array, actual: Array, trajectory: TrajectoryGenerator) -> None:
+        """Compare the set-point of a position tick with the measured state; end the request where that decides it.
+
+        Along the path its tolerances hold, from the first sample to the last one before the last point. From the last
+        point on the goal is reached as soon as its tolerances hold, and missed once `goal_time` is over.
+
+        Args:
+            tick: the position tick.
+            desired: set-point: position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6).
+            actual: measured, likewise.
+            trajectory: generator that follows it.
+        """
+        progress, period, tolerances = trajectory.progress(tick), trajectory.period, self.tolerances
+        if self.state is State.WAITING and progress.time < 0.0:
+            return
+        first = self.feedback is None
+        if first:
+            self.state, self._began = State.FOLLOWED, tick
+        error = desired - actual
+        self.feedback = Feedback(tick, desired, actual, error, progress.time, (tick - self._began) * period)
+        reached, now = progress.time >= progress.last, f"{tick * period:.6g} s"
+        where = f"at {now}, {progress.time:.6g} s on the trajectory"
+        if (first or not reached) and (worst := tolerances.worst(error, tolerances.path)) is not None:
+            self.end(State.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, f"{worst} along the path, {where}")
+        elif reached:
+            self._settling = tick if self._settling is None else self._settling
+            worst, late = tolerances.worst(error, tolerances.goal), (tick - self._settling) * period
+            after = f"{late:.6g} s after the last point"
+            if worst is None:
+                self.end(State.SUCCEEDED, ResultCode.SUCCESSFUL, f"goal reached at {now}, {after}")
+            elif late > tolerances.goal_time:
+                self.end(State.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED, f"{worst} at the goal, {after}, {where}")
+
+    def end(self, state: State, code: ResultCode, reason: str) -> None:
+        """End it, once."""
+        self.state, self.code, self.reason = state, code, reason
+
+
+def check_request(
+    message: Any, defaults: GoalTolerances, options: GoalOptions, position_hz: int, goal: Any = None
+) -> TrajectoryRequest:
+    """Check a trajectory as it came; one of the topic without points stops the arm.
+
+    Needs no state of the controller and may run in any thread.
+
+    Args:
+        message: trajectory_msgs/JointTrajectory.
+        defaults: tolerances where a goal has none of its own, with the names of the robot's joints.
+        options: what else is accepted.
+        position_hz: rate of the position loop, Hz.
+        goal: control_msgs/action/FollowJointTrajectory goal that the trajectory is of, or anything with its attributes.
+
+    Raises:
+        GoalError: INVALID_JOINTS for names that are empty, unknown, repeated or missing, in the trajectory or in
+            tolerances; else INVALID_GOAL; naming joint, index of the point and reason.
+    """
+    tolerances, points = defaults, None
+    if goal is not None:
+        if goal.multi_dof_trajectory.joint_names or goal.multi_dof_trajectory.points:
+            raise GoalError(ResultCode.INVALID_GOAL, "multi_dof_trajectory is given; accepted: an empty one")
+        for name in _NOT_SERVED:
+            if given := getattr(goal, name):
+                raise GoalError(ResultCode.INVALID_GOAL, f"{name} of {len(given)} joints; accepted: none")
+    moves = goal is not None or len(message.points) > 0
+    partial = options.allow_partial_joints_goal and moves
+    try:
+        if moves or message.joint_names:
+            check_joints(defaults.names, list(message.joint_names), partial=partial)
+    except TrajectoryError as error:
+        raise GoalError(ResultCode.INVALID_JOINTS, str(error)) from error
+    if goal is not None:
+        goal_time = message_time_ns(goal.goal_time_tolerance) / NANOSECONDS
+        tolerances = defaults.of_goal(goal.path_tolerance, goal.goal_tolerance, goal_time)
+    try:
+        if moves:
+            moving_end = options.allow_nonzero_velocity_at_trajectory_end
+            points = points_from_message(defaults.names, message, partial=partial, moving_end=moving_end)
+            points = (points.smoothed() if options.velocities_from_positions else points).prepared()
+    except TrajectoryError as error:
+        raise GoalError(ResultCode.INVALID_GOAL, str(error)) from error
+    stamp_ns = message_time_ns(message.header.stamp)
+    start = int(-(-stamp_ns * position_hz // NANOSECONDS)) if stamp_ns else None  # the first tick not before it
+    return TrajectoryRequest(message, points, start, tolerances, options, is_goal=goal is not None)
+
+
+class JoinedAhead:
+    """A request that is joined to a fork of the generator, while that goes on.
+
+    To be made between two ticks; then `compute`, beside the ticks; then, between two ticks again, `adopt` if it `fits`.
+    A trajectory whose start does not lie ahead begins some ticks later, when it should be there, at each attempt with
+    more time; from rest, where it begins makes no difference, as soon as it is there.
+
+    Args:
+        request: with points.
+        generator: that is to follow it.
+        now: its first tick that may still be changed.
+        attempt: from 0 on.
+    """
+
+    def __init__(self, request: TrajectoryRequest, generator: TrajectoryGenerator, now: int, attempt: int = 0) -> None:
+        points, start = request.points, request.start
+        assert points is not None
+        self._request, self._generator = request, generator
+        self._fork = generator.fork(now)
+        self._may_be_late = start is None and self._fork is not None and not self._fork.moving(now)
+        self._now = self._earliest = now
+        if not self._may_be_late and (start is None or start < now):
+            lead = _LEAD + _LEAD_PER_POINT * len(points.times) + _LEAD_PER_SECOND * float(points.times[-1])
+            self._earliest += round(lead / generator.period) * _LEAD_GROWTH**attempt
+        self._schedule: Schedule | None = None
+        self._error: TrajectoryError | None = None
+
+    def compute(self) -> None:
+        """Compute what the generator would."""
+        try:
+            if self._fork is not None:
+                self._schedule = self._request.enter(self._fork, self._earliest)
+        except TrajectoryError as error:
+            # All points may lie in the past by then, but perhaps not yet.
+            if not isinstance(error, PastError) or self._earliest == self._now:
+                self._error = error
+
+    def fits(self, now: int) -> bool:
+        """Return whether `adopt` may be called at this tick.
+
+        Not so where other motions have come in between, or the computation took longer than there was time for.
+        """
+        if self._fork is None or not self._generator.continues(self._fork, now):
+            return False
+        in_time = self._schedule is not None and (self._schedule.begin >= now or self._may_be_late)
+        return self._error is not None or in_time
+
+    def adopt(self, now: int) -> Schedule:
+        """Let the generator follow the request; return when it runs.
+
+        Raises:
+            TrajectoryError: why the trajectory cannot be followed.
+        """
+        if self._error is not None:
+            raise self._error
+        schedule, fork = self._schedule, self._fork
+        assert schedule is not None
+        assert fork is not None
+        late = max(0, now - schedule.begin)
+        self._generator.adopt(fork, late)
+        return Schedule(schedule.begin + late, schedule.end + late, schedule.blend_error)
