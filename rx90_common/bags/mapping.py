@@ -29,8 +29,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
+from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import SERIES_FIELDS, quantities
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import load_yaml, yaml_text
 from rx90_common.base.entries import LEFT_OUT, Integer, ListOf, Number, Other, Switch, Text, Texts
 from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.groups import Entries, Group
@@ -174,7 +175,7 @@ class FieldMapping:
         file: number of the log, from 1 on.
         columns: of each joint.
         unit: of the log's numbers, a key of UNITS.
-        factor: that turns the log's numbers of each joint into SI units.
+        factor: turns the log's numbers of each joint into SI units.
     """
 
     file: int
@@ -342,3 +343,20 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
     if not found.topics:
         raise BagError(f"{plain(found.file)}: names no columns of {plain(path)}; accepted: such as position")
     return found
+
+
+def exported_mapping(series: JointSeries) -> str:
+    """Return the mapping file by which the CSV file of a series, as it is exported, becomes a bag again."""
+    content: dict[str, Any] = {"names": list(series.names)}
+    count = len(series.names)
+    for k, name in enumerate(series.fields):
+        content[name] = {"columns": list(range(2 + k * count, 2 + (k + 1) * count)), "unit": series.units[name]}
+    document = {
+        "exact": True,
+        "delimiter": ",",
+        "decimal": ".",
+        "header": 1,
+        "time": {"column": 1, "unit": "s"},
+        "topics": {series.topic: content},
+    }
+    return yaml_text(document)

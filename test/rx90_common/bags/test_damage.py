@@ -21,8 +21,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader
 
-from rx90_common.bags.mcap_file import MCAP_MAGIC
 from rx90_common.bags.reading import BagReader, read_joint_series
+from rx90_common.bags.storage_files import MCAP_MAGIC
 from rx90_common.bags.writing import BagWriter, offered_qos, string_message, write_joint_states
 from rx90_common.base.errors import BagError
 from rx90_emulator.cli.frame import run
