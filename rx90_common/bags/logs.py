@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from rx90_common.bags.batch import Int64Array, series_encoder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import ARRAYS, DELIMITERS, SECONDS, UNITS, Column, FieldMapping, LogMapping, mapping_of
-from rx90_common.bags.storage_files import DamagedError, FileTopic, LoggedMessage, library_errors
+from rx90_common.bags.storage_files import BagTopic, DamagedError, LoggedMessage, library_errors
 from rx90_common.bags.topics import absolute
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.arrays import Array
@@ -502,7 +502,7 @@ class TableFile:
     def __init__(self, path: Path, mapping: LogMapping | None) -> None:
         self.kind = path.suffix.lower().removeprefix(".")
         self._series = read_logs([path], mapping, lambda _: None).series
-        self.topics = [FileTopic(k, one.topic, one.msgtype, "cdr", one.messages) for k, one in enumerate(self._series)]
+        self.topics = {k: BagTopic(one.topic, one.msgtype, one.messages) for k, one in enumerate(self._series)}
         self.effort_units = {one.topic: one.effort_unit for one in self._series if one.effort_unit}
 
     def close(self) -> None:

@@ -22,20 +22,19 @@ from rosbags.typesys import Stores, get_typestore
 from rx90_common.bags.decoding import SeriesBuilder, TemperatureBuilder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping, is_table
-from rx90_common.bags.storage_files import ACCEPTED, DamagedError, StorageFile, full_type, open_storage
-from rx90_common.bags.topics import EFFORT_UNIT, JOINT_STATE, TEMPERATURE, absolute
+from rx90_common.bags.storage_files import ACCEPTED, BagTopic, DamagedError, StorageFile, full_type, open_storage
+from rx90_common.bags.topics import EFFORT_UNIT, absolute
 from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.quoting import listed, plain
 
-__all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_series", "read_joint_states"]
+__all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_states"]
 
 Progress = Callable[[int, int], None]
 """Called with how much is done, and of how much."""
 FILE = "metadata.yaml"
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _PART = re.compile(r"(.+)_([0-9]+)(\..+)", re.DOTALL)  # of a recording that was split: NAME_0.mcap, NAME_1.mcap, ...
-_CDR, _ROS1 = "cdr", "ros1"
 _MAX_MESSAGES = 1 << 62
 _STEP = 8192  # messages between two reports of progress
 _typestore = cache(get_typestore)
@@ -43,37 +42,6 @@ _typestore = cache(get_typestore)
 
 def silent(_done: int, _total: int) -> None:
     """Report nothing."""
-
-
-@dataclass(frozen=True)
-class BagTopic:
-    """A topic as a bag lists it; `encoding` is that of its messages, such as cdr."""
-
-    name: str
-    msgtype: str
-    count: int
-    encoding: str = _CDR
-
-    @property
-    def is_joint_state(self) -> bool:
-        """Return whether its messages can be read as joint states."""
-        return self.msgtype == JOINT_STATE and self.encoding in (_CDR, _ROS1)
-
-    @property
-    def holds_series(self) -> bool:
-        """Return whether its messages can be read as a series: joint states or temperatures."""
-        return self.msgtype in (JOINT_STATE, TEMPERATURE) and self.encoding in (_CDR, _ROS1)
-
-    @property
-    def description(self) -> str:
-        """Return its type in one line, with the encoding of its messages where that is not ROS 2's."""
-        kind = plain(self.msgtype) or "without a type"
-        return kind if self.encoding in (_CDR, _ROS1) else f"{kind} in {plain(self.encoding) or 'no encoding'}"
-
-    @property
-    def is_ros1(self) -> bool:
-        """Return whether its messages are serialised as ROS 1 does it."""
-        return self.encoding == _ROS1
 
 
 class BagReader:
@@ -141,8 +109,8 @@ class BagReader:
     def topics(self) -> list[BagTopic]:
         """Return the bag's topics by name; one that holds two types or two encodings stands twice."""
         counts: Counter[tuple[str, str, str]] = Counter()
-        for topic in (topic for storage in self._storages for topic in storage.topics):
-            counts[topic.name, topic.msgtype, topic.encoding] += topic.count
+        for topic in (topic for storage in self._storages for topic in storage.topics.values()):
+            counts[topic.identity] += topic.count
         return [BagTopic(name, kind, count, encoding) for (name, kind, encoding), count in sorted(counts.items())]
 
     def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
@@ -151,7 +119,7 @@ class BagReader:
         Raises:
             BagError: if the bag is damaged.
         """
-        wanted = {(topic.name, topic.msgtype, topic.encoding): topic for topic in topics}
+        wanted = {topic.identity: topic for topic in topics}
         parts = [self._messages(file, one, wanted) for file, one in zip(self.files, self._storages, strict=True)]
         yield from parts[0] if len(parts) == 1 else heapq.merge(*parts, key=itemgetter(1))
 
@@ -162,7 +130,7 @@ class BagReader:
             BagError: if the type is none of ROS's common interfaces, or the bytes are no message of it.
         """
         store = _typestore(Stores.ROS1_NOETIC if topic.is_ros1 else Stores.ROS2_JAZZY)
-        if topic.msgtype not in store.fielddefs or topic.encoding not in (_CDR, _ROS1):
+        if topic.msgtype not in store.fielddefs or not topic.is_known:
             raise BagError(f"{plain(self.path)}: {plain(topic.name)} is {topic.description}, which is not known here")
         try:
             return (store.deserialize_ros1 if topic.is_ros1 else store.deserialize_cdr)(data, topic.msgtype)
@@ -281,13 +249,13 @@ class BagReader:
     def _messages(
         self, file: Path, storage: StorageFile, wanted: dict[tuple[str, str, str], BagTopic]
     ) -> Iterator[tuple[BagTopic, int, bytes]]:
-        topics = {t.key: topic for t in storage.topics if (topic := wanted.get((t.name, t.msgtype, t.encoding)))}
+        topics = {key: topic for key, one in storage.topics.items() if (topic := wanted.get(one.identity))}
         read = 0
         try:
             for key, log_ns, data in storage.messages(topics):
                 read += 1
                 yield topics[key], log_ns, data
-            expected = sum(topic.count for topic in storage.topics if topic.key in topics)
+            expected = sum(storage.topics[key].count for key in topics)
             if read != expected:
                 raise DamagedError(f"{expected:,} messages should be there, {read:,} can be read")
         except DamagedError as error:
@@ -402,30 +370,6 @@ def read_joint_bag(
             text, where = str(error), plain(bag.path)
             raise error if text.startswith(where) else BagError(f"{where}: {text}") from error
         return JointBag(bag.path, held, series, bag.notes)
-
-
-def read_joint_series(
-    path: Path | str,
-    topics: Sequence[str] | None = None,
-    *,
-    record_time: bool = False,
-    mapping: LogMapping | None = None,
-) -> dict[str, list[JointSeries]]:
-    """Read JointState and Temperature topics of a bag in one pass.
-
-    Args:
-        path: as `read_joint_states`.
-        topics: topic names; by default all JointState and Temperature topics of the bag.
-        record_time: as `read_joint_states`.
-        mapping: as `read_joint_states`.
-
-    Returns:
-        As `JointBag.series`.
-
-    Raises:
-        BagError: if the bag cannot be read or a topic is not there as JointState or Temperature.
-    """
-    return read_joint_bag(path, topics, mapping=mapping, record_time=record_time, all_there=True).series
 
 
 def read_joint_states(

@@ -34,6 +34,7 @@ from numba import carray, types  # type: ignore[attr-defined]  # numba exports w
 from rosbags.rosbag1 import Reader as Ros1Reader
 
 from rx90_common.bags.batch import Int64Array
+from rx90_common.bags.topics import JOINT_STATE, TEMPERATURE
 from rx90_common.base.errors import BagError, write_error
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
@@ -51,6 +52,7 @@ _RECORD_HEAD: Final = 9  # op code and length
 _MESSAGE_HEAD: Final = 22  # channel, sequence number, log time, time of publication
 _INDEX_HEAD = struct.Struct("<BQHI")  # op code and length, channel, bytes of the entries
 _MESSAGE: Final = 5  # op code
+_CDR, _ROS1 = "cdr", "ros1"
 
 LoggedMessage: TypeAlias = tuple[int, int, bytes]
 """Key of the topic, log time in ns, message."""
@@ -61,14 +63,44 @@ class DamagedError(Exception):
 
 
 @dataclass(frozen=True)
-class FileTopic:
-    """A topic as a storage file lists it: what the file knows it by, its name and type, encoding and count."""
+class BagTopic:
+    """A topic as a bag lists it; `encoding` is that of its messages, such as cdr."""
 
-    key: int
     name: str
     msgtype: str
-    encoding: str
     count: int
+    encoding: str = _CDR
+
+    @property
+    def identity(self) -> tuple[str, str, str]:
+        """Return what the same topic has in common in all files of a bag."""
+        return self.name, self.msgtype, self.encoding
+
+    @property
+    def is_known(self) -> bool:
+        """Return whether its messages are serialised as ROS 2 or ROS 1 do it."""
+        return self.encoding in (_CDR, _ROS1)
+
+    @property
+    def is_joint_state(self) -> bool:
+        """Return whether its messages can be read as joint states."""
+        return self.msgtype == JOINT_STATE and self.is_known
+
+    @property
+    def holds_series(self) -> bool:
+        """Return whether its messages can be read as a series: joint states or temperatures."""
+        return self.msgtype in (JOINT_STATE, TEMPERATURE) and self.is_known
+
+    @property
+    def description(self) -> str:
+        """Return its type in one line, with the encoding of its messages where that is not ROS 2's."""
+        kind = plain(self.msgtype) or "without a type"
+        return kind if self.is_known else f"{kind} in {plain(self.encoding) or 'no encoding'}"
+
+    @property
+    def is_ros1(self) -> bool:
+        """Return whether its messages are serialised as ROS 1 does it."""
+        return self.encoding == _ROS1
 
 
 class StorageFile(Protocol):
@@ -76,7 +108,7 @@ class StorageFile(Protocol):
 
     kind: str
     compression: str
-    topics: list[FileTopic]
+    topics: dict[int, BagTopic]  # by what the file knows them by
 
     def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
         """Yield the messages of these topics in the order of log time."""
@@ -306,15 +338,15 @@ def _check_channels(channels: Collection[int], counts: dict[int, int]) -> None:
             raise DamagedError(f"its summary lacks channel {channel}, which has messages")
 
 
-def _topics(summary: Summary) -> list[FileTopic]:
+def _topics(summary: Summary) -> dict[int, BagTopic]:
     counts = summary.statistics.channel_message_counts if summary.statistics is not None else {}
-    topics = []
+    topics = {}
     for key, channel in sorted(summary.channels.items()):
         schema = summary.schemas.get(channel.schema_id)
         if channel.schema_id and schema is None:
             raise DamagedError(f"{plain(channel.topic)} is of schema {channel.schema_id}, which is not there")
         msgtype = full_type(schema.name) if schema is not None else ""
-        topics.append(FileTopic(key, channel.topic, msgtype, channel.message_encoding, counts.get(key, 0)))
+        topics[key] = BagTopic(channel.topic, msgtype, counts.get(key, 0), channel.message_encoding)
     return topics
 
 
@@ -467,7 +499,7 @@ class SqliteFile:
                 "'ros2 bag convert' makes a bag of these"
             )
 
-    def _topics(self) -> list[FileTopic]:
+    def _topics(self) -> dict[int, BagTopic]:
         tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if not {"topics", "messages"} <= tables:
             raise DamagedError("a database without the tables topics and messages; accepted: one of rosbag2")
@@ -478,7 +510,7 @@ class SqliteFile:
         rows = self._database.execute(query).fetchall()
         if not all(isinstance(text, str) for row in rows for text in row[1:4]):
             raise DamagedError("a topic's name, type or encoding is no text")
-        return [FileTopic(key, name, full_type(kind), form, count) for key, name, kind, form, count in rows]
+        return {key: BagTopic(name, full_type(kind), count, form) for key, name, kind, form, count in rows}
 
 
 class Ros1File:
@@ -498,9 +530,9 @@ class Ros1File:
         self._reader = Ros1Reader(path)
         with library_errors():
             self._reader.open()
-        self.topics = [
-            FileTopic(c.id, c.topic, full_type(c.msgtype), "ros1", c.msgcount) for c in self._reader.connections
-        ]
+        self.topics = {
+            c.id: BagTopic(c.topic, full_type(c.msgtype), c.msgcount, _ROS1) for c in self._reader.connections
+        }
 
     def close(self) -> None:
         """Close the file."""
