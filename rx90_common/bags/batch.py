@@ -1,4 +1,4 @@
-"""Many serialised messages as a few arrays, also of series: compiled code does what is done to each, in one call."""
+"""Many serialised messages as a few arrays, also those of a series."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import JointSeries
@@ -15,7 +14,6 @@ from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
-from rx90_common.kernels.compiled import c_function
 
 Int64Array = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
@@ -23,20 +21,6 @@ Bytes = NDArray[np.uint8]
 _TEMPERATURE_HEAD = struct.Struct("<4siII")  # encapsulation, stamp, bytes of the frame_id
 _TEMPERATURE_VALUES = struct.Struct("<dd")  # temperature, variance
 _END_NS = (1 << 31) * NANOSECONDS  # stamps are int32 seconds
-
-
-@c_function(types.int64(types.voidptr, types.voidptr, types.voidptr, types.int64, types.voidptr))
-def _copy(data_at, start_at, size_at, count, to_at):  # type: ignore[no-untyped-def]  # addresses
-    """Copy messages one behind the other."""
-    start, size = carray(start_at, (count,), np.int64), carray(size_at, (count,), np.int64)
-    end = 0
-    for i in range(count):
-        message = carray(data_at, (start[i] + size[i],), np.uint8)[start[i] :]
-        to = carray(to_at, (end + size[i],), np.uint8)[end:]
-        for k in range(size[i]):
-            to[k] = message[k]
-        end += size[i]
-    return 0
 
 
 class MessageBatch:
@@ -111,83 +95,40 @@ class MessageBatch:
         return stamps
 
     def take(self, rows: NDArray[np.intp] | slice) -> MessageBatch:
-        """Return a copy of these messages (an index or a slice), which holds no others."""
-        start = np.ascontiguousarray(self.start[rows])
-        size = np.ascontiguousarray(self.size[rows])
-        chosen = MessageBatch(np.empty(int(size.sum()), dtype=np.uint8), np.cumsum(size) - size, size)
-        _copy(self.data.ctypes.data, start.ctypes.data, size.ctypes.data, len(size), chosen.data.ctypes.data)
-        return chosen
+        """Return these messages (an index or a slice), in the same bytes."""
+        return MessageBatch(self.data, self.start[rows], self.size[rows])
+
+    def copy(self) -> MessageBatch:
+        """Return a copy that holds no other bytes than those of the messages."""
+        return MessageBatch.of(list(self))
 
 
-def encoded(
-    encoders: Sequence[Callable[[Int64Array], MessageBatch]], source: Int64Array, row: Int64Array
-) -> MessageBatch:
-    """Return the messages with these places in these sources, in this order.
+def series_encoder(series: JointSeries) -> tuple[Int64Array, Callable[[Int64Array], MessageBatch]]:
+    """Return the stamp of each message of a series, ns, int64 (n,), and what gives the messages of some rows.
 
-    Args:
-        encoders: of each source, that give its messages of some rows.
-        source: of each message, int64 (n,).
-        row: of it in its source, int64 (n,).
+    That raises ExchangeError if a name or a stamp cannot stand in a message.
     """
-    by_source = np.argsort(source, kind="stable")
-    found, counts = np.unique(source, return_counts=True)
-    parts = np.split(row[by_source], np.cumsum(counts)[:-1])
-    batch = MessageBatch.join([encoders[which](part) for which, part in zip(found, parts, strict=True)])
-    place = np.empty_like(by_source)
-    place[by_source] = np.arange(len(by_source))
-    return MessageBatch(batch.data, batch.start[place], batch.size[place])
+    if series.temperature is None:
+        codec = JointStateCodec(series.names)
+        arrays = (series.position, series.velocity, series.effort)
 
+        def joint_states(rows: Int64Array) -> MessageBatch:
+            fields = (None if array is None else array[rows] for array in arrays)
+            data = codec.encode_many(series.stamp_ns[rows], *fields)
+            count, size = data.shape
+            return MessageBatch(data.reshape(-1), np.arange(count) * size, np.full(count, size))
 
-def series_encoder(series: JointSeries) -> JointStateEncoder | TemperatureEncoder:
-    """Return what gives the messages of a series."""
-    return JointStateEncoder(series) if series.temperature is None else TemperatureEncoder(series)
+        return series.stamp_ns, joint_states
+    row, column = np.nonzero(~np.isnan(series.temperature))
+    stamp_ns, values = series.stamp_ns[row], series.temperature[row, column]
 
-
-class JointStateEncoder:
-    """Gives the messages of a series of joint states.
-
-    Attributes:
-        stamp_ns: of each message, int64 (n,).
-    """
-
-    def __init__(self, series: JointSeries) -> None:
-        self._codec = JointStateCodec(series.names)
-        self._series = series
-        self.stamp_ns = series.stamp_ns
-
-    def encode(self, rows: Int64Array) -> MessageBatch:
-        """Return the messages of these rows."""
-        series = self._series
-        fields = (None if field is None else field[rows] for field in (series.position, series.velocity, series.effort))
-        data = self._codec.encode_many(series.stamp_ns[rows], *fields)
-        count, size = data.shape
-        return MessageBatch(data.reshape(-1), np.arange(count) * size, np.full(count, size))
-
-
-class TemperatureEncoder:
-    """Gives the messages of a series of temperatures.
-
-    Attributes:
-        stamp_ns: of each message, int64 (n,).
-    """
-
-    def __init__(self, series: JointSeries) -> None:
-        assert series.temperature is not None
-        row, self._column = np.nonzero(~np.isnan(series.temperature))
-        self._names = series.names
-        self._values = series.temperature[row, self._column]
-        self.stamp_ns = series.stamp_ns[row]
-
-    def encode(self, rows: Int64Array) -> MessageBatch:
-        """Return these messages.
-
-        Raises:
-            ExchangeError: if a name or a stamp cannot stand in a message.
-        """
-        columns = (field[rows].tolist() for field in (self.stamp_ns, self._column, self._values))
+    def temperatures(rows: Int64Array) -> MessageBatch:
+        columns = (field[rows].tolist() for field in (stamp_ns, column, values))
         return MessageBatch.of(
-            [temperature_cdr(stamp, self._names[k], value) for stamp, k, value in zip(*columns, strict=True)]
+            [temperature_cdr(stamp, series.names[k], value) for stamp, k, value in zip(*columns, strict=True)]
         )
+
+    return stamp_ns, temperatures
 
 
 def temperature_cdr(stamp_ns: int, name: str, temperature: float) -> bytes:

@@ -66,26 +66,22 @@ class BulkMcapWriter(McapWriter):
             place = self.chunk.bio.tell() + ends - size - (ends[begin] - size[begin])
             end = min(int(np.searchsorted(place + size, _CHUNK_BYTES, side="right")) + 1, len(size))
             rows = slice(begin, end)
-            self._append(channel[rows], log_ns[rows], messages, rows)
+            parts: list[Int64Array] = [messages.start[rows], messages.size[rows], channel[rows], log_ns[rows]]
+            fields = [np.ascontiguousarray(part) for part in parts]  # as long as their addresses are used
+            records = np.empty(int(size[rows].sum()), dtype=np.uint8)
+            addresses = [field.ctypes.data for field in fields]
+            _write_records(messages.data.ctypes.data, *addresses, end - begin, records.ctypes.data)
+            self.chunk.bio.write(records.data)
             self._note(channel[rows], log_ns[rows], place[rows])
             if self.chunk.bio.tell() > _CHUNK_BYTES:
                 self.close_chunk()
             begin = end
 
-    def _append(self, channel: Int64Array, log_ns: Int64Array, messages: MessageBatch, rows: slice) -> None:
-        start, size = (np.ascontiguousarray(field[rows]) for field in (messages.start, messages.size))
-        channel, log_ns = np.ascontiguousarray(channel), np.ascontiguousarray(log_ns)
-        records = np.empty(int(size.sum()) + len(size) * (_RECORD_HEAD + _MESSAGE_HEAD), dtype=np.uint8)
-        fields = (messages.data, start, size, channel, log_ns)
-        _write_records(*(field.ctypes.data for field in fields), len(size), records.ctypes.data)
-        self.chunk.bio.write(records.data)
-
     def _note(self, channel: Int64Array, log_ns: Int64Array, place: Int64Array) -> None:
         """Note where in the pending chunk messages begin, and their times."""
-        first, last = int(log_ns.min()), int(log_ns.max())
         for noted in (self, self.chunk):
-            noted.message_start_time = min(first, noted.message_start_time)
-            noted.message_end_time = max(last, noted.message_end_time)
+            noted.message_start_time = min(int(log_ns.min()), noted.message_start_time)
+            noted.message_end_time = max(int(log_ns.max()), noted.message_end_time)
         entries = np.column_stack((log_ns, place)).astype("<i8", copy=False)
         numbers, firsts, counts = np.unique(channel, return_index=True, return_counts=True)
         for k in np.argsort(firsts):
@@ -93,10 +89,11 @@ class BulkMcapWriter(McapWriter):
             self.channel_stats[number] += int(counts[k])
             self._index.setdefault(number, []).append(entries[channel == number].tobytes())
 
-    @property
-    def pending(self) -> bool:
-        """Return whether there are messages that `close_chunk` would write."""
-        return bool(self._index)
+    def checkpoint(self) -> None:
+        """Hand what is pending to the system."""
+        if self._index:
+            self.close_chunk()
+        self.bio.flush()
 
     def close_chunk(self) -> None:
         """Write the pending chunk with its index, and note it for the summary."""
@@ -153,6 +150,10 @@ class BulkSqlite3Writer(Sqlite3Writer):
         rows = zip(channel.tolist(), log_ns.tolist(), messages, strict=True)
         self.cursor.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES(?, ?, ?)", rows)
 
+    def checkpoint(self) -> None:
+        """Hand what is pending to the system."""
+        self.conn.commit()
+
 
 class BulkWriter(Writer):
     """rosbags' writer; messages come by `write_many` alone."""
@@ -167,3 +168,8 @@ class BulkWriter(Writer):
         self.max_timestamp = max(self.max_timestamp, int(log_ns.max()))
         for number, count in zip(*(field.tolist() for field in np.unique(channel, return_counts=True)), strict=True):
             self.counts[number] += count
+
+    def checkpoint(self) -> None:
+        """Hand what is pending to the system, so that it outlives this process."""
+        storage: Any = self.storage
+        storage.checkpoint()

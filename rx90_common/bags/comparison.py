@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
-from rx90_common.bags.reading import JointBag, read_joint_bag, series_topics
-from rx90_common.bags.recorded import START, TRAJECTORY, moved, time_shift
+from rx90_common.bags.reading import read_joint_bag, series_topics_text
+from rx90_common.bags.recorded import START, TRAJECTORY, time_shift
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.bags.topics import SERIES_FIELDS, absolute
 from rx90_common.base.arrays import Array
@@ -193,51 +193,44 @@ def compare_bags(
     """
     tolerances, scope = tolerances or Tolerances(), scope or Scope()
     check_type(tolerances=(tolerances, Tolerances), scope=(scope, Scope))
-    paths = (Path(path_a), Path(path_b))
     chosen = None if scope.topics is None else [absolute(topic) for topic in scope.topics]
-    bag_a, bag_b = (read_joint_bag(path, chosen) for path in paths)
-    both = _series_topics(bag_a) | _series_topics(bag_b)
+    bag_a, bag_b = (read_joint_bag(path, chosen) for path in (path_a, path_b))
+    both: set[str] = set()
+    for bag in (bag_a, bag_b):
+        series_topics = {topic.name for topic in bag.topics if topic.holds_series}
+        if not any(topic.count for topic in bag.topics):
+            raise BagError(f"{plain(bag.path)}: holds no messages")
+        if not series_topics:
+            others = listed(sorted({topic.name for topic in bag.topics}))
+            raise BagError(f"{plain(bag.path)}: holds no JointState or Temperature topic, only {others}")
+        both |= series_topics
     wanted = sorted(both) if chosen is None else chosen
     for topic in wanted:
         if topic not in both:
-            raise BagError(f"topic {plain(topic)} is in neither bag; {series_topics([*bag_a.topics, *bag_b.topics])}")
+            there = series_topics_text([*bag_a.topics, *bag_b.topics])
+            raise BagError(f"topic {plain(topic)} is in neither bag; {there}")
     shift = time_shift(scope.align, bag_a, bag_b)
-    series_a, series_b = bag_a.series, moved(bag_b.series, shift)
+    series = [bag_a.series, bag_b.moved(shift).series]
     joints = {
-        topic: {name for found in (series_a, series_b) for s in found.get(topic, []) for name in s.names}
-        for topic in wanted
+        topic: {name for found in series for one in found.get(topic, []) for name in one.names} for topic in wanted
     }
     tolerances.check(both, joints)
     results: list[TopicComparison] = []
     for topic in wanted:
-        results += _compare_topic(topic, series_a.get(topic), series_b.get(topic), tolerances, scope)
+        results += _compare_topic(topic, series[0].get(topic), series[1].get(topic), tolerances, scope)
     if not results:
-        there = " nor ".join(plain(path) for path in paths)
+        there = " nor ".join(plain(bag.path) for bag in (bag_a, bag_b))
         raise BagError(f"neither {there} has a JointState or Temperature message in the time window")
-    _check_compared(results, scope, [*series_a.values(), *series_b.values()])
+    if set(scope.fields) < set(SERIES_FIELDS) and not any(r.values or r.verdict is not Verdict.SAME for r in results):
+        # Bags would be the same by stamps alone.
+        held = dict.fromkeys(
+            field for found in series for some in found.values() for one in some for field in one.fields
+        )
+        what = f"fields {', '.join(scope.fields)}: no message has any of them"
+        raise BagError(f"{what}; accepted: some of {', '.join(held) or 'none'}")
     skipped = {topic.name for bag in (bag_a, bag_b) for topic in bag.topics if not topic.holds_series}
     notes = tuple(f"{plain(bag.path)}: {note}" for bag in (bag_a, bag_b) for note in bag.notes)
-    return BagComparison(*paths, tuple(results), tuple(sorted(skipped)), notes, shift)
-
-
-def _check_compared(results: Sequence[TopicComparison], scope: Scope, series: Sequence[list[JointSeries]]) -> None:
-    """Refuse fields of which no topic has any: bags would be the same by stamps alone."""
-    found = any(one.values or one.verdict is not Verdict.SAME for one in results)
-    if not found and set(scope.fields) < set(SERIES_FIELDS):
-        there = dict.fromkeys(field for some in series for one in some for field in one.fields)
-        fields = ", ".join(scope.fields)
-        raise BagError(f"fields {fields}: no message has any of them; accepted: some of {', '.join(there) or 'none'}")
-
-
-def _series_topics(bag: JointBag) -> set[str]:
-    """Return the names of a bag's topics of joint states and temperatures."""
-    ours = {topic.name for topic in bag.topics if topic.holds_series}
-    if not any(topic.count for topic in bag.topics):
-        raise BagError(f"{plain(bag.path)}: holds no messages")
-    if not ours:
-        others = listed(sorted({topic.name for topic in bag.topics}))
-        raise BagError(f"{plain(bag.path)}: holds no JointState or Temperature topic, only {others}")
-    return ours
+    return BagComparison(bag_a.path, bag_b.path, tuple(results), tuple(sorted(skipped)), notes, shift)
 
 
 def _compare_topic(
@@ -248,7 +241,9 @@ def _compare_topic(
     scope: Scope,
 ) -> list[TopicComparison]:
     """Compare each set of joints of a topic."""
-    cut_a, cut_b = (_cut(found, scope) for found in (found_a, found_b))
+    cut_a, cut_b = (
+        [part for series in found or [] if len((part := scope.cut(series)).stamp_ns)] for found in (found_a, found_b)
+    )
     if not cut_a and not cut_b:
         return [] if scope.topics is None else [_incomparable(topic, "no message of it is in either bag")]
     if not cut_a or not cut_b:
@@ -256,38 +251,21 @@ def _compare_topic(
         what = "the topic is not" if found is None else "no message of it is"
         within = "" if not found else " within the time window"
         return [_incomparable(topic, f"{what} in the {lacking} bag{within}")]
-    results = []
-    for series_a, series_b in _pair_up(cut_a, cut_b):
-        if series_a is None or series_b is None:
-            there, where = (series_a, "first") if series_a is not None else (series_b, "second")
-            names = listed(there.names) if there is not None else ""
-            results.append(_incomparable(topic, f"only the {where} bag has messages of {names}"))
-        else:
-            results.append(compare_series(series_a, series_b, tolerances, scope))
-    return results
-
-
-def _cut(found: list[JointSeries] | None, scope: Scope) -> list[JointSeries]:
-    return [part for series in found or [] if len((part := scope.cut(series)).stamp_ns)]
-
-
-def _pair_up(
-    found_a: Sequence[JointSeries], found_b: Sequence[JointSeries]
-) -> list[tuple[JointSeries | None, JointSeries | None]]:
-    """Pair series with the same set of joints; what is left on both sides is paired in its order."""
-    left_b = list(found_b)
-    pairs: list[tuple[JointSeries | None, JointSeries | None]] = []
-    left_a: list[JointSeries] = []
-    for a in found_a:
-        same = next((b for b in left_b if set(b.names) == set(a.names)), None)
+    results, left_a = [], []
+    for a in cut_a:  # with the same set of joints
+        same = next((b for b in cut_b if set(b.names) == set(a.names)), None)
         if same is None:
             left_a.append(a)
         else:
-            left_b.remove(same)
-            pairs.append((a, same))
-    for i in range(max(len(left_a), len(left_b))):
-        pairs.append((left_a[i] if i < len(left_a) else None, left_b[i] if i < len(left_b) else None))
-    return pairs
+            cut_b = [b for b in cut_b if b is not same]
+            results.append(compare_series(a, same, tolerances, scope))
+    for left, other in zip_longest(left_a, cut_b):  # what is left on both sides is paired in its order
+        if left is not None and other is not None:
+            results.append(compare_series(left, other, tolerances, scope))
+        else:
+            where, names = ("first", left.names) if left is not None else ("second", other.names)
+            results.append(_incomparable(topic, f"only the {where} bag has messages of {listed(names)}"))
+    return results
 
 
 def compare_series(
@@ -302,34 +280,43 @@ def compare_series(
         return _incomparable(a.topic, f"no joint in common: {listed(a.names)} against {listed(b.names)}")
     alignment = align(a, b)
     if not len(alignment.stamp_ns):
-        spans = f"{_span(a)} against {_span(b)}"
+        spans = " against ".join(map(_span, (a, b)))
         return _incomparable(a.topic, f"no stamp in common: {spans}; bags that began at other times can be aligned")
-    reasons = [*_other_reasons(a, b), *_stamp_reasons(alignment, scope)]
+    reasons: list[str] = []
+    for one, other, where in ((a, b, "first"), (b, a, "second")):
+        for lacking in (
+            listed(name for name in one.names if name not in other.names),
+            ", ".join(field for field in one.fields if field not in other.fields),
+        ):
+            reasons += [f"only the {where} bag has {lacking}"] * bool(lacking)
+    if "effort" in a.fields and "effort" in b.fields and a.units["effort"] != b.units["effort"]:
+        units = (plain(one.units["effort"]) for one in (a, b))
+        reasons.append("effort is in {} in the first bag and in {} in the second, and not compared".format(*units))
+    for side, where in ((alignment.a, "first"), (alignment.b, "second")):
+        if side.first_missing_ns is not None:
+            reasons.append(
+                f"only the {where} bag has {side.missing} messages of the common range, "
+                f"the first at t = {side.first_missing_ns / NANOSECONDS:.9f} s"
+            )
+        if side.outside and not scope.common_range:
+            reasons.append(f"only the {where} bag has {side.outside} messages outside the common range")
     values: list[ValueDifference] = []
     for field in SERIES_FIELDS:
         if field in a.fields and field in b.fields and a.units[field] == b.units[field]:
-            columns_a = a.fields[field][alignment.rows_a]
-            columns_b = b.fields[field][alignment.rows_b]
+            columns_a, columns_b = a.fields[field][alignment.rows_a], b.fields[field][alignment.rows_b]
             for joint in joints:
                 pair = columns_a[:, a.names.index(joint)], columns_b[:, b.names.index(joint)]
                 tolerance = tolerances.of(a.topic, joint, field)
-                values.append(_difference(joint, field, a.units[field], *pair, alignment, tolerance))
+                values.append(_difference(joint, field, a.units[field], *pair, alignment.stamp_ns, tolerance))
     differs = bool(reasons) or any(value.beyond for value in values)
     return TopicComparison(
-        a.topic,
-        joints,
-        len(alignment.stamp_ns),
-        alignment.range_ns,
-        alignment.a,
-        alignment.b,
-        tuple(values),
-        tuple(reasons),
-        Verdict.DIFFERS if differs else Verdict.SAME,
-    )
+        a.topic, joints, len(alignment.stamp_ns), alignment.range_ns, alignment.a, alignment.b, tuple(values),
+        tuple(reasons), Verdict.DIFFERS if differs else Verdict.SAME,
+    )  # fmt: skip
 
 
 def _difference(
-    joint: str, field: str, unit: str, a: Array, b: Array, alignment: Alignment, tolerance: float
+    joint: str, field: str, unit: str, a: Array, b: Array, stamp_ns: Int64Array, tolerance: float
 ) -> ValueDifference:
     a, b = np.ascontiguousarray(a), np.ascontiguousarray(b)
     finite = np.isfinite(a) & np.isfinite(b)
@@ -344,49 +331,12 @@ def _difference(
     beyond = distance > tolerance if tolerance > 0.0 else finite & ~equal_bits
     largest = int(np.argmax(distance))
     maximum = float(distance[largest])
-    rms = 0.0
+    at_ns, rms = None, 0.0
     if maximum > 0.0:  # scaled by it, so that the squares neither under- nor overflow
+        at_ns = int(stamp_ns[largest])
         rms = maximum * float(np.sqrt(np.sum((distance / maximum) ** 2) / finite.sum()))
-    return ValueDifference(
-        joint,
-        field,
-        unit,
-        maximum,
-        int(alignment.stamp_ns[largest]) if maximum > 0.0 else None,
-        rms,
-        tolerance,
-        int(beyond.sum()) + not_finite,
-        not_finite,
-    )
-
-
-def _other_reasons(a: JointSeries, b: JointSeries) -> list[str]:
-    """Return which joints and arrays only one of two series has."""
-    reasons = []
-    for one, other, where in ((a, b, "first"), (b, a, "second")):
-        names = [name for name in one.names if name not in other.names]
-        if names:
-            reasons.append(f"only the {where} bag has {listed(names)}")
-        fields = [field for field in one.fields if field not in other.fields]
-        if fields:
-            reasons.append(f"only the {where} bag has {', '.join(fields)}")
-    if "effort" in a.fields and "effort" in b.fields and a.units["effort"] != b.units["effort"]:
-        units = (plain(one.units["effort"]) for one in (a, b))
-        reasons.append("effort is in {} in the first bag and in {} in the second, and not compared".format(*units))
-    return reasons
-
-
-def _stamp_reasons(alignment: Alignment, scope: Scope) -> list[str]:
-    reasons = []
-    for side, where in ((alignment.a, "first"), (alignment.b, "second")):
-        if side.missing and side.first_missing_ns is not None:
-            reasons.append(
-                f"only the {where} bag has {side.missing} messages of the common range, "
-                f"the first at t = {side.first_missing_ns / NANOSECONDS:.9f} s"
-            )
-        if side.outside and not scope.common_range:
-            reasons.append(f"only the {where} bag has {side.outside} messages outside the common range")
-    return reasons
+    count = int(beyond.sum()) + not_finite
+    return ValueDifference(joint, field, unit, maximum, at_ns, rms, tolerance, count, not_finite)
 
 
 def _incomparable(topic: str, reason: str) -> TopicComparison:
@@ -400,8 +350,7 @@ def _span(series: JointSeries) -> str:
     return f"{len(stamps)} from {stamps.min() / NANOSECONDS:.9f} to {stamps.max() / NANOSECONDS:.9f} s"
 
 
-@dataclass(frozen=True, eq=False)
-class Alignment:
+class Alignment(NamedTuple):
     """Pairs of rows with equal stamps, in their order; `range_ns` is the stamps' common range, if any."""
 
     rows_a: NDArray[np.intp]
@@ -412,87 +361,64 @@ class Alignment:
     b: Side
 
 
-@dataclass(frozen=True, eq=False)
-class _Keyed:
-    """The rows of a series that are no repetitions, by stamp, numbered among those with the same stamp."""
-
-    rows: NDArray[np.intp]
-    stamp: Int64Array
-    occurrence: Int64Array
-    repeats: int
-
-
 def align(a: JointSeries, b: JointSeries) -> Alignment:
     """Pair the messages of two series by stamp.
 
     Several messages with one stamp: exact repetitions count once; different ones are paired in their order,
     the first with the first and so on.
     """
-    keyed_a, keyed_b = _key(a), _key(b)
-    rows_a, rows_b = _intersect(keyed_a, keyed_b)
+    (rows_a, keys_a), (rows_b, keys_b) = _keys(a), _keys(b)
+    stamps = keys_a["stamp"], keys_b["stamp"]
+    alone = not (keys_a["occurrence"].any() or keys_b["occurrence"].any())  # stamps alone are sorted faster
+    left, right = stamps if alone else (keys_a, keys_b)
+    _, matched_a, matched_b = np.intersect1d(left, right, assume_unique=True, return_indices=True)
     common = None
-    if len(keyed_a.stamp) and len(keyed_b.stamp):
-        low = max(int(keyed_a.stamp[0]), int(keyed_b.stamp[0]))
-        high = min(int(keyed_a.stamp[-1]), int(keyed_b.stamp[-1]))
+    if len(rows_a) and len(rows_b):
+        low, high = max(int(one[0]) for one in stamps), min(int(one[-1]) for one in stamps)
         common = (low, high) if low <= high else None
-    return Alignment(
-        keyed_a.rows[rows_a],
-        keyed_b.rows[rows_b],
-        keyed_a.stamp[rows_a],
-        common,
-        _side(keyed_a, rows_a, common),
-        _side(keyed_b, rows_b, common),
+    sides = (
+        _side(series, keys, matched, common)
+        for series, keys, matched in ((a, keys_a, matched_a), (b, keys_b, matched_b))
     )
+    return Alignment(rows_a[matched_a], rows_b[matched_b], stamps[0][matched_a], common, *sides)
 
 
-def _key(series: JointSeries) -> _Keyed:
+def _keys(series: JointSeries) -> tuple[NDArray[np.intp], NDArray[np.void]]:
+    """Return the rows that are no repetitions, by stamp, and their stamps and numbers among those with the same."""
     rows = np.argsort(series.stamp_ns, kind="stable")
     stamp = series.stamp_ns[rows]
-    occurrence = np.zeros(len(rows), dtype=np.int64)
+    keys = np.zeros(len(rows), dtype=_KEY)
+    keys["stamp"] = stamp
     keep = np.ones(len(rows), dtype=np.bool_)
-    again = np.flatnonzero(stamp[1:] == stamp[:-1]) + 1
     seen: dict[bytes, int] = {}
     last = -1
-    for i in again.tolist():
+    for i in (np.flatnonzero(stamp[1:] == stamp[:-1]) + 1).tolist():
         if i - 1 != last:  # a new group begins with the message before
             seen = {_content(series, int(rows[i - 1])): 0}
         last = i
         content = _content(series, int(rows[i]))
         keep[i] = content not in seen
-        occurrence[i] = seen.setdefault(content, len(seen))
-    return _Keyed(rows[keep], stamp[keep], occurrence[keep], int(len(rows) - keep.sum()))
+        keys["occurrence"][i] = seen.setdefault(content, len(seen))
+    return rows[keep], keys[keep]
 
 
 def _content(series: JointSeries, row: int) -> bytes:
     return b"".join(values[row].tobytes() for values in series.fields.values())
 
 
-def _intersect(a: _Keyed, b: _Keyed) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    keys_a: NDArray[Any] = a.stamp
-    keys_b: NDArray[Any] = b.stamp
-    if a.occurrence.any() or b.occurrence.any():
-        keys_a, keys_b = _pairs(a), _pairs(b)
-    _, rows_a, rows_b = np.intersect1d(keys_a, keys_b, assume_unique=True, return_indices=True)
-    return rows_a, rows_b
-
-
-def _pairs(keyed: _Keyed) -> NDArray[np.void]:
-    keys = np.zeros(len(keyed.stamp), dtype=_KEY)
-    keys["stamp"], keys["occurrence"] = keyed.stamp, keyed.occurrence
-    return keys
-
-
-def _side(keyed: _Keyed, matched: NDArray[np.intp], common: tuple[int, int] | None) -> Side:
-    inside = np.zeros(len(keyed.stamp), dtype=np.bool_)
+def _side(
+    series: JointSeries, keys: NDArray[np.void], matched: NDArray[np.intp], common: tuple[int, int] | None
+) -> Side:
+    stamp = keys["stamp"]
+    inside = np.zeros(len(keys), dtype=np.bool_)
     if common is not None:
-        inside = (keyed.stamp >= common[0]) & (keyed.stamp <= common[1])
+        inside = (stamp >= common[0]) & (stamp <= common[1])
     missing = inside.copy()
     missing[matched] = False
-    stamps = keyed.stamp[missing]
     return Side(
-        missing=len(stamps),
-        first_missing_ns=int(stamps[0]) if len(stamps) else None,
-        outside=int(len(inside) - inside.sum()),
-        repeats=keyed.repeats,
-        ambiguous=int((keyed.occurrence > 0).sum()),
+        missing=int(missing.sum()),
+        first_missing_ns=int(stamp[missing][0]) if missing.any() else None,
+        outside=int((~inside).sum()),
+        repeats=len(series.stamp_ns) - len(keys),
+        ambiguous=int((keys["occurrence"] > 0).sum()),
     )

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +24,20 @@ _BLOCK = 8192  # messages; a few MB at a time, whatever the bag's size
 _MAX_PATTERNS = 8  # of one topic; messages of further ones are deserialised one by one
 _MAX_SLACK = 15  # unused bytes that serialisers may leave at the end
 
-_Key = tuple[tuple[str, ...], tuple[bool, bool, bool]]
+
+class _Layout(NamedTuple):
+    """Which joints messages name, in their order, and which of FIELDS they carry."""
+
+    names: tuple[str, ...]
+    fields: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Decoded messages that have the same names in the same order and the same arrays."""
+class _Rows(NamedTuple):
+    """Decoded messages of one layout: places among those of the topic, stamps, values (n, fields, joints)."""
 
-    index: NDArray[np.intp]
+    place: NDArray[np.intp]
     stamp_ns: Int64Array
-    values: Array  # (n, number of arrays that are there, k)
+    values: Array
 
 
 class _MessagePattern:
@@ -44,21 +47,19 @@ class _MessagePattern:
     other bytes (names, counts, frame_id, also what lies in the padding) must equal the given message's.
     """
 
-    def __init__(self, sample: bytes, key: _Key, frame_id: str) -> None:
-        names, present = key
-        codec = JointStateCodec(names, frame_id)
-        low = np.zeros(len(names))
-        high = np.frombuffer(b"\x01" * 8 * len(names))
+    def __init__(self, sample: bytes, layout: _Layout, frame_id: str) -> None:
+        codec = JointStateCodec(layout.names, frame_id)
+        low, high = np.zeros(len(layout.names)), np.frombuffer(b"\x01" * 8 * len(layout.names))
         bytes_low, bytes_high = (
-            np.frombuffer(codec.encode(stamp_ns, *(row if there else None for there in present)), dtype=np.uint8)
+            np.frombuffer(
+                codec.encode(stamp_ns, *(row if field in layout.fields else None for field in FIELDS)), np.uint8
+            )
             for stamp_ns, row in ((0, low), (0x01010101 * (NANOSECONDS + 1), high))
         )
         variable = bytes_low != bytes_high
-        slack = len(sample) - len(variable)
-        if sample[:ENCAPSULATION] != LITTLE_ENDIAN or not 0 <= slack <= _MAX_SLACK:
+        if sample[:ENCAPSULATION] != LITTLE_ENDIAN or not 0 <= len(sample) - len(variable) <= _MAX_SLACK:
             raise ExchangeError("a pattern that the codec does not write")
-        self.key = key
-        self.length = len(sample)
+        self.layout, self.length = layout, len(sample)
         self._variable = np.flatnonzero(variable)[STAMP_BYTES:]
         self._constant = np.flatnonzero(~variable)
         self._expected = np.frombuffer(sample, dtype=np.uint8)[self._constant]
@@ -69,10 +70,9 @@ class _MessagePattern:
 
     def decode(self, block: NDArray[np.uint8], index: NDArray[np.intp]) -> _Rows:
         """Return the numbers of messages that have this pattern."""
-        names, present = self.key
         numbers = np.ascontiguousarray(block[:, self._variable]).view("<f8").astype(np.float64, copy=False)
-        values = numbers.reshape(len(block), sum(present), len(names))
-        return _Rows(index, cdr_stamps_ns(block), values)
+        shape = (len(block), len(self.layout.fields), len(self.layout.names))
+        return _Rows(index, cdr_stamps_ns(block), numbers.reshape(shape))
 
 
 class SeriesBuilder:
@@ -87,12 +87,11 @@ class SeriesBuilder:
 
     def __init__(self, topic: str, deserialize: Deserialize, *, cdr: bool, effort_unit: str = "") -> None:
         self._topic, self._effort_unit = topic, effort_unit
-        self._deserialize = deserialize
-        self._cdr = cdr
+        self._deserialize, self._cdr = deserialize, cdr
         self._pending: list[bytes] = []
         self._times: list[int] = []
         self._patterns: list[_MessagePattern] = []
-        self._rows: dict[_Key, list[_Rows]] = {}
+        self._rows: dict[_Layout, list[_Rows]] = {}
         self._decoded = 0
 
     def add(self, message: bytes, stamp_ns: int | None = None) -> None:
@@ -118,83 +117,64 @@ class SeriesBuilder:
             BagError: as `add`, or if an array is there in some messages of a set of joints and not in others.
         """
         self._decode_pending()
-        groups: dict[frozenset[str], list[_Key]] = {}
-        for key in sorted(self._rows, key=lambda key: min(rows.index[0] for rows in self._rows[key])):
-            groups.setdefault(frozenset(key[0]), []).append(key)
-        return [self._merge(keys) for keys in groups.values()]
+        groups: dict[frozenset[str], list[_Layout]] = {}
+        for layout in sorted(self._rows, key=lambda layout: min(rows.place[0] for rows in self._rows[layout])):
+            groups.setdefault(frozenset(layout.names), []).append(layout)
+        return [self._merge(layouts) for layouts in groups.values()]
 
-    def _merge(self, keys: list[_Key]) -> JointSeries:
-        names, present = keys[0]
-        for other in keys[1:]:
-            if other[1] != present:
+    def _merge(self, layouts: list[_Layout]) -> JointSeries:
+        names, fields = layouts[0]
+        for other in layouts[1:]:
+            if other.fields != fields:
                 start = min(int(rows.stamp_ns[0]) for rows in self._rows[other])
                 raise BagError(
-                    f"{self._topic}: carries {_arrays(present)} in some messages "
-                    f"and {_arrays(other[1])} in others (from t = {start / NANOSECONDS:.9f} s)"
+                    f"{self._topic}: carries {', '.join(fields) or 'no arrays'} in some messages "
+                    f"and {', '.join(other.fields) or 'no arrays'} in others (from t = {start / NANOSECONDS:.9f} s)"
                 )
-        parts = [(rows, [key[0].index(name) for name in names]) for key in keys for rows in self._rows[key]]
-        place = np.concatenate([rows.index for rows, _ in parts])
-        order_of_bag = np.argsort(place)
-        stamps = [rows.stamp_ns for rows, _ in parts]
-        stamp = np.array(self._times, dtype=np.int64)[place] if self._times else np.concatenate(stamps)
-        there = [field for field, carried in zip(FIELDS, present, strict=True) if carried]
-        fields = {  # one after the other: of a long bag all of them twice would be a lot of memory
-            field: np.concatenate([rows.values[:, column][:, order] for rows, order in parts])[order_of_bag]
-            for column, field in enumerate(there)
+        parts = [(rows, [one.names.index(name) for name in names]) for one in layouts for rows in self._rows[one]]
+        place = np.concatenate([rows.place for rows, _ in parts])
+        order = np.argsort(place)
+        stamp = np.concatenate([rows.stamp_ns for rows, _ in parts])
+        if self._times:
+            stamp = np.array(self._times, dtype=np.int64)[place]
+        arrays = {  # one after the other: of a long bag all of them twice would be a lot of memory
+            field: np.concatenate([rows.values[:, k][:, columns] for rows, columns in parts])[order]
+            for k, field in enumerate(fields)
         }
-        return JointSeries(self._topic, names, stamp[order_of_bag], **fields, effort_unit=self._effort_unit)
+        return JointSeries(self._topic, names, stamp[order], **arrays, effort_unit=self._effort_unit)
 
     def _decode_pending(self) -> None:
         messages, self._pending = self._pending, []
         start, self._decoded = self._decoded, self._decoded + len(messages)
-        index = np.arange(start, self._decoded)
         lengths = np.array([len(message) for message in messages])
         for length in np.unique(lengths):
-            chosen = np.flatnonzero(lengths == length)
-            self._decode_equally_long([messages[i] for i in chosen], index[chosen])
+            left = np.flatnonzero(lengths == length)
+            block = np.frombuffer(b"".join([messages[i] for i in left]), dtype=np.uint8).reshape(len(left), -1)
+            tried = 0
+            while len(left):
+                if tried == len(self._patterns):  # a new one may be learnt of this message
+                    self._decode_one(messages[left[0]], left[:1] + start)
+                    left, block = left[1:], block[1:]
+                    continue
+                pattern = self._patterns[tried]
+                tried += 1
+                if pattern.length == length and (fits := pattern.matches(block)).any():
+                    self._rows.setdefault(pattern.layout, []).append(pattern.decode(block[fits], left[fits] + start))
+                    left, block = left[~fits], block[~fits]
 
-    def _decode_equally_long(self, messages: Sequence[bytes], index: NDArray[np.intp]) -> None:
-        block = np.frombuffer(b"".join(messages), dtype=np.uint8).reshape(len(messages), -1)
-        left = np.ones(len(messages), dtype=np.bool_)
-        for pattern in self._patterns:
-            self._decode_with(pattern, block, index, left)
-        while left.any():
-            first = int(np.flatnonzero(left)[0])
-            new_pattern = self._decode_one(messages[first], index[first : first + 1])
-            left[first] = False
-            if new_pattern is not None:
-                self._decode_with(new_pattern, block, index, left)
-
-    def _decode_with(
-        self, pattern: _MessagePattern, block: NDArray[np.uint8], index: NDArray[np.intp], left: NDArray[np.bool_]
-    ) -> None:
-        if pattern.length != block.shape[1]:
-            return
-        rows = np.flatnonzero(left)
-        rows = rows[pattern.matches(block[rows])]
-        if len(rows):
-            self._rows.setdefault(pattern.key, []).append(pattern.decode(block[rows], index[rows]))
-            left[rows] = False
-
-    def _decode_one(self, raw: bytes, index: NDArray[np.intp]) -> _MessagePattern | None:
-        """Decode a message by the general path; return its pattern if it is new and worth keeping."""
+    def _decode_one(self, raw: bytes, index: NDArray[np.intp]) -> None:
+        """Decode a message by the general path; keep its pattern if that is worth keeping."""
         message = self._deserialize_with_slack(raw)
         names = tuple(message.name)
         arrays = [np.asarray(getattr(message, field), dtype=np.float64) for field in FIELDS]
         stamp_ns = message_time_ns(message.header.stamp)
         self._check(names, arrays, stamp_ns)
-        position, velocity, effort = (len(array) > 0 for array in arrays)
-        key = (names, (position, velocity, effort))
+        layout = _Layout(names, tuple(field for field, array in zip(FIELDS, arrays, strict=True) if len(array)))
         values = np.array([array for array in arrays if len(array)]).reshape(1, -1, len(names))
-        self._rows.setdefault(key, []).append(_Rows(index, np.array([stamp_ns], dtype=np.int64), values))
-        if not self._cdr or len(self._patterns) >= _MAX_PATTERNS:
-            return None
-        try:
-            pattern = _MessagePattern(raw, key, message.header.frame_id)
-        except ExchangeError:
-            return None
-        self._patterns.append(pattern)
-        return pattern
+        self._rows.setdefault(layout, []).append(_Rows(index, np.array([stamp_ns], dtype=np.int64), values))
+        if self._cdr and len(self._patterns) < _MAX_PATTERNS:
+            with suppress(ExchangeError):
+                self._patterns.append(_MessagePattern(raw, layout, message.header.frame_id))
 
     def _deserialize_with_slack(self, raw: bytes) -> Any:
         """Deserialize a message that may end in unused bytes, of which rosbags tolerates 3."""
@@ -215,10 +195,6 @@ class SeriesBuilder:
                 raise BagError(f"{where}: {len(array)} numbers in {field} for {len(names)} joints")
 
 
-def _arrays(present: tuple[bool, bool, bool]) -> str:
-    return ", ".join(field for field, there in zip(FIELDS, present, strict=True) if there) or "no arrays"
-
-
 class TemperatureBuilder:
     """Collects the messages of one Temperature topic; its series has a row for each moment, a column for each name.
 
@@ -230,7 +206,7 @@ class TemperatureBuilder:
         deserialize: by rosbags; gives an object with the message's fields.
     """
 
-    def __init__(self, topic: str, deserialize: Callable[[bytes], Any]) -> None:
+    def __init__(self, topic: str, deserialize: Deserialize) -> None:
         self._topic, self._deserialize = topic, deserialize
         self._names: dict[str, None] = {}  # in the order of their first messages
         self._stamps: list[int] = []
@@ -260,6 +236,6 @@ class TemperatureBuilder:
         """Return the series; none without messages."""
         if not self._rows:
             return []
-        values = [[row.get(name, math.nan) for name in self._names] for row in self._rows]
+        values = np.array([[row.get(name, math.nan) for name in self._names] for row in self._rows], dtype=np.float64)
         stamps = np.array(self._stamps, dtype=np.int64)
-        return [JointSeries(self._topic, tuple(self._names), stamps, temperature=np.array(values, dtype=np.float64))]
+        return [JointSeries(self._topic, tuple(self._names), stamps, temperature=values)]

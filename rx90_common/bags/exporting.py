@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import csv
 import math
-import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -19,17 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.reading import picked_with_messages, read_joint_bag
-from rx90_common.bags.storage import BagReader
-from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import BagError, write_error
+from rx90_common.bags.mapping import exported_mapping
+from rx90_common.bags.reading import BagReader, Progress, read_joint_bag, silent
+from rx90_common.bags.writing import named_at_the_end
+from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.process.files import hidden_beside
 
-TIME: Final = "time [s]"
-STAMP: Final = "stamp [ns]"
-
+_TIME, _STAMP = "time [s]", "stamp [ns]"
 _ROWS_AT_ONCE = 8192  # of a CSV file
 _OTHERS = (".mat", ".xls", ".xlsx", ".txt", ".tsv", ".json", ".gz", ".zip", ".h5", ".feather")  # no folder's name
 _ONE_TOPIC = (".csv", ".parquet")
@@ -52,12 +47,7 @@ class ExportedBag:
 
 
 def export_bag(
-    path: Path,
-    output: Path,
-    *,
-    topics: Sequence[str] | None = None,
-    kind: str = ".csv",
-    progress: Callable[[int, int], None] = lambda _done, _total: None,
+    path: Path, output: Path, *, topics: Sequence[str] | None = None, kind: str = ".csv", progress: Progress = silent
 ) -> ExportedBag:
     """Write JointState and Temperature topics of a bag as tables. An interrupted export leaves no files.
 
@@ -70,7 +60,7 @@ def export_bag(
 
     Raises:
         BagError: if the bag cannot be read, has no such topic, or a topic that no table can hold.
-        Rx90Error: if the files cannot be written.
+        BagWriteError: if the disk is full.
     """
     single = output.suffix.lower() in FORMATS
     if single:
@@ -78,7 +68,7 @@ def export_bag(
     elif output.suffix.lower() in _OTHERS:
         raise BagError(f"{plain(output)}: the suffix says the format; accepted: {listed(FORMATS)}, or none")
     with BagReader(path) as bag:
-        chosen = picked_with_messages(bag, topics)
+        chosen = bag.series_topics(topics)
         left_out = tuple(topic.name for topic in bag.topics if topics is None and topic not in chosen)
     counts = {topic.name: topic.count for topic in chosen}
     if single and kind in _ONE_TOPIC and len(chosen) > 1:
@@ -91,94 +81,25 @@ def export_bag(
         done += count
         progress(done, 2 * total)
 
-    with named_when_done(output, single=single) as folder:
-        found = read_joint_bag(path, counts, lambda count, _: progress(count, 2 * total)).series
-        tables = [_table_of(path, found[name]) for name in counts]
+    with named_at_the_end(output) as folder:
+        read = read_joint_bag(path, counts, lambda count, _: progress(count, 2 * total))
+        remedy = "accepted for a table: the same in all messages; leave the topic out with --topic"
+        tables = {one.topic: one for one in (read.one(topic, remedy=remedy) for topic in counts)}
         if single:
-            FORMATS[kind](folder / output.name, tables, written)
+            FORMATS[kind](folder / output.name, list(tables.values()), written)
+            files = sorted(output.parent / file.name for file in folder.iterdir())
         else:
-            for series in tables:
-                FORMATS[kind](folder / f"{series.topic.removeprefix('/').replace('/', '.')}{kind}", [series], written)
-        names = sorted(file.name for file in folder.iterdir())
-    place = output.parent if single else output
-    return ExportedBag(tuple(place / name for name in names), tuple(counts.items()), left_out)
+            (folder / output.name).mkdir()
+            for topic, series in tables.items():
+                name = f"{topic.removeprefix('/').replace('/', '.')}{kind}"
+                FORMATS[kind](folder / output.name / name, [series], written)
+            files = sorted(output / file.name for file in (folder / output.name).iterdir())
+    return ExportedBag(tuple(files), tuple(counts.items()), left_out)
 
 
-def _table_of(path: Path, found: Sequence[JointSeries]) -> JointSeries:
-    if len(found) > 1:
-        sets = "; ".join(", ".join(map(plain, one.names)) for one in found)
-        raise BagError(
-            f"{plain(path)}: {plain(found[0].topic)} carries several sets of joints: {sets}; accepted for a table: the "
-            "same in all messages; leave the topic out with --topic"
-        )
-    return found[0]
-
-
-@contextmanager
-def named_when_done(output: Path, *, single: bool) -> Iterator[Path]:
-    """Yield a new folder beside the output; at the end it gets the output's name, or its files go where that stands."""
-    try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        with hidden_beside(output) as hidden:
-            folder = hidden / "files"
-            folder.mkdir()
-            yield folder
-            if not single:
-                folder.rename(output)
-            else:
-                for file in folder.iterdir():
-                    _give_free_name(file, output.parent / file.name)
-    except OSError as error:
-        if os.path.lexists(output):  # somebody else was faster
-            raise BagError(f"{plain(output)} exists already, not overwriting.") from error
-        raise write_error(output, error) from error
-
-
-def _give_free_name(file: Path, name: Path) -> None:
-    """Give a file a name that nothing has; a rename would replace what another process has written meanwhile."""
-    try:
-        os.link(file, name)
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without hard links
-        if name.exists():
-            raise
-        file.rename(name)
-
-
-def columns(series: JointSeries) -> list[tuple[str, str, str]]:
+def _columns(series: JointSeries) -> list[tuple[str, str, str]]:
     """Return joint, field and name of each column, such as `joint_1 position [rad]`, in the order of a message."""
     return [(joint, field, f"{joint} {series.quantities[field]}") for field in series.fields for joint in series.names]
-
-
-def array_name(topic: str, quantity: str) -> str:
-    """Return the name of an array: letters, digits and _, such as `joint_states_velocity_rad_s`.
-
-    Args:
-        topic: with or without the leading slash.
-        quantity: with its unit, such as `velocity [rad/s]`, or any other word.
-    """
-    words = f"{topic.removeprefix('/')} {quantity}".replace("^", "")
-    name = re.sub(r"[^A-Za-z0-9]+", "_", words).strip("_")
-    return name if name[:1].isalpha() else f"topic_{name}"
-
-
-def mapping_text(series: JointSeries) -> str:
-    """Return the mapping file by which the CSV file of a series becomes a bag again."""
-    content: dict[str, Any] = {"names": list(series.names)}
-    count = len(series.names)
-    for k, field in enumerate(series.fields):
-        first = 2 + k * count
-        content[field] = {"columns": list(range(first, first + count)), "unit": series.units[field]}
-    document = {
-        "exact": True,
-        "delimiter": ",",
-        "decimal": ".",
-        "header": 1,
-        "time": {"column": 1, "unit": "s"},
-        "topics": {series.topic: content},
-    }
-    return yaml_text(document)
 
 
 def _write_csv(path: Path, tables: Sequence[JointSeries], written: Callable[[int], None]) -> None:
@@ -187,10 +108,10 @@ def _write_csv(path: Path, tables: Sequence[JointSeries], written: Callable[[int
     Beside it goes a mapping file, by which `rx90_bag import` makes the bag again.
     """
     (series,) = tables
-    path.with_suffix(".yaml").write_text(mapping_text(series), encoding="utf-8")
+    path.with_suffix(".yaml").write_text(exported_mapping(series), encoding="utf-8")
     with path.open("w", encoding="utf-8", newline="") as file:
-        names = [plain(name) for _, _, name in columns(series)]  # in one line, whatever a joint is called
-        csv.writer(file, lineterminator="\n").writerow([TIME, *names])
+        names = [plain(name) for _, _, name in _columns(series)]  # in one line, whatever a joint is called
+        csv.writer(file, lineterminator="\n").writerow([_TIME, *names])
         for begin in range(0, len(series.stamp_ns), _ROWS_AT_ONCE):
             block = series.take(slice(begin, begin + _ROWS_AT_ONCE))
             values = np.concatenate(list(block.fields.values()), axis=1)
@@ -212,14 +133,13 @@ def _write_parquet(path: Path, tables: Sequence[JointSeries], written: Callable[
     import pyarrow.parquet as pq
 
     (series,) = tables
-    fields = [pa.field(STAMP, pa.int64(), False, {"unit": "ns"}), pa.field(TIME, pa.float64(), False, {"unit": "s"})]
+    fields = [pa.field(_STAMP, pa.int64(), False, {"unit": "ns"}), pa.field(_TIME, pa.float64(), False, {"unit": "s"})]
     arrays = [series.stamp_ns, series.time]
-    for joint, field, name in columns(series):
+    for joint, field, name in _columns(series):
         about = {"unit": series.units[field], "joint": joint, "field": field}
         fields.append(pa.field(name, pa.float64(), False, about))
         arrays.append(np.ascontiguousarray(series.fields[field][:, series.names.index(joint)]))
-    schema = pa.schema(fields, {"topic": series.topic})
-    table = pa.Table.from_arrays([pa.array(one) for one in arrays], schema=schema)
+    table = pa.Table.from_arrays([pa.array(one) for one in arrays], schema=pa.schema(fields, {"topic": series.topic}))
     pq.write_table(table, path, write_page_checksum=True)
     written(series.messages)
 
@@ -228,10 +148,13 @@ def _write_npz(path: Path, tables: Sequence[JointSeries], written: Callable[[int
     """Write arrays named by topic, quantity and unit, (n,) or (n, joints), and the names of the joints."""
     arrays: dict[str, NDArray[Any]] = {}
     for series in tables:
-        held: dict[str, NDArray[Any]] = {STAMP: series.stamp_ns, TIME: series.time}
+        held: dict[str, NDArray[Any]] = {_STAMP: series.stamp_ns, _TIME: series.time}
         held |= {series.quantities[field]: values for field, values in series.fields.items()}
         for quantity, values in (held | {"names": np.array(series.names)}).items():
-            name = array_name(series.topic, quantity)
+            # Letters, digits and _ alone, such as joint_states_velocity_rad_s.
+            words = f"{series.topic.removeprefix('/')} {quantity}".replace("^", "")
+            name = re.sub(r"[^A-Za-z0-9]+", "_", words).strip("_")
+            name = name if name[:1].isalpha() else f"topic_{name}"
             if len(name) > _LONGEST_NAME:
                 raise BagError(
                     f"array {name} has {len(name)} characters; accepted: up to {_LONGEST_NAME}, by a shorter topic"

@@ -29,8 +29,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
+from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import SERIES_FIELDS, quantities
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import load_yaml, yaml_text
 from rx90_common.base.entries import LEFT_OUT, Integer, ListOf, Number, Other, Switch, Text, Texts
 from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.groups import Entries, Group
@@ -174,13 +175,35 @@ class FieldMapping:
         file: number of the log, from 1 on.
         columns: of each joint.
         unit: of the log's numbers, a key of UNITS.
-        factor: that turns the log's numbers of each joint into SI units.
+        factor: turns the log's numbers of each joint into SI units.
     """
 
     file: int
     columns: tuple[Column, ...]
     unit: str
     factor: tuple[float, ...]
+
+    @classmethod
+    def of(cls, section: Section, name: str, content: dict[str, Any], count: int) -> FieldMapping:
+        """Return that of a field for `count` joints, as a section of a mapping file has it."""
+        columns, unit = content["columns"], content["unit"]
+        if len(columns) != count:
+            section.refuse("columns", list(columns), f"a list of {count}, one for each name")
+
+        def each(key: str) -> tuple[float, ...]:
+            single = not isinstance(section.content.get(key), list)
+            values = (section.number(key),) * count if single else section.numbers(key, count)
+            if 0.0 in values:
+                section.refuse(key, 0.0, "numbers other than 0")
+            return values
+
+        factor = each("factor") if "factor" in section else (1.0,) * count
+        in_counts = unit.startswith(COUNTS)
+        if not in_counts and "counts_per_turn" in section:
+            section.fault("counts_per_turn", f" stands beside unit: {unit}; accepted: beside counts or counts/s")
+        turn = each("counts_per_turn") if in_counts else (1.0,) * count
+        scale = UNITS[name][unit]
+        return cls(content["file"], columns, unit, tuple(scale * f / c for f, c in zip(factor, turn, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -194,6 +217,19 @@ class TopicMapping:
 
     names: tuple[str, ...]
     fields: Mapping[str, FieldMapping]
+
+    @classmethod
+    def of(cls, section: Section, content: dict[str, Any]) -> TopicMapping:
+        """Return that of a topic, as a section of a mapping file has it."""
+        names = content["names"]
+        if any("\0" in name for name in names):
+            section.refuse("names", list(names), "texts without NUL")
+        given = [name for name in SERIES_FIELDS if name in content]
+        if "temperature" in given and len(given) > 1:
+            section.fault("temperature", " stands beside others; accepted: temperatures in a topic of their own")
+        return cls(
+            names, {name: FieldMapping.of(section.section(name), name, content[name], len(names)) for name in given}
+        )
 
     def effort_unit(self, topic: str) -> str:
         """Return the unit of the efforts in the bag where it is not the one that the topic's name says."""
@@ -246,18 +282,22 @@ class LogMapping:
         """
         root = load_yaml(path)
         content = MAPPING.read(root)
+        topics = {}
+        for name, topic in content.get("topics", {}).items():
+            topics[name] = TopicMapping.of(root.section("topics").section(name), topic)
+        if any(name in content for name in _COLUMNS[1:]):
+            if UNNAMED in {name.removeprefix("/") for name in topics}:
+                root.fault("topics", f" has {UNNAMED}, too, which stands twice; accepted: once")
+            topics[UNNAMED] = TopicMapping.of(root, content)
         time = content.get("time")
         mapping = cls(
-            file=path,
-            topics=_topics(root, content),
-            time=None if time is None else (time["file"], time["column"]),
-            seconds=Fraction(1) if time is None else SECONDS[time["unit"]],
-            rate=content.get("rate"),
-            delimiter=content.get("delimiter"),
-            decimal=content.get("decimal"),
-            header=content.get("header"),
-            exact=content["exact"],
-            messages={key: content[key] for key in MESSAGE_KEYS if key in root},
+            path,
+            topics,
+            None if time is None else (time["file"], time["column"]),
+            Fraction(1) if time is None else SECONDS[time["unit"]],
+            *(content.get(key) for key in ("rate", "delimiter", "decimal", "header")),
+            content["exact"],
+            {key: content[key] for key in MESSAGE_KEYS if key in root},
         )
         if mapping.exact and (mapping.delimiter != "," or mapping.header is None or time is None or mapping.files > 1):
             raise ConfigError(
@@ -269,55 +309,6 @@ class LogMapping:
                 "accepted: two different ones"
             )
         return mapping
-
-
-def _topics(root: Section, content: dict[str, Any]) -> dict[str, TopicMapping]:
-    topics = {}
-    if "topics" in content:
-        section = root.section("topics")
-        topics = {name: _topic(section.section(name), topic) for name, topic in content["topics"].items()}
-    if any(name in content for name in _COLUMNS[1:]):
-        if UNNAMED in {name.removeprefix("/") for name in topics}:
-            root.fault("topics", f" has {UNNAMED}, too, which stands twice; accepted: once")
-        topics[UNNAMED] = _topic(root, content)
-    return topics
-
-
-def _topic(section: Section, content: dict[str, Any]) -> TopicMapping:
-    names = content["names"]
-    if any("\0" in name for name in names):
-        section.refuse("names", list(names), "texts without NUL")
-    fields: dict[str, FieldMapping] = {
-        name: _field(section.section(name), name, content[name], len(names))
-        for name in SERIES_FIELDS
-        if name in content
-    }
-    if "temperature" in fields and len(fields) > 1:
-        section.fault("temperature", " stands beside others; accepted: temperatures in a topic of their own")
-    return TopicMapping(names, fields)
-
-
-def _field(section: Section, name: str, content: dict[str, Any], count: int) -> FieldMapping:
-    columns, unit = content["columns"], content["unit"]
-    if len(columns) != count:
-        section.refuse("columns", list(columns), f"a list of {count}, one for each name")
-    factor = _each(section, "factor", count) if "factor" in section else (1.0,) * count
-    counted = unit.startswith(COUNTS)
-    if not counted and "counts_per_turn" in section:
-        section.fault("counts_per_turn", f" stands beside unit: {unit}; accepted: beside counts or counts/s")
-    turn = _each(section, "counts_per_turn", count) if counted else (1.0,) * count
-    scale = UNITS[name][unit]
-    return FieldMapping(content["file"], columns, unit, tuple(scale * f / c for f, c in zip(factor, turn, strict=True)))
-
-
-def _each(section: Section, key: str, count: int) -> tuple[float, ...]:
-    """Return a number other than 0 for each joint; a single one is that of all."""
-    values = (
-        section.numbers(key, count) if isinstance(section.content.get(key), list) else (section.number(key),) * count
-    )
-    if 0.0 in values:
-        section.refuse(key, 0.0, "numbers other than 0")
-    return values
 
 
 def is_table(path: Path) -> bool:
@@ -342,3 +333,20 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
     if not found.topics:
         raise BagError(f"{plain(found.file)}: names no columns of {plain(path)}; accepted: such as position")
     return found
+
+
+def exported_mapping(series: JointSeries) -> str:
+    """Return the mapping file by which the CSV file of a series, as it is exported, becomes a bag again."""
+    content: dict[str, Any] = {"names": list(series.names)}
+    count = len(series.names)
+    for k, name in enumerate(series.fields):
+        content[name] = {"columns": list(range(2 + k * count, 2 + (k + 1) * count)), "unit": series.units[name]}
+    document = {
+        "exact": True,
+        "delimiter": ",",
+        "decimal": ".",
+        "header": 1,
+        "time": {"column": 1, "unit": "s"},
+        "topics": {series.topic: content},
+    }
+    return yaml_text(document)

@@ -50,10 +50,6 @@ class Dated(NamedTuple):
     topic: Int64Array
     messages: MessageBatch
 
-    def take(self, rows: Int64Array) -> Dated:
-        """Return these messages."""
-        return Dated(self.log_ns[rows], self.topic[rows], self.messages.take(rows))
-
 
 class Arrived(NamedTuple):
     """n messages of a topic in the order of arrival.
@@ -214,10 +210,12 @@ class LogOrder:
         held = Dated(np.concatenate(log_ns), np.concatenate(topic), MessageBatch.join(messages))
         order = np.lexsort((held.topic, held.log_ns))  # stable: the rest is in order of arrival
         end = len(order) if last is None else int(np.searchsorted(held.log_ns[order], last, side="right"))
-        released, rest = held.take(order[:end]), held.take(order[end:])
-        self._held = [rest] if len(rest.log_ns) else []
-        self.held_bytes -= released.messages.total
-        return released if end else None
+        released, rest = order[:end], order[end:]
+        # A copy, or what is released stays in memory with the rest.
+        kept = Dated(held.log_ns[rest], held.topic[rest], held.messages.take(rest).copy())
+        self._held = [kept] if len(rest) else []
+        self.held_bytes = kept.messages.total
+        return Dated(held.log_ns[released], held.topic[released], held.messages.take(released)) if end else None
 
     def _hold(self, arrived: Arrived, log_ns: Int64Array) -> None:
         topics = np.full(len(log_ns), arrived.topic, dtype=np.int64)

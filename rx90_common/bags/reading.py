@@ -1,4 +1,4 @@
-"""Read recorded joint states and temperatures as arrays; needs no ROS.
+"""Read bags and tables: their messages, and recorded joint states and temperatures as arrays; needs no ROS.
 
 series = read_bag("bag")["joint_states"]
 series.stamp_ns, series.names, series.position  # (n,), k names, (n, k)
@@ -6,26 +6,264 @@ series.stamp_ns, series.names, series.position  # (n,), k names, (n, k)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
+import heapq
+import re
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from operator import itemgetter
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from rosbags.typesys import Stores, get_typestore
 
 from rx90_common.bags.decoding import SeriesBuilder, TemperatureBuilder
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.mapping import LogMapping
-from rx90_common.bags.storage import BagReader, BagTopic
-from rx90_common.bags.topics import absolute
-from rx90_common.base.errors import BagError
+from rx90_common.bags.mapping import LogMapping, is_table
+from rx90_common.bags.storage_files import ACCEPTED, BagTopic, DamagedError, StorageFile, full_type, open_storage
+from rx90_common.bags.topics import EFFORT_UNIT, absolute
+from rx90_common.base.config import load_yaml
+from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.quoting import listed, plain
 
-__all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_series", "read_joint_states"]
+__all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_states"]
 
+Progress = Callable[[int, int], None]
+"""Called with how much is done, and of how much."""
+FILE = "metadata.yaml"
+_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_PART = re.compile(r"(.+)_([0-9]+)(\..+)", re.DOTALL)  # of a recording that was split: NAME_0.mcap, NAME_1.mcap, ...
+_MAX_MESSAGES = 1 << 62
 _STEP = 8192  # messages between two reports of progress
+_typestore = cache(get_typestore)
 
 
-def _silent(_done: int, _total: int) -> None:
+def silent(_done: int, _total: int) -> None:
     """Report nothing."""
+
+
+class BagReader:
+    """A bag that is open for reading: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a log in columns.
+
+    Use it as a context manager. Each storage file is held against its own index, counts and checksums, and all of them
+    against metadata.yaml where there is one; a folder without is read as its files are. What it says of quality of
+    service is not looked at, nor are the definitions of types that come with a bag.
+
+    Args:
+        path: the folder or file.
+        mapping: what the columns of a log hold, where that is not in the file beside it.
+
+    Attributes:
+        path: as given.
+        files: the storage files.
+        notes: lines for the user about what was read otherwise than the bag says.
+        effort_units: of topics whose efforts are not in the unit that their names say, by its metadata.
+
+    Raises:
+        BagError: if the bag is missing, foreign, damaged, or its metadata disagree with what it holds.
+    """
+
+    def __init__(self, path: Path | str, mapping: LogMapping | None = None) -> None:
+        self.path = Path(path)
+        self._mapping = mapping
+        if not self.path.exists():
+            raise BagError(f"{plain(path)}: no such bag")
+        self.files: list[Path] = []
+        self.notes: list[str] = []
+        self.effort_units: dict[str, str] = {}
+        self._storages: list[StorageFile] = []
+        self._stack = ExitStack()
+
+    def __enter__(self) -> BagReader:
+        if is_table(self.path):
+            from rx90_common.bags.logs import TableFile  # pyarrow takes a while
+
+            table = TableFile(self.path, self._mapping)
+            self.files, self._storages, self.effort_units = [self.path], [table], table.effort_units
+            return self
+        with ExitStack() as stack:
+            counts = self._find_files()
+            self._storages = [self._open(file, stack) for file in self.files]
+            if counts is not None:
+                self._check_counts(counts)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._storages = []
+        self._stack.close()
+
+    @property
+    def storage(self) -> str:
+        """Return the kind of its files: mcap, db3 or bag."""
+        return ", ".join(sorted({storage.kind for storage in self._storages}))
+
+    @property
+    def compression(self) -> str:
+        """Return what is compressed in it, such as `zstd chunks`; known when it has been read."""
+        return ", ".join(sorted({storage.compression for storage in self._storages} - {""}))
+
+    @property
+    def topics(self) -> list[BagTopic]:
+        """Return the bag's topics by name; one that holds two types or two encodings stands twice."""
+        counts: Counter[tuple[str, str, str]] = Counter()
+        for topic in (topic for storage in self._storages for topic in storage.topics.values()):
+            counts[topic.identity] += topic.count
+        return [BagTopic(name, kind, count, encoding) for (name, kind, encoding), count in sorted(counts.items())]
+
+    def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
+        """Yield (topic, log time in ns, serialised message) in the order of log time.
+
+        Raises:
+            BagError: if the bag is damaged.
+        """
+        wanted = {topic.identity: topic for topic in topics}
+        parts = [self._messages(file, one, wanted) for file, one in zip(self.files, self._storages, strict=True)]
+        yield from parts[0] if len(parts) == 1 else heapq.merge(*parts, key=itemgetter(1))
+
+    def deserialize(self, topic: BagTopic, data: bytes) -> Any:
+        """Return the message as rosbags builds it.
+
+        Raises:
+            BagError: if the type is none of ROS's common interfaces, or the bytes are no message of it.
+        """
+        store = _typestore(Stores.ROS1_NOETIC if topic.is_ros1 else Stores.ROS2_JAZZY)
+        if topic.msgtype not in store.fielddefs or not topic.is_known:
+            raise BagError(f"{plain(self.path)}: {plain(topic.name)} is {topic.description}, which is not known here")
+        try:
+            return (store.deserialize_ros1 if topic.is_ros1 else store.deserialize_cdr)(data, topic.msgtype)
+        except Exception as error:  # rosbags has no error of its own for bytes that do not fit
+            raise BagError(
+                f"{plain(self.path)}: damaged: a message of {plain(topic.name)} is no {plain(topic.msgtype)} "
+                f"({type(error).__name__})"
+            ) from error
+
+    def series_builder(self, topic: BagTopic) -> SeriesBuilder | TemperatureBuilder:
+        """Return what makes series of the messages of a topic that holds them."""
+        deserialize = partial(self.deserialize, topic)
+        if topic.is_joint_state:
+            unit = self.effort_units.get(topic.name, "")
+            return SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit)
+        return TemperatureBuilder(topic.name, deserialize)
+
+    def series_topics(self, topics: Sequence[str] | None = None) -> list[BagTopic]:
+        """Return the topics with these names, or all that hold series with messages.
+
+        Raises:
+            BagError: if one is not there as JointState or Temperature, or has no messages; or if there are none.
+        """
+        if topics is None:
+            chosen = [topic for topic in self.topics if topic.holds_series and topic.count]
+            if not chosen:
+                there = listed(topic.name for topic in self.topics) or "nothing"
+                raise BagError(f"{plain(self.path)}: holds no joint states or temperatures, only {there}")
+            return chosen
+        chosen = _picked(self.path, self.topics, topics)
+        for topic in chosen:
+            if not topic.count:
+                raise BagError(f"{plain(self.path)}: no messages in {plain(topic.name)}")
+        return chosen
+
+    def _find_files(self) -> Counter[tuple[str, str]] | None:
+        """Find the storage files; return the messages of each topic and type by the metadata if there are any."""
+        if not self.path.is_dir():
+            if self.path.is_fifo() or self.path.is_socket():  # to open it would wait for a writer
+                raise BagError(f"{plain(self.path)}: no file that can be read twice; accepted: {ACCEPTED}")
+            self.files = [self.path]
+            return None
+        if (self.path / FILE).exists():
+            counts = self._read_metadata()
+            missing = [file.name for file in self.files if not file.is_file()]
+            if missing:
+                raise BagError(f"{plain(self.path)}: {plain(missing[0])} is missing, which {FILE} names")
+            if self.files:
+                return counts
+        there = sorted(file for file in self.path.iterdir() if file.name.endswith(_SUFFIXES))
+        if not there:
+            raise BagError(
+                f"{plain(self.path)}: not a bag, or an emptied one: no .mcap or .db3 file in it; accepted: {ACCEPTED}"
+            )
+        parts = sorted((int(part[2]), part[1], part[3], file) for file in there if (part := _PART.fullmatch(file.name)))
+        if len(there) > 1:
+            numbers = [number for number, *_ in parts]
+            same = len(parts) == len(there) and len({part[1:3] for part in parts}) == 1
+            if not same or numbers != list(range(numbers[0], numbers[0] + len(there))):
+                raise BagError(
+                    f"{plain(self.path)}: {FILE} is missing, and {listed(file.name for file in there)} are not the "
+                    "parts of one recording; accepted: NAME_0.mcap, NAME_1.mcap and so on without a gap, or each file "
+                    "by its path"
+                )
+            there = [file for *_, file in parts]
+        self.files = there
+        self.notes.append(f"{FILE} is missing; read as they are: {plain(', '.join(file.name for file in self.files))}")
+        return None
+
+    def _read_metadata(self) -> Counter[tuple[str, str]]:
+        """Find files and units of efforts in metadata.yaml; return the messages of each topic and type."""
+        try:
+            root = load_yaml(self.path / FILE, "the metadata of a rosbag2 folder").section(
+                "rosbag2_bagfile_information"
+            )
+            counts: Counter[tuple[str, str]] = Counter()
+            for topic in root.sections("topics_with_message_count"):
+                about = topic.section("topic_metadata")
+                count = topic.integer("message_count", 0, _MAX_MESSAGES)
+                counts[about.text("name"), full_type(about.text("type"))] += count
+            self.files = [self.path / PurePosixPath(file).name for file in root.texts("relative_file_paths")]
+            total = root.integer("message_count", 0, _MAX_MESSAGES)
+        except ConfigError as error:
+            raise BagError(f"{plain(self.path)}: {str(error).removeprefix(f'{plain(self.path)}/')}") from error
+        custom = root.content.get("custom_data")
+        for key, value in custom.items() if isinstance(custom, dict) else ():
+            if str(key).startswith(EFFORT_UNIT):
+                self.effort_units[str(key).removeprefix(EFFORT_UNIT)] = plain(value)
+        if self.files and total != counts.total():
+            raise self._disagreement(f"{total} messages in all, its topics add up to {counts.total()}")
+        return counts
+
+    def _check_counts(self, counts: Counter[tuple[str, str]]) -> None:
+        """Compare the metadata with what the storage files hold."""
+        held: Counter[tuple[str, str]] = Counter()
+        for one in self.topics:
+            held[one.name, one.msgtype] += one.count
+        for key in sorted(counts.keys() | held.keys()):
+            if counts[key] != held[key]:
+                topic, msgtype = map(plain, key)
+                what = f"{counts[key]} messages of {topic} ({msgtype}), the storage holds {held[key]}"
+                raise self._disagreement(what)
+
+    def _disagreement(self, what: str) -> BagError:
+        remedy = "'ros2 bag reindex' writes it anew, and each storage file can be read by its own path"
+        return BagError(f"{plain(self.path)}: {FILE} says {what}; {remedy}")
+
+    def _open(self, file: Path, stack: ExitStack) -> StorageFile:
+        try:
+            return open_storage(file, stack)
+        except (DamagedError, BagError) as error:
+            raise self._refusal(file, error) from error
+        except OSError as error:
+            raise BagError(f"{plain(file)}: cannot be read ({error.strerror})") from error
+
+    def _messages(
+        self, file: Path, storage: StorageFile, wanted: dict[tuple[str, str, str], BagTopic]
+    ) -> Iterator[tuple[BagTopic, int, bytes]]:
+        topics = {key: topic for key, one in storage.topics.items() if (topic := wanted.get(one.identity))}
+        read = 0
+        try:
+            for key, log_ns, data in storage.messages(topics):
+                read += 1
+                yield topics[key], log_ns, data
+            expected = sum(storage.topics[key].count for key in topics)
+            if read != expected:
+                raise DamagedError(f"{expected:,} messages should be there, {read:,} can be read")
+        except DamagedError as error:
+            raise self._refusal(file, error) from error
+
+    def _refusal(self, file: Path, error: Exception) -> BagError:
+        what = "is damaged: " if isinstance(error, DamagedError) else ""
+        return BagError(f"{plain(self.path)}: {plain(file.name)} {what}{error}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +273,8 @@ class JointBag:
     Attributes:
         path: of the bag.
         topics: all topics that it holds.
-        series: by absolute topic name, as `read_joint_series` gives them.
+        series: by absolute topic name one for each set of joints that the topic carries, in the order of their first
+            messages; none of a topic without messages.
         notes: lines for the user about what was read otherwise than the bag says.
     """
 
@@ -57,6 +296,80 @@ class JointBag:
                 f"{plain(self.path)}: holds no JointState or Temperature message, so it has no start to be aligned"
             )
         return min(stamps)
+
+    def one(self, topic: str, names: Sequence[str] | None = None, remedy: str = "say which joints") -> JointSeries:
+        """Return the series of a topic that has these joints, in this order; by default its only one.
+
+        Raises:
+            BagError: if there is none; or several sets of joints, without names, with the remedy.
+        """
+        found = self.series[topic]
+        where = f"{plain(self.path)}: {plain(topic)}"
+        if not found:
+            raise BagError(f"{plain(self.path)}: no messages in {plain(topic)}")
+        if names is not None:
+            fitting = [series for series in found if set(names) <= set(series.names)]
+            try:
+                return (fitting or found)[0].select(names)
+            except BagError as error:
+                raise BagError(f"{plain(self.path)}: {error}") from error
+        if len(found) > 1:
+            sets = "; ".join(", ".join(map(plain, series.names)) for series in found)
+            raise BagError(f"{where} carries several sets of joints: {sets}; {remedy}")
+        return found[0]
+
+    def moved(self, shift_ns: int) -> JointBag:
+        """Return the same with stamps that much later, ns."""
+        later = {
+            topic: [replace(one, stamp_ns=one.stamp_ns + shift_ns) for one in found]
+            for topic, found in (self.series if shift_ns else {}).items()
+        }
+        return replace(self, series=later or self.series)
+
+
+def read_joint_bag(
+    path: Path | str,
+    topics: Collection[str] | None = None,
+    progress: Progress = silent,
+    mapping: LogMapping | None = None,
+    *,
+    record_time: bool = False,
+    all_there: bool = False,
+) -> JointBag:
+    """Read JointState and Temperature topics of a bag in one pass, with a list of all it holds.
+
+    Args:
+        path: as `read_joint_states`.
+        topics: topic names; by default all JointState and Temperature topics of the bag.
+        progress: called with the numbers of messages that are read and that there are.
+        mapping: as `read_joint_states`.
+        record_time: as `read_joint_states`.
+        all_there: whether topics that are not there are refused.
+
+    Raises:
+        BagError: if the bag cannot be read.
+    """
+    with BagReader(path, mapping) as bag:
+        held = bag.topics
+        names = None if topics is None else {*map(absolute, topics)}
+        wanted = [topic for topic in held if topic.holds_series and (names is None or topic.name in names)]
+        if topics is not None and all_there:
+            wanted = _picked(bag.path, held, topics)
+        builders = {topic: bag.series_builder(topic) for topic in wanted}
+        by_identity = {id(topic): builder for topic, builder in builders.items()}  # to hash a topic takes 0.5 us
+        total = sum(topic.count for topic in wanted)
+        try:
+            for number, (topic, log_ns, data) in enumerate(bag.messages(wanted), 1):
+                by_identity[id(topic)].add(data, log_ns if record_time else None)
+                if number % _STEP == 0:
+                    progress(number, total)
+            if total > _STEP:
+                progress(total, total)
+            series = {topic.name: builder.build() for topic, builder in builders.items()}
+        except BagError as error:
+            text, where = str(error), plain(bag.path)
+            raise error if text.startswith(where) else BagError(f"{where}: {text}") from error
+        return JointBag(bag.path, held, series, bag.notes)
 
 
 def read_joint_states(
@@ -80,16 +393,8 @@ def read_joint_states(
         BagError: if the bag cannot be read, has no such JointState topic, no messages in it, or no such
             joint; or if the topic carries several sets of joints and `names` does not pick from one of them.
     """
-    found = read_joint_series(path, [topic], record_time=record_time, mapping=mapping)[absolute(topic)]
-    if not found:
-        raise BagError(f"{path}: no messages in {absolute(topic)}")
-    if names is not None:
-        fitting = [series for series in found if set(names) <= set(series.names)]
-        try:
-            return (fitting or found)[0].select(names)
-        except BagError as error:
-            raise BagError(f"{path}: {error}") from error
-    return _single(path, found)
+    bag = read_joint_bag(path, [topic], mapping=mapping, record_time=record_time, all_there=True)
+    return bag.one(absolute(topic), names)
 
 
 def read_bag(
@@ -109,100 +414,12 @@ def read_bag(
         BagError: if the bag cannot be read, or a topic is not there as JointState or Temperature, has no messages, or
             carries several sets of joints (`read_joint_states` picks from these).
     """
-    found = read_joint_series(path, topics, record_time=record_time)
-    for topic, series in found.items():
-        if topics is not None and not series:
-            raise BagError(f"{path}: no messages in {topic}")
-    return {topic.removeprefix("/"): _single(path, series) for topic, series in found.items() if series}
+    bag = read_joint_bag(path, topics, record_time=record_time, all_there=True)
+    wanted = [topic for topic, series in bag.series.items() if series or topics is not None]
+    return {topic.removeprefix("/"): bag.one(topic) for topic in wanted}
 
 
-def _single(path: Path | str, found: Sequence[JointSeries]) -> JointSeries:
-    if len(found) > 1:
-        sets = "; ".join(", ".join(series.names) for series in found)
-        raise BagError(f"{path}: {found[0].topic} carries several sets of joints: {sets}; say which joints")
-    return found[0]
-
-
-def read_joint_series(
-    path: Path | str,
-    topics: Sequence[str] | None = None,
-    *,
-    record_time: bool = False,
-    mapping: LogMapping | None = None,
-) -> dict[str, list[JointSeries]]:
-    """Read JointState and Temperature topics of a bag in one pass.
-
-    Args:
-        path: as `read_joint_states`.
-        topics: topic names; by default all JointState and Temperature topics of the bag.
-        record_time: as `read_joint_states`.
-        mapping: as `read_joint_states`.
-
-    Returns:
-        By absolute topic name one series for each set of joints that the topic carries, in the order of their
-        first messages; an empty list for a topic without messages.
-
-    Raises:
-        BagError: if the bag cannot be read or a topic is not there as JointState or Temperature.
-    """
-    with BagReader(path, mapping) as bag:
-        wanted = [topic for topic in bag.topics if topic.holds_series]
-        if topics is not None:
-            wanted = picked(Path(path), bag.topics, topics)
-        return _read(bag, wanted, record_time)
-
-
-def read_joint_bag(
-    path: Path | str,
-    topics: Collection[str] | None = None,
-    progress: Callable[[int, int], None] = _silent,
-    mapping: LogMapping | None = None,
-) -> JointBag:
-    """Read those of the topics that a bag holds, with a list of all it holds.
-
-    Args:
-        path: as `read_joint_states`.
-        topics: absolute topic names; by default all JointState and Temperature topics of the bag.
-        progress: called with the numbers of messages that are read and that there are.
-        mapping: as `read_joint_states`.
-
-    Raises:
-        BagError: if the bag cannot be read.
-    """
-    with BagReader(path, mapping) as bag:
-        wanted = [topic for topic in bag.topics if topic.holds_series and (topics is None or topic.name in topics)]
-        series = _read(bag, wanted, record_time=False, progress=progress)
-        return JointBag(Path(path), bag.topics, series, bag.notes)
-
-
-def _read(
-    bag: BagReader, topics: Sequence[BagTopic], record_time: bool, progress: Callable[[int, int], None] = _silent
-) -> dict[str, list[JointSeries]]:
-    builders = {topic: _series_builder(bag, topic) for topic in topics}
-    by_identity = {id(topic): builder for topic, builder in builders.items()}  # to hash a topic takes 0.5 us
-    total = sum(topic.count for topic in topics)
-    try:
-        for number, (topic, log_ns, data) in enumerate(bag.messages(topics), 1):
-            by_identity[id(topic)].add(data, log_ns if record_time else None)
-            if number % _STEP == 0:
-                progress(number, total)
-        if total > _STEP:
-            progress(total, total)
-        return {topic.name: builder.build() for topic, builder in builders.items()}
-    except BagError as error:
-        text, path = str(error), plain(bag.path)
-        raise error if text.startswith(path) else BagError(f"{path}: {text}") from error
-
-
-def _series_builder(bag: BagReader, topic: BagTopic) -> SeriesBuilder | TemperatureBuilder:
-    deserialize = partial(bag.deserialize, topic)
-    if topic.is_joint_state:
-        unit = bag.effort_units.get(topic.name, "")
-        return SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit)
-    return TemperatureBuilder(topic.name, deserialize)
-
-
-def series_topics(topics: Iterable[BagTopic]) -> str:
+def series_topics_text(topics: Iterable[BagTopic]) -> str:
     """Return the names of those topics that hold series, by type, for a message."""
     series = {topic.name: topic.is_joint_state for topic in topics if topic.holds_series}
     joints, others = ([name for name in sorted(series) if series[name] is kind] for kind in (True, False))
@@ -210,36 +427,13 @@ def series_topics(topics: Iterable[BagTopic]) -> str:
     return f"JointState topics: {listed(joints) or 'none'}{temperatures}"
 
 
-def picked(path: Path, there: Sequence[BagTopic], topics: Sequence[str]) -> list[BagTopic]:
-    """Return those of a bag's topics that are wanted.
-
-    Raises:
-        BagError: if one is not there as JointState or Temperature, with those that are.
-    """
+def _picked(path: Path, there: Sequence[BagTopic], topics: Collection[str]) -> list[BagTopic]:
+    """Return those of a bag's topics that are wanted, all of which must be there as JointState or Temperature."""
     by_name = {topic.name: topic for topic in there if topic.holds_series}
     wanted = dict.fromkeys(map(absolute, topics))
     for name in wanted:
         if name not in by_name:
             others = [topic.description for topic in there if topic.name == name]
             what = f"{plain(name)} is {others[0]}" if others else f"no topic {plain(name)}"
-            raise BagError(f"{plain(path)}: {what}; {series_topics(there)}")
+            raise BagError(f"{plain(path)}: {what}; {series_topics_text(there)}")
     return [by_name[name] for name in wanted]
-
-
-def picked_with_messages(bag: BagReader, topics: Sequence[str] | None) -> list[BagTopic]:
-    """Return those of a bag's topics that are wanted, or all JointState and Temperature topics with messages.
-
-    Raises:
-        BagError: if one is not there as JointState or Temperature, or has no messages; or if there are none.
-    """
-    if topics is None:
-        chosen = [topic for topic in bag.topics if topic.holds_series and topic.count]
-        if not chosen:
-            there = listed(topic.name for topic in bag.topics) or "nothing"
-            raise BagError(f"{plain(bag.path)}: holds no joint states or temperatures, only {there}")
-        return chosen
-    chosen = picked(bag.path, bag.topics, topics)
-    for topic in chosen:
-        if not topic.count:
-            raise BagError(f"{plain(bag.path)}: no messages in {plain(topic.name)}")
-    return chosen

@@ -6,16 +6,15 @@ import hashlib
 import json
 import re
 from collections import Counter
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
 
-from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import is_table
-from rx90_common.bags.storage import BagReader, BagTopic
+from rx90_common.bags.reading import BagReader
 from rx90_common.bags.topics import JOINT_TRAJECTORY, POINT_FIELDS, STRING, tells_changes
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain, quoted
@@ -35,7 +34,7 @@ _VALUES = (
 
 
 def robot_of(path: Path | str) -> str | None:
-    """Return the name in the first description of a robot in a bag; None if there is no description, or no name in it.
+    """Return the name in the first description of a robot in a bag; None if it has none.
 
     Raises:
         BagError: if the bag cannot be read.
@@ -117,25 +116,23 @@ class TrajectoryCount:
     """
 
     def __init__(self) -> None:
-        self._came: dict[str, Counter[bytes]] = {}
-        self._accepted: dict[str, Counter[bytes]] = {}
+        self._came: Counter[tuple[str, bytes]] = Counter()  # by controller and digest
+        self._accepted: Counter[tuple[str, bytes]] = Counter()
 
     def add(self, topic: str, message: Any) -> None:
         """Count a JointTrajectory of any topic."""
         controller, _, name = topic.rpartition("/")
         if name == COMMANDED_TRAJECTORY:
-            self._came.setdefault(controller, Counter())[_digest(message)] += 1
+            self._came[controller, _digest(message)] += 1
         elif name == TRAJECTORY_ACCEPTED and message.header.frame_id != OF_ACTION:
-            self._accepted.setdefault(controller, Counter())[_digest(message)] += 1
+            self._accepted[controller, _digest(message)] += 1
 
     def missing(self, topics: Collection[str]) -> dict[str, int]:
         """Return how many trajectories did not come, by the topic that they were sent on, of those that are given."""
-        none = Counter[bytes]()
-        counts = {
-            f"{controller}/{COMMANDED_TRAJECTORY}": (accepted - self._came.get(controller, none)).total()
-            for controller, accepted in self._accepted.items()
-        }
-        return {topic: count for topic, count in counts.items() if count and topic in topics}
+        counts: Counter[str] = Counter()
+        for (controller, _), count in (self._accepted - self._came).items():
+            counts[f"{controller}/{COMMANDED_TRAJECTORY}"] += count
+        return {topic: count for topic, count in counts.items() if topic in topics}
 
 
 def _digest(message: Any) -> bytes:
@@ -172,24 +169,19 @@ def read_trajectories(path: Path | str) -> list[RecordedTrajectory]:
         BagError: if the bag cannot be read, has no such topic, or two controllers' ones.
     """
     with BagReader(path) as bag:
-        topic = _trajectory_topic(path, bag.topics)
-        found = [bag.deserialize(topic, data) for _, _, data in bag.messages([topic])]
+        kind = [topic for topic in bag.topics if topic.msgtype == JOINT_TRAJECTORY]
+        fitting = [topic for topic in kind if topic.name.rpartition("/")[2] == TRAJECTORY_ACCEPTED]
+        if len(fitting) > 1:
+            what = f"has the trajectories of several controllers, {listed(sorted(topic.name for topic in fitting))}"
+            raise BagError(f"{plain(path)}: {what}; accepted: those of one")
+        if not fitting or not fitting[0].count:
+            raise BagError(
+                f"{plain(path)}: no trajectory in it; accepted: a bag with rx90_controller/{TRAJECTORY_ACCEPTED}, "
+                "which rx90_bag record and rx90_run write"
+            )
+        found = [bag.deserialize(topic, data) for topic, _, data in bag.messages(fitting)]
     trajectories = [RecordedTrajectory(message_time_ns(m.header.stamp), m) for m in found]
     return sorted(trajectories, key=lambda one: one.start_ns)
-
-
-def _trajectory_topic(path: Path | str, topics: Sequence[BagTopic]) -> BagTopic:
-    kind = [topic for topic in topics if topic.msgtype == JOINT_TRAJECTORY]
-    fitting = [topic for topic in kind if topic.name.rpartition("/")[2] == TRAJECTORY_ACCEPTED]
-    if len(fitting) > 1:
-        names = listed(sorted(topic.name for topic in fitting))
-        raise BagError(f"{plain(path)}: has the trajectories of several controllers, {names}; accepted: those of one")
-    if not fitting or not fitting[0].count:
-        raise BagError(
-            f"{plain(path)}: no trajectory in it; accepted: a bag with rx90_controller/{TRAJECTORY_ACCEPTED}, which "
-            "rx90_bag record and rx90_run write"
-        )
-    return fitting[0]
 
 
 class Begins(Protocol):
@@ -215,10 +207,3 @@ def time_shift(align: int | str, first: Begins, second: Begins) -> int:
     if align == TRAJECTORY:
         return read_trajectories(first.path)[-1].start_ns - read_trajectories(second.path)[-1].start_ns
     return first.begin_ns - second.begin_ns
-
-
-def moved(series: dict[str, list[JointSeries]], shift_ns: int) -> dict[str, list[JointSeries]]:
-    """Return the series with stamps that much later, ns."""
-    if not shift_ns:
-        return series
-    return {topic: [replace(one, stamp_ns=one.stamp_ns + shift_ns) for one in found] for topic, found in series.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
 from rx90_common.bags.ordering import OTHER_CLOCK_NS
+from rx90_common.bags.reading import BagReader, BagTopic
 from rx90_common.bags.recorded import ParameterChange, TrajectoryCount, changes_of
-from rx90_common.bags.storage import BagReader, BagTopic
 from rx90_common.bags.topics import JOINT_TRAJECTORY, tells_changes
 from rx90_common.bags.writing import typestore
 from rx90_common.base.errors import BagError
@@ -107,33 +107,29 @@ def summarise(path: Path | str) -> BagSummary:
         other_clock: Counter[BagTopic] = Counter()
         stamped = {topic for topic in topics if _is_stamped(topic)}
         for topic, log_ns, data in bag.messages(topics):
-            times[topic].append(_joint_state_stamp(bag, topic, data) if topic.is_joint_state else log_ns)
-            if topic in stamped and (stamp := cdr_stamp_ns(data)) > 0 and abs(stamp - log_ns) >= OTHER_CLOCK_NS:
+            stamp = cdr_stamp_ns(data) if topic in stamped else 0
+            if topic.is_joint_state:
+                own = message_time_ns(bag.deserialize(topic, data).header.stamp) if topic.is_ros1 else max(0, stamp)
+                times[topic].append(own)
+            else:
+                times[topic].append(log_ns)
+            if stamp > 0 and abs(stamp - log_ns) >= OTHER_CLOCK_NS:
                 other_clock[topic] += 1
             if topic.msgtype == JOINT_TRAJECTORY and topic.encoding == "cdr":
                 trajectories.add(topic.name, bag.deserialize(topic, data))
             if tells_changes(topic.name, topic.msgtype):
                 changes += changes_of(bag.deserialize(topic, data))
         files = [bag.path] if bag.path.is_file() else [f for f in bag.path.iterdir() if f.is_file()]
+        size = sum(file.stat().st_size for file in files)
+        units = bag.effort_units
         summaries = tuple(
-            replace(
-                _summarise(topic, np.array(times[topic], dtype=np.int64)),
-                effort_unit=bag.effort_units.get(topic.name, ""),
-                other_clock=other_clock[topic],
-            )
+            _summarise(topic, np.array(times[topic], dtype=np.int64), units.get(topic.name, ""), other_clock[topic])
             for topic in topics
         )
         for name, count in trajectories.missing([topic.name for topic in topics]).items():
             what = f"{plain(name)} lacks {count} of the trajectories that the controller accepted"
             bag.notes.append(f"{what}: sent before the recording, or lost")
-        size = sum(file.stat().st_size for file in files)
         return BagSummary(bag.path, bag.storage, bag.compression, size, summaries, tuple(changes), tuple(bag.notes))
-
-
-def _joint_state_stamp(bag: BagReader, topic: BagTopic, data: bytes) -> int:
-    if not topic.is_ros1:
-        return max(0, cdr_stamp_ns(data))
-    return message_time_ns(bag.deserialize(topic, data).header.stamp)
 
 
 def _is_stamped(topic: BagTopic) -> bool:
@@ -143,17 +139,18 @@ def _is_stamped(topic: BagTopic) -> bool:
     return topic.encoding == "cdr" and bool(fields) and fields[0][1] == (Nodetype.NAME, "std_msgs/msg/Header")
 
 
-def _summarise(topic: BagTopic, times: NDArray[np.int64]) -> TopicSummary:
+def _summarise(topic: BagTopic, times: NDArray[np.int64], effort_unit: str, other_clock: int) -> TopicSummary:
     steps = np.diff(times)
     forward = steps[steps > 0]
-    first, last = (int(times.min()), int(times.max())) if len(times) else (None, None)
-    rate = None
-    if first is not None and last is not None and last > first:
-        rate = (len(np.unique(times)) - 1) / ((last - first) / NANOSECONDS)
+    first, last, rate, longest = None, None, None, None
+    if len(times):
+        first, last = int(times.min()), int(times.max())
+        rate = (len(np.unique(times)) - 1) / ((last - first) / NANOSECONDS) if last > first else None
     gaps = np.zeros(0, dtype=np.intp)
     if len(forward) >= _ENOUGH_FOR_GAPS:
         gaps = np.flatnonzero(steps > _GAP * float(np.median(forward)))
-    longest = int(gaps[np.argmax(steps[gaps])]) if len(gaps) else None
+    if len(gaps):
+        longest = int(gaps[np.argmax(steps[gaps])])
     return TopicSummary(
         topic=topic.name,
         msgtype=topic.msgtype,
@@ -168,6 +165,6 @@ def _summarise(topic: BagTopic, times: NDArray[np.int64]) -> TopicSummary:
         longest_gap_at_ns=None if longest is None else int(times[longest]),
         backward=int((steps < 0).sum()),
         repeated=int((steps == 0).sum()),
-        effort_unit="",
-        other_clock=0,
+        effort_unit=effort_unit,
+        other_clock=other_clock,
     )

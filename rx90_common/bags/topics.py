@@ -29,6 +29,8 @@ SERIES_FIELDS: Final = (*FIELDS, "temperature")
 """Those of a series, which a JointState topic or a Temperature topic becomes."""
 POINT_FIELDS: Final = ("positions", "velocities", "accelerations", "effort")
 """The arrays of a JointTrajectoryPoint, in the order of the message."""
+EFFORT_UNIT: Final = "rx90_emulator effort unit of "
+"""Begins the key in rosbag2's custom_data that says in which unit the efforts of a topic are."""
 USUAL_UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm", "temperature": "°C"}
 
 SUITE_TOPICS: Final = (

@@ -26,17 +26,10 @@ from rosbags.rosbag2 import StoragePlugin, WriterError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from rx90_common.bags.batch import Int64Array, MessageBatch, encoded, series_encoder
-from rx90_common.bags.bulk_storage import BulkMcapWriter, BulkSqlite3Writer, BulkWriter
+from rx90_common.bags.batch import Int64Array, MessageBatch, series_encoder
+from rx90_common.bags.bulk_storage import BulkWriter
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.storage import EFFORT_UNIT
-from rx90_common.bags.topics import (
-    JOINT_TRAJECTORY,
-    PARAMETER_EVENT,
-    POINT_FIELDS,
-    STRING,
-    absolute,
-)
+from rx90_common.bags.topics import EFFORT_UNIT, JOINT_TRAJECTORY, PARAMETER_EVENT, POINT_FIELDS, STRING, absolute
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_bag_name
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
@@ -182,10 +175,13 @@ class BagWriter:
         begin = 0
         self._begun = self._begun or len(messages) > 0
         while begin < len(messages):
-            end = self._next_stop(begin, log_ns, messages)
+            # Up to where the disk is to be looked at, or a checkpoint to be made.
+            full = np.cumsum(messages.size[begin:]) + self._unchecked_bytes > _BYTES_PER_SPACE_CHECK
+            due = log_ns[begin:] >= self._checkpoint_ns + _CHECKPOINT_NS
+            stops = full | due
+            end = begin + int(np.argmax(stops)) + 1 if stops.any() else len(messages)
             rows = slice(begin, end)
-            batch = MessageBatch(messages.data, messages.start[rows], messages.size[rows])
-            last = int(log_ns[end - 1])
+            batch, last = messages.take(rows), int(log_ns[end - 1])
             with self._failures():
                 self._writer.write_many(number[rows], log_ns[rows], batch)
                 self._unchecked_bytes += batch.total
@@ -193,18 +189,8 @@ class BagWriter:
                     self._check_space(last)
                 if last >= self._checkpoint_ns + _CHECKPOINT_NS:
                     self._checkpoint_ns = last
-                    self._checkpoint()
+                    self._writer.checkpoint()
             begin = end
-
-    def _next_stop(self, begin: int, log_ns: Int64Array, messages: MessageBatch) -> int:
-        """Return behind which message, from `begin` on, the disk is to be looked at or a checkpoint to be made."""
-        end = len(messages)
-        full = np.cumsum(messages.size[begin:]) + self._unchecked_bytes > _BYTES_PER_SPACE_CHECK
-        due = log_ns[begin:] >= self._checkpoint_ns + _CHECKPOINT_NS
-        for stop in (full, due):
-            if stop.any():
-                end = min(end, begin + int(np.argmax(stop)) + 1)
-        return end
 
     def close(self) -> None:
         """Write index and metadata. A second call does nothing.
@@ -215,12 +201,13 @@ class BagWriter:
         if self._closed:
             return
         self._closed = True
-        try:
-            self._writer.close()
-        except (WriterError, OSError, sqlite3.Error) as error:
-            with suppress(OSError, sqlite3.Error):
-                self._writer.abort()
-            raise _explained(error, self._named, opened=self._opened, stays=self._stays) from error
+        with self._failures():
+            try:
+                self._writer.close()
+            except (WriterError, OSError, sqlite3.Error):
+                with suppress(OSError, sqlite3.Error):
+                    self._writer.abort()
+                raise
 
     def _check_space(self, log_ns: int) -> None:
         self._unchecked_bytes = 0
@@ -232,32 +219,19 @@ class BagWriter:
                 f"{'; what was written is whole' * self._stays}"
             )
 
-    def _checkpoint(self) -> None:
-        """Hand what is pending to the system, so that it outlives this process."""
-        storage = self._writer.storage
-        if isinstance(storage, BulkMcapWriter):
-            if storage.pending:
-                storage.close_chunk()
-            storage.bio.flush()
-        elif isinstance(storage, BulkSqlite3Writer):
-            storage.conn.commit()
-
     @contextmanager
     def _failures(self) -> Iterator[None]:
         try:
             yield
-        except (WriterError, OSError, sqlite3.Error) as error:
-            raise _explained(error, self._named, opened=self._opened, stays=self._stays) from error
-
-
-def _explained(error: Exception, named: Path, *, opened: bool, stays: bool) -> BagError:
-    if isinstance(error, WriterError):
-        return BagError(plain(error, 1000))
-    reason = error.strerror if isinstance(error, OSError) else str(error)
-    # What is refused before anything is written is the user's to mend: another folder, another name.
-    failed = opened or getattr(error, "errno", None) in DISK_ERRORS
-    half = "; what was written before stays, and rx90_bag info says how much of it is whole" if opened and stays else ""
-    return (BagWriteError if failed else BagError)(f"{plain(named)}: cannot be written ({reason}){half}")
+        except WriterError as error:
+            raise BagError(plain(error, 1000)) from error
+        except (OSError, sqlite3.Error) as error:
+            reason = error.strerror if isinstance(error, OSError) else str(error)
+            # What is refused before anything is written is the user's to mend: another folder, another name.
+            failed = self._opened or getattr(error, "errno", None) in DISK_ERRORS
+            half = "; what was written before stays, and rx90_bag info says how much of it is whole"
+            text = f"{plain(self._named)}: cannot be written ({reason}){half * (self._opened and self._stays)}"
+            raise (BagWriteError if failed else BagError)(text) from error
 
 
 @dataclass(frozen=True)
@@ -324,30 +298,44 @@ def trajectory_message(topic: str, start_ns: int, content: dict[str, Any]) -> Ra
 
 @contextmanager
 def named_at_the_end(path: Path) -> Iterator[Path]:
-    """Yield where to write a bag, which the storage file is named after, and give it its name when that is done.
+    """Yield a new folder in which to make a file or folder of this name, and what goes beside it; then these get there.
 
     Raises:
-        BagError: if something has that name, it is too long, or its place does not take a folder.
+        BagError: if something has that name, or its place does not take it.
         BagWriteError: if the disk is full.
     """
     if os.path.lexists(path):
         raise BagError(f"{plain(path)} exists already, not overwriting.")
-    check_bag_name(path)
     made = [folder for folder in path.parents if not folder.exists()]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with hidden_beside(path) as folder:
-            yield folder / path.name
-            (folder / path.name).rename(path)
+            yield folder
+            for one in folder.iterdir():
+                _give_free_name(one, path.parent / one.name)
     except OSError as error:
         if os.path.lexists(path):  # somebody else was faster
             raise BagError(f"{plain(path)} exists already, not overwriting.") from error
         kind = BagWriteError if error.errno in DISK_ERRORS else BagError
         raise kind(f"{plain(path)}: cannot be written ({error.strerror})") from error
     finally:
-        with suppress(OSError):  # those that hold the bag
+        with suppress(OSError):  # those that hold what was made
             for folder in made:
                 folder.rmdir()
+
+
+def _give_free_name(file: Path, name: Path) -> None:
+    """Give a file or folder a name that nothing has; a file that another process has written meanwhile stays."""
+    if not file.is_dir():
+        try:
+            os.link(file, name)
+            return
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without hard links
+            if name.exists():
+                raise
+    file.rename(name)
 
 
 def write_joint_states(
@@ -376,37 +364,32 @@ def write_joint_states(
         BagWriteError: if it cannot be written on.
         ExchangeError: if a joint name or a stamp cannot stand in a message.
     """
-    topics = [absolute(one.topic) for one in series]
+    path, topics = Path(path), [absolute(one.topic) for one in series]
     if len(set(topics)) != len(topics):
         raise BagError(f"{path}: topics {', '.join(topics)}; accepted: each topic once")
-    with named_at_the_end(Path(path)) as beside, BagWriter(beside, storage, named=Path(path)) as bag:
-        connections = [
-            bag.add_topic(topic, one.msgtype, [offered_qos()]) for topic, one in zip(topics, series, strict=True)
-        ]
+    check_bag_name(path)
+    with named_at_the_end(path) as folder, BagWriter(folder / path.name, storage, named=path) as bag:
+        numbers = [bag.add_topic(one.topic, one.msgtype, [offered_qos()]).id for one in series]
         for one in series:
             bag.say_unit(one.topic, one.effort_unit)
-        others = _add_others(bag, messages)
-        parts = [series_encoder(one) for one in series]
-        stamps = [part.stamp_ns for part in parts]
-        log_ns = np.concatenate([*stamps, np.array([m.log_ns for m in messages], dtype=np.int64)])
-        counts = [len(stamp) for stamp in stamps] + [1] * len(messages)
-        source = np.repeat(np.arange(len(counts)), counts)
-        row = np.concatenate([np.arange(count) for count in counts]) if counts else np.zeros(0, dtype=np.int64)
-        numbers = np.array(
-            [*(each.id for each in connections), *(others[message.topic].id for message in messages)], dtype=np.int64
-        )
-        encoders = [part.encode for part in parts]
-        encoders += [MessageBatch.of([message.cdr]).take for message in messages]
+        others: dict[str, int] = {}
+        for message in messages:
+            if message.topic not in others:
+                qos = offered_qos(transient_local=message.transient_local)
+                others[message.topic] = bag.add_topic(message.topic, message.msgtype, [qos]).id
+        # A source for each series, and one for the other messages.
+        stamps, encoders = map(list, zip(*map(series_encoder, series), strict=True)) if series else ([], [])
+        stamps.append(np.array([message.log_ns for message in messages], dtype=np.int64))
+        encoders.append(MessageBatch.of([message.cdr for message in messages]).take)
+        log_ns, counts = np.concatenate(stamps), [len(stamp) for stamp in stamps]
+        source, row = np.repeat(np.arange(len(counts)), counts), np.concatenate([np.arange(count) for count in counts])
+        number = np.repeat([*numbers, 0], counts)
+        number[len(number) - len(messages) :] = [others[message.topic] for message in messages]
         order = np.argsort(log_ns, kind="stable")
         for begin in range(0, len(order), _MESSAGES_AT_ONCE):
             rows = order[begin : begin + _MESSAGES_AT_ONCE]
-            bag.write_many(numbers[source[rows]], log_ns[rows], encoded(encoders, source[rows], row[rows]))
-
-
-def _add_others(bag: BagWriter, messages: Sequence[RawMessage]) -> dict[str, Connection]:
-    connections: dict[str, Connection] = {}
-    for message in messages:
-        if message.topic not in connections:
-            qos = offered_qos(transient_local=message.transient_local)
-            connections[message.topic] = bag.add_topic(message.topic, message.msgtype, [qos])
-    return connections
+            grouped = np.argsort(source[rows], kind="stable")
+            ends = np.searchsorted(source[rows][grouped], np.arange(1, len(counts)))
+            parts = np.split(row[rows][grouped], ends)
+            batch = MessageBatch.join([encode(part) for encode, part in zip(encoders, parts, strict=True) if len(part)])
+            bag.write_many(number[rows], log_ns[rows], batch.take(np.argsort(grouped)))

@@ -46,15 +46,14 @@ def main(args: argparse.Namespace) -> None:
         Rx90Error: if it cannot be done.
     """
     # Here, because --help must not wait for them.
-    from rx90_common.bags.importing import exported_logs, import_logs
-    from rx90_common.bags.log_series import corrupt_text
+    from rx90_common.bags.logs import corrupt_text, exported_logs, import_logs
     from rx90_common.bags.mapping import LogMapping
     from rx90_emulator.cli.progress import progress_bar
 
     if len(args.logs) == 1 and args.logs[0].is_dir():
         if args.mapping is not None:
             raise ConfigError(f"--mapping {plain(args.mapping)}: a folder has its own; accepted: none of the two")
-        logs = [([log], mapping) for log, mapping in exported_logs(args.logs[0])]
+        logs = exported_logs(args.logs[0])
     else:
         logs = [(args.logs, LogMapping.load(_mapping_file(args)))]
     with progress_bar("import") as progress:
@@ -63,8 +62,10 @@ def main(args: argparse.Namespace) -> None:
         if not mapping.exact:
             print(one.text)
             continue
-        for topic, joints, messages in one.topics:
-            print(f"{plain(topic)}: {counted(joints, 'joint')}, {counted(messages, 'message')}")
+        for series in one.series:
+            print(
+                f"{plain(series.topic)}: {counted(len(series.names), 'joint')}, {counted(series.messages, 'message')}"
+            )
         if one.corrupt:
             print(f"{plain(one.paths[0])}: left out: {corrupt_text(one.corrupt)}")
     print(f"bag: {plain(args.bag)}")

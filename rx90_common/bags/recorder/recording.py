@@ -6,14 +6,13 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import rclpy
 from rclpy.context import Context
-from rosbags.interfaces import Connection
 from tqdm import tqdm
 
 from rx90_common.bags.ordering import Arrived, Dated, LogOrder, TimeSource
@@ -44,7 +43,11 @@ _MAX_END_S = 30.0  # busy machines take up to 10 s; callers that stop a recorder
 
 
 class MessageReader(threading.Thread):
-    """Reads what arrives, counts it, and keeps it until it is collected."""
+    """Reads what arrives, counts it, and keeps it until it is collected.
+
+    Attributes:
+        error: why nothing more will be read; what was read before is there to be collected.
+    """
 
     def __init__(self) -> None:
         super().__init__(name="message reader", daemon=True)
@@ -55,7 +58,7 @@ class MessageReader(threading.Thread):
         self._queue: list[Arrived] = []
         self._queued_bytes = 0
         self._round_so_far: list[Arrived] = []
-        self._error: Exception | None = None
+        self.error: Exception | None = None
 
     def add(self, stream: Stream) -> None:
         """Read the messages of this topic too."""
@@ -68,20 +71,15 @@ class MessageReader(threading.Thread):
             self._queued_bytes = 0
         return queue
 
-    @property
-    def has_failed(self) -> bool:
-        """Return whether nothing more will be read; `check` says why."""
-        return self._error is not None
-
     def check(self) -> None:
-        """Complain if not all could be read; what was read before is there to be collected.
+        """Complain if not all could be read.
 
         Raises:
             BagError: if the middleware refuses.
             BagWriteError: if the queue became too long for the memory it may use, or the thread did not end in time.
         """
-        if self._error is not None:
-            raise self._error
+        if self.error is not None:
+            raise self.error
 
     def finish(self) -> None:
         """Read what is still under way, then end the thread; give up if the middleware does not return from a call."""
@@ -91,16 +89,14 @@ class MessageReader(threading.Thread):
         self._end.set()
         self.join(_MAX_END_S)
         if self.is_alive():
+            calls = calls_of(self)
+            place = place_of(calls[-1]) if calls else "no call"
             with self._lock:
                 self._queue += self._round_so_far
-                self._error = BagWriteError(
-                    f"the message reader did not end within {_MAX_END_S:g} s (it is in {self._place()}); "
+                self.error = BagWriteError(
+                    f"the message reader did not end within {_MAX_END_S:g} s (it is in {place}); "
                     "the bag holds what it had read"
                 )
-
-    def _place(self) -> str:
-        calls = calls_of(self)
-        return place_of(calls[-1]) if calls else "no call"
 
     def run(self) -> None:
         """Read messages until `finish` is called."""
@@ -109,7 +105,7 @@ class MessageReader(threading.Thread):
                 self._round(self._streams)
             self._drain()
         except Exception as error:
-            self._error = error
+            self.error = error
 
     def _drain(self) -> None:
         """Read until each topic is quiet, or at a message that was sent after the end was asked for.
@@ -130,23 +126,19 @@ class MessageReader(threading.Thread):
                 stream.sent_ns > self._asked_ns or now >= at + _QUIET_S for stream, at in heard.items()
             )
 
-    def _round(self, streams: Iterable[Stream]) -> int:
+    def _round(self, streams: Iterable[Stream]) -> bool:
+        """Read what has come on each topic; return whether there was anything."""
         received: list[Arrived] = []
         self._round_so_far = received
         for stream in streams:
             count = 0
-            while count < _MAX_PER_ROUND:
-                arrived = stream.take()
-                if not len(arrived.messages):
-                    break
+            while count < _MAX_PER_ROUND and len((arrived := stream.take()).messages):
                 count += len(arrived.messages)
                 received.append(arrived)
-        if not received:
-            return 0
         with self._lock:
             self._round_so_far = []
-            if self.has_failed:  # given up: these messages are in the queue, or come too late for the bag
-                return 0
+            if self.error is not None:  # given up: these messages are in the queue, or come too late for the bag
+                return False
             self._queue += received
             self._queued_bytes += sum(each.messages.total for each in received)
             if self._queued_bytes > _QUEUE_BYTES:
@@ -154,7 +146,7 @@ class MessageReader(threading.Thread):
                     f"the disk is slower than the messages arrive: {self._queued_bytes >> 20} MiB are waiting; "
                     f"accepted: {_QUEUE_BYTES >> 20} MiB"
                 )
-        return sum(len(each.messages) for each in received)
+        return bool(received)
 
 
 @dataclass(frozen=True)
@@ -221,7 +213,7 @@ class Recorder:
         self._names = topics
         self._ros_args = ros_args
         self._status = status
-        self._connections: dict[int, Connection] = {}
+        self._numbers: dict[int, int] = {}  # of topics in the bag, by their places
         self._order = LogOrder()
         self._received = 0
         self._reported = 0  # set-backs of the stamps
@@ -248,7 +240,7 @@ class Recorder:
                 with make_writer() as writer:
                     self._record(streams, reader, writer, stop)
                 reader.check()
-                return _count(streams, self._order.other_clock)
+                return self._counts(streams)
             finally:
                 reader.finish()
                 if reader.is_alive():
@@ -263,40 +255,41 @@ class Recorder:
         start = last = time.monotonic()
         matched_at = math.inf
         ready = reported = False
-        while not (stop.is_set() or reader.has_failed):
+        while not (stop.is_set() or reader.error is not None):
             now = time.monotonic()
             last = self._note_stall(last)
             if math.isinf(matched_at) and streams.discover(reader.add):
                 matched_at = now
             if not ready and now > matched_at + _SETTLE_S:
                 ready = True
-                self._announce(streams, writer)
+                for stream in streams:
+                    stream.start()
+                if all(stream.time_source is not TimeSource.CLOCK for stream in streams):
+                    self._order.expect_no_clock()
+                self._status.say(f"{READY} {len(self._names)} topics are matched, recording to {writer.path}")
             if not reported and math.isinf(matched_at) and now > start + _ANNOUNCE_WAIT_S:
                 reported = True
                 self._status.say(f"waiting for {', '.join(streams.missing())}")
             self._order_all(reader)
             if ready or self._order.held_bytes > _MAX_HELD_BYTES:
                 self._write(streams, writer, self._order.release())
-            self._report_set_backs()
             self._status.show(self._received, self._order.newest_ns)
             stop.wait(_CYCLE_S)
         self._note_stall(last)
         reader.finish()
         self._order_all(reader)
-        self._connect(streams, writer)
         self._write(streams, writer, self._order.release_all())
-
-    def _announce(self, streams: Streams, writer: BagWriter) -> None:
-        for stream in streams:
-            stream.start()
-        if all(stream.time_source is not TimeSource.CLOCK for stream in streams):
-            self._order.expect_no_clock()
-        self._status.say(f"{READY} {len(self._names)} topics are matched, recording to {writer.path}")
 
     def _order_all(self, reader: MessageReader) -> None:
         arrived = reader.collect()
         self._received += sum(len(each.messages) for each in arrived)
         self._order.add(arrived)
+        for before, after in self._order.set_backs[self._reported :]:
+            self._reported += 1
+            self._status.say(
+                f"time goes back from {before / NANOSECONDS:.6g} s to {after / NANOSECONDS:.6g} s: "
+                "the bag holds more than one run, and its log time goes on"
+            )
 
     def _note_stall(self, last: float) -> float:
         """Note a long time since `last` on the steady clock; return the time now."""
@@ -305,45 +298,28 @@ class Recorder:
             self.stalls.append(now - last)
         return now
 
-    def _report_set_backs(self) -> None:
-        for before, after in self._order.set_backs[self._reported :]:
-            self._reported += 1
-            self._status.say(
-                f"time goes back from {before / NANOSECONDS:.6g} s to {after / NANOSECONDS:.6g} s: "
-                "the bag holds more than one run, and its log time goes on"
-            )
-
-    def _connect(self, streams: Streams, writer: BagWriter) -> None:
-        """Announce to the bag the topics found since the last call, in their order."""
-        for stream in streams:
-            if stream.index not in self._connections:
-                self._connections[stream.index] = writer.add_topic(
-                    stream.topic, stream.msgtype, [stream.qos], stream.definition
-                )
-
     def _write(self, streams: Streams, writer: BagWriter, dated: Dated | None) -> None:
-        if dated is None:
-            return
-        if len(self._connections) < len(self._names):
-            self._connect(streams, writer)
-        numbers = np.zeros(len(self._names), dtype=np.int64)
-        for index, connection in self._connections.items():
-            numbers[index] = connection.id
-        writer.write_many(numbers[dated.topic], dated.log_ns, dated.messages)
+        """Announce to the bag the topics found since the last call, in their order, and write messages."""
+        for stream in streams:
+            if stream.index not in self._numbers:
+                added = writer.add_topic(stream.topic, stream.msgtype, [stream.qos], stream.definition)
+                self._numbers[stream.index] = added.id
+        if dated is not None:
+            numbers = np.array([self._numbers.get(index, 0) for index in range(len(self._names))], dtype=np.int64)
+            writer.write_many(numbers[dated.topic], dated.log_ns, dated.messages)
 
-
-def _count(streams: Streams, other_clock: Mapping[int, int]) -> list[TopicCount]:
-    missing = streams.trajectories.missing([stream.topic for stream in streams])
-    return [
-        TopicCount(
-            stream.topic,
-            stream.counter.received,
-            stream.repeated,
-            stream.lost(),
-            stream.refused(),
-            missing.get(stream.topic, 0),
-            other_clock.get(stream.index, 0),
-            tuple(stream.counter.writers),
-        )
-        for stream in streams
-    ]
+    def _counts(self, streams: Streams) -> list[TopicCount]:
+        missing = streams.trajectories.missing([stream.topic for stream in streams])
+        return [
+            TopicCount(
+                stream.topic,
+                stream.counter.received,
+                stream.repeated,
+                stream.lost(),
+                stream.refused(),
+                missing.get(stream.topic, 0),
+                self._order.other_clock.get(stream.index, 0),
+                tuple(stream.counter.writers),
+            )
+            for stream in streams
+        ]

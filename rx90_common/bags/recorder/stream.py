@@ -42,11 +42,10 @@ _STRING = re.compile(r"(?P<kind>w?string)<(?P<most>\d+)>")
 
 @dataclass
 class WriterCount:
-    """What came from one writer: its first and last sequence number, messages received and missed."""
+    """What came from one writer: its last sequence number, messages received and missed."""
 
-    first: int
     last: int
-    received: int = 1
+    received: int = 0
     lost: int = 0
 
 
@@ -85,42 +84,30 @@ class SequenceCounter:
         self._known_before = self._matched()
         self._must_start_at_one = not self._transient_local
 
-    def add(self, number: int) -> None:
-        """Count the message with this sequence number."""
-        current = self._current
-        if current is None or number != current.last + 1:
-            current = self._find(number)
-            if current is None:
-                return
-        current.last = number
-        current.received += 1
-
-    def add_many(self, numbers: Int64Array) -> None:
+    def add(self, numbers: Int64Array) -> None:
         """Count messages with these sequence numbers, in this order."""
-        current = self._current
-        count = len(numbers)
+        current, count = self._current, len(numbers)
         if current is not None and count and numbers[0] == current.last + 1 and bool((np.diff(numbers) == 1).all()):
             current.last += count
             current.received += count
             return
         for number in numbers.tolist():
-            self.add(number)
+            if self._current is None or number != self._current.last + 1:
+                self._current = self._writer_of(number)
+            self._current.last = number
+            self._current.received += 1
 
-    def _find(self, number: int) -> WriterCount | None:
-        """Return the writer whose count `number` continues; None when it opened a new count."""
-        for writer in self.writers:
-            if writer.last + 1 == number:
-                self._current = writer
-                return writer
+    def _writer_of(self, number: int) -> WriterCount:
+        """Return the writer whose count `number` continues, a new one or, after a loss, the one nearest to it."""
         behind = [writer for writer in self.writers if writer.last < number]
-        if number == 1 or not behind or len(self.writers) < self._matched():
+        nearest = max(behind, key=lambda writer: writer.last, default=None)
+        if nearest is not None and nearest.last + 1 == number:
+            return nearest
+        if number == 1 or nearest is None or len(self.writers) < self._matched():
             late = self._must_start_at_one and len(self.writers) >= self._known_before
-            self._current = WriterCount(number, number, lost=number - 1 if late else 0)
-            self.writers.append(self._current)
-            return None
-        nearest = max(behind, key=lambda writer: writer.last)
+            self.writers.append(WriterCount(number, lost=number - 1 if late else 0))
+            return self.writers[-1]
         nearest.lost += number - nearest.last - 1
-        self._current = nearest
         return nearest
 
 
@@ -164,9 +151,8 @@ class Streams:
                 endpoints = self._node.get_publishers_info_by_topic(topic)
                 endpoints = endpoints or self._node.get_subscriptions_info_by_topic(topic)
                 if endpoints:
-                    found = self._found[topic] = Stream(
-                        self._node, topic, index, endpoints, self._batching, self.trajectories
-                    )
+                    found = self._found[topic] = Stream(self._node, topic, index, endpoints, self.trajectories)
+                    self._batching.include(found.subscription)
                     on_found(found)
         return not self.missing()
 
@@ -192,7 +178,6 @@ class Stream:
         topic: absolute name.
         index: place in the list of topics.
         endpoints: the publishers in the ROS graph or, where there are none yet, the subscriptions.
-        batching: of all topics of the node.
         trajectories: counts those that come.
 
     Attributes:
@@ -210,14 +195,16 @@ class Stream:
         topic: str,
         index: int,
         endpoints: Sequence[Any],
-        batching: ReceiveBatching,
         trajectories: TrajectoryCount,
     ) -> None:
         self.topic = topic
         self._trajectories = trajectories
         self._ready_ns = _NEVER
         self.index = index
-        self.msgtype = _one_type(topic, endpoints)
+        types = sorted({str(endpoint.topic_type) for endpoint in endpoints})
+        if len(types) > 1:
+            raise BagError(f"{topic} is published with the types {', '.join(types)}; accepted: one type")
+        self.msgtype = types[0]
         kind = message_class(topic, self.msgtype)
         self.time_source = time_source(topic, self.msgtype, kind)
         known = typestore().fielddefs
@@ -230,7 +217,7 @@ class Stream:
         self.subscription = node.create_subscription(
             kind,
             topic,
-            _never_called,
+            lambda _: None,  # the message reader reads by itself
             QoSProfile(
                 depth=_DEPTH,
                 reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
@@ -239,7 +226,6 @@ class Stream:
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
-        batching.include(self.subscription)
         self._kind = kind
         kinds = QoSSubscriptionEventType
         self._matched = self._event(kinds.RCL_SUBSCRIPTION_MATCHED)
@@ -269,11 +255,13 @@ class Stream:
             while len(found) < _MOST_AT_ONCE and (message := handle.take_message(self._kind, True)) is not None:
                 found.append(message)
         numbers, received_ns, sent_ns = (np.array([info[name] for _, info in found], dtype=np.int64) for name in _INFO)
-        self.counter.add_many(numbers)
+        self.counter.add(numbers)
         if found:
             self.sent_ns = int(sent_ns[-1])
-        if self.msgtype == JOINT_TRAJECTORY:
-            self._count_trajectories(found)
+        for message, info in found if self.msgtype == JOINT_TRAJECTORY else ():
+            if not self._latched or info["source_timestamp"] >= self._ready_ns:  # else accepted before the recording
+                with suppress(Exception):  # rosbags has no error of its own for bytes that are no message
+                    self._trajectories.add(self.topic, typestore().deserialize_cdr(message, self.msgtype))
         messages = MessageBatch.of([raw for raw, _ in found])
         if self._dated and found:
             # Nodes send one again while time stands still, and where it may have been lost: it is no second sample.
@@ -283,12 +271,6 @@ class Stream:
                 self.repeated += int(again.sum())
                 messages, received_ns = messages.take(np.flatnonzero(~again)), received_ns[~again]
         return Arrived(self.index, self.time_source, messages, received_ns)
-
-    def _count_trajectories(self, found: Sequence[tuple[bytes, dict[str, int]]]) -> None:
-        for message, info in found:
-            if not self._latched or info["source_timestamp"] >= self._ready_ns:  # else accepted before the recording
-                with suppress(Exception):  # rosbags has no error of its own for bytes that are no message
-                    self._trajectories.add(self.topic, typestore().deserialize_cdr(message, self.msgtype))
 
     def matched(self) -> int:
         """Return how many publishers were ever matched."""
@@ -323,17 +305,6 @@ def time_source(topic: str, msgtype: str, kind: Any) -> TimeSource:
     return TimeSource.LIST if msgtype == TRANSFORMS else TimeSource.NEWEST
 
 
-def _one_type(topic: str, endpoints: Sequence[Any]) -> str:
-    types = sorted({str(endpoint.topic_type) for endpoint in endpoints})
-    if len(types) > 1:
-        raise BagError(f"{topic} is published with the types {', '.join(types)}; accepted: one type")
-    return types[0]
-
-
-def _never_called(_: bytes) -> None:
-    """Stand where rclpy wants a callback; the message reader reads by itself."""
-
-
 def message_class(topic: str, msgtype: str) -> Any:
     """Return the class of a message type.
 
@@ -359,7 +330,19 @@ def definition(kind: Any, known: Collection[str]) -> str:
         known: types whose text is not wanted.
     """
     texts: dict[str, str] = {}
-    _collect(kind, frozenset(known), texts)
+
+    def collect(kind: Any) -> None:
+        name = f"{kind.__module__.split('.')[0]}/{kind.__name__}"
+        if name in texts:
+            return
+        fields = kind.get_fields_and_field_types()
+        texts[name] = "".join(f"{_field_type(described)} {field}\n" for field, described in fields.items())
+        for described in fields.values():
+            package, slash, inner = re.split(r"\[|<=", _field_type(described))[0].partition("/")
+            if slash and f"{package}/msg/{inner}" not in known:
+                collect(message_class(name, f"{package}/msg/{inner}"))
+
+    collect(kind)
     own, *others = texts.items()
     return own[1] + "".join(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others)
 
@@ -367,26 +350,6 @@ def definition(kind: Any, known: Collection[str]) -> str:
 def begins_with_header(kind: Any) -> bool:
     """Return whether the first field of a message class is a std_msgs/Header."""
     return next(iter(kind.get_fields_and_field_types().values()), None) == "std_msgs/Header"
-
-
-def _collect(kind: Any, known: frozenset[str], texts: dict[str, str]) -> None:
-    package = kind.__module__.split(".")[0]
-    name = f"{package}/{kind.__name__}"
-    if name in texts:
-        return
-    fields = kind.get_fields_and_field_types()
-    texts[name] = "".join(f"{_field_type(described)} {field}\n" for field, described in fields.items())
-    for described in fields.values():
-        element = _element(described)
-        inner_package, slash, inner = element.partition("/")
-        if slash and f"{inner_package}/msg/{inner}" not in known:
-            _collect(message_class(name, f"{inner_package}/msg/{inner}"), known, texts)
-
-
-def _element(described: str) -> str:
-    """Return the type of what a field holds, or holds many of."""
-    found = _SEQUENCE.fullmatch(described) or _ARRAY.fullmatch(described)
-    return found["kind"] if found else described
 
 
 def _field_type(described: str) -> str:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from rx90_common.bags.decoding import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import is_table
 from rx90_common.bags.reading import BagReader, BagTopic
@@ -55,10 +54,7 @@ class SeriesCollector:
         self, bag: BagReader, topic: BagTopic, fields: Sequence[str], names: Sequence[str] | None, record_time: bool
     ) -> None:
         self.topic = topic
-        self._make = partial(
-            SeriesBuilder, topic.name, partial(bag.deserialize, topic), cdr=not topic.is_ros1,
-            effort_unit=bag.effort_units.get(topic.name, ""),
-        )  # fmt: skip
+        self._make = partial(bag.series_builder, topic)
         self._builder = self._make()
         self._pending = 0
         self._fields = fields

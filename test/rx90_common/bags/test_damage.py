@@ -21,8 +21,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader
 
-from rx90_common.bags.mcap_file import MCAP_MAGIC
-from rx90_common.bags.reading import BagReader, read_joint_series
+from rx90_common.bags.reading import BagReader, read_joint_bag
+from rx90_common.bags.storage_files import MCAP_MAGIC
 from rx90_common.bags.writing import BagWriter, offered_qos, string_message, write_joint_states
 from rx90_common.base.errors import BagError
 from rx90_emulator.cli.frame import run
@@ -368,7 +368,7 @@ def test_no_other_exception(tmp_path: Path, kind: str, data: Any) -> None:
     file.write_bytes(content[: data.draw(st.integers(0, len(content)))] if data.draw(st.booleans()) else content)
     message = ""
     try:
-        read_joint_series(path)
+        read_joint_bag(path)
     except BagError as error:
         message = str(error)
     assert "\n" not in message

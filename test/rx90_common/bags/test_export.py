@@ -11,11 +11,11 @@ import pytest
 import scipy.io
 from bag_making import joint_state, write_ros2
 
-from rx90_common.bags import exporting, log_table
+from rx90_common.bags import exporting, logs
 from rx90_common.bags.comparison import Verdict, compare_bags
 from rx90_common.bags.exporting import export_bag
-from rx90_common.bags.importing import import_logs
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.logs import import_logs
 from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import read_bag
 from rx90_common.bags.writing import write_joint_states
@@ -53,7 +53,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make blocks so small that the bag has several."""
     monkeypatch.setattr(exporting, "_ROWS_AT_ONCE", 64)
-    monkeypatch.setattr(log_table, "_BLOCK", 50)
+    monkeypatch.setattr(logs, "_BLOCK", 50)
 
 
 @pytest.mark.usefixtures("small_blocks")

@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from rx90_common.bags.reading import BagReader, read_joint_series, read_joint_states
+from rx90_common.bags.reading import BagReader, read_joint_bag, read_joint_states
 from rx90_common.bags.summary import summarise
 from rx90_common.bags.writing import write_joint_states
 from rx90_emulator.cli.frame import run
@@ -105,7 +105,7 @@ def test_types_that_cannot_be_parsed_and_compressed_bags(
         assert (summary.storage, summary.compression) == (kind, words)
         assert {t.topic: t.count for t in summary.topics} == {"/joint_states": 40, "/add/_service_event": 1, "/old": 1}
         assert read_joint_states(path, "joint_states").stamp_ns.tolist() == STAMPS
-        (old,) = read_joint_series(path, ["old"])["/old"]
+        (old,) = read_joint_bag(path, ["old"]).series["/old"]
         assert (old.names, old.stamp_ns.tolist()) == (("b",), [9])
     assert run("rx90_bag", ["compare", str(bag), str(bag)]) == 0
     assert "not compared, as they are no JointState or Temperature: /add/_service_event\n" in capsys.readouterr().out

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from rx90_common.bags import log_table
+from rx90_common.bags import logs as log_reading
 from rx90_common.bags.exporting import export_bag
-from rx90_common.bags.importing import import_logs
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.logs import import_logs
 from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.plotting import plot_bags
 from rx90_common.bags.reading import read_joint_states
@@ -279,7 +279,7 @@ def test_what_is_left_out_does_not_depend_on_blocks(tmp_path: Path, monkeypatch:
     for k in range(400):  # the textbook's dynamic programme
         longest[k] = 1 + max((longest[i] for i in range(k) if times[i] < times[k]), default=0)
     assert len(whole) == max(longest)
-    monkeypatch.setattr(log_table, "_BLOCK", 11)
+    monkeypatch.setattr(log_reading, "_BLOCK", 11)
     (tmp_path / "second").mkdir()
     again = imported(tmp_path / "second", PLAIN, log, skip_corrupt=True).stamp_ns
     assert again.tolist() == whole.tolist()

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from bag_making import series
 
-from rx90_common.bags.exporting import named_when_done
 from rx90_common.bags.reading import read_bag
 from rx90_common.bags.writing import BagWriter, named_at_the_end, write_joint_states
 from rx90_common.base.errors import BagError
@@ -19,8 +18,8 @@ def test_a_bag_that_came_first_stays(tmp_path: Path) -> None:
     bag = tmp_path / "run"
 
     def second() -> None:
-        with named_at_the_end(bag) as place:
-            place.mkdir()
+        with named_at_the_end(bag) as folder:
+            (folder / "run").mkdir()
             bag.mkdir()
             (bag / "metadata.yaml").write_text("of the first")
 
@@ -35,8 +34,8 @@ def test_an_export_that_came_first_stays(tmp_path: Path, single: bool) -> None:
     output = tmp_path / "export.csv"
 
     def second() -> None:
-        with named_when_done(output, single=single) as folder:
-            (folder / output.name).write_text("of the second")
+        with named_at_the_end(output) as folder:
+            (folder / output.name).write_text("of the second") if single else (folder / output.name).mkdir()
             if single:
                 output.write_text("of the first")
             else:

@@ -14,7 +14,7 @@ from bag_making import NAMES, ROS1, STORAGES, joint_state, series, write_ros1, w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rx90_common.bags.reading import JointSeries, read_joint_series, read_joint_states
+from rx90_common.bags.reading import JointSeries, read_joint_bag, read_joint_states
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError
 
@@ -92,7 +92,7 @@ def test_bulk_of_mixed_layouts(tmp_path: Path, storage: str) -> None:
         messages.append(("/a", i, joint_state(i, [NAMES[k] for k in order], row[order])))
         if i % 10 == 0:
             messages.append(("/b", i, joint_state(i, ["x"], [], [row[0]], frame_id="world")))
-    read = read_joint_series(write_ros2(tmp_path / "bag", messages, storage))
+    read = read_joint_bag(write_ros2(tmp_path / "bag", messages, storage)).series
     assert list(read) == ["/a", "/b"]
     (a,), (b,) = read["/a"], read["/b"]
     assert a.names == NAMES
@@ -126,7 +126,7 @@ def test_sets_of_joints_are_kept_apart(tmp_path: Path) -> None:
         for i in range(10)
     ]
     path = write_ros2(tmp_path / "bag", messages)
-    assert [s.names for s in read_joint_series(path)["/joint_states"]] == [
+    assert [s.names for s in read_joint_bag(path).series["/joint_states"]] == [
         ("joint_1", "joint_2"),
         ("gripper",),
     ]
@@ -199,7 +199,7 @@ def test_topics_are_kept_apart_whatever_chunks_hold(tmp_path: Path) -> None:
     early = [series(20, topic="/a"), series(20, topic="/b")]
     late = series(20, topic="/c", step_ns=10_000_000_000)
     write_joint_states(tmp_path / "bag", [*early, late])
-    found = read_joint_series(tmp_path / "bag", ["a", "c"])
+    found = read_joint_bag(tmp_path / "bag", ["a", "c"]).series
     for one in (early[0], late):
         (read,) = found.pop(one.topic)
         assert read.stamp_ns.tolist() == one.stamp_ns.tolist()

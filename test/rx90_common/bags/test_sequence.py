@@ -17,7 +17,7 @@ def test_single_writer_is_counted_exactly(numbers: set[int]) -> None:
     """Of one writer every number missing between its first and last message is counted as lost."""
     counter = SequenceCounter(lambda: 1, transient_local=False)
     for number in sorted(numbers):
-        counter.add(number)
+        counter.add(np.array([number]))
     assert counter.received == len(numbers)
     assert counter.lost == max(numbers) - min(numbers) + 1 - len(numbers)
     assert len(counter.writers) == 1
@@ -29,9 +29,9 @@ def test_batches_count_as_messages_do(batches: list[list[int]], runs: bool) -> N
     counters = [SequenceCounter(lambda: 2, transient_local=False) for _ in range(2)]
     for batch in batches:
         numbers = list(range(batch[0], batch[0] + len(batch))) if runs and batch else batch
-        counters[0].add_many(np.array(numbers, dtype=np.int64))
+        counters[0].add(np.array(numbers, dtype=np.int64))
         for number in numbers:
-            counters[1].add(number)
+            counters[1].add(np.array([number]))
     assert counters[0].writers == counters[1].writers
 
 
@@ -45,7 +45,7 @@ def test_interleaved_writers_lose_nothing(counts: list[int], random: Any) -> Non
     random.shuffle(order)
     for writer in order:
         numbers[writer] += 1
-        counter.add(numbers[writer])
+        counter.add(np.array([numbers[writer]]))
     assert counter.lost == 0
     assert sorted(writer.received for writer in counter.writers) == sorted(counts)
 
@@ -56,11 +56,11 @@ def test_writer_that_appears_later() -> None:
         matches = [1]
         counter = SequenceCounter(partial(max, matches), transient_local=transient_local)
         for number in (5, 6):
-            counter.add(number)
+            counter.add(np.array([number]))
         counter.start()
         matches.append(2)
         for number in (7, 4, 5, 8):
-            counter.add(number)
+            counter.add(np.array([number]))
         assert counter.lost == lost
         assert [writer.received for writer in counter.writers] == [4, 2]
 
@@ -70,5 +70,5 @@ def test_gap_after_a_restart() -> None:
     for end in (4, 40, 4000):
         counter = SequenceCounter(lambda: 2, transient_local=False)
         for number in (*range(1, end), *range(1, 101), *range(104, 200)):
-            counter.add(number)
+            counter.add(np.array([number]))
         assert [writer.lost for writer in counter.writers] == [0, 3]

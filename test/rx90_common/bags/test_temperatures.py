@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 import rx90_emulator as rx
-from rx90_common.bags import exporting, log_table
+from rx90_common.bags import exporting, logs
 from rx90_common.bags.batch import temperature_cdr
 from rx90_common.bags.exporting import export_bag
 from rx90_common.bags.plotting import plot_bags
@@ -101,7 +101,7 @@ def test_temperatures_come_back_from_csv(
 ) -> None:
     """Exported and imported again, in several blocks, each message is there to the last bit, and compare says same."""
     monkeypatch.setattr(exporting, "_ROWS_AT_ONCE", 10)
-    monkeypatch.setattr(log_table, "_BLOCK", 5)
+    monkeypatch.setattr(logs, "_BLOCK", 5)
     again = tmp_path / "again"
     assert run("rx90_bag", ["export", str(bag), "--output", str(tmp_path / "out")]) == 0
     assert run("rx90_bag", ["import", str(tmp_path / "out"), str(again)]) == 0

@@ -19,7 +19,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 
 from rx90_common.bags import writing
-from rx90_common.bags.batch import JointStateEncoder
+from rx90_common.bags.batch import series_encoder
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.bags.writing import BagWriter, RawMessage, offered_qos, string_message, write_joint_states
@@ -149,7 +149,7 @@ def test_bag_is_whole_when_the_disk_is_nearly_full(
     assert list(tmp_path.iterdir()) == []
     bag = BagWriter(tmp_path / "bag", storage)
     numbers = np.full(3000, bag.add_topic("joint_states", JOINT_STATE, [offered_qos()]).id)
-    messages = JointStateEncoder(written).encode(np.arange(3000))
+    messages = series_encoder(written)[1](np.arange(3000))
     with pytest.raises(BagWriteError, match=r"64 MiB or more\); what was written is whole"):
         bag.write_many(numbers, written.stamp_ns, messages)
     bag.close()

@@ -1,0 +1,574 @@
+"""Read logs in columns, CSV, Parquet and NPZ, with a signal map that says what the columns are; make bags of them.
+
+Of text, encoding, header, delimiter and decimal sign are found out where they are not given. Its lines are looked at
+one by one, for comments and torn rows; times stay text until they are whole nanoseconds. In memory are 8 bytes for each
+number, and as many again for the series.
+"""
+
+from __future__ import annotations
+
+import csv
+import heapq
+import io
+import math
+from bisect import bisect_left, bisect_right
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from decimal import Decimal, DecimalException
+from itertools import islice, pairwise
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from rx90_common.bags.batch import Int64Array, series_encoder
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.mapping import ARRAYS, DELIMITERS, SECONDS, UNITS, Column, FieldMapping, LogMapping, mapping_of
+from rx90_common.bags.storage_files import BagTopic, DamagedError, LoggedMessage, library_errors
+from rx90_common.bags.topics import absolute
+from rx90_common.bags.writing import write_joint_states
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import counted, listed, plain, quoted
+from rx90_common.base.rates import NANOSECONDS
+
+_BLOCK: Final = 8192  # rows that are read, or encoded, at once
+_LAST_NS: Final = 2**31 * NANOSECONDS  # stamps of ROS end there
+_LARGEST: Final = 1e9  # rad, rad/s, Nm or A: no joint goes there, and a damaged number may
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+_LONGEST = 1 << 20  # characters of a line; a file that is no text may have no end of line at all
+_COMMENTS = ("#", "%", "//")
+_LOOKED_AT = 200  # lines, by which delimiter and decimal sign are found out
+_DIALECTS = ((",", "."), (";", "."), ("tab", "."), ("|", "."), ("space", "."), (";", ","), ("tab", ","), ("|", ","),
+             ("space", ","))  # fmt: skip
+_NOT_FINITE = {"nan", "inf", "infinity"}
+_MAX_RANGES = 40  # of corrupt lines that are named
+
+
+@dataclass(frozen=True, eq=False)
+class ReadLog:
+    """What was read of logs whose rows belong together.
+
+    Attributes:
+        paths: of the logs.
+        dialects: how each of them was read.
+        series: of each topic.
+        rows: how many there were.
+        corrupt: number of the line of each row that was left out, and why.
+    """
+
+    paths: tuple[Path, ...]
+    dialects: tuple[str, ...]
+    series: tuple[JointSeries, ...]
+    rows: int
+    corrupt: tuple[tuple[int, str], ...]
+
+    @property
+    def text(self) -> str:
+        """Return it as lines for the terminal."""
+        good = self.rows - len(self.corrupt)
+        steps = np.diff(self.series[0].stamp_ns)
+        seconds, gap = int(steps.sum()) / NANOSECONDS, int(steps.max(initial=0)) / NANOSECONDS
+        rate = f", {(good - 1) / seconds:.6g} Hz, longest gap {gap:.6g} s" if seconds else ""
+        lines = [
+            *(f"{plain(path)}: {dialect}" for path, dialect in zip(self.paths, self.dialects, strict=True)),
+            f"{good} of {self.rows} rows in {seconds:.6g} s{rate}",
+            *(f"{one.topic}: {counted(len(one.names), 'joint')}" for one in self.series),
+        ]
+        return "\n".join([*lines, *([f"left out: {corrupt_text(self.corrupt)}"] if self.corrupt else [])])
+
+
+def corrupt_text(corrupt: Sequence[tuple[int, str]]) -> str:
+    """Return count and numbers of the lines, those that follow each other together, and what the first one has."""
+    lines = [line for line, _ in corrupt]
+    starts = [0, *(k + 1 for k, (a, b) in enumerate(pairwise(lines)) if b != a + 1), len(lines)]
+    parts = [f"{lines[a]}" if b - a == 1 else f"{lines[a]}-{lines[b - 1]}" for a, b in pairwise(starts)]
+    more = f" and {len(parts) - _MAX_RANGES} more places" if len(parts) > _MAX_RANGES else ""
+    rows = f"{len(corrupt)} corrupt row{'s' * (len(corrupt) > 1)}"
+    return f"{rows}, line {', '.join(parts[:_MAX_RANGES])}{more} (line {lines[0]}: {corrupt[0][1]})"
+
+
+def read_logs(
+    paths: Sequence[Path], mapping: LogMapping | None, more: Callable[[int], None], *, skip_corrupt: bool = False
+) -> ReadLog:
+    """Read logs whose rows belong together.
+
+    Args:
+        paths: of the logs.
+        mapping: what their columns hold; by default as the file beside the first one says.
+        more: called now and then with how many bytes were read since the call before.
+        skip_corrupt: whether rows that are damaged are left out; otherwise they are refused.
+
+    Raises:
+        BagError: if a log cannot be read, does not fit its mapping or holds damaged rows.
+    """
+    mapping = mapping_of(paths[0], mapping)
+    if len(paths) != mapping.files:
+        given = counted(len(paths), "log")
+        raise BagError(f"{given}; accepted: {mapping.files}, those that {plain(mapping.file)} takes columns from")
+    logs = [
+        (_ArrayLog if path.suffix.lower() in ARRAYS else _TextLog)(path, mapping, number, more)
+        for number, path in enumerate(paths, 1)
+    ]
+    counts = [len(log.lines) for log in logs]
+    if len(set(counts)) > 1:
+        each = ", ".join(f"{plain(log.path)} {count}" for log, count in zip(logs, counts, strict=True))
+        raise BagError(f"rows: {each}; accepted: logs of as many rows each")
+    if mapping.time is None:
+        assert mapping.rate is not None
+        stamps: Int64Array = np.asarray(np.rint(np.arange(counts[0]) * (NANOSECONDS / mapping.rate)), dtype=np.int64)
+    else:
+        stamps = logs[mapping.time[0] - 1].stamp_ns
+    faults = dict(logs[0].faults)
+    for log in logs[1:]:
+        for row, reason in log.faults.items():
+            faults.setdefault(row, f"{plain(log.path)}:{log.lines[row]}: {reason}")
+    rows = _good_rows(stamps, mapping, faults)
+    corrupt = tuple((int(logs[0].lines[row]), faults[row]) for row in sorted(faults))
+    if corrupt and not (skip_corrupt and len(rows)):
+        what = "" if len(rows) else "every row is corrupt: "
+        accepted = "whole rows, or rx90_bag import --skip-corrupt, to leave these out" if len(rows) else (
+            "columns as the mapping says"
+        )  # fmt: skip
+        raise BagError(f"{plain(paths[0])}: {what}{corrupt_text(corrupt)}; accepted: {accepted}")
+    found = []
+    for topic, mapped in mapping.topics.items():
+        fields = {name: logs[one.file - 1].numbers_of(one)[rows] for name, one in mapped.fields.items()}
+        unit = mapped.effort_unit(topic)
+        found.append(JointSeries(absolute(topic), mapped.names, stamps[rows], **fields, effort_unit=unit))
+    return ReadLog(tuple(paths), tuple(log.dialect for log in logs), tuple(found), counts[0], corrupt)
+
+
+def _good_rows(stamps: Int64Array, mapping: LogMapping, faults: dict[int, str]) -> Int64Array:
+    """Return the rows without a fault, in the order of time; note those whose time does not fit the others."""
+    rows = np.setdiff1d(np.arange(len(stamps)), list(faults))
+    if mapping.exact:
+        return np.asarray(rows[np.argsort(stamps[rows], kind="stable")])
+    if mapping.time is None:
+        return rows
+    kept = rows[_increasing(stamps[rows])]
+    for row in np.setdiff1d(rows, kept).tolist():
+        time = Decimal(int(stamps[row])) * mapping.seconds.denominator / (NANOSECONDS * mapping.seconds.numerator)
+        faults[row] = f"time {quoted(f'{time:f}')} does not lie between those around it"
+    return kept
+
+
+def _increasing(stamps: Int64Array) -> Int64Array:
+    """Return the indices of the longest strictly increasing subsequence, of several the one with the shortest steps."""
+    if bool((np.diff(stamps) > 0).all()):
+        return np.arange(len(stamps))
+    values = stamps.tolist()
+    piles: list[list[int]] = []  # of indices; in a pile the values decrease
+    smallest: list[int] = []  # last value of each pile
+    for k, value in enumerate(values):
+        pile = bisect_left(smallest, value)
+        if pile == len(piles):
+            piles.append([])
+            smallest.append(value)
+        piles[pile].append(k)
+        smallest[pile] = value
+    chosen: list[int] = [piles[-1][-1]]
+    for members in reversed(piles[:-1]):
+        # Of those that come before the one behind, the largest smaller value: the first such in the pile.
+        before = members[: bisect_left(members, chosen[-1])]
+        chosen.append(before[bisect_right(before, -values[chosen[-1]], key=lambda k: -values[k])])
+    return np.array(chosen[::-1], dtype=np.int64)
+
+
+class _Log:
+    """What a mapping takes from one log: numbers of the rows' lines, stamps, columns, and what is wrong with rows.
+
+    Args:
+        path: of the log.
+        mapping: what its columns hold.
+        number: of the log in the mapping, from 1 on.
+    """
+
+    lines: Int64Array
+    stamp_ns: Int64Array
+    dialect: str
+
+    def __init__(self, path: Path, mapping: LogMapping, number: int) -> None:
+        self.path, self.mapping, self._number = path, mapping, number
+        self.faults: dict[int, str] = {}
+        self.columns: dict[int, Array] = {}  # as they stand in the log, by their places
+
+    def find_columns(self, names: Sequence[str], width: int) -> None:
+        """Find the columns that are used; refuse one that would stand for two joints, or for the times and a joint."""
+        self._names, self._width = names, width
+        time = self.mapping.time
+        self.time = self._place(time[1]) if time is not None and time[0] == self._number else None
+        self._factors: list[tuple[Column, int, float]] = []
+        for topic, mapped in self.mapping.topics.items():
+            for name, one in mapped.fields.items():
+                seen: set[int | None] = {self.time}
+                for column, factor in zip(one.columns, one.factor, strict=True) if one.file == self._number else ():
+                    place = self._place(column)
+                    if place in seen:
+                        others = "the times" if place == self.time else "another joint"
+                        raise BagError(
+                            f"{plain(self.path)}: column {plain(column)} in {plain(topic)}.{name} is that of {others}; "
+                            "accepted: a column of its own for each"
+                        )
+                    seen.add(place)
+                    self._factors.append((column, place, factor))
+        self.used = {place for _, place, _ in self._factors}
+
+    def numbers_of(self, mapped: FieldMapping) -> Array:
+        """Return the numbers of a field in SI units, shape (rows, joints)."""
+        columns = [self.columns[self._place(column)] for column in mapped.columns]
+        return np.asarray(np.column_stack(columns) * np.array(mapped.factor))  # a factor of 1 changes no bit
+
+    def note_faults(self, first: int, columns: Mapping[int, Array], cell: Callable[[int, int], str]) -> None:
+        """Note which rows, the first of which has this number, hold no numbers that a joint can have."""
+        for column, place, factor in self._factors:
+            values = columns[place] * factor
+            if self.mapping.exact:
+                wrong = [row for row in np.flatnonzero(~np.isfinite(values)).tolist()
+                         if cell(place, row).strip("' ").lower().lstrip("+-") not in _NOT_FINITE]  # fmt: skip
+            else:
+                wrong = np.flatnonzero(~(np.abs(values) <= _LARGEST)).tolist()  # a NaN is neither
+            for row in wrong:
+                self.faults.setdefault(first + row, f"column {plain(column)} is {cell(place, row)}")
+
+    def _place(self, column: Column) -> int:
+        """Return the index of a column."""
+        if isinstance(column, str):
+            if self._names.count(column) == 1:
+                return self._names.index(column)
+            found = "more than one column" if column in self._names else "no column"
+            there = listed(self._names) or "no names"
+            raise BagError(f"{plain(self.path)}: {found} {quoted(column)}; there are {there}")
+        if column > self._width:
+            raise BagError(f"{plain(self.path)}: no column {column}; accepted: 1 to {self._width}")
+        return column - 1
+
+
+class _ArrayLog(_Log):
+    """A log of arrays: the columns of Parquet; of NPZ arrays of shape (n,), and each column of (n, k), as `q[0]`."""
+
+    def __init__(self, path: Path, mapping: LogMapping, number: int, more: Callable[[int], None]) -> None:
+        super().__init__(path, mapping, number)
+        there = _arrays(path)
+        names, arrays = list(there), list(there.values())
+        self.find_columns(names, len(names))
+        self.dialect = f"{len(names)} columns {listed(names)}"
+        lengths = {names[k]: len(arrays[k]) for k in [*self.used, *([] if self.time is None else [self.time])]}
+        if len(set(lengths.values())) != 1 or 0 in lengths.values():
+            each = ", ".join(f"{plain(name)} {length}" for name, length in lengths.items())
+            raise BagError(f"{plain(path)}: rows: {each}; accepted: columns of as many rows each, one or more")
+        (count,) = set(lengths.values())
+        self.lines, self.stamp_ns = np.arange(1, count + 1), np.zeros(count, dtype=np.int64)
+        if self.time is not None:
+            self._read_times(arrays[self.time])
+        self.columns = {place: arrays[place].astype(np.float64) for place in self.used}
+        if not mapping.exact:
+            self.note_faults(0, self.columns, lambda place, row: str(arrays[place][row]))
+        more(path.stat().st_size)
+
+    def _read_times(self, times: NDArray[Any]) -> None:
+        """Take stamps: whole numbers exactly, others to the nearest ns; note those that no stamp can be."""
+        unit_ns = int(self.mapping.seconds * NANOSECONDS)
+        if times.dtype.kind == "M":  # it has a unit of its own
+            times, unit_ns = times.astype("datetime64[ns]").astype(np.int64), 1
+        inside = (times >= 0) & (times < _LAST_NS / unit_ns)  # a NaN is not
+        whole = np.issubdtype(times.dtype, np.integer)
+        self.stamp_ns[inside] = times[inside] * unit_ns if whole else np.rint(times[inside] * float(unit_ns))
+        for row in np.flatnonzero(~inside).tolist():
+            self.faults[row] = f"time {times[row]}; accepted: 0 to {_LAST_NS // NANOSECONDS} s"
+
+
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the columns of numbers and times of a Parquet or NPZ file by their names."""
+    found: dict[str, NDArray[Any]] = {}
+    parquet = path.suffix.lower() == ".parquet"
+    try:
+        with library_errors():
+            if parquet:
+                table = pq.read_table(path, page_checksum_verification=True)
+                for name, column in zip(table.column_names, table.columns, strict=True):
+                    if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
+                        found[name] = column.to_numpy()
+                    elif pa.types.is_timestamp(column.type):
+                        found[name] = column.cast(pa.timestamp("ns")).to_numpy()
+                return found
+            with np.load(path, allow_pickle=False) as arrays:
+                for name in arrays.files:
+                    values = arrays[name]
+                    if values.dtype.kind in "fiuM" and values.ndim == 1:
+                        found[name] = values
+                    elif values.dtype.kind in "fiu" and values.ndim == 2:
+                        found |= {f"{name}[{k}]": values[:, k] for k in range(values.shape[1])}
+            return found
+    except DamagedError as error:
+        raise BagError(f"{plain(path)}: is no {'Parquet' if parquet else 'NPZ'} file, or damaged ({error})") from error
+
+
+class _TextLog(_Log):
+    """A log of text, which may be a pipe."""
+
+    def __init__(self, path: Path, mapping: LogMapping, number: int, more: Callable[[int], None]) -> None:
+        super().__init__(path, mapping, number)
+        comments: list[str] = []
+        lines = _rows_of(path, more, None if mapping.exact else comments)
+        first = list(islice(lines, _BLOCK))
+        self._delimiter, self._decimal = _dialect([line for _, line in first[:_LOOKED_AT]], mapping)
+        split = [_fields_of(line, self._delimiter) for _, line in first]
+        head = _header_lines(split, self._decimal) if mapping.header is None else mapping.header
+        widths = Counter(map(len, split[head:]))
+        if not widths:
+            raise BagError(f"{plain(path)}: holds no row of numbers; accepted: one or more behind the header")
+        width = widths.most_common(1)[0][0]
+        # NumPy and Matlab write the names into a comment.
+        texts = split[:head] + [_fields_of(line.lstrip("#%/ "), self._delimiter) for line in comments]
+        header = next(([name.strip() for name in texts] for texts in texts if len(texts) == width), [])
+        named = f"header {listed(header)}" if header else "no header"
+        named += f" in {head} lines before the first row" if head > 1 else ""
+        self.dialect = f"{width} columns, delimiter {self._delimiter!r}, decimal {self._decimal!r}, {named}"
+        self.find_columns(header, width)
+        if mapping.exact:
+            self._compare_units(header)
+        numbers: list[Int64Array] = []
+        stamps: list[Int64Array] = []
+        parts: dict[int, list[Array]] = {place: [] for place in self.used}
+        block, count = first[head:], 0
+        while block:
+            numbers.append(np.array([number for number, _ in block], dtype=np.int64))
+            stamps.append(self._read_block(block, count, width, parts))
+            count += len(block)
+            block = list(islice(lines, _BLOCK))
+        self.lines, self.stamp_ns = np.concatenate(numbers), np.concatenate(stamps)
+        self.columns = {place: np.concatenate(some) for place, some in parts.items()}
+
+    def _compare_units(self, header: Sequence[str]) -> None:
+        """Refuse a header whose units, as in `joint_1 velocity [deg/s]`, are not those of the mapping."""
+        mapping = self.mapping
+        unit_of_time = next(name for name, size in SECONDS.items() if size == mapping.seconds)
+        compared: list[tuple[int | None, Mapping[str, Any], str]] = [(self.time, SECONDS, unit_of_time)]
+        for topic in mapping.topics.values():
+            for name, one in topic.fields.items():
+                compared += [(self._place(column), UNITS[name], one.unit) for column in one.columns]
+        for place, known, mapped in compared:
+            heading = header[place] if header and place is not None else ""
+            unit = heading.rpartition("[")[2].rstrip("]") if heading.endswith("]") else ""
+            if unit in known and unit != mapped:
+                raise BagError(
+                    f"{plain(self.path)}:{mapping.header}: {quoted(heading)}, but {mapped} in {plain(mapping.file)}; "
+                    "accepted: the same unit in both"
+                )
+
+    def _read_block(
+        self, rows: Sequence[tuple[int, str]], first: int, width: int, parts: dict[int, list[Array]]
+    ) -> Int64Array:
+        """Add the columns of some rows to the parts; return their stamps; note what is wrong with them."""
+        torn = [""] * width
+        split = [_fields_of(line, self._delimiter) for _, line in rows]
+        for row, fields in enumerate(split):
+            if len(fields) != width:
+                self.faults[first + row] = f"{counted(len(fields), 'field')}, others have {width}"
+                split[row] = torn
+        columns = {place: _numbers([fields[place] for fields in split], self._decimal) for place in self.used}
+        self.note_faults(first, columns, lambda place, row: quoted(split[row][place].replace('"', " "), 30))
+        for place, values in columns.items():
+            parts[place].append(values)
+        stamps = np.zeros(len(rows), dtype=np.int64)
+        unit_ns = int(self.mapping.seconds * NANOSECONDS)
+        for row, text in enumerate([fields[self.time] for fields in split] if self.time is not None else ()):
+            stamp = _stamp_ns(text, self._decimal, unit_ns)
+            if 0 <= stamp < _LAST_NS:
+                stamps[row] = stamp
+            else:
+                accepted = f"0 to {_LAST_NS // NANOSECONDS} s"
+                self.faults.setdefault(first + row, f"time {quoted(text, 30)}; accepted: {accepted}")
+        return stamps
+
+
+def _rows_of(path: Path, more: Callable[[int], None], comments: list[str] | None) -> Iterator[tuple[int, str]]:
+    """Yield lines with their numbers, from 1 on; without blank ones and comments, of which the first go into the list.
+
+    What is no text in a damaged log makes a corrupt row, not an unreadable file. Without a list all lines are rows.
+    """
+    try:
+        with path.open("rb") as raw:
+            encoding = "utf-16" if raw.peek(2)[:2] in _UTF16 else "utf-8-sig"
+            with io.TextIOWrapper(raw, encoding=encoding, errors="replace") as file:
+                number = before = 0
+                while text := file.readline(_LONGEST):
+                    number += 1
+                    if len(text) == _LONGEST and not text.endswith("\n"):
+                        where = f"{plain(path)}:{number}"
+                        raise BagError(f"{where}: more than {_LONGEST} characters in a line; accepted: text in lines")
+                    if not number % _BLOCK and raw.seekable():
+                        more(-before + (before := raw.tell()))
+                    if comments is not None and text.lstrip().startswith(_COMMENTS):
+                        comments += [text.strip()] * (len(comments) < _LOOKED_AT)
+                    elif comments is None or text.strip():
+                        yield number, text.rstrip("\r\n")
+                if raw.seekable():
+                    more(raw.tell() - before)
+    except OSError as error:
+        raise BagError(f"{plain(path)}: cannot be read ({error.strerror})") from error
+    except UnicodeError as error:  # a mark of UTF-16 with nothing behind it
+        raise BagError(f"{plain(path)}: cannot be read ({error})") from error
+
+
+def _fields_of(line: str, delimiter: str) -> list[str]:
+    """Return the fields of a line; behind a delimiter at its end there is none."""
+    sign = DELIMITERS[delimiter]
+    if sign is None:
+        return line.replace('"', " ").split()
+    line = line.strip(" \r\n")
+    try:
+        fields = next(csv.reader([line], delimiter=sign)) if '"' in line else line.split(sign)
+    except csv.Error:  # a quotation mark that damage or a slip has put there
+        return [line]
+    return fields[:-1] if len(fields) > 1 and not fields[-1].strip() else fields
+
+
+def _numbers(texts: Sequence[str], decimal: str) -> Array:
+    """Return the numbers of a column; NaN where there is none."""
+    if decimal == ".":
+        with suppress(pa.ArrowInvalid):  # of one text; and of a plus sign
+            return np.asarray(pc.cast(pc.utf8_trim_whitespace(pa.array(texts, pa.string())), pa.float64()).to_numpy())
+    return np.array([_number(text, decimal) for text in texts])
+
+
+def _number(text: str, decimal: str) -> float:
+    """Return the number that a field holds; NaN if it holds none."""
+    try:
+        return float(_with_point(text, decimal))
+    except ValueError:
+        return math.nan
+
+
+def _with_point(text: str, decimal: str) -> str:
+    """Return the text of a number with a decimal point; nothing for what Python alone would take for a number."""
+    if "_" in text or (decimal == "," and "." in text):
+        return ""
+    return text.strip().replace(",", ".") if decimal == "," else text.strip()
+
+
+def _stamp_ns(text: str, decimal: str, unit_ns: int) -> int:
+    """Return a time in ns, exactly: floating point spoils ns of the wall clock; -1 if it is none."""
+    try:
+        return round(Decimal(_with_point(text, decimal)) * unit_ns)
+    except (DecimalException, OverflowError, ValueError):
+        return -1
+
+
+def _dialect(lines: Sequence[str], mapping: LogMapping) -> tuple[str, str]:
+    """Return delimiter and decimal sign by which most fields are numbers and fewest others are not."""
+    choice = [
+        pair for pair in _DIALECTS if mapping.delimiter in (None, pair[0]) and mapping.decimal in (None, pair[1])
+    ] or [(mapping.delimiter or ",", mapping.decimal or ".")]
+
+    def score(pair: tuple[str, str]) -> int:
+        texts = [text for line in lines for text in _fields_of(line, pair[0])]
+        return 2 * sum(not math.isnan(_number(text, pair[1])) for text in texts) - len(texts)
+
+    return max(choice, key=score)
+
+
+def _header_lines(rows: Sequence[Sequence[str]], decimal: str) -> int:
+    """Return how many lines there are before the first one that holds a number."""
+    numeric = (k for k, row in enumerate(rows) if any(not math.isnan(_number(text, decimal)) for text in row))
+    return next(numeric, len(rows))
+
+
+class TableFile:
+    """A log in columns as a storage file of a bag, so that whoever reads bags reads CSV, Parquet and NPZ as they are.
+
+    Args:
+        path: of the log.
+        mapping: what its columns hold; by default as the file beside it says.
+
+    Attributes:
+        effort_units: of topics whose efforts are not in the unit that their names say.
+
+    Raises:
+        BagError: if it cannot be read, does not fit its mapping or holds damaged rows.
+        ConfigError: if its mapping is not acceptable.
+    """
+
+    compression = ""
+
+    def __init__(self, path: Path, mapping: LogMapping | None) -> None:
+        self.kind = path.suffix.lower().removeprefix(".")
+        self._series = read_logs([path], mapping, lambda _: None).series
+        self.topics = {k: BagTopic(one.topic, one.msgtype, one.messages) for k, one in enumerate(self._series)}
+        self.effort_units = {one.topic: one.effort_unit for one in self._series if one.effort_unit}
+
+    def close(self) -> None:
+        """Close nothing: it was read."""
+
+    def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
+        """Yield the messages of these topics in the order of their stamps."""
+        yield from heapq.merge(*map(self._messages, sorted(keys)), key=itemgetter(1))
+
+    def _messages(self, key: int) -> Iterator[LoggedMessage]:
+        stamp_ns, encode = series_encoder(self._series[key])
+        for begin in range(0, len(stamp_ns), _BLOCK):
+            rows = np.arange(begin, min(begin + _BLOCK, len(stamp_ns)))
+            for stamp, data in zip(stamp_ns[rows].tolist(), encode(rows), strict=True):
+                yield key, stamp, data
+
+
+def exported_logs(folder: Path) -> list[tuple[list[Path], LogMapping]]:
+    """Return the CSV files of a folder with the mapping files of the same names beside them, as an export writes them.
+
+    Raises:
+        BagError: if there is none, or one without a mapping.
+        ConfigError: for a mapping that is not acceptable.
+    """
+    logs = sorted(folder.glob("*.csv"))
+    if not logs:
+        accepted = "a folder that rx90_bag export has written, as CSV"
+        raise BagError(f"{plain(folder)}: no CSV file in it; accepted: {accepted}")
+    pairs = [([log], mapping_of(log)) for log in logs]
+    for _, mapping in pairs:
+        if not mapping.exact:
+            raise BagError(
+                f"{plain(mapping.file)}: exact is not true; accepted in a folder: what rx90_bag export has written"
+            )
+    return pairs
+
+
+def import_logs(
+    logs: Sequence[tuple[Sequence[Path], LogMapping]],
+    bag: Path,
+    *,
+    skip_corrupt: bool = False,
+    storage: str = "mcap",
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> list[ReadLog]:
+    """Write a bag with the joint states and temperatures that logs in columns hold.
+
+    Args:
+        logs: files with what their columns hold; of several files of one mapping the rows belong together, one by one.
+        bag: folder to make; must not exist.
+        skip_corrupt: whether rows that are damaged are left out; otherwise they are refused.
+        storage: "mcap" or "sqlite3".
+        progress: called with the numbers of bytes that are read and that there are.
+
+    Raises:
+        BagError: if a log cannot be read, does not fit its mapping or holds damaged rows, or a topic comes twice.
+        BagWriteError: if the bag cannot be written.
+    """
+    total = sum(path.stat().st_size for paths, _ in logs for path in paths if path.is_file())
+    done = 0
+
+    def more(count: int) -> None:
+        nonlocal done
+        done = min(done + count, total)
+        progress(done, total)
+
+    read = [read_logs(paths, mapping, more, skip_corrupt=skip_corrupt) for paths, mapping in logs]
+    write_joint_states(bag, [series for log in read for series in log.series], storage=storage)
+    return read
