@@ -15,8 +15,8 @@ from rx90_common.base.share import resolve_config
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
-from rx90_emulator.identification.experiments.folder import IdentificationBags, read_emulated, read_index
-from rx90_emulator.identification.model.estimates import (
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.estimates import (
     PARAMETERS,
     PRESLIDING,
     SLIDING,
@@ -25,13 +25,12 @@ from rx90_emulator.identification.model.estimates import (
     IdentifiedElement,
     ParameterEstimate,
 )
-from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.experiments.folder import IdentificationBags, read_emulated, read_index
+from rx90_emulator.identification.options import RobotOptions, ValidationTolerances
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
 from rx90_emulator.identification.presliding.kinds import ElementKind, choose_kinds
-from rx90_emulator.identification.records.reading import read_record
-from rx90_emulator.identification.records.record import BagSource, JointRecord
+from rx90_emulator.identification.records import BagSource, JointRecord, read_record
+from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
 from rx90_emulator.identification.validation.prediction import Validation, validate
 

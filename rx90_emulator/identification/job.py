@@ -20,13 +20,12 @@ from rx90_emulator.identification.excitation.payload import read_payloads
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.experiments.folder import IdentificationBags, read_index
 from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction
-from rx90_emulator.identification.model.options import (
+from rx90_emulator.identification.options import (
     ExcitationTolerances,
     MeasuredLayout,
     RobotOptions,
     ValidationTolerances,
 )
-from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.output.excitation_report import excitation_page, excitation_summary
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.parameters_file import parameters_text
@@ -40,6 +39,7 @@ from rx90_emulator.identification.output.report import (
 )
 from rx90_emulator.identification.output.robot_files import robot_files
 from rx90_emulator.identification.presliding.kinds import kind_steps
+from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured, simulated_setup
 from rx90_emulator.identification.validation.options import MeasuredTolerances
 from rx90_emulator.loop.setup import Setup

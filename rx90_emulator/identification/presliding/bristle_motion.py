@@ -25,9 +25,9 @@ from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
 from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE, follow_bristles
 from rx90_common.kernels.compiled import kernel
-from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMotion, band_spectrum, block_means, load_of
-from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.records import BagSource
 
 MAX_COMPARED_S: Final = 2.0
 """s of a micro-motion that are compared: they hold some six of its slowest waves."""

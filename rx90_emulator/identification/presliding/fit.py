@@ -13,14 +13,14 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.curves import LINEAR_SPEED
-from rx90_emulator.identification.model.estimates import (
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.estimates import (
     LARGEST_DEVIATION,
     PRESLIDING,
     SLIDING,
     ElementEstimate,
     ParameterEstimate,
 )
-from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.presliding.bristle_motion import (
     ElementTrace,
     JointGroup,
@@ -38,7 +38,7 @@ from rx90_emulator.identification.presliding.micro_motion import (
     find_micro_motions,
     most_informative,
 )
-from rx90_emulator.identification.records.record import JointRecord, check_joints
+from rx90_emulator.identification.records import JointRecord, check_joints
 
 Clusters = NDArray[np.int64]
 

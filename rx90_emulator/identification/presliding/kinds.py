@@ -28,8 +28,8 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import counted, listed
 from rx90_common.friction.held_out import HeldOutErrors, leave_out
 from rx90_common.friction.parts.bristles import BristlesPart
-from rx90_emulator.identification.model.estimates import LARGEST_DEVIATION, PRESLIDING, ParameterEstimate
-from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.estimates import LARGEST_DEVIATION, PRESLIDING, ParameterEstimate
 from rx90_emulator.identification.presliding.bristle_motion import (
     ATTRACTION,
     FAMILIES,
@@ -40,7 +40,7 @@ from rx90_emulator.identification.presliding.bristle_motion import (
 )
 from rx90_emulator.identification.presliding.fit import PreslidingFit
 from rx90_emulator.identification.presliding.group_fit import GroupFit, KindFit
-from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.records import BagSource
 
 MIN_MOTIONS: Final = 3
 """Micro-motions of a joint, below which nothing is left to be predicted."""
@@ -238,7 +238,7 @@ class _Prediction:
             motion = whole.model.motions[index]
             lines = np.unique(motion.line, return_inverse=True)[1]
             left = fit.left_over(motion, whole.starts_of(index))
-            return np.bincount(lines, np.sum(left**2, axis=1))
+            return np.bincount(lines, np.sum(left**2, axis=1)).astype(np.float64)
 
         without, power = leave_out(range(len(whole.model.motions)), whole.without, squares)
         return cls(whole, tuple(without), power)

@@ -15,8 +15,8 @@ from scipy.signal.windows import tukey
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.record import JointRecord, spikes
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.records import JointRecord, spikes
 
 BLOCK = 8
 """Steps of the simulation in one block mean."""
