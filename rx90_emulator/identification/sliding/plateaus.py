@@ -146,7 +146,7 @@ def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks
     usage = []
     for source, (record, begin) in enumerate(zip(records, _beginnings(records), strict=True)):
         state, cut = _plateaus(record, elements)
-        own = []
+        own: list[Blocks] = []
         for rows, sliding in cut:
             own.append(_block_means(record, rows, sliding, (len(parts) + len(own), source), begin))
         parts += own

@@ -28,6 +28,7 @@ _BAND_WIDTH = 1.0  # of ln |speed|, within which errors are taken as one
 _MAX_LEVERAGE = 0.9  # of a band: without it a parameter would not be determined
 _SCATTER_NEIGHBOURS = 4  # residuals on either side by which the scatter is judged
 _MISFIT_SD = 3.0  # standard deviations of the sum of products of neighbouring residuals
+_RANK_CUTOFF = 1e-10  # of the largest singular value: smaller ones are rounding
 _MIN_PLATEAUS = 12  # in which a drift can be told
 _BANDS = 6  # bands of speed, as wide as each other in the logarithm, by which residuals are reported
 
@@ -197,7 +198,10 @@ def drifts_of(residuals: Residuals, free: Mask) -> list[Drift]:
         residuals: of the fit.
         free: which parameters of the elements were fitted, shape (n_el, p).
     """
-    basis = np.linalg.qr(residuals.slope)[0]
+    # Of the derivatives by all parameters, of which those of coupled elements may be dependent.
+    size = np.linalg.norm(residuals.slope, axis=0)
+    left, values, _ = np.linalg.svd(residuals.slope / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    basis = left[:, values > _RANK_CUTOFF * values.max(initial=0.0)]
     quantile = 1.0 - 0.5 * FALSE_ALARMS / max(1, int(free.any(axis=1).sum()))
     return [_drift(residuals, e, fitted, basis, quantile) for e, fitted in enumerate(free.sum(axis=1).tolist())]
 
