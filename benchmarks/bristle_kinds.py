@@ -23,8 +23,8 @@ from benchmarks.presliding_runs import measured_sliding, random_bristles, record
 from benchmarks.report import merge, print_table
 from benchmarks.synthetic_sweeps import Noise
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import PlanOptions
-from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.presliding.fit import identify_presliding
 from rx90_emulator.identification.presliding.kinds import ElementKind, choose_kinds
 from rx90_emulator.loop.setup import Setup

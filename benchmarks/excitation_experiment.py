@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.excitation_runs import Disturbances, ExcitationRun, FourierMotion, measured
 from benchmarks.excitation_truth import Truth, truth_of
 from benchmarks.random_arms import SyntheticArm, random_arm
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.excitation.friction.estimates import FrictionSelection
 from rx90_emulator.identification.excitation.friction.identify import (
@@ -23,8 +24,7 @@ from rx90_emulator.identification.excitation.friction.identify import (
 )
 from rx90_emulator.identification.excitation.friction.law import Part
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records import JointRecord
 
 Array = NDArray[np.float64]
 

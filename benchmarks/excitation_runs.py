@@ -17,7 +17,7 @@ from scipy.signal import bilinear, lfilter
 from benchmarks.random_arms import SyntheticArm
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records import JointRecord
 
 Array = NDArray[np.float64]
 Motion = tuple[Array, Array, Array]

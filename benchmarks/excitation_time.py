@@ -18,7 +18,7 @@ from benchmarks.excitation_runs import MISFIT, FourierMotion, measured, write_ru
 from benchmarks.random_arms import random_arm
 from benchmarks.report import merge, print_table
 from rx90_emulator.identification.excitation.identify import identify_excitation
-from rx90_emulator.identification.model.options import RobotOptions
+from rx90_emulator.identification.options import RobotOptions
 
 SAMPLES = 45_000
 RATES = (5000.0, 500.0)

@@ -22,9 +22,9 @@ from tqdm import tqdm
 from benchmarks.report import merge, print_table
 from benchmarks.synthetic_sweeps import STEADY_TORQUE, Noise, random_friction
 from rx90_common.friction import FrictionSet
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, make_plan
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup

@@ -27,7 +27,7 @@ from benchmarks.presliding_runs import (
 )
 from benchmarks.report import merge, print_table
 from benchmarks.synthetic_sweeps import Noise
-from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.presliding.fit import identify_presliding
 from rx90_emulator.loop.setup import Setup
 

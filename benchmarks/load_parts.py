@@ -26,6 +26,7 @@ from benchmarks.report import merge
 from rx90_common.base.arrays import Array
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.description.wrist import element_matrix
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
 from rx90_emulator.identification.excitation.load_parts import LoadParts, identify_load_parts
@@ -33,8 +34,7 @@ from rx90_emulator.identification.excitation.payload import Payload
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, Motion
 from rx90_emulator.identification.experiments.excitation.design import plan_excitation
 from rx90_emulator.identification.experiments.excitation.options import ExcitationOptions
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.setup import Setup
 
 MASS = {"rx90b": 6.0, "tx40": 2.0}

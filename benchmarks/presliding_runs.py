@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from benchmarks.synthetic_sweeps import STEADY_TORQUE, WRIST, Noise
 from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_emulator.identification.estimates import PRESLIDING, SLIDING, ElementEstimate
 from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, make_plan
-from rx90_emulator.identification.model.estimates import PRESLIDING, SLIDING, ElementEstimate
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.description.wrist import element_matrix
 from rx90_common.friction import FrictionElement, FrictionSet
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]

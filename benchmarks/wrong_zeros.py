@@ -29,12 +29,11 @@ from benchmarks.excitation_experiment import Case
 from benchmarks.excitation_runs import MISFIT, NOISE, Disturbances, measured
 from benchmarks.random_arms import Link, SyntheticArm, random_arm
 from benchmarks.report import merge, print_table
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.checks import check_zeros as check_runs
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.model.zeros import ZeroCheck
-from rx90_emulator.identification.sliding.zeros import Instants, known_joints
-from rx90_emulator.identification.sliding.zeros import check_zeros as check_sweeps
+from rx90_emulator.identification.zeros import Instants, ZeroCheck, known_joints
+from rx90_emulator.identification.zeros import check_zeros as check_sweeps
 
 Array = NDArray[np.float64]
 

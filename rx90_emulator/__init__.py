@@ -75,7 +75,7 @@ if TYPE_CHECKING:
     from rx90_emulator.identification.experiments.plan import Experiment
     from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction
     from rx90_emulator.identification.job import write_excitation, write_identification, write_measured
-    from rx90_emulator.identification.model.options import (
+    from rx90_emulator.identification.options import (
         ExcitationTolerances,
         MeasuredLayout,
         RobotOptions,
@@ -217,9 +217,7 @@ _HOMES = {
     "rx90_emulator.identification.experiments.plan": "Experiment",
     "rx90_emulator.identification.identify": "check_friction identify_friction FrictionIdentification",
     "rx90_emulator.identification.job": "write_excitation write_identification write_measured",
-    "rx90_emulator.identification.model.options": (
-        "ExcitationTolerances MeasuredLayout RobotOptions ValidationTolerances"
-    ),
+    "rx90_emulator.identification.options": ("ExcitationTolerances MeasuredLayout RobotOptions ValidationTolerances"),
     "rx90_emulator.identification.output.excitation_report": "excitation_summary",
     "rx90_emulator.identification.output.report": "measured_summary identification_summary",
     "rx90_emulator.identification.validation.measured": "compare_measured MeasuredComparison",

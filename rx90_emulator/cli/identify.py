@@ -12,7 +12,7 @@ from pathlib import Path
 from rx90_common.base.errors import DONE, VERDICT_NO, IdentificationError
 from rx90_common.base.quoting import one_line
 from rx90_emulator.cli.options import POSITIVE, add_arm_arguments, place
-from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions, ValidationTolerances
+from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions, ValidationTolerances
 
 _USAGE = """\
 rx90_identify FOLDER --output FILE [options]          (FOLDER of excitation runs: --output FOLDER)

@@ -63,7 +63,7 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
     align = alignment("0" if options.align is None else options.align)
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.identification.model.options import MeasuredLayout
+    from rx90_emulator.identification.options import MeasuredLayout
     from rx90_emulator.view.bags.job import open_player
     from rx90_emulator.view.page import Page
 

@@ -1,4 +1,7 @@
-"""From bags to identified friction, or to a verdict on a given one, for Python users and the command alike."""
+"""From bags to identified friction, or to a verdict on a given one, for Python users and the command alike.
+
+Records -> sliding regime -> presliding regime -> kinds of bristles by prediction -> result -> validation.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +16,11 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_common.friction.element import SIGNS
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
-from rx90_emulator.identification.experiments.folder import IdentificationBags, read_emulated, read_index
-from rx90_emulator.identification.model.estimates import (
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.estimates import (
     PARAMETERS,
     PRESLIDING,
     SLIDING,
@@ -25,22 +29,19 @@ from rx90_emulator.identification.model.estimates import (
     IdentifiedElement,
     ParameterEstimate,
 )
-from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.experiments.folder import IdentificationBags, read_emulated, read_index
+from rx90_emulator.identification.options import RobotOptions, ValidationTolerances
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
 from rx90_emulator.identification.presliding.kinds import ElementKind, choose_kinds
-from rx90_emulator.identification.records.reading import read_record
-from rx90_emulator.identification.records.record import BagSource, JointRecord
+from rx90_emulator.identification.records import BagSource, JointRecord, read_record
+from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
 from rx90_emulator.identification.validation.prediction import Validation, validate
 
-_READING_RATES = {"sliding": 250.0, "presliding": None}
-_DEFAULT_READING_RATE = 1000.0
+_RATES = {"sliding": 250.0, "presliding": None, "excitation": 1000.0, "validation": 1000.0}
 """Hz that records are averaged to, by use: plateaus are averaged anyway, a validation looks below 40 Hz, and an arm's
 motion holds nothing near 1 kHz."""
 _MAX_TRAVEL_SHARE = 2.0  # of a joint's range: more travel is explained by no offset of its zero
-_ANY_BRISTLE = {"c0": 1e4, "c1": 0.0}
 _DEFAULT_ROBOT = RobotOptions()
 _DEFAULT_TOLERANCES = ValidationTolerances()
 
@@ -88,8 +89,7 @@ class FrictionIdentification:
     @property
     def with_given_bristles(self) -> tuple[str, ...]:
         """Return the elements whose bristles are those of the fallback, of another kind than LuGre's."""
-        named = zip(self.arm.element_names, self.elements, strict=True)
-        return tuple(name for name, one in named if one.given_bristles)
+        return tuple(name for name, one in self._named() if one.given_bristles)
 
     @property
     def confirmed(self) -> bool:
@@ -99,8 +99,7 @@ class FrictionIdentification:
     @property
     def told(self) -> tuple[str, ...]:
         """Return the elements of which the bags identify any parameter."""
-        named = zip(self.arm.element_names, self.elements, strict=True)
-        return tuple(name for name, one in named if any(each.identifiable for each in one.estimates.values()))
+        return tuple(name for name, one in self._named() if any(each.identifiable for each in one.estimates.values()))
 
     @property
     def scope(self) -> str:
@@ -113,156 +112,19 @@ class FrictionIdentification:
     def unidentifiable(self) -> dict[str, dict[str, list[str]]]:
         """Return the parameters that the bags do not identify, by reason and element."""
         lacking: dict[str, dict[str, list[str]]] = {}
-        for name, one in zip(self.arm.element_names, self.elements, strict=True):
+        for name, one in self._named():
             for parameter, estimate in one.estimates.items():
                 if not estimate.identifiable:
                     lacking.setdefault(estimate.reason, {}).setdefault(name, []).append(parameter)
         return lacking
 
+    def _named(self) -> list[tuple[str, IdentifiedElement]]:
+        return list(zip(self.arm.element_names, self.elements, strict=True))
+
 
 def shown_parameters(result: FrictionIdentification) -> tuple[str, ...]:
     """Return the parameters that tables show: the viscous exponent only where an element has one."""
     return tuple(name for name in PARAMETERS if any(name in one.estimates for one in result.elements))
-
-
-def identify_records(
-    sliding: Sequence[JointRecord],
-    presliding: Sequence[JointRecord],
-    robot: RecordedRobot,
-    progress: Callable[[str], None] = lambda _: None,
-    *,
-    bristle_kinds: bool = False,
-) -> FrictionIdentification:
-    """Identify the friction of all elements of an arm from records.
-
-    Args:
-        sliding: sweeps at constant velocity.
-        presliding: micro-oscillations; without any, c0 and c1 are not identifiable.
-        robot: rigid-body model, fallback values and the torques' delay.
-        progress: called with the name of each step before it.
-        bristle_kinds: whether the kind of each element's bristles is found, too; without, they are LuGre's.
-
-    Returns:
-        The result, without bags and validations.
-
-    Raises:
-        IdentificationError: if the data do not fit or do not suffice.
-    """
-    arm = robot.arm
-    fallback = robot.fallback or (None,) * len(arm.element_names)
-    progress("sliding regime")
-    slides = identify_sliding(sliding, arm, zero=robot.zero)
-    progress("presliding regime")
-    if presliding:
-        # The sliding regime of an element does not depend on its c0 and c1.
-        known = [_merged(one, {}, other, _ANY_BRISTLE) for one, other in zip(slides.estimates, fallback, strict=True)]
-        seven = len(SLIDING)  # a viscous exponent does not show in presliding
-        covariances = [estimate.covariance()[:seven, :seven] for estimate in slides.estimates]
-        cycles = identify_presliding(presliding, arm, known, robot.torque_delay, covariances, robot.plant_period)
-    else:
-        reason = "no bag with micro-oscillations was given"
-        cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names), (), 0)
-    kinds = choose_kinds(cycles, arm, progress) if bristle_kinds else ()
-    elements = []
-    for e, (first, second, other) in enumerate(zip(slides.estimates, cycles.estimates, fallback, strict=True)):
-        own, sources = _presliding(second, kinds[e] if kinds else None)
-        sources |= dict.fromkeys(first.parameters, first.sources)
-        element = replace(_merged(first, own, other, {}), bristles=kinds[e].bristles if kinds else None)
-        given = None if kinds and kinds[e].decided else other
-        elements.append(IdentifiedElement.of(element, {**first.parameters, **own}, sources, given))
-    return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name, kinds=kinds)
-
-
-def _presliding(
-    lugre: ElementEstimate, kind: ElementKind | None
-) -> tuple[dict[str, ParameterEstimate], dict[str, tuple[BagSource, ...]]]:
-    """Return the estimates of the presliding regime, and the bags of each: those of other bristles where they are told.
-
-    c0 and c1 belong to the bristles: a stiffness that goes with LuGre's is not that of others.
-    """
-    if kind is None or kind.trial is None:
-        return dict(lugre.parameters), dict.fromkeys(lugre.parameters, lugre.sources)
-    return kind.trial.estimates, dict.fromkeys(kind.trial.estimates, kind.sources)
-
-
-def _merged(
-    sliding: ElementEstimate,
-    presliding: Mapping[str, ParameterEstimate],
-    fallback: FrictionElement | None,
-    given: Mapping[str, float],
-) -> FrictionElement:
-    """Return the element; parameters that are not identifiable come from `given`, else from the fallback."""
-    estimates = {**sliding.parameters, **presliding}
-    values: dict[str, Any] = dict(given)
-    for name in PARAMETERS:
-        estimate = estimates.get(name)
-        if estimate is not None and estimate.identifiable:
-            values[name] = estimate.value
-        elif name == VISCOUS_EXPONENT and estimate is None:
-            values[name] = 1.0
-        elif name not in values:
-            if fallback is None:
-                reason = "" if estimate is None else f" ({estimate.reason})"
-                raise IdentificationError(
-                    f"{sliding.element}: {name} is not identifiable from these bags{reason}; accepted: bags from which "
-                    "it is, or --fallback with a friction file for such values"
-                )
-            values[name] = float(getattr(fallback, name))
-    for sign in ("positive", "negative"):
-        # A fallback's static torque may lie below an identified Coulomb torque.
-        values[f"tau_s_{sign}"] = max(values[f"tau_s_{sign}"], values[f"tau_c_{sign}"])
-    if fallback is not None:
-        values["omega_d"] = fallback.omega_d
-    return FrictionElement(**values)
-
-
-def check_friction(
-    friction: FrictionFile | Path | str,
-    bags: Sequence[Path | str],
-    robot: RobotOptions = _DEFAULT_ROBOT,
-    tolerances: ValidationTolerances = _DEFAULT_TOLERANCES,
-    progress: Callable[[str], None] = lambda _: None,
-) -> tuple[Validation, ...]:
-    """Compare the torques that a friction file predicts along recorded motions with the recorded ones.
-
-    The rest of the arm is as `robot` describes it: links, rotors, coupling, spring.
-
-    Args:
-        friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.
-        bags: one or more runs, none of them twice.
-        robot: that the bags come from; by default this project's.
-        tolerances: what counts as agreement.
-        progress: called twice for each bag, before it is read and before it is compared.
-
-    Returns:
-        A comparison for each bag; `passed` is its verdict.
-
-    Raises:
-        IdentificationError: for bags, elements or options that do not fit each other.
-        BagError: for a bag that cannot be read.
-        ConfigError: for a file that cannot be used.
-    """
-    paths = [Path(bag) for bag in bags]
-    if not paths:
-        raise IdentificationError("no bag to hold the friction against; accepted: --validation BAG ...")
-    by_use = {"validation": paths}
-    check_given_once(by_use)
-    file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
-    source = RecordedRobot.load(robot, by_use["validation"])
-    names = source.arm.element_names
-    lugre = file.select(names)
-    for name in file.elements:
-        if name not in names:
-            raise IdentificationError(
-                f"{file.path or '--friction'}: element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
-            )
-    where = f"{file.path or '--friction'}: elements."
-    refuse_parts(file.elements, "a validation by recorded torques", where, held=("bristles",))
-    checks = []
-    for record in read_records(by_use, source, progress)["validation"]:
-        progress(record.source.name)
-        checks.append(validate(source, lugre, None, record, tolerances))
-    return tuple(checks)
 
 
 def identify_friction(
@@ -308,12 +170,79 @@ def identify_friction(
         )
     records = read_records(by_use, source, progress)
     result = identify_records(records["sliding"], records["presliding"], source, progress, bristle_kinds=bristle_kinds)
+    checks = _validations(source, result.lugre, result.sliding, records, tolerances, progress)
+    used = tuple((use, record.bag) for use, some in records.items() for record in some)
+    return replace(result, bags=used, validations=checks, truth=truth)
+
+
+def check_friction(
+    friction: FrictionFile | Path | str,
+    bags: Sequence[Path | str],
+    robot: RobotOptions = _DEFAULT_ROBOT,
+    tolerances: ValidationTolerances = _DEFAULT_TOLERANCES,
+    progress: Callable[[str], None] = lambda _: None,
+) -> tuple[Validation, ...]:
+    """Compare the torques that a friction file predicts along recorded motions with the recorded ones.
+
+    The rest of the arm is as `robot` describes it: links, rotors, coupling, spring.
+
+    Args:
+        friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.
+        bags: one or more runs, none of them twice.
+        robot: that the bags come from; by default this project's.
+        tolerances: what counts as agreement.
+        progress: called twice for each bag, before it is read and before it is compared.
+
+    Returns:
+        A comparison for each bag; `passed` is its verdict.
+
+    Raises:
+        IdentificationError: for bags, elements or options that do not fit each other.
+        BagError: for a bag that cannot be read.
+        ConfigError: for a file that cannot be used.
+    """
+    by_use = {"validation": [Path(bag) for bag in bags]}
+    if not by_use["validation"]:
+        raise IdentificationError("no bag to hold the friction against; accepted: --validation BAG ...")
+    check_given_once(by_use)
+    file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
+    source = RecordedRobot.load(robot, by_use["validation"])
+    names, where = source.arm.element_names, str(file.path or "--friction")
+    lugre = file.select(names)
+    for name in file.elements:
+        if name not in names:
+            said = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
+            raise IdentificationError(f"{where}: {said}")
+    refuse_parts(file.elements, "a validation by recorded torques", f"{where}: elements.", held=("bristles",))
+    return _validations(source, lugre, None, read_records(by_use, source, progress), tolerances, progress)
+
+
+def _validations(
+    robot: RecordedRobot,
+    lugre: tuple[FrictionElement, ...],
+    sliding: SlidingFit | None,
+    records: Mapping[str, Sequence[JointRecord]],
+    tolerances: ValidationTolerances,
+    progress: Callable[[str], None],
+) -> tuple[Validation, ...]:
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
-        checks.append(validate(source, result.lugre, result.sliding, record, tolerances))
-    used = tuple((use, record.bag) for use, some in records.items() for record in some)
-    return replace(result, bags=used, validations=tuple(checks), truth=truth)
+        checks.append(validate(robot, lugre, sliding, record, tolerances))
+    return tuple(checks)
+
+
+def check_given_once(bags: Mapping[str, Sequence[Path]]) -> None:
+    """Refuse a bag that is given twice for the same use.
+
+    Raises:
+        IdentificationError: naming bag and option.
+    """
+    for use, paths in bags.items():
+        places = [bag.resolve() for bag in paths]
+        for bag, place in zip(paths, places, strict=True):
+            if places.count(place) > 1:
+                raise IdentificationError(f"{bag}: given twice for --{use}; accepted: each bag once")
 
 
 def read_records(
@@ -331,13 +260,17 @@ def read_records(
             under whatever name, has another use, too.
         BagError: for a bag that cannot be read.
     """
-    everything = [(use, path) for use, paths in bags.items() for path in paths]
-    layouts = [robot.layout(path, fast=use != "sliding") for use, path in everything]
+    layouts = [(use, path, robot.layout(path, fast=use != "sliding")) for use, paths in bags.items() for path in paths]
     records: dict[str, list[JointRecord]] = {use: [] for use in bags}
-    for (use, path), layout in zip(everything, layouts, strict=True):
+    for use, path, layout in layouts:
         progress(path.name)
-        record = read_record(path, layout, _READING_RATES.get(use, _DEFAULT_READING_RATE))
-        _check_range(record, robot)
+        record = read_record(path, layout, _RATES[use])
+        for name, travel, width in zip(record.names, np.ptp(record.position, axis=0), robot.arm.ranges(), strict=True):
+            if 0.0 < _MAX_TRAVEL_SHARE * width < travel:  # degrees, or a motor's angles
+                raise IdentificationError(
+                    f"{path}: {name} moves through {travel:.3g} rad, in its URDF through {width:.3g} rad at most; "
+                    "accepted: angles of the joints in rad, or of the motors with their --gear"
+                )
         records[use].append(record)
     used = {record.sha256: record.source for use, some in records.items() if use != "validation" for record in some}
     for record in records["validation"]:
@@ -349,24 +282,75 @@ def read_records(
     return records
 
 
-def check_given_once(bags: Mapping[str, Sequence[Path]]) -> None:
-    """Refuse a bag that is given twice for the same use.
+def identify_records(
+    sliding: Sequence[JointRecord],
+    presliding: Sequence[JointRecord],
+    robot: RecordedRobot,
+    progress: Callable[[str], None] = lambda _: None,
+    *,
+    bristle_kinds: bool = False,
+) -> FrictionIdentification:
+    """Identify the friction of all elements of an arm from records.
+
+    Args:
+        sliding: sweeps at constant velocity.
+        presliding: micro-oscillations; without any, c0 and c1 are not identifiable.
+        robot: rigid-body model, fallback values and the torques' delay.
+        progress: called with the name of each step before it.
+        bristle_kinds: whether the kind of each element's bristles is found, too; without, they are LuGre's.
+
+    Returns:
+        The result, without bags and validations.
 
     Raises:
-        IdentificationError: naming bag and option.
+        IdentificationError: if the data do not fit or do not suffice.
     """
-    for use, paths in bags.items():
-        places = [bag.resolve() for bag in paths]
-        for bag, place in zip(paths, places, strict=True):
-            if places.count(place) > 1:
-                raise IdentificationError(f"{bag}: given twice for --{use}; accepted: each bag once")
+    arm = robot.arm
+    fallback = robot.fallback or (None,) * len(arm.element_names)
+    progress("sliding regime")
+    slides = identify_sliding(sliding, arm, zero=robot.zero)
+    progress("presliding regime")
+    if presliding:
+        # The sliding regime of an element does not depend on its c0 and c1.
+        bristles = {"c0": ParameterEstimate(1e4, 0.0), "c1": ParameterEstimate(0.0, 0.0)}
+        known = [_element(one, bristles, other) for one, other in zip(slides.estimates, fallback, strict=True)]
+        seven = len(SLIDING)  # a viscous exponent does not show in presliding
+        covariances = [estimate.covariance()[:seven, :seven] for estimate in slides.estimates]
+        cycles = identify_presliding(presliding, arm, known, robot.torque_delay, covariances, robot.plant_period)
+    else:
+        reason = "no bag with micro-oscillations was given"
+        cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names), (), 0)
+    kinds = choose_kinds(cycles, arm, progress) if bristle_kinds else ()
+    elements = []
+    for e, (first, second, other) in enumerate(zip(slides.estimates, cycles.estimates, fallback, strict=True)):
+        own, bags, kind = second.parameters, second.sources, kinds[e] if kinds else None
+        if kind is not None and kind.trial is not None:
+            # c0 and c1 belong to the bristles: a stiffness that goes with LuGre's is not that of others.
+            own, bags = kind.trial.estimates, kind.sources
+        sources = dict.fromkeys(own, bags) | dict.fromkeys(first.parameters, first.sources)
+        element = replace(_element(first, own, other), bristles=None if kind is None else kind.bristles)
+        given = None if kind is not None and kind.decided else other
+        elements.append(IdentifiedElement.of(element, {**first.parameters, **own}, sources, given))
+    return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name, kinds=kinds)
 
 
-def _check_range(record: JointRecord, robot: RecordedRobot) -> None:
-    """Refuse angles that no joint of the URDF goes through: degrees, or a motor's."""
-    for name, travel, width in zip(record.names, np.ptp(record.position, axis=0), robot.arm.ranges(), strict=True):
-        if 0.0 < _MAX_TRAVEL_SHARE * width < travel:
+def _element(
+    sliding: ElementEstimate, presliding: Mapping[str, ParameterEstimate], fallback: FrictionElement | None
+) -> FrictionElement:
+    """Return the element; parameters that are not identifiable come from the fallback."""
+    estimates = {VISCOUS_EXPONENT: ParameterEstimate(1.0, 0.0), **sliding.parameters, **presliding}
+    values: dict[str, Any] = {}
+    for name in PARAMETERS:
+        estimate = estimates[name]
+        if not estimate.identifiable and fallback is None:
             raise IdentificationError(
-                f"{record.source}: {name} moves through {travel:.3g} rad, in its URDF through {width:.3g} rad at most; "
-                "accepted: angles of the joints in rad, or of the motors with their --gear"
+                f"{sliding.element}: {name} is not identifiable from these bags ({estimate.reason}); accepted: bags "
+                "from which it is, or --fallback with a friction file for such values"
             )
+        values[name] = estimate.value if estimate.identifiable else float(getattr(fallback, name))
+    for sign in SIGNS:
+        # A fallback's static torque may lie below an identified Coulomb torque.
+        values[f"tau_s_{sign}"] = max(values[f"tau_s_{sign}"], values[f"tau_c_{sign}"])
+    if fallback is not None:
+        values["omega_d"] = fallback.omega_d
+    return FrictionElement(**values)

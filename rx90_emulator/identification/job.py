@@ -20,13 +20,12 @@ from rx90_emulator.identification.excitation.payload import read_payloads
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.experiments.folder import IdentificationBags, read_index
 from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction
-from rx90_emulator.identification.model.options import (
+from rx90_emulator.identification.options import (
     ExcitationTolerances,
     MeasuredLayout,
     RobotOptions,
     ValidationTolerances,
 )
-from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.output.excitation_report import excitation_page, excitation_summary
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.parameters_file import parameters_text
@@ -40,10 +39,14 @@ from rx90_emulator.identification.output.report import (
 )
 from rx90_emulator.identification.output.robot_files import robot_files
 from rx90_emulator.identification.presliding.kinds import kind_steps
+from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured, simulated_setup
 from rx90_emulator.identification.validation.options import MeasuredTolerances
 from rx90_emulator.loop.setup import Setup
 
+REPORT, PARAMETERS = "report.html", "parameters.yaml"
+_FILES = (REPORT, PARAMETERS, *FILES.values())
+_MEASURED_STEPS = 3
 _BAR = "{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
 
 
@@ -62,7 +65,7 @@ def steps(total: int) -> Iterator[Callable[[str], None]]:
         yield step
 
 
-def check_targets(files: Sequence[Path], *, force: bool) -> None:
+def check_targets(files: Iterable[Path], *, force: bool) -> None:
     """Refuse files that could not be written in the end, before anything long begins.
 
     Raises:
@@ -88,20 +91,17 @@ def check_targets(files: Sequence[Path], *, force: bool) -> None:
         check_place(file)
 
 
-def check_folder(folder: Path, names: Iterable[str], *, force: bool) -> None:
-    """Refuse a folder that these files could not be written into in the end, as `check_targets` does for files.
+def check_folder(folder: Path, *, force: bool) -> None:
+    """Refuse a folder that the robot's files could not be written into in the end, as `check_targets` does for files.
 
     The folder need not exist, the one above it must. What else is in it stays.
 
     Raises:
         IdentificationError: for what is no folder, a file that exists without `force`, or a place that takes none.
     """
-    if folder.is_dir():
-        check_targets([folder / name for name in names], force=force)
-    elif folder.exists():
+    if folder.exists() and not folder.is_dir():
         raise IdentificationError(f"{folder} is no folder; accepted: the name of a folder")
-    else:
-        check_targets([folder], force=force)
+    check_targets([folder / name for name in _FILES] if folder.is_dir() else [folder], force=force)
 
 
 def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
@@ -138,13 +138,13 @@ def write_identification(
         IdentificationError: for files that exist, or that are not acceptable.
         OutputError: for files that cannot be written.
     """
-    file, page = _targets(Path(output), None if report is None else Path(report), force=force)
+    file, page = _checked_targets(Path(output), report, force=force)
     write_all({file: friction_text(result).encode(), page: report_page(result, file.name).encode()})
     return file, page
 
 
-def _targets(output: Path, report: Path | None, *, force: bool) -> tuple[Path, Path]:
-    page = report or output.with_suffix(".html")
+def _checked_targets(output: Path, report: Path | str | None, *, force: bool) -> tuple[Path, Path]:
+    page = output.with_suffix(".html") if report is None else Path(report)
     if output.resolve() == page.resolve():
         raise IdentificationError(f"--output and --report are both {output}; accepted: two files")
     check_targets((output, page), force=force)
@@ -163,19 +163,12 @@ def run_identification(
 ) -> bool:
     """Identify with a progress bar, write the files, print a summary, and return whether no validation bag disagrees.
 
-    Args:
-        bags: as in `identify_friction`, as are robot and tolerances.
-        robot: that the bags come from.
-        tolerances: of the validation.
-        output: as in `write_identification`, as are report and force; checked before anything long begins.
-        report: HTML page.
-        bristle_kinds: as in `identify_friction`.
-        force: whether files that exist are replaced.
+    The arguments are those of `identify_friction` and `write_identification`; files are checked first.
 
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
-    _targets(output, report, force=force)
+    _checked_targets(output, report, force=force)
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
     total = sum(map(len, vars(chosen).values())) + 2 + len(chosen.validation)
     if bristle_kinds:
@@ -198,19 +191,12 @@ def run_check(
 ) -> bool:
     """Hold a friction file against bags, write the report if it is asked for, and return whether none disagrees.
 
-    Args:
-        friction: as in `check_friction`, as are bags, robot and tolerances.
-        bags: one or more.
-        robot: that the bags come from.
-        tolerances: what counts as agreement.
-        report: HTML page.
-        force: whether a report that exists is replaced.
+    The arguments are those of `check_friction`; a report is checked first.
 
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
-    if report is not None:
-        check_targets((report,), force=force)
+    check_targets(() if report is None else (report,), force=force)
     with steps(2 * len(bags)) as step:
         checks = check_friction(friction, bags, robot, tolerances, step)
     if report is not None:
@@ -219,10 +205,6 @@ def run_check(
     if report is not None:
         print(f"report: {report}")
     return all(check.passed for check in checks)
-
-
-REPORT, PARAMETERS = "report.html", "parameters.yaml"
-_FILES = (REPORT, PARAMETERS, *FILES.values())
 
 
 def write_excitation(result: ExcitationIdentification, folder: Path | str, *, force: bool = False) -> Path:
@@ -239,12 +221,11 @@ def write_excitation(result: ExcitationIdentification, folder: Path | str, *, fo
         IdentificationError: for files that exist, or a place that takes no folder.
         OutputError: for files that cannot be written.
     """
-    folder = Path(folder)
-    check_folder(folder, _FILES, force=force)
-    date = datetime.now(timezone.utc)
+    folder, date = Path(folder), datetime.now(timezone.utc)
+    check_folder(folder, force=force)
     robot, note = robot_files(result, date)
     page = excitation_page(result, date, versions(), (*robot, note))
-    check_folder(folder, _FILES, force=force)  # again: another identification may have written there meanwhile
+    check_folder(folder, force=force)  # again: another identification may have written there meanwhile
     write_folder(folder, {**robot, REPORT: page, PARAMETERS: parameters_text(result, date, versions())})
     return folder
 
@@ -256,50 +237,27 @@ def run_excitation(
     tolerances: ExcitationTolerances,
     output: Path,
     *,
-    bristles: bool = False,
     payload: Path | None = None,
-    load_part: bool = False,
-    prior: float | None = None,
     force: bool = False,
+    bristles: bool = False,
+    **how: Any,
 ) -> bool:
     """Identify with a progress bar, write the folder, print a summary, and return whether no validation run disagrees.
 
-    Args:
-        bags: as in `identify_excitation`, as are robot, validation, tolerances and bristles.
-        robot: that they come from.
-        validation: runs to predict.
-        tolerances: of the validation.
-        output: folder; checked before anything long begins.
-        bristles: whether they are tried.
-        payload: file of known payloads.
-        load_part: whether they tell load parts of the friction, not drive gains.
-        prior: relative standard deviation of the description's inertials.
-        force: whether files that exist are replaced.
+    The arguments are those of `identify_excitation`, `payload` a file of known payloads; the folder is checked first.
 
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
-    check_folder(output, _FILES, force=force)
+    check_folder(output, force=force)
     payloads = {} if payload is None else read_payloads(payload)
-    total = count_steps(len(bags), len(validation), bristles=bristles, payloads=bool(payloads))
-    with steps(total) as step:
+    with steps(count_steps(len(bags), len(validation), bristles=bristles, payloads=bool(payloads))) as step:
         result = identify_excitation(
-            bags,
-            robot,
-            validation,
-            tolerances,
-            bristles=bristles,
-            payloads=payloads,
-            load_part=load_part,
-            prior=prior,
-            progress=step,
+            bags, robot, validation, tolerances, bristles=bristles, payloads=payloads, progress=step, **how
         )
     folder = write_excitation(result, output, force=force)
     print(f"{excitation_summary(result)}\n{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
     return result.confirmed
-
-
-_STEPS = 3
 
 
 def write_measured(result: MeasuredComparison, setup: Setup, page: Path | str, *, force: bool = False) -> Path:
@@ -334,22 +292,14 @@ def run_comparison(
 ) -> bool:
     """Compare with a progress bar, write the report if it is asked for, print a table, and return the verdict.
 
-    Args:
-        bag: as in `compare_measured`, as are layout, tolerances and bandwidth.
-        files: of the robot.
-        layout: what the bag holds.
-        tolerances: what counts as agreement.
-        bandwidth: of the set-points, Hz.
-        page: report to write; checked before anything long begins.
-        force: whether a report that exists is replaced.
+    The arguments are those of `compare_measured`, with the files of the robot; a report is checked first.
 
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
-    if page is not None:
-        check_targets((page,), force=force)
+    check_targets(() if page is None else (page,), force=force)
     setup = simulated_setup(files)
-    with steps(_STEPS) as step:
+    with steps(_MEASURED_STEPS) as step:
         result = compare_measured(bag, setup, layout, tolerances, bandwidth=bandwidth, progress=step)
     print(measured_summary(result))
     if page is not None:

@@ -13,9 +13,9 @@ from benchmarks.excitation_runs import NOISE, NOTHING, Disturbances, FourierMoti
 from benchmarks.excitation_truth import Truth, truth_of
 from benchmarks.friction_equations import FrictionLaw
 from benchmarks.random_arms import random_arm
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.layout import BagLayout
-from rx90_emulator.identification.records.reading import read_record
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.layout import arm_layout
+from rx90_emulator.identification.records import read_record
 
 
 def test_the_bristle_is_that_of_a_stiff_solver() -> None:
@@ -44,7 +44,7 @@ def test_a_run_is_the_robots_of_its_urdf(tmp_path: Path, coupled: bool) -> None:
     arm = random_arm(4, 3, coupled=coupled, stribeck=False)
     run = measured(arm, FourierMotion.random(arm, 1, periods=1), 100.0, 0, NOTHING)
     bag, urdf = write_run(run, arm, tmp_path)
-    record = read_record(bag, BagLayout.of("joint_states", arm.names, arm.names))
+    record = read_record(bag, arm_layout("joint_states", arm.names))
     read = RigidArm.from_urdf(urdf, coupling=arm.coupling, rotor_inertia=arm.rotor, spring=arm.spring)
     rest = record.torque - read.torque(*run.exact) - arm.offset
     inputs = run.exact[1] @ read.element_matrix.T

@@ -16,8 +16,8 @@ from rx90_common.base.share import config_path
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.configuration.origins import OF_CODE, file_values
-from rx90_emulator.identification.model.options import RobotOptions
-from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.options import RobotOptions
+from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.model import prepare_perturbation as prepare
 from rx90_emulator.view.panel.element_form import changed

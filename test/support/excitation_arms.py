@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from benchmarks.excitation_runs import Disturbances, FourierMotion, measured
 from benchmarks.friction_equations import FrictionLaw
 from benchmarks.random_arms import SyntheticArm, random_arm
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.checks import coulomb_viscous
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.model.rigid_arm import RigidArm
 
 Array = NDArray[np.float64]
 

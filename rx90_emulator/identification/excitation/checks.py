@@ -24,7 +24,7 @@ from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.least_squares import solve, time_blocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.model.zeros import QUARTERS, SMALLEST, STEP, ZeroCheck, encoder_error
+from rx90_emulator.identification.zeros import QUARTERS, SMALLEST, STEP, ZeroCheck, encoder_error
 
 _WRONG_SIGN_SE = 6.0  # deviations
 

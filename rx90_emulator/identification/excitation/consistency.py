@@ -33,8 +33,8 @@ from rx90_emulator.identification.excitation.friction.estimates import FrictionS
 from rx90_emulator.identification.excitation.friction.identify import linear_columns
 from rx90_emulator.identification.excitation.least_squares import LinearFit
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.model.options import RobotOptions
-from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.options import RobotOptions
+from rx90_emulator.identification.robot import RecordedRobot
 
 _PRIOR_WEIGHT = 1.0  # of logarithms with a deviation of 1: a description is right but for factors of some e
 _GUESS_WEIGHT = 0.1  # of what the description does not have: right but for factors of some 20

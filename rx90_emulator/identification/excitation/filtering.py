@@ -26,7 +26,7 @@ from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import IdentificationError
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import fma, load, store
-from rx90_emulator.identification.records.record import BagSource, JointRecord
+from rx90_emulator.identification.records import BagSource, JointRecord
 
 _FILTER_ORDER = 4  # of the Butterworth filter, in each direction
 _STOPBAND_DB = 60.0  # dB, of the parallel filter beyond twice its bandwidth

@@ -22,7 +22,7 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed, quoted
-from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.arm import RigidArm
 
 _LINK = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 

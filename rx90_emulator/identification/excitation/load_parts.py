@@ -31,6 +31,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
 from rx90_common.friction.parts.load import DIRECTIONS, LARGEST_COEFFICIENT, LoadPart
+from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.excitation.checks import coulomb_viscous
 from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks
@@ -40,7 +41,6 @@ from rx90_emulator.identification.excitation.friction.selection import Selected,
 from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.payload import Payload
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.model.estimates import ParameterEstimate
 
 _DIGITS = 6  # significant ones of a coefficient to simulate with
 _BLOCK_SAMPLES = 4000  # samples whose columns are in memory at a time

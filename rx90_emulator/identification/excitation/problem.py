@@ -32,10 +32,10 @@ from scipy.signal import correlate
 
 from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
 from rx90_emulator.identification.excitation.payload import Payload
-from rx90_emulator.identification.model.rigid_arm import RigidArm
 
 Motion = tuple[Array, Array, Array]
 """Position, velocity and acceleration, each of shape (m, n)."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
+from rx90_emulator.identification.estimates import ElementEstimate, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.excitation.consistency import Consistency
 from rx90_emulator.identification.excitation.friction.estimates import FrictionSelection
 from rx90_emulator.identification.excitation.friction.selection import ModelRow
@@ -29,11 +30,10 @@ from rx90_emulator.identification.excitation.torques import (
     residuals_by_speed,
     undetermined,
 )
-from rx90_emulator.identification.model.estimates import ElementEstimate, IdentifiedElement, ParameterEstimate
-from rx90_emulator.identification.model.options import RobotOptions
-from rx90_emulator.identification.model.robot import RecordedRobot
-from rx90_emulator.identification.model.zeros import ZeroCheck
-from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.options import RobotOptions
+from rx90_emulator.identification.records import BagSource
+from rx90_emulator.identification.robot import RecordedRobot
+from rx90_emulator.identification.zeros import ZeroCheck
 
 UNITS = {"m": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m", "k": "Nm", "offset": "Nm"}
 """Units of base parameters by the first word of their names; of all others kg m^2."""

@@ -17,8 +17,8 @@ from rx90_common.base.arrays import Array, Index
 from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.excitation.least_squares import LinearFit, time_blocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.model.options import ExcitationTolerances
-from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.options import ExcitationTolerances
+from rx90_emulator.identification.records import BagSource
 
 _DIFFERENCES, _DIFFERENCE_GAIN = 3, 20.0  # the third difference 1, -3, 3, -1 has 20 times the variance of white noise
 _NORMAL_MAD = 0.6745  # median of a standard normal's size

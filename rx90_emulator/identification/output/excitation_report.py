@@ -13,6 +13,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, Band, Curve, Dots, Heat, Level, Panel, Plot
+from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.excitation.friction.estimates import FrictionCurve
 from rx90_emulator.identification.excitation.friction.law import Part
 from rx90_emulator.identification.excitation.gains import PLAUSIBLE
@@ -25,7 +26,6 @@ from rx90_emulator.identification.excitation.torques import (
     TorqueValidation,
     misfits,
 )
-from rx90_emulator.identification.model.estimates import ParameterEstimate
 from rx90_emulator.identification.output.robot_files import torque_constants
 
 _SHOWN = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1", "load.driving", "load.driven")

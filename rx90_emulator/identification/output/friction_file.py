@@ -15,10 +15,10 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.bristles import BristlesPart
+from rx90_emulator.identification.estimates import LARGEST, PARAMETERS, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.identify import FrictionIdentification
-from rx90_emulator.identification.model.estimates import LARGEST, PARAMETERS, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.presliding.kinds import ElementKind
-from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.sliding.fit import SlidingFit
 
 _REMARKS = """\

@@ -9,11 +9,11 @@ from typing import Any
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import check_numbers, yaml_text
+from rx90_emulator.identification.estimates import LARGEST, ParameterEstimate
 from rx90_emulator.identification.excitation.friction.cross_validation import CrossValidation
 from rx90_emulator.identification.excitation.friction.selection import ModelRow
 from rx90_emulator.identification.excitation.result import BaseParameter, ExcitationIdentification
 from rx90_emulator.identification.excitation.torques import RunTorques, misfits
-from rx90_emulator.identification.model.estimates import LARGEST, ParameterEstimate
 from rx90_emulator.identification.output.excitation_report import gain_warnings
 
 _HEAD = """\

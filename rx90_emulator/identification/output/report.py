@@ -16,8 +16,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Panel, Plot
+from rx90_emulator.identification.estimates import IdentifiedElement
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
-from rx90_emulator.identification.model.estimates import IdentifiedElement
 from rx90_emulator.identification.presliding.bristle_motion import MOST_MOTIONS, MOST_OF_BAG
 from rx90_emulator.identification.presliding.fit import HysteresisLoop
 from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE, ElementKind, decisions

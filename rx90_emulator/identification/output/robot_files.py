@@ -23,13 +23,13 @@ from rx90_common.description.wrist import element_matrix
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.friction.friction_set import element_names
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.estimates import IdentifiedElement
 from rx90_emulator.identification.excitation.bodies import central
 from rx90_emulator.identification.excitation.consistency import ConsistentInertias
 from rx90_emulator.identification.excitation.result import ASSUMED_BRISTLES, ExcitationIdentification
-from rx90_emulator.identification.model.estimates import IdentifiedElement
-from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.output.friction_file import elements_text
-from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.records import BagSource
 
 _ORIGIN_KEYS = ("provenance", "source")
 _OTHERS = "others"

@@ -25,22 +25,18 @@ from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
 from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE, follow_bristles
 from rx90_common.kernels.compiled import kernel
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMotion, band_spectrum, block_means, load_of
-from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMotion, band_spectrum, block_means
+from rx90_emulator.identification.records import BagSource
 
 MAX_COMPARED_S: Final = 2.0
 """s of a micro-motion that are compared: they hold some six of its slowest waves."""
-
 MOST_MOTIONS: Final = 5
 """Micro-motions of a joint that are compared, the largest ones."""
-
 MOST_OF_BAG: Final = 3
 """The same of joints that share elements, of each bag."""
-
 ATTRACTION: Final = "attraction"
 """The number of Maxwell slip that presliding does not show."""
-
 _CACHED_SPECTRA = 16  # spectra of a motion: those of a difference quotient begin at the same deflection
 _MAX_STEP_S = 5.1e-4  # s, of a step: at 33 Hz the mean over it is 0.1 % off
 _ATTRACTION_RATE = 200.0  # 1/s: the sliding curve hardly shows in presliding, and its attraction not at all
@@ -86,20 +82,16 @@ class KindFamily:
         return [np.concatenate([np.zeros(self.blocks - 1), np.log(reach[1:] / reach[0])])]
 
     def bristles(self, shape: Array, coulomb: float) -> BristlesPart | None:
-        """Return the bristles of such numbers, for a Coulomb torque, Nm."""
+        """Return the bristles of such numbers, for a Coulomb torque, Nm; None is LuGre's."""
         if self.elastic:
             return ElastoPlastic(float(MOST_BREAK_AWAY / (1.0 + np.exp(-np.clip(shape[0], -30.0, 30.0)))))
         if not self.blocks:
             return None
-        stiffness, share = (_parts(half) for half in np.split(np.clip(shape, -8.0, 8.0), 2))
+        parts = [np.exp(np.append(0.0, half)) for half in np.split(np.clip(shape, -8.0, 8.0), 2)]
+        stiffness, share = (part / part.sum() for part in parts)
         # Blocks have no order of their own: in that in which they slip, fits without one motion each are compared.
         order = np.argsort(share / stiffness, kind="stable")
         return MaxwellSlip(tuple(stiffness[order].tolist()), tuple(share[order].tolist()), _ATTRACTION_RATE * coulomb)
-
-
-def _parts(logarithms: Array) -> Array:
-    weights = np.exp(np.append(0.0, logarithms))
-    return np.asarray(weights / weights.sum())
 
 
 FAMILIES = (KindFamily(), KindFamily(elastic=True), *(KindFamily(blocks) for blocks in (2, 3, 4)))
@@ -107,17 +99,11 @@ FAMILIES = (KindFamily(), KindFamily(elastic=True), *(KindFamily(blocks) for blo
 
 
 @kernel
-def deflect_bristle(speed: Array, sliding_torque: Array, step: float, c0: float, start: float, result: Array) -> None:
+def _deflect_lugre(speed: Array, sliding_torque: Array, step: float, c0: float, start: float, result: Array) -> None:
     """Deflect a bristle of LuGre's by the exact steps of the simulation.
 
-    Args:
-        speed: input velocity, held over each step, rad/s, shape (m,).
-        sliding_torque: c0 g(v), equation 19, at these, Nm, shape (m,).
-        step: s.
-        c0: Nm/rad.
-        start: deflection at the start, rad.
-        result: takes the means over each step of the bristle's torque, Nm, and of the rate of deflection, rad/s,
-            shape (m, 2).
+    Of each step that a speed is held over, with c0 g(v) at it, `result` takes the means of the bristle's torque, Nm,
+    and of the rate of deflection, rad/s, shape (m, 2).
     """
     z = start
     for row in range(len(speed)):
@@ -135,7 +121,7 @@ class ElementTrace:
     """The motion of one friction element; what does not depend on c0 and c1 is computed once.
 
     Attributes:
-        element: the sliding regime; c0 and c1 are not used.
+        element: the sliding regime, with the c1 that fades at 1.
         speed: held over each step, rad/s, shape (m,).
         viscous: viscous torque, Nm, block means, shape (b,).
         step: s.
@@ -151,10 +137,10 @@ class ElementTrace:
 
     @classmethod
     def of(cls, element: FrictionElement, speed: Array, step: float, steps: int = BLOCK) -> ElementTrace:
-        """Return the trace of an element.
+        """Return the trace of an element by its sliding regime.
 
         Args:
-            element: its sliding regime.
+            element: c0 and c1 are not used.
             speed: input velocities in steps of a record, rad/s, shape (m,).
             step: of the record, s.
             steps: of the trace in a block.
@@ -169,16 +155,7 @@ class ElementTrace:
         return self._blocks(np.cumsum(self.speed) * self.step)
 
     def spectra(self, kind: BristlesPart | None, c0: float, start: float) -> Array:
-        """Return spectra of the bristles' torque, Nm, and of the rate that c1 multiplies, rad/s; some are kept.
-
-        Args:
-            kind: of the bristles.
-            c0: Nm/rad.
-            start: deflection at the beginning over that of steady sliding.
-
-        Returns:
-            A column each, shape (r, 2).
-        """
+        """Return spectra of what `bristles` returns, shape (r, 2); some are kept."""
         key = (kind, c0, start)
         if key not in self._known:
             if len(self._known) >= _CACHED_SPECTRA:
@@ -191,24 +168,30 @@ class ElementTrace:
         return band_spectrum(means, self.step * self.steps / BLOCK)[0]
 
     def bristles(self, kind: BristlesPart | None, c0: float, start: float) -> Array:
-        """Return what `spectra` does as block means, a column each, shape (b, 2)."""
+        """Return block means of the bristles' torque, Nm, and of the rate that c1 multiplies, rad/s, shape (b, 2).
+
+        Args:
+            kind: of the bristles; None is LuGre's.
+            c0: Nm/rad.
+            start: deflection at the beginning over that of steady sliding.
+        """
         first = start * self.element.tau_c_positive / c0
+        found = np.empty((len(self.speed), 2))
         if kind is None:
-            found = np.empty((len(self.speed), 2))
-            deflect_bristle(self.speed, self._sliding_torque, self.step, c0, first, found)
-            found[:, 1] *= self._fading
-            return self._blocks(found)
-        constants, state = np.zeros(1, bristles_dtype(1)), np.zeros(1, BRISTLE_STATE_DTYPE)
-        fill_bristles(constants[0], [kind])
-        state["z"] = first
-        state["bristles"]["blocks"][0, 0, 0] = first * constants["blocks"]["reach"][0, 0]
-        element = self._constants.copy()
-        element["c0"] = c0
-        torque, deflection = np.empty_like(self.speed), np.empty_like(self.speed)
-        steps = np.full_like(self.speed, self.step)
-        follow_bristles(element, constants, state, self.speed, steps, torque, deflection)
-        rate = np.diff(deflection, prepend=first) / self.step
-        return self._blocks(np.column_stack([torque, rate * self._fading]))
+            _deflect_lugre(self.speed, self._sliding_torque, self.step, c0, first, found)
+        else:
+            constants, state = np.zeros(1, bristles_dtype(1)), np.zeros(1, BRISTLE_STATE_DTYPE)
+            fill_bristles(constants[0], [kind])
+            state["z"] = first
+            state["bristles"]["blocks"][0, 0, 0] = first * constants["blocks"]["reach"][0, 0]
+            element = self._constants.copy()
+            element["c0"] = c0
+            torque, deflection = np.empty_like(self.speed), np.empty_like(self.speed)
+            steps = np.full_like(self.speed, self.step)
+            follow_bristles(element, constants, state, self.speed, steps, torque, deflection)
+            found[:, 0], found[:, 1] = torque, np.diff(deflection, prepend=first) / self.step
+        found[:, 1] *= self._fading
+        return self._blocks(found)
 
     def _blocks(self, values: Array) -> Array:
         return np.asarray(values.reshape(-1, self.steps, *values.shape[1:]).mean(axis=1))
@@ -264,8 +247,14 @@ class KindMotion:
         used = slice(None if whole else round(MAX_COMPARED_S / motion.step))
         speed, acceleration = motion.velocity[used] @ inputs.T, motion.acceleration[used]
         traces = tuple(ElementTrace.of(one, speed[:, n], motion.step, steps) for n, one in enumerate(sliding))
-        torque = motion.drive[used] - acceleration @ motion.mass.T
-        measured = block_means(np.stack([torque, *_inertia_errors(motion, acceleration)], axis=2))
+        torques = [motion.friction[used]]
+        for j, i in zip(*np.triu_indices(len(motion.joints)), strict=True):
+            first, second = motion.joints[j], motion.joints[i]
+            torques.append(np.zeros_like(torques[0]))
+            scale = np.sqrt(motion.inertia[first] * motion.inertia[second])
+            torques[-1][:, j] = scale * acceleration[:, second]
+            torques[-1][:, i] = scale * acceleration[:, first]
+        measured = block_means(np.stack(torques, axis=2))
         measured[:, :, 0] -= np.column_stack([trace.viscous for trace in traces]) @ inputs
         spectrum, frequency = band_spectrum(measured.reshape(len(measured), -1), motion.step)
         spectrum = spectrum.reshape(-1, *measured.shape[1:])
@@ -313,34 +302,6 @@ def joint_groups(arm: RigidArm) -> list[JointGroup]:
     return found
 
 
-def _inertia_errors(motion: MicroMotion, acceleration: Array) -> list[Array]:
-    """Return the torques of errors of the inertia of each pair of the joints, each (m, k)."""
-    joints, found = motion.joints, []
-    for j, first in enumerate(joints):
-        for i, second in enumerate(joints[j:], j):
-            torque = np.zeros((len(acceleration), len(joints)))
-            scale = np.sqrt(motion.inertia[first] * motion.inertia[second])
-            torque[:, j] = scale * acceleration[:, second]
-            torque[:, i] = scale * acceleration[:, first]
-            found.append(torque)
-    return found
-
-
-def largest_motions(motions: Sequence[MicroMotion], break_away: Array, most: int) -> list[MicroMotion]:
-    """Return the motions with most friction torque, the largest first, those shorter than MAX_COMPARED_S at the end.
-
-    Args:
-        motions: of one group of k joints.
-        break_away: friction torque at which each joint slides, Nm, shape (k,).
-        most: of them.
-    """
-
-    def rank(motion: MicroMotion) -> tuple[bool, float]:
-        return len(motion.velocity) * motion.step < MAX_COMPARED_S, -load_of(motion, break_away)
-
-    return sorted(motions, key=rank)[:most]
-
-
 @dataclass(frozen=True, eq=False)
 class MovedGroup:
     """The largest micro-motions of joints that share their friction elements with no other joint.
@@ -361,7 +322,7 @@ class MovedGroup:
     def of(
         cls, group: JointGroup, motions: Sequence[MicroMotion], sliding: Sequence[FrictionElement], c0: Array
     ) -> MovedGroup:
-        """Return them of all micro-motions of a group.
+        """Return the largest of the micro-motions of a group, those shorter than MAX_COMPARED_S at the end.
 
         Args:
             group: the joints.
@@ -370,12 +331,15 @@ class MovedGroup:
             c0: as the attribute.
         """
         break_away = group.break_away(sliding)
-        if len(group.elements) == 1:
-            largest = largest_motions(motions, break_away, MOST_MOTIONS)
-        else:  # one direction of motion moves some elements only, and each is recorded in a bag of its own
-            bags: dict[str, list[MicroMotion]] = {}
-            for motion in motions:
-                bags.setdefault(motion.record.sha256, []).append(motion)
-            largest = [motion for bag in bags.values() for motion in largest_motions(bag, break_away, MOST_OF_BAG)]
+        bags: dict[str, list[MicroMotion]] = {}
+        for motion in motions:
+            # One direction of motion moves some elements only, and each is recorded in a bag of its own.
+            bags.setdefault(motion.record.sha256 if len(group.elements) > 1 else "", []).append(motion)
+
+        def rank(motion: MicroMotion) -> tuple[bool, float]:
+            return len(motion.velocity) * motion.step < MAX_COMPARED_S, -motion.load(break_away)
+
+        most = MOST_MOTIONS if len(group.elements) == 1 else MOST_OF_BAG
+        largest = [motion for bag in bags.values() for motion in sorted(bag, key=rank)[:most]]
         compared = tuple(KindMotion.of(motion, group.inputs, sliding) for motion in largest)
         return cls(group.elements, compared, c0, tuple(dict.fromkeys(motion.record.bag for motion in largest)))

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import rfft, rfftfreq
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
@@ -15,24 +15,33 @@ from scipy.signal.windows import tukey
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.record import JointRecord, spikes
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.records import JointRecord, spikes
 
 BLOCK = 8
 """Steps of the simulation in one block mean."""
-_BAND_LOW_HZ, _BAND_HIGH_HZ = 2.0, 50.0  # Hz: slower is creep and weight, faster is noise
+LOWEST_RATE = 500.0
+"""Samples per second below which the damping of the bristles is not separable from a delay."""
+_BAND_HZ = (2.0, 50.0)  # Hz, that are compared: slower is creep and weight, faster is noise
+_DETECTION_HZ = (2.0, 60.0)  # Hz, of what micro-oscillations are detected by
 _TAPER_SHARE = 0.2  # share of a motion under the window's cosine flanks, against leakage
+_SPAN_S = 0.5  # s, over which excursions and oscillations are measured
+_MAX_EXCURSION = 4e-3  # rad within a span; beyond it the bristles slide, and drift takes over
+_MIN_OSCILLATION = 5e-6  # rad, RMS; smaller ones are below the resolution of usual encoders
+_MIN_MOTION_S, _MAX_MOTION_S = 0.8, 10.0
+_BREAK_AWAY_SHARE = 0.7  # beyond it bristles slide, and their torque depends little on c0 and c1
+_MIN_RELATIVE_LOAD = 0.25  # of the strongest motion of a group
+_MIN_OWN_TORQUE = 2.0  # times the torque of the other joints' accelerations: so much is no mere reaction
+_MAX_MOTIONS_PER_BAG = 3  # of a group
+_MIN_STEP_S = 0.00025  # s, step of the simulation: recorded faster, torques are averaged over it
+_LOW_PASS_HZ = 200.0  # Hz, above which positions hold little but the encoder's noise
+_MAX_GAP_S, _MAX_GAP_SAMPLES = 3e-3, 2.5  # s, or sample periods where these are longer, that are interpolated
+_TRANSIENT_S = 0.01  # s beside a gap that its transient reaches through the low-pass
+_SPIKE_BLOCK_S = 1.0  # s, over which spikes are compared with the range: that of a small motion shows smaller ones
 
 
 def block_means(values: Array) -> Array:
-    """Return means of BLOCK rows; white noise stays white, and micro-oscillations are slower.
-
-    Args:
-        values: shape (m, ...).
-
-    Returns:
-        Shape (m // BLOCK, ...).
-    """
+    """Return means of BLOCK rows, shape (m, ...) to (m // BLOCK, ...); white noise stays white."""
     length = len(values) // BLOCK * BLOCK
     return np.asarray(values[:length].reshape(-1, BLOCK, *values.shape[1:]).mean(axis=1))
 
@@ -50,7 +59,7 @@ def fast_length(longest: int) -> int:
 def _window(length: int, step: float) -> tuple[Array, Array, Mask]:
     """Return the window over block means, the frequencies of its transform, Hz, and which are in the band."""
     frequency = rfftfreq(length, BLOCK * step)
-    return tukey(length, _TAPER_SHARE), frequency, (frequency >= _BAND_LOW_HZ) & (frequency <= _BAND_HIGH_HZ)
+    return tukey(length, _TAPER_SHARE), frequency, (frequency >= _BAND_HZ[0]) & (frequency <= _BAND_HZ[1])
 
 
 def band_spectrum(torque: Array, step: float) -> tuple[Array, Array]:
@@ -69,25 +78,6 @@ def band_spectrum(torque: Array, step: float) -> tuple[Array, Array]:
     parts = rfft((torque - torque.mean(axis=0))[:length] * window[:, None], axis=0)[band]
     parts = parts * np.sqrt(2.0 * BLOCK / (window @ window))
     return np.concatenate([parts.real, parts.imag]), np.tile(frequency[band], 2)
-
-
-LOWEST_RATE = 500.0
-"""Samples per second below which the damping of the bristles is not separable from a delay."""
-_SPAN_S = 0.5  # s, over which excursions and oscillations are measured
-_MAX_EXCURSION = 4e-3  # rad within a span; beyond it the bristles slide, and drift takes over
-_MIN_OSCILLATION = 5e-6  # rad, RMS; smaller ones are below the resolution of usual encoders
-_MIN_MOTION_S, _MAX_MOTION_S = 0.8, 10.0  # s
-_BREAK_AWAY_SHARE = 0.7  # beyond it bristles slide, and their torque depends little on c0 and c1
-_MIN_RELATIVE_LOAD = 0.25  # of the strongest motion of a group
-_MIN_OWN_TORQUE = 2.0  # times the torque of the other joints' accelerations: so much is no mere reaction
-_MAX_MOTIONS_PER_BAG = 3  # motions of a group in a bag
-_MIN_STEP_S = 0.00025  # s, step of the simulation: recorded faster, torques are averaged over it
-_DETECTION_LOW_HZ, _DETECTION_HIGH_HZ = 2.0, 60.0  # Hz, the band of micro-oscillations
-_LOW_PASS_HZ = 200.0  # Hz, above which positions hold little but the encoder's noise
-_MAX_GAP_S = 3e-3  # s without a message, beyond which the motion is not interpolated
-_MAX_GAP_SAMPLES = 2.5  # sample periods, where these are longer
-_TRANSIENT_S = 0.01  # s beside a gap that its transient reaches through the low-pass
-_SPIKE_BLOCK_S = 1.0  # s, over which spikes are compared with the signal's range
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +117,20 @@ class MicroMotion:
         reaction = self.acceleration[:, others] @ self.mass[:, others].T
         return float((np.std(self.drive - reaction, axis=0) / np.maximum(np.std(reaction, axis=0), 1e-12)).min())
 
+    @property
+    def friction(self) -> Array:
+        """Return the friction torque, drive less weight and inertia, Nm, shape (m, k)."""
+        return np.asarray(self.drive - self.acceleration @ self.mass.T)
 
-@dataclass(frozen=True, eq=False)
-class _Grid:
-    """A record on equal steps."""
+    def load(self, break_away: Array) -> float:
+        """Return the amplitude of friction over the torques of break-away, Nm, shape (k,), of the joint with most."""
+        friction = sosfiltfilt(butter(2, _DETECTION_HZ[1], fs=1.0 / self.step, output="sos"), self.friction, axis=0)
+        low, high = np.percentile(friction, (1.0, 99.0), axis=0)
+        return float(np.max(0.5 * (high - low) / break_away))
+
+
+class _Grid(NamedTuple):
+    """A record on m equal steps, s, and which of them lie neither in a gap nor beside one."""
 
     step: float
     time: Array
@@ -154,20 +154,25 @@ def find_micro_motions(
         IdentificationError: if the record is too slow.
     """
     grid = _on_grid(record, torque_delay)
-    velocity = _derivative(grid.position, grid.step)
+    # Central differences of fourth order; of second order they are 0.5 % low at 40 Hz and 0.5 ms.
+    position, step = grid.position, grid.step
+    velocity = np.gradient(position, step, axis=0)
+    velocity[2:-2] = (8.0 * (position[3:-1] - position[1:-3]) - (position[4:] - position[:-4])) / (12.0 * step)
     active = _active(grid) & grid.known[:, None]
     found = []
     for group in groups:
-        for first, last in _runs(np.asarray(active[:, list(group)].any(axis=1)), round(_MIN_MOTION_S / grid.step)):
-            end = min(last, first + round(_MAX_MOTION_S / grid.step))
-            found.append(_motion(record, arm, tuple(group), grid, (grid.position, velocity), first, end))
-    return [replace(motion, driven=motion.own >= min(_MIN_OWN_TORQUE, _most_own(motion, found))) for motion in found]
+        edges = np.flatnonzero(np.diff(active[:, list(group)].any(axis=1), prepend=False, append=False))
+        for first, last in edges.reshape(-1, 2).tolist():
+            if last - first >= round(_MIN_MOTION_S / step):
+                part = slice(first, min(last, first + round(_MAX_MOTION_S / step)))
+                found.append(_motion(record, arm, tuple(group), grid, velocity, part))
 
+    def most_own(motion: MicroMotion) -> float:
+        """Return how much of their own the joints have that have most at the same time."""
+        begin, end = motion.interval
+        return max(other.own for other in found if other.interval[0] < end and begin < other.interval[1])
 
-def _most_own(motion: MicroMotion, found: Sequence[MicroMotion]) -> float:
-    """Return how much of their own the joints have that have most at the same time."""
-    begin, end = motion.interval
-    return max(other.own for other in found if other.interval[0] < end and begin < other.interval[1])
+    return [replace(motion, driven=motion.own >= min(_MIN_OWN_TORQUE, most_own(motion))) for motion in found]
 
 
 def most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[MicroMotion]:
@@ -177,7 +182,7 @@ def most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[
         motions: of one group of k joints.
         break_away: friction torque at which each joint slides, Nm, shape (k,).
     """
-    loads = [load_of(motion, break_away) for motion in motions]
+    loads = [motion.load(break_away) for motion in motions]
     below = [load for load in loads if load <= _BREAK_AWAY_SHARE]
     # Faint motions are reactions to other joints'; where all motions break away, the smallest one is best.
     faintest = _MIN_RELATIVE_LOAD * max(below) if below else 0.0
@@ -190,14 +195,6 @@ def most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[
     return [motion for bag in chosen.values() for motion in bag]
 
 
-def load_of(motion: MicroMotion, break_away: Array) -> float:
-    """Return the amplitude of the friction torque over the torque of break-away, of the joint that has most."""
-    low_pass = butter(2, _DETECTION_HIGH_HZ, fs=1.0 / motion.step, output="sos")
-    friction = sosfiltfilt(low_pass, motion.drive - motion.acceleration @ motion.mass.T, axis=0)
-    low, high = np.percentile(friction, (1.0, 99.0), axis=0)
-    return float(np.max(0.5 * (high - low) / break_away))
-
-
 def _on_grid(record: JointRecord, torque_delay: float) -> _Grid:
     step = float(np.median(np.diff(record.time))) if len(record.time) > 1 else np.inf
     if 1.0 / step < LOWEST_RATE:
@@ -205,113 +202,68 @@ def _on_grid(record: JointRecord, torque_delay: float) -> _Grid:
             f"{record.source}: {1.0 / step:.4g} samples per second; accepted: {LOWEST_RATE:g} or more for the "
             "presliding regime, such as motor_states"
         )
-    rows = _without_spikes(record, step)
-    taken = record.time[rows]
-    time = taken[0] + step * np.arange(round((taken[-1] - taken[0]) / step) + 1)
-    position = np.column_stack([np.interp(time, taken, column) for column in record.position[rows].T])
-    torque = np.column_stack([np.interp(time - torque_delay, taken, column) for column in record.torque[rows].T])
-    known = _known(taken, time, step)
+    size, values = max(1, round(_SPIKE_BLOCK_S / step)), np.hstack([record.position, record.torque])
+    rows = ~np.concatenate([spikes(values[first : first + size]) for first in range(0, len(values), size)])
+    there = record.time[rows]
+    time = there[0] + step * np.arange(round((there[-1] - there[0]) / step) + 1)
+    known = np.ones(len(time), dtype=np.bool_)
+    for k in np.flatnonzero(np.diff(there) > max(_MAX_GAP_S, _MAX_GAP_SAMPLES * step)):
+        known[slice(*np.searchsorted(time, (there[k] - _TRANSIENT_S, there[k + 1] + _TRANSIENT_S)))] = False
     # Set-points are held, which leaves images of an oscillation beside multiples of their rate; without the low-pass,
     # coarser steps would alias them onto it.
-    return _coarser(_Grid(step, time, _low_passed(position, step), _low_passed(torque, step), known))
-
-
-def _without_spikes(record: JointRecord, step: float) -> NDArray[np.intp]:
-    """Return the samples without a spike, second by second: the range of a small motion shows smaller ones."""
-    size, values = max(1, round(_SPIKE_BLOCK_S / step)), np.hstack([record.position, record.torque])
-    found = [spikes(values[first : first + size]) for first in range(0, len(record.time), size)]
-    return np.flatnonzero(~np.concatenate(found))
-
-
-def _known(taken: Array, time: Array, step: float) -> Mask:
-    """Return which times lie neither in a gap between the samples taken nor beside one, shape of `time`."""
-    known = np.ones(len(time), dtype=np.bool_)
-    for k in np.flatnonzero(np.diff(taken) > max(_MAX_GAP_S, _MAX_GAP_SAMPLES * step)):
-        known[slice(*np.searchsorted(time, (taken[k] - _TRANSIENT_S, taken[k + 1] + _TRANSIENT_S)))] = False
-    return known
-
-
-def _low_passed(values: Array, step: float) -> Array:
     sections = butter(4, min(_LOW_PASS_HZ, 0.4 / step), fs=1.0 / step, output="sos")
-    return np.asarray(sosfiltfilt(sections, values, axis=0))
-
-
-def _derivative(values: Array, step: float) -> Array:
-    """Return central differences of fourth order; of second order they are 0.5 % low at 40 Hz and 0.5 ms."""
-    found = np.gradient(values, step, axis=0)
-    found[2:-2] = (8.0 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / (12.0 * step)
-    return found
-
-
-def _coarser(grid: _Grid) -> _Grid:
-    """Average the torque over the simulation's steps; a torque acts until its stamp."""
-    factor = max(1, int(_MIN_STEP_S / grid.step + 1e-6))
-    count = (len(grid.time) - 1) // factor
+    position, torque = (
+        np.asarray(sosfiltfilt(sections, np.column_stack([np.interp(at, there, c) for c in columns[rows].T]), axis=0))
+        for at, columns in ((time, record.position), (time - torque_delay, record.torque))
+    )
+    # The torque is averaged over the simulation's steps; it acts until its stamp.
+    factor = max(1, int(_MIN_STEP_S / step + 1e-6))
+    count = (len(time) - 1) // factor
     last = 1 + factor * count
-    torque = grid.torque.copy()
-    torque[factor:last:factor] = grid.torque[1:last].reshape(count, factor, -1).mean(axis=1)
-    known = grid.known.copy()
-    known[factor:last:factor] = grid.known[1:last].reshape(count, factor).all(axis=1)
-    rows = slice(0, last, factor)
-    return _Grid(grid.step * factor, grid.time[rows], grid.position[rows], torque[rows], known[rows])
+    mean, whole = torque.copy(), known.copy()
+    mean[factor:last:factor] = torque[1:last].reshape(count, factor, -1).mean(axis=1)
+    whole[factor:last:factor] = known[1:last].reshape(count, factor).all(axis=1)
+    chosen = slice(0, last, factor)
+    return _Grid(step * factor, time[chosen], position[chosen], mean[chosen], whole[chosen])
 
 
 def _active(grid: _Grid) -> Mask:
     """Return where each joint oscillates without going far, shape (m, n)."""
-    span = max(3, round(_SPAN_S / grid.step))
+    span, rate = max(3, round(_SPAN_S / grid.step)), 1.0 / grid.step
     excursion = maximum_filter1d(grid.position, span, axis=0) - minimum_filter1d(grid.position, span, axis=0)
-    band = butter(2, (_DETECTION_LOW_HZ, _DETECTION_HIGH_HZ), btype="band", fs=1.0 / grid.step, output="sos")
+    band = butter(2, _DETECTION_HZ, btype="band", fs=rate, output="sos")
     centred = grid.position - grid.position.mean(axis=0)
     power = uniform_filter1d(sosfiltfilt(band, centred, axis=0) ** 2, span, axis=0)
-    low = butter(2, _DETECTION_LOW_HZ, fs=1.0 / grid.step, output="sos")
-    slow = sosfiltfilt(low, centred, axis=0)
+    slow = sosfiltfilt(butter(2, _DETECTION_HZ[0], fs=rate, output="sos"), centred, axis=0)
     drift = uniform_filter1d((slow - uniform_filter1d(slow, span, axis=0)) ** 2, span, axis=0)
     quiet = (excursion < _MAX_EXCURSION).all(axis=1, keepdims=True)
     return np.asarray(quiet & (power > _MIN_OSCILLATION**2) & (power > drift))
 
 
-def _runs(mask: Mask, shortest: int) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= shortest]
-
-
 def _motion(
-    record: JointRecord,
-    arm: RigidArm,
-    group: tuple[int, ...],
-    grid: _Grid,
-    smooth: tuple[Array, Array],
-    first: int,
-    last: int,
+    record: JointRecord, arm: RigidArm, group: tuple[int, ...], grid: _Grid, velocity: Array, part: slice
 ) -> MicroMotion:
-    joints = list(group)
-    pose = smooth[0][first:last].mean(axis=0)[None]
-    nothing = np.zeros_like(pose)
+    """Return the motion of a group in a part of the grid, along which the velocities are known, shape (m, n)."""
+    joints, position = list(group), grid.position[part]
+    pose = position.mean(axis=0)[None]
+    nothing, unit = np.zeros_like(pose), np.eye(pose.shape[1])
     weight = arm.torque(pose, nothing, nothing)[0]
-    unit = np.eye(len(record.names))
     mass = arm.torque(np.repeat(pose, len(unit), axis=0), np.zeros_like(unit), unit) - weight
-    end = slice(first + 1, last)
-    position = 0.5 * (smooth[0][first : last - 1] + smooth[0][end])
-    velocity, acceleration = (np.diff(part[first:last], axis=0) / grid.step for part in smooth)
-    drive = grid.torque[end][:, joints] - weight[joints]
-    drive = drive - (position - pose) @ _stiffness(arm, pose)[joints].T
+    # The derivative of the weight by the pose, Nm/rad.
+    ahead, behind = (arm.torque(pose + shift * unit, 0.0 * unit, 0.0 * unit) for shift in (1e-4, -1e-4))
+    stiffness = (ahead - behind).T / 2e-4
+    middle = 0.5 * (position[:-1] + position[1:])
+    drive = grid.torque[part][1:, joints] - weight[joints] - (middle - pose) @ stiffness[joints].T
+    mean, acceleration = (np.diff(values, axis=0) / grid.step for values in (position, velocity[part]))
     return MicroMotion(
         joints=group,
         step=grid.step,
-        position=np.ascontiguousarray(smooth[0][end][:, joints]),
-        velocity=np.ascontiguousarray(velocity[:, joints]),
+        position=np.ascontiguousarray(position[1:, joints]),
+        velocity=np.ascontiguousarray(mean[:, joints]),
         acceleration=acceleration,
         drive=np.ascontiguousarray(drive),
         mass=mass[joints],
         inertia=np.diag(mass),
         record=record,
-        interval=(float(grid.time[first]), float(grid.time[last - 1])),
+        interval=(float(grid.time[part][0]), float(grid.time[part][-1])),
     )
-
-
-def _stiffness(arm: RigidArm, pose: Array) -> Array:
-    """Return the derivative of the weight by the pose, Nm/rad, shape (n, n)."""
-    small = 1e-4 * np.eye(pose.shape[1])
-    nothing = np.zeros_like(small)
-    ahead, behind = (arm.torque(pose + shift, nothing, nothing) for shift in (small, -small))
-    return np.asarray((ahead - behind).T / 2e-4)

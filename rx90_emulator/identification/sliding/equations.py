@@ -22,10 +22,14 @@ from scipy.linalg import qr, solve_triangular
 from scipy.sparse import csr_array
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.sliding.blocks import Blocks
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.sliding.plateaus import Blocks
 
 _MIN_EFFECT_SD = 1e-2  # effect of an inertial error on all data together, in standard deviations of the noise
+_HUBER_SD = 3.0  # standard deviations from which a residual counts linearly
+_SPEED_CLASS_WIDTH = 0.1  # width of the classes of ln |speed| that count as one speed
+_MIN_RESIDUAL_LEVERAGE = 0.05  # lower bound of 1 - leverage of a plateau's mean
+_RANK_CUTOFF = 1e-13  # of the largest eigenvalue: smaller ones count as 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +64,6 @@ class SlidingRows:
     def __len__(self) -> int:
         return len(self.value)
 
-    def clusters(self) -> NDArray[np.int64]:
-        """Return the number of each row's pair of plateau and group, shape (r,)."""
-        pairs = np.column_stack([self.plateau, self.group])
-        return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
-
 
 def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
     """Return the observation equations of all blocks, whitened by the covariance of the torques' noise."""
@@ -72,10 +71,12 @@ def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
     friction = blocks.torque - arm.torque(*motion)
     regressor = arm.regressor(*motion) * arm.inertial_scale()
     elements = arm.element_matrix
-    velocity = _plateau_means(blocks.velocity @ elements.T, blocks.plateau)
+    size = np.bincount(blocks.plateau)
+    mean = np.zeros((len(size), len(elements)))
+    np.add.at(mean, blocks.plateau, blocks.velocity @ elements.T)
+    velocity = (mean / np.maximum(size, 1)[:, None])[blocks.plateau]
     # The floor keeps the scaling finite for data without noise.
-    floor = (1e-6 * np.abs(blocks.torque).max(axis=0)) ** 2 + 1e-18
-    noise = blocks.noise + np.diag(floor)
+    noise = blocks.noise + np.diag((1e-6 * np.abs(blocks.torque).max(axis=0)) ** 2 + 1e-18)
     parts = []
     for pattern in np.unique(blocks.sliding, axis=0):
         combination = _unloaded(elements[~pattern])
@@ -103,51 +104,31 @@ def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
             )
         )
     joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(SlidingRows)}
-    directions = _observable(joined["nuisance"])
+    # The directions of the inertial parameters that the equations observe.
+    _, effect, basis = np.linalg.svd(joined["nuisance"].T @ joined["nuisance"])
+    directions = basis[np.sqrt(effect) > _MIN_EFFECT_SD].T
     joined["nuisance"] = joined["nuisance"] @ directions
     joined["directions"] = arm.inertial_scale()[:, None] * directions
     return SlidingRows(**joined)
 
 
-def _plateau_means(values: Array, plateau: NDArray[np.int64]) -> Array:
-    count = np.bincount(plateau)
-    total = np.zeros((len(count), values.shape[1]))
-    np.add.at(total, plateau, values)
-    return np.asarray((total / np.maximum(count, 1)[:, None])[plateau])
-
-
-def back_substituted(upper: NDArray[Any], right: NDArray[Any]) -> Array:
-    """Return x of upper @ x = right, shapes (n, n) and (n, k); SciPy 1.11 refuses n = 0."""
-    return np.asarray(solve_triangular(upper, right)) if len(upper) else right
-
-
 def _unloaded(stuck: Array) -> Array:
-    """Return a sparse basis of the joint torques on which no stuck element acts, shape (n, k).
-
-    Args:
-        stuck: rows of E of the elements that stick, shape (s, n).
-    """
+    """Return a sparse basis of the joint torques on which no stuck element, a row of E each, acts, shape (n, k)."""
     n = stuck.shape[1]
     if len(stuck) == 0:
         return np.eye(n)
     _, upper, order = qr(stuck, pivoting=True)
     rank = int(np.sum(np.abs(np.diag(upper)) > 1e-9))
     combination = np.zeros((n, n - rank))
-    combination[order[:rank]] = -back_substituted(upper[:rank, :rank], upper[:rank, rank:])
+    combination[order[:rank]] = -_back_substituted(upper[:rank, :rank], upper[:rank, rank:])
     combination[order[rank:]] = np.eye(n - rank)
     combination[np.abs(combination) < 1e-12] = 0.0
     return combination
 
 
-def _observable(nuisance: Array) -> Array:
-    """Return the directions of the inertial parameters that the equations observe, shape (10 n, k)."""
-    _, values, directions = np.linalg.svd(nuisance.T @ nuisance)
-    return np.asarray(directions[np.sqrt(values) > _MIN_EFFECT_SD].T)
-
-
-_HUBER_SD = 3.0  # standard deviations from which a residual counts linearly
-_SPEED_CLASS_WIDTH = 0.1  # width of the classes of ln |speed| that count as one speed
-_MIN_RESIDUAL_LEVERAGE = 0.05  # lower bound of 1 - leverage of a plateau's mean
+def _back_substituted(upper: NDArray[Any], right: NDArray[Any]) -> Array:
+    """Return x of upper @ x = right, shapes (n, n) and (n, k); SciPy 1.11 refuses n = 0."""
+    return np.asarray(solve_triangular(upper, right)) if len(upper) else right
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +141,7 @@ class Weights:
     with the samples in a block.
 
     Attributes:
-        cluster: number of plateau and group of each row, shape (r,); c clusters.
+        cluster: number of plateau and joint of each row, shape (r,); c clusters.
         share: of its mean that is subtracted from each cluster, shape (c,).
         factor: of each row, 1 / s and Huber's weight, shape (r,).
     """
@@ -172,11 +153,11 @@ class Weights:
     @classmethod
     def equal(cls, rows: SlidingRows) -> Weights:
         """Return the weights of rows that have unit noise."""
-        cluster = rows.clusters()
+        pairs = np.column_stack([rows.plateau, rows.group])
+        cluster = np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
         return cls(cluster, np.zeros(cluster.max() + 1), np.ones(len(rows)))
 
-    @classmethod
-    def of(cls, rows: SlidingRows, residual: Array, leverage: Array) -> Weights:
+    def updated(self, rows: SlidingRows, residual: Array, leverage: Array) -> Weights:
         """Return the weights by the variance components of a fit's residuals.
 
         Args:
@@ -184,7 +165,7 @@ class Weights:
             residual: shape (r,).
             leverage: of each cluster's mean, shape (c,).
         """
-        cluster = rows.clusters()
+        cluster = self.cluster
         count = np.bincount(cluster)
         mean = np.bincount(cluster, residual) / count
         # The shared error of a plateau is a torque, and the equations of long blocks are scaled up.
@@ -207,22 +188,38 @@ class Weights:
             share[mine] = 1.0 - noise / np.sqrt(noise**2 + power[mine] * common)
             size = np.abs(inner[inside]) / noise
             factor[inside] = np.sqrt(np.minimum(1.0, _HUBER_SD / np.maximum(size, 1e-12))) / noise
-        return cls(cluster, share, factor)
+        return Weights(cluster, share, factor)
 
     def means(self, values: Array | csr_array) -> Array:
         """Return the clusters' means of columns, shape (r, k), scaled to unit noise, shape (c, k)."""
-        rows = len(self.cluster)
         count = np.bincount(self.cluster)
-        members = csr_array((self.factor, (self.cluster, np.arange(rows))), shape=(len(count), rows))
+        members = _members(self.cluster, self.factor)
         return np.asarray(((1.0 - self.share) / np.sqrt(count))[:, None] * (members @ values))
 
     def operator(self) -> csr_array:
         """Return the matrix of the transformation, shape (r, r)."""
-        rows = len(self.cluster)
-        count = np.bincount(self.cluster)
-        members = csr_array((np.ones(rows), (self.cluster, np.arange(rows))), shape=(len(count), rows))
-        less = _diagonal(np.ones(rows)) - members.T @ _diagonal(self.share / count) @ members
+        ones = np.ones(len(self.cluster))
+        members = _members(self.cluster, ones)
+        less = _diagonal(ones) - members.T @ _diagonal(self.share / np.bincount(self.cluster)) @ members
         return csr_array(_diagonal(self.factor) @ less)
+
+
+def _members(cluster: NDArray[np.int64], values: Array) -> csr_array:
+    return csr_array((values, (cluster, np.arange(len(cluster)))), shape=(int(cluster.max()) + 1, len(cluster)))
+
+
+def _diagonal(values: Array) -> csr_array:
+    """Return a diagonal matrix; scipy.sparse.diags_array and eye_array are younger than SciPy 1.11."""
+    place = np.arange(len(values))
+    return csr_array((values, (place, place)), shape=(len(values), len(values)))
+
+
+def _robust_sd(values: Array) -> float:
+    """Return the standard deviation about 0 without outliers, which are found by the median absolute deviation."""
+    robust = 1.4826 * float(np.median(np.abs(values)))
+    good = np.abs(values) <= _HUBER_SD * robust
+    # A normal distribution truncated at 3 standard deviations keeps 0.9867 of its standard deviation.
+    return float(np.sqrt(np.mean(values[good] ** 2))) / 0.9867 if robust > 0.0 else 0.0
 
 
 def speed_design_effect(rows: SlidingRows, weights: Weights, residual: Array) -> Array:
@@ -257,51 +254,9 @@ def speed_design_effect(rows: SlidingRows, weights: Weights, residual: Array) ->
     return factor
 
 
-def _diagonal(values: Array) -> csr_array:
-    """Return a diagonal matrix; scipy.sparse.diags_array and eye_array are younger than SciPy 1.11."""
-    place = np.arange(len(values))
-    return csr_array((values, (place, place)), shape=(len(values), len(values)))
-
-
-def _robust_sd(values: Array) -> float:
-    """Return the standard deviation about 0 without outliers, which are found by the median absolute deviation."""
-    robust = 1.4826 * float(np.median(np.abs(values)))
-    good = np.abs(values) <= _HUBER_SD * robust
-    # A normal distribution truncated at 3 standard deviations keeps 0.9867 of its standard deviation.
-    return float(np.sqrt(np.mean(values[good] ** 2))) / 0.9867 if robust > 0.0 else 0.0
-
-
-_RANK_CUTOFF = 1e-13  # of the largest eigenvalue: smaller ones count as 0
-
-
-@dataclass(frozen=True, eq=False)
-class PlateauTorques:
-    """Which friction torques there are, one for each plateau and element that slides in it.
-
-    Attributes:
-        element: shape (c,).
-        velocity: rad/s, shape (c,).
-        design: coefficients of the torques in the rows, shape (r, c).
-    """
-
-    element: NDArray[np.int64]
-    velocity: Array
-    design: csr_array
-
-    @classmethod
-    def of(cls, rows: SlidingRows) -> PlateauTorques:
-        """Number the torques of the rows."""
-        count = rows.gain.shape[1]
-        at, element = np.nonzero(rows.gain)
-        keys, number = np.unique(rows.plateau[at] * count + element, return_inverse=True)
-        velocity = np.bincount(number, rows.velocity[at, element]) / np.bincount(number)
-        design = csr_array((rows.gain[at, element], (at, number)), shape=(len(rows), len(keys)))
-        return cls(keys % count, velocity, design)
-
-
 @dataclass(frozen=True, eq=False)
 class NormalForm:
-    """Equations of unit noise in the friction torques alone: root @ f = target.
+    """Equations of unit noise in the c friction torques alone: root @ f = target.
 
     Attributes:
         root: shape (k, c).
@@ -317,7 +272,13 @@ class NormalForm:
 
     @classmethod
     def of(cls, rows: SlidingRows, design: csr_array, weights: Weights) -> NormalForm:
-        """Eliminate the nuisance parameters, whose prior is 0 with a standard deviation of 1."""
+        """Eliminate the nuisance parameters, whose prior is 0 with a standard deviation of 1.
+
+        Args:
+            rows: the equations.
+            design: coefficients of the torques in them, shape (r, c).
+            weights: of the equations.
+        """
         operator = weights.operator()
         value = operator @ rows.value[:, None]
         friction = operator @ design
@@ -327,26 +288,18 @@ class NormalForm:
         basis, upper = np.linalg.qr(np.vstack([nuisance, np.eye(nuisance.shape[1])]))
         basis = basis[: len(value)]
         along = np.hstack([basis.T @ value, basis.T @ friction])
-        back = back_substituted(upper, along)
         form = (friction.T @ friction).toarray() - along[:, 1:].T @ along[:, 1:]
         pull = (friction.T @ value)[:, 0] - along[:, 1:].T @ along[:, 0]
         values, vectors = np.linalg.eigh((form + form.T) / 2.0)
         good = values > _RANK_CUTOFF * values[-1]
         scale = np.sqrt(values[good])
-        root = scale[:, None] * vectors[:, good].T
-        spread = back_substituted(upper, np.eye(len(upper)))
-        return cls(root, (vectors[:, good].T @ pull) / scale, back, spread)
+        return cls(
+            root=scale[:, None] * vectors[:, good].T,
+            target=(vectors[:, good].T @ pull) / scale,
+            back=_back_substituted(upper, along),
+            spread=_back_substituted(upper, np.eye(len(upper))),
+        )
 
     def nuisance(self, torques: Array) -> Array:
         """Return the nuisance parameters that go with friction torques, shape (p,)."""
         return np.asarray(self.back[:, 0] - self.back[:, 1:] @ torques)
-
-    def nuisance_covariance(self, slope: Array, covariance: Array) -> Array:
-        """Return the covariance of the nuisance parameters, shape (p, p).
-
-        Args:
-            slope: derivatives of the friction torques by k parameters, shape (c, k).
-            covariance: of these parameters, shape (k, k).
-        """
-        follows = self.back[:, 1:] @ slope
-        return np.asarray(self.spread @ self.spread.T + follows @ covariance @ follows.T)

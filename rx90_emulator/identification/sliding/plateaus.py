@@ -1,8 +1,13 @@
-"""Find plateaus: stretches of a record in which every joint keeps its velocity, but for ripple and noise."""
+"""Block means of the plateaus of records, and what of each bag was used.
+
+A plateau is a stretch in which every joint keeps its velocity, but for ripple and noise. What a servo loop and the
+bristles need to settle is left out at its beginning; the rest is cut into blocks, each judged by its own velocity.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
@@ -10,115 +15,239 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.special import fdtrc
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.errors import IdentificationError
 from rx90_common.kernels.compiled import kernel
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records import BagSource, JointRecord
 
-_BIN_SAMPLES = 3  # or so many samples: a single one at 67 Hz is all noise
-_VELOCITY_CHANGE = 0.02  # change of velocity that ends a plateau
-_NOISE_SD = 6.0  # or this many standard deviations of a bin's velocity
-_REST_SHARE = 0.01  # or this part of the fastest joint's velocity: moving joints shake those at rest
-_MAX_VELOCITY_ERROR = 0.75  # of its mean that a velocity may be off by, however noisy it is: it keeps its sign
-_NOISE_CAP_SHARE = 0.01  # or this part of the joint's own fastest velocity
-_MIN_NOISE_CAP = 3e-3  # rad/s, or this
-_NOISE_WINDOW_S = 1.0  # s over which the noise is taken
-_NOISE_WINDOW_BINS = 10  # or so many bins
-_END_S = 0.06  # s at the end of a plateau in which the next change of velocity may have begun
-_MAX_TREND = 0.003  # of the velocity that a plateau may change by
-_P_VALUE = 0.01  # probability below which such a change is no accident
-
-SCALES = ((0.02, np.inf), (0.1, 0.1), (0.4, 0.025))
+USED = "used"
+RESTS = "at rest"
+CHANGES = "changes of velocity"
+ACCELERATES = "steady acceleration or a crest"
+SETTLES = "settling"
+SHORT = "too short"
+LITTLE_TRAVEL = "travel of less than 10 mrad"
+UNSTEADY = "blocks of another velocity"
+REASONS = (CHANGES, RESTS, LITTLE_TRAVEL, SETTLES, SHORT, ACCELERATES, UNSTEADY, USED)
+"""What a sample was used for, or why not."""
+SETTLE_DISTANCE = 5e-3
+"""Travel after which a bristle has its steady deflection, rad: ten times g or more for joints of this class."""
+_SCALES = ((0.02, np.inf), (0.1, 0.1), (0.4, 0.025))
 """Times over which velocities are compared, s, with the speed up to which, rad/s: a drive that creeps ripples slowly,
 and what a joint does within 10 mrad does not count."""
-LEAST_BINS = 5
-"""Bins in which an acceleration can be told from noise."""
+
+# Of the bins of velocity, which plateaus are made of.
+_BIN_SAMPLES = 3  # in a bin: a single one at 67 Hz is all noise
+_MIN_BINS = 4
+_NOISE_SD = 6.0  # standard deviations of a bin's velocity that end a plateau
+_VELOCITY_CHANGE = 0.02  # of its velocity, or
+_REST_SHARE = 0.01  # of the fastest joint's velocity: moving joints shake those at rest
+_MAX_VELOCITY_ERROR = 0.75  # of its mean that a velocity may be off by, however noisy it is: it keeps its sign
+_NOISE_CAP_SHARE, _MIN_NOISE_CAP = 0.01, 3e-3  # of the joint's own fastest velocity, or rad/s, that noise may explain
+_NOISE_WINDOW_S, _NOISE_WINDOW_BINS = 1.0, 10  # over which the noise is taken
+_END_S = 0.06  # s at the end of a plateau in which the next change of velocity may have begun
+# Of the trend of velocity within a plateau.
+_TREND_BINS = 5  # in which an acceleration can be told from noise
+_MAX_TREND, _P_VALUE = 0.003, 0.01  # of the velocity, and probability below which such a change is no accident
+_HALF_S = 1.0  # s from which the second half alone may do: the first may be a slow start
+_CONTEXT_S = (0.2, 1.0)  # s before and behind a short stretch, at least and at most, that tell whether it is one
+_CONTEXT_CHANGE = 0.15  # of the velocity that it may change by there
+# Of the blocks of a settled plateau.
+_SETTLE_S = 0.25  # s, for the servo loops after a change of velocity; their integrators' pole is near 20 /s
+_SETTLE_SHARE = 0.5  # of a plateau, within which the bristles must settle for the element to count as sliding
+_BLOCK_S, _BLOCK_TRAVEL = 0.25, 0.02  # s and rad at most: the rigid torque is linear in it but for a negligible rest
+_BLOCK_SAMPLES = 8  # at least
+_BLOCK_CHANGE = 0.75  # of the plateau's velocity that a block's may be off by
+_OUTLIER_SD = 5.0  # standard deviations from a block's median
+# Of the account.
+_REST_TRAVEL = 1e-3  # rad below which nothing moves
+_LISTED_S, _UNUSED_S = 0.05, 0.5  # s from which a reason is listed, and a stretch tells of a speed that is lacking
 
 
 @dataclass(frozen=True, eq=False)
-class Bins:
-    """Means of a record's velocity over short times.
+class BagUse:
+    """What was used of one bag of sweeps.
 
     Attributes:
-        size: samples in each.
-        end: bins at the end of a plateau in which the next change of velocity may have begun.
-        velocity: rad/s, shape (b, n).
-        tolerance: by which it may be off because of noise, rad/s, shape (b, n).
-        gap: whether samples are missing within or behind a bin, shape (b,).
+        bag: the bag.
+        stretches: of constant velocity that were used.
+        seconds: in these.
+        speeds: rad/s, of each element the slowest and the fastest that was used, 0 without any, shape (n_el, 2).
+        left_out: seconds by the reason for which they were not used, the most first.
+        unused: mean speeds of the elements, rad/s, in stretches that were not used, shape (u, n_el); 0 at rest.
     """
 
-    size: int
-    end: int
+    bag: BagSource
+    stretches: int
+    seconds: float
+    speeds: Array
+    left_out: Mapping[str, float]
+    unused: Array
+
+    def text(self, names: Sequence[str]) -> str:
+        """Return it as a line, with the elements by these names."""
+        ranges = [
+            f"{name} {low:.3g}" + (f" to {high:.3g}" if f"{low:.3g}" != f"{high:.3g}" else "")
+            for name, (low, high) in zip(names, self.speeds.tolist(), strict=True)
+            if high
+        ]
+        used = "NOTHING"
+        if self.stretches:
+            used = f"{self.seconds:.3g} s in {self.stretches} stretches, {', '.join(ranges)} rad/s"
+        rest = self.reasons
+        return f"used {used}" + (f"; left out {rest}" if rest else "")
+
+    @property
+    def reasons(self) -> str:
+        """Return why how many seconds were not used."""
+        return ", ".join(f"{seconds:.3g} s {why}" for why, seconds in self.left_out.items())
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Block means of plateaus: b blocks of n joints with n_el friction elements.
+
+    Attributes:
+        position: rad, shape (b, n).
+        velocity: of the straight line fitted to the plateau's velocity, rad/s, shape (b, n).
+        acceleration: slope of that line, rad/s^2, shape (b, n).
+        torque: drive torque, Nm, shape (b, n).
+        count: samples in each mean, shape (b,).
+        sliding: whether an element slides steadily, shape (b, n_el).
+        plateau: number of the plateau, shape (b,).
+        source: number of the record, shape (b,).
+        time: in the series, s, shape (b,).
+        noise: covariance of the torque's samples, Nm^2, shape (n, n).
+    """
+
+    position: Array
     velocity: Array
-    tolerance: Array
-    gap: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, record: JointRecord, rows: slice, period: float, seconds: float) -> Bins | None:
-        """Return the bins of a part of a record; None for one that is too short for any plateau.
-
-        Args:
-            record: whose samples these are.
-            rows: of the record.
-            period: between two samples, s.
-            seconds: in a bin; it holds three samples at least.
-        """
-        time = record.time[rows]
-        if len(time) < 2:
-            return None
-        size = max(_BIN_SAMPLES, round(seconds / period))
-        count = len(time) // size
-        if count < 4:
-            return None
-        velocity = record.velocity[rows][: count * size].reshape(count, size, -1).mean(axis=1)
-        first = np.arange(count) * size
-        last = np.minimum(first + size, len(time) - 1)
-        gap = time[last] - time[first] > 2.0 * size * period
-        span = max(_NOISE_WINDOW_BINS, round(_NOISE_WINDOW_S / (size * period)))
-        end = max(1, round(_END_S / (size * period)))
-        return cls(size, end, velocity, _NOISE_SD * _noise(velocity, span) + 1e-9, gap)
+    acceleration: Array
+    torque: Array
+    count: Array
+    sliding: Mask
+    plateau: NDArray[np.int64]
+    source: NDArray[np.int64]
+    time: Array
+    noise: Array
 
 
-def _noise(velocity: Array, span: int) -> Array:
-    """Return the standard deviation of each bin's velocity, shape (b, n).
-
-    It is taken from third differences, in which an acceleration, and its change, do not count; their variance is 20
-    times that of a velocity. The median over the bins around leaves out jumps, and tells rest from motion.
-    """
-    third = np.abs(np.diff(velocity, n=3, axis=0, prepend=velocity[:1], append=velocity[-2:]))
-    middle = [median_filter(column, 2 * (span // 2) + 1, mode="nearest") for column in third.T]
-    return np.asarray(1.4826 / np.sqrt(20.0) * np.stack(middle, axis=1))
-
-
-def plateau_ranges(bins: Bins, fastest: Array) -> list[tuple[int, int]]:
-    """Return the range of bins, the end excluded, of each stretch in which every joint keeps its velocity.
+def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks, tuple[BagUse, ...]]:
+    """Cut records into plateaus, and these into blocks; say what was used of each record.
 
     Args:
-        bins: of a part of a record.
+        records: of the same joints.
+        elements: E, joint velocities to input velocities of the friction elements, shape (n_el, n).
+
+    Raises:
+        IdentificationError: if no record holds a plateau in which an element slides.
+    """
+    parts: list[Blocks] = []
+    usage = []
+    for source, (record, begin) in enumerate(zip(records, _beginnings(records), strict=True)):
+        state, cut = _plateaus(record, elements)
+        own: list[Blocks] = []
+        for rows, sliding in cut:
+            own.append(_block_means(record, rows, sliding, (len(parts) + len(own), source), begin))
+        parts += own
+        usage.append(_account(record, elements, state, [part.velocity @ elements.T * part.sliding for part in own]))
+    if not parts:
+        each = "; ".join(f"{record.source}: {use.reasons}" for record, use in zip(records, usage, strict=True))
+        raise IdentificationError(
+            f"{each or 'no bag'}: no stretch of constant velocity; accepted: sweeps at constant velocity"
+        )
+    joined = {field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Blocks)}
+    weights = np.array([part.count.sum() for part in parts])
+    joined["noise"] = np.einsum("p,pij->ij", weights / weights.sum(), np.array([part.noise for part in parts]))
+    return Blocks(**joined), tuple(usage)
+
+
+def _beginnings(records: Sequence[JointRecord]) -> list[float]:
+    """Return when each record begins in the series, s: by its stamps, or one behind the other where these overlap."""
+    order = sorted(records, key=lambda record: float(record.time[0]))
+    if all(a.time[-1] <= b.time[0] for a, b in pairwise(order)):
+        return [float(record.time[0]) for record in records]
+    lasting = [float(record.time[-1] - record.time[0]) for record in records]
+    return [sum(lasting[:k]) for k in range(len(records))]
+
+
+def _plateaus(record: JointRecord, elements: Array) -> tuple[Array, list[tuple[NDArray[np.int64], Mask]]]:
+    """Return the place in REASONS of each sample, and of each plateau its blocks' samples (b, m) and what slides."""
+    state = np.full(len(record.time), REASONS.index(CHANGES))
+    cut: list[tuple[NDArray[np.int64], Mask]] = []
+    if len(record.time) < 2:
+        return state, cut
+    period = float(np.median(np.diff(record.time)))
+    top = np.percentile(np.abs(record.velocity), 99.0, axis=0)
+    for seconds, fastest in _SCALES:
+        size = max(_BIN_SAMPLES, round(seconds / period))
+        edges = np.flatnonzero(np.diff(state != REASONS.index(USED), prepend=False, append=False))
+        for begin, end in edges.reshape(-1, 2).tolist():
+            for rows in _steady_stretches(record, slice(begin, end), period, size, top):
+                duration = float(record.time[rows.stop - 1] - record.time[rows.start])
+                # Travel over time is more precise than the mean of the drive's velocities.
+                travel = np.abs(elements @ (record.position[rows.stop - 1] - record.position[rows.start]))
+                if travel.max() > fastest * duration:
+                    continue
+                sliding = travel * _SETTLE_SHARE >= SETTLE_DISTANCE
+                if not sliding.any():
+                    state[rows] = REASONS.index(LITTLE_TRAVEL if travel.max() > _REST_TRAVEL else RESTS)
+                    continue
+                state[rows] = REASONS.index(SETTLES)
+                kept, reason = _settled_part(record, elements, rows, size, sliding)
+                if not reason:
+                    blocks, reason = _blocks(record, elements, kept, sliding), SHORT
+                    if blocks is not None:
+                        state[kept], state[blocks[0]] = REASONS.index(SHORT), REASONS.index(UNSTEADY)
+                        used = blocks[0][blocks[1]]
+                        state[used] = REASONS.index(USED)
+                        if len(used):
+                            cut.append((used, sliding))
+                        continue
+                state[kept] = REASONS.index(reason)
+    return state, cut
+
+
+def _steady_stretches(record: JointRecord, rows: slice, period: float, size: int, fastest: Array) -> list[slice]:
+    """Return the samples of each stretch of a part of a record in which every joint keeps its velocity.
+
+    Args:
+        record: whose samples these are.
+        rows: of the record.
+        period: between two samples, s.
+        size: samples in a bin.
         fastest: velocity of each joint in the whole record, rad/s, shape (n,).
     """
-    number = np.empty(len(bins.velocity), dtype=np.int64)
-    floor = np.maximum(_NOISE_CAP_SHARE * fastest, _MIN_NOISE_CAP)
+    time, count = record.time[rows], (rows.stop - rows.start) // size
+    if count < _MIN_BINS:
+        return []
+    velocity = record.velocity[rows][: count * size].reshape(count, size, -1).mean(axis=1)
+    first = np.arange(count) * size
+    gap = time[np.minimum(first + size, len(time) - 1)] - time[first] > 2.0 * size * period
+    # In third differences, whose variance is 20 times that of a velocity, an acceleration, and its change, do not
+    # count. The median over the bins around leaves out jumps, and tells rest from motion.
+    third = np.abs(np.diff(velocity, n=3, axis=0, prepend=velocity[:1], append=velocity[-2:]))
+    span = max(_NOISE_WINDOW_BINS, round(_NOISE_WINDOW_S / (size * period)))
+    middle = [median_filter(column, 2 * (span // 2) + 1, mode="nearest") for column in third.T]
+    noise = 1.4826 / np.sqrt(20.0) * np.stack(middle, axis=1)
+    cap = np.maximum(_NOISE_CAP_SHARE * fastest, _MIN_NOISE_CAP)
     # Slow ripple hardly shows in third differences; jumps show it, and accelerations, too, hence the limit.
-    jumps = _NOISE_SD * 1.4826 / np.sqrt(2.0) * np.median(np.abs(np.diff(bins.velocity, axis=0)), axis=0)
-    tolerance = np.maximum(bins.tolerance, np.minimum(jumps, floor))
-    _number_plateaus(
-        bins.velocity, tolerance, bins.gap, floor, (_VELOCITY_CHANGE, _REST_SHARE, _MAX_VELOCITY_ERROR), number
-    )
+    jumps = _NOISE_SD * 1.4826 / np.sqrt(2.0) * np.median(np.abs(np.diff(velocity, axis=0)), axis=0)
+    tolerance = np.maximum(_NOISE_SD * noise + 1e-9, np.minimum(jumps, cap))
+    number = np.empty(count, dtype=np.int64)
+    _number_plateaus(velocity, tolerance, gap, cap, (_VELOCITY_CHANGE, _REST_SHARE, _MAX_VELOCITY_ERROR), number)
     edges = np.flatnonzero(np.diff(number, prepend=-1, append=number[-1] + 1))
     # The first bin and the last ones may hold a part of a change of velocity.
-    cut = [(int(start + 1), int(stop - bins.end)) for start, stop in pairwise(edges)]
-    return [(start, stop) for start, stop in cut if stop - start > 1]
+    end = max(1, round(_END_S / (size * period)))
+    cut = [(int(start + 1), int(stop - end)) for start, stop in pairwise(edges)]
+    return [slice(rows.start + a * size, rows.start + b * size) for a, b in cut if b - a > 1]
 
 
 @kernel
 def _number_plateaus(
-    velocity: Array,
-    tolerance: Array,
-    gap: NDArray[np.bool_],
-    floor: Array,
-    shares: tuple[float, float, float],
+    velocity: Array, tolerance: Array, gap: Mask, cap: Array, shares: tuple[float, float, float],
     number: NDArray[np.int64],
-) -> None:
+) -> None:  # fmt: skip
     """Number the runs of bins whose velocities stay near the run's mean, shape (bins, n) to (bins,)."""
     bins, joints = velocity.shape
     relative, at_rest, steady = shares
@@ -129,7 +258,7 @@ def _number_plateaus(
         same = not gap[k] and not gap[k - 1]
         fastest = np.abs(mean).max()
         for j in range(joints):
-            noise = min(tolerance[k, j], max(steady * abs(mean[j]), floor[j]))
+            noise = min(tolerance[k, j], max(steady * abs(mean[j]), cap[j]))
             if abs(velocity[k, j] - mean[j]) > max(noise, relative * abs(mean[j]), at_rest * fastest):
                 same = False
         if same:
@@ -144,22 +273,40 @@ def _number_plateaus(
         number[k] = current
 
 
-def accelerates(velocity: Array, moving: NDArray[np.bool_]) -> bool:
+def _settled_part(record: JointRecord, elements: Array, rows: slice, size: int, sliding: Mask) -> tuple[slice, str]:
+    """Return the part of a plateau that is settled and keeps its velocity, and why it cannot be used, if it cannot."""
+    inputs = record.position[rows] @ elements[sliding].T
+    along = inputs * np.sign(inputs[-1] - inputs[0])
+    gone = (along - np.minimum.accumulate(along, axis=0)).min(axis=1)
+    late = record.time[rows] - record.time[rows][0] >= _SETTLE_S
+    ready = np.flatnonzero(late & (gone >= SETTLE_DISTANCE))
+    start = int(rows.start + ready[0]) if len(ready) else rows.stop
+    if (rows.stop - start) // size < _TREND_BINS:
+        return slice(start, rows.stop), SHORT
+    moving = (elements[sliding] != 0.0).any(axis=0)
+    half = (start + rows.stop) // 2
+    # Of a wave's crest a short half would look straight.
+    long = float(record.time[rows.stop - 1] - record.time[half]) >= _HALF_S
+    for begin in (start, half)[: 1 + long]:
+        kept = slice(begin, rows.stop)
+        if not _accelerates(record, kept, size, moving):
+            around = kept if long else _with_context(record, elements[sliding], kept, size)
+            if around == kept or not _accelerates(record, around, size, moving):
+                return kept, ""
+    return kept, ACCELERATES
+
+
+def _accelerates(record: JointRecord, rows: slice, size: int, moving: Mask) -> bool:
     """Return whether a moving joint speeds up, slows down or turns at the crest of a wave, rather than ripples.
 
     A parabola through the velocities changes by more than 0.3 %, and explains more than chance does (F test, with
     the first autocorrelation of what is left taken into account).
-
-    Args:
-        velocity: of the bins of a plateau, rad/s, shape (b, n), `LEAST_BINS` or more.
-        moving: which joints move, shape (n,).
     """
-    count = len(velocity)
-    at = np.linspace(-1.0, 1.0, count)
-    basis = np.linalg.qr(np.vander(at, 3))[0]
+    count = (rows.stop - rows.start) // size
+    velocity = record.velocity[rows.start : rows.start + count * size].reshape(count, size, -1).mean(axis=1)
+    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), 3))[0]
     fitted = basis @ (basis.T @ velocity)
-    left = velocity - fitted
-    mean = velocity.mean(axis=0)
+    left, mean = velocity - fitted, velocity.mean(axis=0)
     power = np.maximum(np.sum(left**2, axis=0), 1e-24)
     repeated = np.clip(np.sum(left[1:] * left[:-1], axis=0) / power, 0.0, 0.95)
     free = np.maximum((count - 3) * (1.0 - repeated) / (1.0 + repeated), 1.0)
@@ -167,3 +314,99 @@ def accelerates(velocity: Array, moving: NDArray[np.bool_]) -> bool:
     chance = fdtrc(2.0, free, explained / power * free)
     change = np.ptp(fitted, axis=0)
     return bool(np.any(moving & (change > _MAX_TREND * np.abs(mean)) & (chance < _P_VALUE)))
+
+
+def _with_context(record: JointRecord, elements: Array, kept: slice, size: int) -> slice:
+    """Return a short stretch with what goes on at nearly its velocity before and behind, if both do.
+
+    Noise cuts a wave into stretches too short to show its curvature; a stretch between two changes of velocity stays
+    as it is.
+    """
+    usual = (record.velocity[kept] @ elements.T).mean(axis=0)
+    period = float(record.time[kept.stop - 1] - record.time[kept.start]) / (kept.stop - 1 - kept.start)
+    least, most = (round(seconds / period / size) for seconds in _CONTEXT_S)
+    bins = [0, 0]
+    for side, (begin, step) in enumerate(((kept.start - size, -size), (kept.stop, size))):
+        for at in range(begin, begin + most * step, step):
+            part = record.velocity[max(at, 0) : at + size] @ elements.T
+            whole = at >= 0 and len(part) == size
+            if not whole or (np.abs(part.mean(axis=0) - usual) > _CONTEXT_CHANGE * np.abs(usual)).any():
+                break
+            bins[side] += 1
+    if min(bins) < max(1, least):
+        return kept
+    return slice(kept.start - bins[0] * size, kept.stop + bins[1] * size)
+
+
+def _blocks(record: JointRecord, elements: Array, kept: slice, sliding: Mask) -> tuple[NDArray[np.int64], Mask] | None:
+    """Return the samples of each block (b, m), and which blocks have a velocity of their own near that of all.
+
+    Either the mean velocity or the travel over time may say so: the one is noisy, the other counts encoder steps.
+    """
+    count = kept.stop - kept.start
+    if count < _BLOCK_SAMPLES:
+        return None
+    time, position = record.time, record.position
+    duration = float(time[kept.stop - 1] - time[kept.start])
+    speed = np.abs(elements @ (position[kept.stop - 1] - position[kept.start])) / duration
+    length = min(_BLOCK_S, _BLOCK_TRAVEL / max(float(speed.max()), 1e-9))
+    size = min(max(_BLOCK_SAMPLES, int(length * (count - 1) / duration)), count)
+    rows = kept.start + np.arange(count // size * size).reshape(-1, size)
+    inputs = elements[sliding].T
+    travel = (position[rows[:, -1]] - position[rows[:, 0]]) @ inputs / (time[rows[:, -1]] - time[rows[:, 0]])[:, None]
+    usual = (position[rows[-1, -1]] - position[rows[0, 0]]) @ inputs / (time[rows[-1, -1]] - time[rows[0, 0]])
+    steady = np.zeros(len(rows), dtype=np.bool_)
+    for own in (travel, record.velocity[rows].mean(axis=1) @ inputs):
+        steady |= (np.abs(own - usual) <= _BLOCK_CHANGE * np.abs(usual)).all(axis=1)
+    return rows, steady
+
+
+def _block_means(
+    record: JointRecord, rows: NDArray[np.int64], sliding: Mask, place: tuple[int, int], begin: float
+) -> Blocks:
+    """Return the blocks of a plateau, of its samples (b, m); `place` is its number and that of the record."""
+    count, flat = len(rows), rows.ravel()
+    mean_time = record.time[rows].mean(axis=1)
+    centre = record.time[flat].mean()
+    spread = record.time[flat] - centre
+    slope = spread @ record.velocity[flat] / (spread @ spread)
+    torque = record.torque[rows]
+    distance = np.abs(torque - np.median(torque, axis=1, keepdims=True))
+    good = distance <= _OUTLIER_SD * 1.4826 * np.median(distance, axis=1, keepdims=True) + 1e-12
+    used = good.sum(axis=1)
+    steps = np.diff(torque, axis=1).reshape(-1, torque.shape[2])
+    usual = (np.abs(steps) <= _OUTLIER_SD * 1.4826 * np.median(np.abs(steps), axis=0) + 1e-12).all(axis=1)
+    steps = steps[usual] if usual.any() else steps
+    return Blocks(
+        position=record.position[rows].mean(axis=1),
+        velocity=record.velocity[flat].mean(axis=0) + (mean_time[:, None] - centre) * slope,
+        acceleration=np.tile(slope, (count, 1)),
+        torque=np.where(good, torque, 0.0).sum(axis=1) / used,
+        count=used.min(axis=1).astype(np.float64),
+        sliding=np.tile(sliding, (count, 1)),
+        plateau=np.full(count, place[0]),
+        source=np.full(count, place[1]),
+        time=mean_time - record.time[0] + begin,
+        noise=steps.T @ steps / len(steps) / 2.0,
+    )
+
+
+def _account(record: JointRecord, elements: Array, state: Array, velocities: Sequence[Array]) -> BagUse:
+    """Return what was used of a record, from the state of its samples and its plateaus' velocities (b, n_el)."""
+    period = float(np.median(np.diff(record.time))) if len(record.time) > 1 else 0.0
+    speeds = np.zeros((len(elements), 2))
+    for e in range(len(elements)):
+        mine = [abs(float(v[:, e].mean())) for v in velocities if v[:, e].any()]
+        if mine:
+            speeds[e] = min(mine), max(mine)
+    seconds = {why: float(np.sum(state == k)) * period for k, why in enumerate(REASONS)}
+    used = seconds.pop(USED)
+    listed = sorted(((why, s) for why, s in seconds.items() if s >= _LISTED_S), key=lambda pair: -pair[1])
+    lacking = ~np.isin(state, [REASONS.index(why) for why in (USED, RESTS, SETTLES)])
+    unused = np.zeros((0, len(elements)))
+    for begin, end in np.flatnonzero(np.diff(lacking, prepend=False, append=False)).reshape(-1, 2).tolist():
+        lasted = float(record.time[end - 1] - record.time[begin])
+        travel = np.abs(elements @ (record.position[end - 1] - record.position[begin]))
+        if lasted >= _UNUSED_S and travel.max() > _REST_TRAVEL:
+            unused = np.vstack([unused, np.where(travel > _REST_TRAVEL, travel / lasted, 0.0)])
+    return BagUse(record.bag, len(velocities), used, speeds, dict(listed), unused)

@@ -20,6 +20,18 @@ from scipy.special import stdtrit
 from rx90_common.base.arrays import Array, Mask
 from rx90_emulator.identification.sliding.equations import SlidingRows, Weights
 
+FALSE_ALARMS = 0.01
+"""Probability that drift is claimed in a series without any, of all elements together."""
+_CORRELATION_LENGTH = 1.0  # of ln |speed| over which errors hang together: a factor of e
+_SAME_SPEED = 0.1  # of ln |speed| below which ripple of one speed may be the reason, which has a factor of its own
+_BAND_WIDTH = 1.0  # of ln |speed|, within which errors are taken as one
+_MAX_LEVERAGE = 0.9  # of a band: without it a parameter would not be determined
+_SCATTER_NEIGHBOURS = 4  # residuals on either side by which the scatter is judged
+_MISFIT_SD = 3.0  # standard deviations of the sum of products of neighbouring residuals
+_RANK_CUTOFF = 1e-10  # of the largest singular value: smaller ones are rounding
+_MIN_PLATEAUS = 12  # in which a drift can be told
+_BANDS = 6  # bands of speed, as wide as each other in the logarithm, by which residuals are reported
+
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
@@ -61,7 +73,6 @@ class Residuals:
         slides = rows.gain != 0.0
         shared = np.maximum(np.asarray(gather @ slides.astype(np.float64)), 1.0)
         gain = np.asarray(operator @ (np.sign(rows.velocity) * rows.gain))
-        along = np.asarray(gather @ (gain * left[:, None])) / np.sqrt(np.maximum(gather @ gain**2, 1e-300))
         nuisance = operator @ rows.nuisance
         basis = np.linalg.qr(np.vstack([nuisance, np.eye(nuisance.shape[1])]))[0][: len(left)]
         both = np.hstack([np.asarray(operator @ slope), gain])
@@ -72,17 +83,9 @@ class Residuals:
             gain=both[:, slope.shape[1] :],
             plateau=number,
             velocity=np.asarray(gather @ (rows.velocity * slides)) / shared,
-            along=along,
+            along=np.asarray(gather @ (gain * left[:, None])) / np.sqrt(np.maximum(gather @ gain**2, 1e-300)),
             time=np.asarray(gather @ rows.time) / np.bincount(number),
         )
-
-
-_CORRELATION_LENGTH = 1.0  # of ln |speed| over which errors hang together: a factor of e
-_SAME_SPEED = 0.1  # of ln |speed| below which ripple of one speed may be the reason, which has a factor of its own
-_BAND_WIDTH = 1.0  # of ln |speed|, within which errors are taken as one
-_MAX_LEVERAGE = 0.9  # of a band: without it a parameter would not be determined
-_SCATTER_NEIGHBOURS = 4  # residuals on either side by which the scatter is judged
-_MISFIT_SD = 3.0  # standard deviations of the sum of products of neighbouring residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,13 +137,8 @@ def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> list[Misf
 def _jackknife(slope: Array, left: Array, band: NDArray[np.int64], covariance: Array) -> Array:
     """Return the variances of the parameters by how they change when each band of speeds is left out, shape (q,).
 
-    That is the jackknife over groups, for a linear model the cluster-robust CR3 (Bell and McCaffrey 2002).
-
-    Args:
-        slope: derivatives of the equations of unit noise, shape (r, q).
-        left: their residuals, shape (r,).
-        band: number of the band of each equation, -1 for none, shape (r,).
-        covariance: of the parameters with independent errors, shape (q, q).
+    That is the jackknife over groups, for a linear model the cluster-robust CR3 (Bell and McCaffrey 2002). The band of
+    an equation is -1 where it is in none.
     """
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -176,11 +174,6 @@ def _agreement(residual: Array, distance: Array) -> float:
     return float(residual @ kernel @ residual) / spread if spread > 0.0 else 0.0
 
 
-FALSE_ALARMS = 0.01
-"""Probability that drift is claimed in a series without any, of all elements together."""
-_MIN_PLATEAUS = 12
-
-
 @dataclass(frozen=True)
 class Drift:
     """Change of an element's friction torque along its motion, from the beginning of a series to its end.
@@ -199,60 +192,46 @@ class Drift:
 
 
 def drifts_of(residuals: Residuals, free: Mask) -> list[Drift]:
-    """Test the residuals of a fit for a trend in each element.
+    """Test the residuals of a fit for a trend in each element, two-sided.
 
     Args:
         residuals: of the fit.
         free: which parameters of the elements were fitted, shape (n_el, p).
     """
-    basis = np.linalg.qr(residuals.slope)[0]
+    # Of the derivatives by all parameters, of which those of coupled elements may be dependent.
+    size = np.linalg.norm(residuals.slope, axis=0)
+    left, values, _ = np.linalg.svd(residuals.slope / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    basis = left[:, values > _RANK_CUTOFF * values.max(initial=0.0)]
     quantile = 1.0 - 0.5 * FALSE_ALARMS / max(1, int(free.any(axis=1).sum()))
-    counts = free.sum(axis=1).tolist()
-    return [_drift(residuals, e, fitted, basis, quantile) if fitted else Drift() for e, fitted in enumerate(counts)]
+    return [_drift(residuals, e, fitted, basis, quantile) for e, fitted in enumerate(free.sum(axis=1).tolist())]
 
 
 def _drift(residuals: Residuals, e: int, fitted: int, basis: Array, quantile: float) -> Drift:
-    """Return the drift of element e, of which so many parameters were fitted, in a two-sided test.
-
-    Args:
-        residuals: of the fit.
-        e: index of the element.
-        fitted: how many parameters it has.
-        basis: orthonormal, of the derivatives by all parameters, shape (r, q).
-        quantile: of Student's distribution from which it is significant.
-    """
+    """Return the drift of element e, of which so many parameters were fitted, beside an orthonormal basis of all."""
     mine = np.flatnonzero(residuals.velocity[:, e])
     time = residuals.time[mine]
-    count, span = len(mine), float(np.ptp(time))
-    if count < max(_MIN_PLATEAUS, 2 * fitted) or span == 0.0:
+    count, span = len(mine), float(np.ptp(time)) if len(mine) else 0.0
+    if not fitted or count < max(_MIN_PLATEAUS, 2 * fitted) or span == 0.0:
         return Drift()
-    at = (residuals.time - time.mean()) / span
-    trend = residuals.gain[:, e] * at[residuals.plateau]
+    gain = residuals.gain[:, e]
+    trend = gain * ((residuals.time - time.mean()) / span)[residuals.plateau]
     trend = trend - basis @ (basis.T @ trend)
     power = float(trend @ trend)
     if power < 1e-9:
         return Drift()
     size = float(trend @ residuals.left) / power
-    gain, left = residuals.gain[:, e], residuals.left - size * trend
+    left = residuals.left - size * trend
     pull, weight = (np.bincount(residuals.plateau, values, len(residuals.time)) for values in (gain * left, gain**2))
     along: Array = pull / np.sqrt(np.maximum(weight, 1e-300))
-    correlation = _autocorrelation(along[mine[np.argsort(time, kind="stable")]])
+    ordered = along[mine[np.argsort(time, kind="stable")]]
+    # What a fitted level and trend take from the first autocorrelation is given back (Kendall 1954).
+    found = float(ordered[1:] @ ordered[:-1]) / max(float(ordered @ ordered), 1e-300)
+    correlation = min(max((count * found + 2.0) / (count - 4), 0.0), 0.95)
     effective = count * (1.0 - correlation) / (1.0 + correlation)
     freedom = max(1.0, effective - 1.0 - fitted / 2.0)
     variance = float(np.sum(along[mine] ** 2)) / count
     deviation = math.sqrt(max(variance, 1.0) * count / freedom / power)
     return Drift(size, deviation, span, abs(size) > float(stdtrit(freedom, quantile)) * deviation)
-
-
-def _autocorrelation(residual: Array) -> float:
-    """Return the first autocorrelation; what a fitted level and trend take from it is given back (Kendall 1954)."""
-    count = len(residual)
-    found = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
-    return min(max((count * found + 2.0) / (count - 4), 0.0), 0.95)
-
-
-_BANDS = 6
-"""Bands of speed, as wide as each other in the logarithm, by which residuals are told."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,7 +272,13 @@ class FitQuality:
         free = max(1, len(residual) - len(misfit.widening))
         rms, friction = (float(np.sqrt(np.mean(values**2))) for values in (residual, torque))
         chi2 = float(np.sum((residual / np.maximum(noise, 1e-12)) ** 2)) / free
-        return cls(rms, friction, chi2, _bands(np.abs(velocity), np.sign(velocity) * residual), misfit, drift)
+        speed, along = np.abs(velocity), np.sign(velocity) * residual
+        place = np.log(speed) - np.log(speed.min())
+        width = max(float(np.ptp(place)), 1e-9) / _BANDS
+        number = np.minimum((place / width).astype(np.int64), _BANDS - 1)
+        inside = [number == k for k in np.unique(number).tolist()]
+        bands = np.array([(speed[one].min(), speed[one].max(), along[one].mean()) for one in inside])
+        return cls(rms, friction, chi2, bands, misfit, drift)
 
     @property
     def share(self) -> float:
@@ -301,11 +286,7 @@ class FitQuality:
         return self.rms / self.friction if self.friction > 0.0 else math.nan
 
     def lines(self, name: str) -> list[str]:
-        """Return it in words: how well the curve fits, and drift where there is some.
-
-        Args:
-            name: of the element.
-        """
+        """Return it in words for an element: how well the curve fits, and drift where there is some."""
         text = f"fit of {name}: residual {self.rms:.3g} Nm RMS, {self.share:.2%} of its friction, chi2 {self.chi2:.3g}"
         text += " per degree of freedom"
         if self.misfit.significant:
@@ -320,19 +301,17 @@ class FitQuality:
 
     @property
     def content(self) -> dict[str, Any]:
-        """Return the figures as plain data."""
+        """Return the figures as plain data, to four digits."""
         found: dict[str, Any] = {
-            "rms": _digits(self.rms),
-            "share": _digits(self.share),
-            "chi2_per_degree_of_freedom": _digits(self.chi2),
+            "rms": self.rms,
+            "share": self.share,
+            "chi2_per_degree_of_freedom": self.chi2,
             "misfit": self.misfit.significant,
-            "residual_by_speed": [[_digits(value) for value in band] for band in self.bands.tolist()],
+            "residual_by_speed": self.bands.tolist(),
         }
         if not math.isnan(self.drift.size):
-            found["drift"] = {
-                name: value if isinstance(value, bool) else _digits(value) for name, value in vars(self.drift).items()
-            }
-        return found
+            found["drift"] = dict(vars(self.drift))
+        return {name: _four_digits(one) for name, one in found.items()}
 
     @property
     def drift_text(self) -> str:
@@ -349,14 +328,9 @@ class FitQuality:
         )
 
 
-def _digits(value: float) -> float:
-    return float(f"{value:.4g}")
-
-
-def _bands(speed: Array, along: Array) -> Array:
-    """Return slowest and fastest speed and mean residual of bands of speed, shape (k, 3)."""
-    place = np.log(speed)
-    width = max(float(np.ptp(place)), 1e-9) / _BANDS
-    number = np.minimum(((place - place.min()) / width).astype(np.int64), _BANDS - 1)
-    inside = [number == k for k in np.unique(number).tolist()]
-    return np.array([(speed[one].min(), speed[one].max(), along[one].mean()) for one in inside])
+def _four_digits(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _four_digits(one) for name, one in value.items()}
+    if isinstance(value, list):
+        return [_four_digits(one) for one in value]
+    return float(f"{value:.4g}") if isinstance(value, float) else value

@@ -15,14 +15,13 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.tracing import prescribed_torque
-from rx90_emulator.identification.model.options import ValidationTolerances
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.model.robot import RecordedRobot
-from rx90_emulator.identification.model.zeros import ZeroCheck
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.options import ValidationTolerances
+from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.sliding.fit import SlidingFit
-from rx90_emulator.identification.sliding.zeros import check_zeros, record_instants
 from rx90_emulator.identification.validation.setpoints import read_setpoints, run_along, setpoint_rows
+from rx90_emulator.identification.zeros import ZeroCheck, check_zeros, record_instants
 from rx90_emulator.loop.setup import Setup
 
 _BANDWIDTH_HZ = 40.0  # Hz, of the compared torques: above it lies the noise of differentiated velocities

@@ -10,7 +10,7 @@ from rx90_common.bags.recorded import time_shift
 from rx90_common.base.quoting import one_line
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.identification.model.options import MeasuredLayout
+from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.view.bags.difference import difference
 from rx90_emulator.view.bags.player import BagPlayer
 from rx90_emulator.view.bags.recording import open_recording

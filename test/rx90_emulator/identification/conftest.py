@@ -14,8 +14,8 @@ from benchmarks.synthetic_sweeps import Noise, Program, drive_torque, measured, 
 from rx90_common.base.errors import DONE
 from rx90_common.friction import FrictionSet
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.setup import Setup
 
 Sweeps = Callable[..., tuple[JointRecord, FrictionSet]]

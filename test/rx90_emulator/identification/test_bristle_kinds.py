@@ -16,9 +16,9 @@ from benchmarks.friction_mass import led
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.identify import FrictionIdentification
-from rx90_emulator.identification.model.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
-from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.presliding import kinds as kinds_module
 from rx90_emulator.identification.presliding.bristle_motion import JointGroup, KindFamily, KindMotion, MovedGroup
@@ -34,7 +34,7 @@ from rx90_emulator.identification.presliding.kinds import (
     steps_of,
 )
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.sliding.fit import SlidingFit
 
 ELEMENT = FrictionElement(25.0, 25.0, 28.0, 28.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)

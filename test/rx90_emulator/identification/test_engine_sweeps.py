@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.writing import write_joint_states
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import PlanOptions, make_plan
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.layout import BagLayout
-from rx90_emulator.identification.records.reading import read_record
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.layout import arm_layout
+from rx90_emulator.identification.records import JointRecord, read_record
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
@@ -67,7 +66,8 @@ def bags(shipped: Setup, tmp_path_factory: pytest.TempPathFactory) -> list[Path]
 
 def test_the_engines_friction_comes_back_from_its_bags(shipped: Setup, arm: RigidArm, bags: list[Path]) -> None:
     """Motor-side bags of the closed loop give the friction file's sliding parameters of the wrist."""
-    records = [read_record(bag, BagLayout.rx90("motor_states", shipped), rate=1000.0) for bag in bags]
+    layout = arm_layout("motor_states", shipped.robot.joint_names, own_gear=lambda: shipped.drives.gear)
+    records = [read_record(bag, layout, rate=1000.0) for bag in bags]
     fit = identify_sliding(records, arm, ["joint_5", "joint_6", "joint_5_6"])
     for e in (4, 5, 6):
         element = shipped.friction.elements[e]

@@ -32,7 +32,7 @@ from rx90_emulator.identification.experiments.excitation.table import describe_e
 from rx90_emulator.identification.experiments.folder import read_index, write_index
 from rx90_emulator.identification.experiments.job import run_on_engine
 from rx90_emulator.identification.experiments.plan import Kind
-from rx90_emulator.identification.model.options import RobotOptions
+from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.loop.setup import Setup
 
 TABLE, WALL = 0.12, (-1.0, -0.5, 0.0, -0.45)

@@ -18,11 +18,11 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import identify as identification
+from rx90_emulator.identification.estimates import SLIDING, ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.excitation.result import simulated_elements
 from rx90_emulator.identification.identify import identify_records
-from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate, ParameterEstimate
-from rx90_emulator.identification.model.options import RobotOptions
-from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.options import RobotOptions
+from rx90_emulator.identification.robot import RecordedRobot
 
 CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)
 BLOCKS = {"kind": "maxwell_slip", "stiffness": [0.61234567, 0.38765433], "share": [0.25, 0.75], "attraction": 5000.0}

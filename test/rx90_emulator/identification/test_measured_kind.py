@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from rx90_common.base.config import check_numbers, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError, Rx90Error
 from rx90_common.friction import FrictionElement
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.identify import FrictionIdentification
-from rx90_emulator.identification.model.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
-from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.presliding.fit import PreslidingFit
-from rx90_emulator.identification.records.record import BagSource, JointRecord
-from rx90_emulator.identification.sliding.blocks import find_blocks
+from rx90_emulator.identification.records import BagSource, JointRecord
 from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
+from rx90_emulator.identification.sliding.plateaus import find_blocks
 from rx90_emulator.identification.sliding.quality import Residuals, drifts_of
 
 Array = NDArray[np.float64]

@@ -17,12 +17,12 @@ from benchmarks.synthetic_sweeps import Noise
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import PlanOptions
-from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.presliding.bristle_motion import joint_groups
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
 from rx90_emulator.identification.presliding.micro_motion import fast_length
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]

@@ -16,9 +16,9 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError, IdentificationError
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.records.layout import BagLayout
-from rx90_emulator.identification.records.reading import read_record
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.layout import BagLayout, arm_layout
+from rx90_emulator.identification.options import MeasuredLayout
+from rx90_emulator.identification.records import read_record
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.result import write_bag
 from rx90_emulator.loop.setup import Setup
@@ -49,7 +49,7 @@ def messages(
     return rows
 
 
-LAYOUT = BagLayout.of("arm", NAMES, NAMES)
+LAYOUT = arm_layout("arm", NAMES)
 
 
 @pytest.mark.parametrize("ros", [1, 2])
@@ -76,7 +76,7 @@ def test_motor_side_currents_become_joint_torques(tmp_path: Path) -> None:
     constants = np.array([0.1, 0.2])
     current = np.linalg.solve(COUPLED.T, e.T).T / constants
     path = write_ros2(tmp_path / "arm", messages(q @ COUPLED.T, v @ COUPLED.T, current, ("m1", "m2")))
-    layout = BagLayout.of("arm", ("m1", "m2"), NAMES, np.array([50.0, 20.0]), np.array([[1, 0], [1, 1]]), constants)
+    layout = BagLayout("arm", ("m1", "m2"), NAMES, np.array([[50.0, 0.0], [20.0, 20.0]]), constants)
     record = read_record(path, layout)
     for found, wanted in ((record.position, q), (record.velocity, v), (record.torque, e)):
         assert np.allclose(found, wanted, atol=1e-12)
@@ -139,8 +139,12 @@ def test_both_topics_of_this_project_agree(shipped: Setup, tmp_path: Path) -> No
     points = TrajectoryPoints.create(names, names, [0.5], [goal], [zero], [zero])
     result = simulate(shipped, points, goal - 0.1, 0.7, record_fast=True)
     write_bag(result, tmp_path / "run")
-    motors = read_record(tmp_path / "run", BagLayout.rx90("motor_states", shipped))
-    joints = read_record(tmp_path / "run", BagLayout.rx90("joint_states", shipped))
+    motors, joints = (
+        read_record(
+            tmp_path / "run", arm_layout(topic, shipped.robot.joint_names, own_gear=lambda: shipped.drives.gear)
+        )
+        for topic in ("motor_states", "joint_states")
+    )
     same = np.isin(motors.time, joints.time)
     assert same.sum() > 600
     rows = np.isin(joints.time, motors.time)
@@ -165,8 +169,8 @@ def test_bad_bags_are_refused_in_one_line(tmp_path: Path) -> None:
         return write_ros2(tmp_path / name, rows)
 
     good, sized = messages(q, v, e), e / np.abs(e).max()
-    assert "no joint 'c'; there are a, b" in refused(bag("names", good), BagLayout.of("arm", ("a", "c"), ("a", "c")))
-    assert "no topic /leg" in refused(tmp_path / "names", BagLayout.of("leg", NAMES, NAMES))
+    assert "no joint 'c'; there are a, b" in refused(bag("names", good), arm_layout("arm", ("a", "c")))
+    assert "no topic /leg" in refused(tmp_path / "names", arm_layout("leg", NAMES))
     assert "carries no effort; accepted" in refused(bag("effort", messages(q, v, None)))
     assert "effort 0 throughout" in refused(bag("zero", messages(q, v, 0.0 * e)))
     assert "carries no effort" in refused(bag("nan", messages(q, v, np.nan * e)))
@@ -196,28 +200,16 @@ def test_currents_are_no_torques(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("options", "message"),
     [
-        ({"messages": ("a",)}, "1 names in the messages for 2 joints"),
-        ({"turns": np.zeros((2, 2))}, "accepted: an invertible matrix"),
-        ({"turns": np.eye(3)}, r"turns has shape \(3, 3\); accepted: finite numbers, \(2, 2\)"),
-        ({"torque_constant": np.ones(3)}, r"torque_constant has shape \(3,\)"),
+        ({"names": ("a",)}, "--names: 1 values; accepted: 2 for 2 joints"),
+        ({"names": ("a", "a")}, "name 'a' in the messages for two joints"),
+        ({"gear": (1.0, 0.0)}, "accepted: an invertible matrix"),
+        ({"gear": (1.0, 2.0), "coupling": (1.0, 0.0)}, "--coupling: 2 values; accepted: 4 for 2 joints"),
+        ({"torque_constant": (1.0, np.nan)}, "--torque-constant: .*; accepted: finite numbers"),
     ],
 )
-def test_a_layout_that_does_not_fit_is_refused(change: dict[str, Any], message: str) -> None:
-    """Sizes that do not fit the joints are refused with what is accepted."""
+def test_a_layout_that_does_not_fit_is_refused(options: dict[str, Any], message: str) -> None:
+    """Options that do not fit the joints, or each other, are refused with what is accepted."""
     with pytest.raises(IdentificationError, match=message):
-        dataclasses.replace(LAYOUT, **change)
-
-
-def test_a_record_checks_itself() -> None:
-    """A record refuses NaN, time that stands still and wrong shapes."""
-    q, v, e = motion(10)
-    record = JointRecord(NAMES, np.arange(10) * 0.1, q, v, e, Path("bag"), "")
-    for change, message in (
-        ({"torque": e * np.nan}, "torque holds NaN"),
-        ({"time": np.zeros(10)}, "time goes from"),
-        ({"velocity": v[:5]}, "velocity has shape"),
-    ):
-        with pytest.raises(IdentificationError, match=message):
-            dataclasses.replace(record, **change)
+        arm_layout("arm", NAMES, MeasuredLayout(**options))

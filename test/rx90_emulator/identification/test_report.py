@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import yaml
 
-from rx90_emulator.identification.model.estimates import SLIDING, ParameterEstimate
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.sliding import stribeck
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.estimates import SLIDING, ParameterEstimate
+from rx90_emulator.identification.sliding import solver
 from rx90_emulator.identification.sliding.fit import identify_sliding
 
 
@@ -44,7 +44,7 @@ def test_the_drawn_curve_is_the_identified_one(sweeps: object, arm: RigidArm) ->
 
     def curve_of(p: np.ndarray[tuple[int], np.dtype[np.float64]]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
         internal = np.array([p[0], p[1], p[2] - p[0], p[3] - p[1], p[6], np.log(p[4]), np.log(p[5]), 0.0])
-        return stribeck.torque(velocity, internal)
+        return solver.torque(velocity, internal)
 
     assert np.allclose(torque, curve_of(values))
     slope = np.array([(curve_of(values + step) - curve_of(values - step)) / (2e-5 * size)

@@ -12,7 +12,7 @@ import pytest
 
 from rx90_common.base.errors import IdentificationError
 from rx90_common.dynamics.manipulator import mass_and_bias
-from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.loop.setup import Setup
 
 TWO_LINKS = """<robot name="two"><link name="base"/>

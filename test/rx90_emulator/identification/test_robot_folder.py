@@ -23,11 +23,11 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import MaxwellSlip
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.excitation.bodies import InertialPrior
 from rx90_emulator.identification.excitation.consistency import BaseEstimate, consistent_inertias
 from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
-from rx90_emulator.identification.model.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
-from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot_files import (
     Identified,
@@ -38,7 +38,7 @@ from rx90_emulator.identification.output.robot_files import (
     viscous_sum,
     with_inertials,
 )
-from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.records import BagSource
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 

@@ -14,12 +14,12 @@ from benchmarks.synthetic_sweeps import Noise
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.estimates import SLIDING, ElementEstimate
 from rx90_emulator.identification.identify import identify_records
-from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.report import identification_summary
+from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.setup import Setup
 
@@ -172,7 +172,9 @@ def test_a_viscous_exponent_is_found_where_there_is_one(
     friction = FrictionSet(shipped.friction.names, tuple(elements))
     record, _ = sweeps([joint], 32, friction=friction, count=16, longest=longest)
     record = dataclasses.replace(record, source=tmp_path)
-    result = identify_records([record], [], RecordedRobot(arm, shipped, None, shipped.friction.elements, "shipped"))
+    result = identify_records(
+        [record], [], RecordedRobot(arm, shipped, fallback=shipped.friction.elements, fallback_name="shipped")
+    )
     found = result.elements[joint].estimates
     assert abs(found["alpha"].value - alpha) < min(0.05, 3.0 * found["alpha"].deviation)
     assert abs(found["c2"].value / base.c2 - 1.0) < 0.05

@@ -17,7 +17,7 @@ import rx90_emulator as rx
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import DONE, REFUSED, ConfigError
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.model.options import MeasuredLayout
+from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.bags.recording import open_recording
 

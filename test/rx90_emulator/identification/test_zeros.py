@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from benchmarks.excitation_runs import MISFIT
 from benchmarks.random_arms import random_arm
 from benchmarks.wrong_zeros import described, sweeps, with_payload
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.model.zeros import ZeroCheck
-from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.sliding.zeros import Instants, check_zeros, record_instants
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.zeros import Instants, ZeroCheck, check_zeros, record_instants
 
 Array = NDArray[np.float64]
 STRETCHES, EACH = 24, 4

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.agreement import agreement
 from rx90_common.base.errors import SupervisionError
 from rx90_controller.lines.task import LineTask, load_task
-from rx90_emulator.identification.records.layout import BagLayout
+from rx90_emulator.identification.layout import arm_layout
 from rx90_emulator.loop.line import plan_line, run_line
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.model import prepare_perturbation as prepare
@@ -44,7 +44,7 @@ def test_bags_of_turned_motors_are_read(shipped: Setup, task: LineTask) -> None:
     """What the identification makes of motor states is the joints' motion, to the encoders' resolution."""
     setup = with_motors(shipped, TURNED["motor 4"])
     series = run_line(setup, task, record_fast=True).series
-    layout = BagLayout.rx90("motor_states", setup)
+    layout = arm_layout("motor_states", setup.robot.joint_names, own_gear=lambda: setup.drives.gear)
     assert layout.turns is not None
     motors, joints = series["motor_states"], series["joint_states"]
     assert motors.position is not None

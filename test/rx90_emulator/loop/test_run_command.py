@@ -19,8 +19,8 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.model.options import RobotOptions
-from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.options import RobotOptions
+from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.result import MotionCommand
 from rx90_emulator.loop.setup import Setup

@@ -15,7 +15,7 @@ from rx90_common.bags.recorded import START, ParameterChange, time_shift
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.identification.model.options import MeasuredLayout
+from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.bags.difference import difference
 from rx90_emulator.view.bags.player import difference_text, path_error_track, recording_text, tip_path

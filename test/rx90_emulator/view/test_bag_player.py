@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.model.options import MeasuredLayout
+from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import arm
 from rx90_emulator.view.bags.job import open_player

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from rx90_common.base.errors import BagError, Rx90Error
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.task import load_task
-from rx90_emulator.identification.model.options import MeasuredLayout
+from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.loop.line import path_accuracy
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.bags import recording as reading

@@ -13,6 +13,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.estimates import ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.excitation.friction.cross_validation import BlockDivision
 from rx90_emulator.identification.excitation.friction.law import (
     FITTED,
@@ -24,8 +25,7 @@ from rx90_emulator.identification.excitation.friction.law import (
 )
 from rx90_emulator.identification.excitation.friction.selection import ModelRow
 from rx90_emulator.identification.excitation.least_squares import LinearFit
-from rx90_emulator.identification.model.estimates import ElementEstimate, ParameterEstimate
-from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.records import BagSource
 
 NORMAL_95 = 1.96
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.estimates import ElementEstimate
 from rx90_emulator.identification.excitation.checks import coulomb_viscous
 from rx90_emulator.identification.excitation.friction.estimates import (
     FittedElement,
@@ -29,7 +30,6 @@ from rx90_emulator.identification.excitation.gains import DriveGains, drive_gain
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
 from rx90_emulator.identification.excitation.linear_parameters import Prior
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.model.estimates import ElementEstimate
 
 WITHOUT_BRISTLES = (Part.EXPONENT, Part.STRIBECK)
 ALL_PARTS = tuple(Part)

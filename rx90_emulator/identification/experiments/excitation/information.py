@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
 from rx90_emulator.identification.experiments.excitation.options import Criterion
-from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.loop.setup import Setup
 
 SMOOTH = 0.1  # rad/s, over which the sign of the velocity changes for the search

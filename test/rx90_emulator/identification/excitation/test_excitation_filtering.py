@@ -10,7 +10,7 @@ import pytest
 
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record, low_pass_taps
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records import JointRecord
 
 TONES = ((0.7, 0.3), (2.0, 1.1))  # Hz of each joint
 

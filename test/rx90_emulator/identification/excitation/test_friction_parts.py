@@ -16,6 +16,7 @@ from scipy.signal import lfilter
 
 from benchmarks.friction_equations import FrictionLaw
 from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks, _solved
 from rx90_emulator.identification.excitation.friction.estimates import FrictionSelection
@@ -25,8 +26,7 @@ from rx90_emulator.identification.excitation.friction.law import ElementMotion, 
 from rx90_emulator.identification.excitation.friction.selection import Selected, _groups, _Selection, tangent, verdict
 from rx90_emulator.identification.excitation.friction.unmodelled import _bounded, blur_shifts
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.record import BagSource, JointRecord
+from rx90_emulator.identification.records import BagSource, JointRecord
 
 Array = NDArray[np.float64]
 Law = Callable[[Array], Array]

@@ -33,7 +33,7 @@ from rx90_emulator.identification.excitation.torques import (
     torque_noise,
     trends,
 )
-from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.records import BagSource
 
 RATE = 100.0
 NAMES = ["shoulder", "elbow"]

@@ -12,6 +12,7 @@ from excitation_arms import Array, all_columns, plain_arm, rigid_arm, runs_of, s
 
 from benchmarks.excitation_runs import NOTHING
 from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation import filtering
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.excitation.least_squares import solve
@@ -19,7 +20,6 @@ from rx90_emulator.identification.excitation.linear_parameters import BaseGroups
 from rx90_emulator.identification.excitation.payload import Payload
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, SlidingState, element_states
 from rx90_emulator.identification.excitation.torques import undetermined
-from rx90_emulator.identification.model.rigid_arm import RigidArm
 
 
 @pytest.mark.parametrize(("seed", "joints", "coupled"), [(3, 4, True), (5, 3, False)])

@@ -13,6 +13,8 @@ from sine_motions import motion_of
 import rx90_emulator as rx
 from benchmarks.load_parts import coefficients_of, payload_of, torque_of, transmitted_of
 from rx90_common.base.arrays import Array
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.estimates import ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.excitation.friction.cross_validation import Scored
 from rx90_emulator.identification.excitation.load_parts import (
@@ -27,9 +29,7 @@ from rx90_emulator.identification.excitation.load_parts import (
 )
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import simulated_elements
-from rx90_emulator.identification.model.estimates import ElementEstimate, ParameterEstimate
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.setup import Setup
 
 RATE = 50.0

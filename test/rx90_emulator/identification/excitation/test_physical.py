@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 
 from benchmarks.excitation_runs import Disturbances
 from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.bodies import (
     InertialPrior,
     central,
@@ -30,7 +31,6 @@ from rx90_emulator.identification.excitation.consistency import (
 )
 from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.model.rigid_arm import RigidArm
 
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(11)

@@ -10,12 +10,12 @@ import pytest
 
 from benchmarks.excitation_runs import NOISE, NOTHING, Disturbances, FourierMotion, measured
 from benchmarks.random_arms import random_arm
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.checks import coulomb_viscous
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, phases
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.records import BagSource
 
 
 def test_instants_of_equal_phase_are_the_same_point_of_the_same_motion() -> None:

@@ -10,10 +10,10 @@ import pytest
 from excitation_arms import plain_arm, rigid_arm, runs_of
 
 from benchmarks.excitation_runs import NOISE
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.checks import check_zeros
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.model.rigid_arm import RigidArm
 
 _SMALL = 0.08  # rad
 

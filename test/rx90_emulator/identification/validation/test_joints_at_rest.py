@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rx90_emulator.identification.model.options import ValidationTolerances
+from rx90_emulator.identification.options import ValidationTolerances
 from rx90_emulator.identification.output.report import check_page, check_summary
 from rx90_emulator.identification.validation.prediction import TorquePrediction, Validation
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.validation.setpoints import path_setpoints
 from rx90_emulator.loop.setup import Setup
 

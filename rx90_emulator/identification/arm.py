@@ -28,6 +28,8 @@ from rx90_common.friction.friction_set import element_names
 from rx90_emulator.loop.setup import Setup
 
 _LEAST_MASS = 1e-12  # kg
+_TURNING = ("revolute", "continuous")
+_STDERR = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,18 +89,32 @@ class RigidArm:
         Raises:
             IdentificationError: for a URDF that cannot be used, an unknown joint or a wrong shape.
         """
-        model = joint_model(urdf, joints, massless=massless)
+        return cls.of_model(joint_model(urdf, joints, massless=massless), coupling, rotor_inertia, spring)
+
+    @classmethod
+    def of_model(
+        cls, model: Any, coupling: ArrayLike | None, rotor_inertia: ArrayLike | None, spring: ArrayLike | None
+    ) -> RigidArm:
+        """Return the arm of Pinocchio's model of its joints, all arguments as in `from_urdf`."""
         names = tuple(str(name) for name in model.names)[1:]
         n = len(names)
-        turns = _shaped("coupling", np.eye(n) if coupling is None else coupling, (n, n))
-        inertia = _shaped("rotor_inertia", np.zeros(n) if rotor_inertia is None else rotor_inertia, (n,))
-        amplitude = _shaped("spring", np.zeros(n) if spring is None else spring, (n,))
+
+        def shaped(name: str, given: ArrayLike | None, default: Array) -> Array:
+            values = default if given is None else np.asarray(given, dtype=np.float64)
+            if values.shape != default.shape or not np.isfinite(values).all():
+                said = f"{name} has shape {values.shape}; accepted: finite numbers, shape {default.shape}"
+                raise IdentificationError(said)
+            return values
+
+        turns = shaped("coupling", coupling, np.eye(n))
+        inertia = shaped("rotor_inertia", rotor_inertia, np.zeros(n))
+        amplitude = shaped("spring", spring, np.zeros(n))
         if abs(np.linalg.det(turns)) < 1e-9:
             raise IdentificationError(f"coupling: {turns.tolist()}; accepted: an invertible matrix")
         together = [row for row in turns if np.count_nonzero(row) > 1]
-        labels = [_label(names, row) for row in together]
+        elements = (*names, *(_label(names, row) for row in together))
         matrix = np.vstack([np.eye(n), *together])
-        return cls(names, (*names, *labels), matrix, model, turns.T @ np.diag(inertia) @ turns, amplitude, turns)
+        return cls(names, elements, matrix, model, turns.T @ np.diag(inertia) @ turns, amplitude, turns)
 
     def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return what the drives give at the joints without friction, Nm, all arrays of shape (m, n)."""
@@ -173,17 +189,6 @@ def _label(names: Sequence[str], row: Array) -> str:
     return "".join(parts)
 
 
-def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise IdentificationError(f"{name} has shape {array.shape}; accepted: finite numbers, shape {shape}")
-    return array
-
-
-_TURNING = ("revolute", "continuous")
-_STDERR = 2
-
-
 def joint_model(urdf: Path, joints: Sequence[str] | None, *, massless: bool = False) -> Any:
     """Return Pinocchio's model of these joints; the others are held at zero.
 
@@ -207,11 +212,29 @@ def joint_model(urdf: Path, joints: Sequence[str] | None, *, massless: bool = Fa
         raise IdentificationError(f"{urdf}: joints {listed(wanted)}; accepted: from base to tip, {listed(in_order)}")
     if not wanted:
         raise IdentificationError(f"{urdf}: no movable joint; accepted: one or more")
-    _check_turning(urdf, root, wanted, there)
+    elements = {str(joint.get("name")): joint for joint in root.findall("joint")}
+    bad = {}
+    for name in there:
+        mimic, kind = elements[name].find("mimic"), elements[name].get("type")
+        if kind not in _TURNING or mimic is not None:
+            bad[name] = f"is {kind}" if mimic is None or kind not in _TURNING else f"mimics {mimic.get('joint')}"
+    for name in wanted:
+        if name in bad:
+            good = " ".join(other for other in there if other not in bad) or "(there are none)"
+            raise IdentificationError(
+                f"{urdf}: joint {quoted(name)} {plain(bad[name])}; accepted: revolute and continuous joints with a "
+                f"drive of their own, --joints {good}"
+            )
     held = [model.getJointId(name) for name in there if name not in wanted]
     reduced = pin.buildReducedModel(model, held, pin.neutral(model)) if held else model
-    if not massless:
-        _check_mass(urdf, reduced)
+    data = reduced.createData()
+    pin.computeSubtreeMasses(reduced, data)
+    for joint, name in list(enumerate(reduced.names))[1:]:
+        if not massless and not data.mass[joint] > 0.0:
+            raise IdentificationError(
+                f"{urdf}: joint {quoted(str(name))} moves a mass of {data.mass[joint]:g} kg; "
+                "accepted: links with <inertial>"
+            )
     return reduced
 
 
@@ -247,32 +270,3 @@ def _caught_stderr(lines: list[str]) -> Iterator[None]:
             os.close(before)
             file.seek(0)
             lines += file.read().decode("utf-8", "replace").splitlines()
-
-
-def _check_turning(urdf: Path, root: ET.Element, wanted: Sequence[str], there: Sequence[str]) -> None:
-    elements = {str(joint.get("name")): joint for joint in root.findall("joint")}
-    bad = {}
-    for name in there:
-        mimic = elements[name].find("mimic")
-        if elements[name].get("type") not in _TURNING:
-            bad[name] = f"is {elements[name].get('type')}"
-        elif mimic is not None:
-            bad[name] = f"mimics {mimic.get('joint')}"
-    for name in wanted:
-        if name in bad:
-            good = ", ".join(other for other in there if other not in bad)
-            raise IdentificationError(
-                f"{urdf}: joint {quoted(name)} {plain(bad[name])}; accepted: revolute and continuous joints with a "
-                f"drive of their own, --joints {good.replace(',', '') or '(there are none)'}"
-            )
-
-
-def _check_mass(urdf: Path, model: Any) -> None:
-    data = model.createData()
-    pin.computeSubtreeMasses(model, data)
-    for joint, name in list(enumerate(model.names))[1:]:
-        if not data.mass[joint] > 0.0:
-            raise IdentificationError(
-                f"{urdf}: joint {quoted(str(name))} moves a mass of {data.mass[joint]:g} kg; "
-                "accepted: links with <inertial>"
-            )

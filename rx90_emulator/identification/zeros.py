@@ -3,25 +3,35 @@
 A wrong zero bends the arm in the wrong place. With the URDF's inertials as known within some 20 %, the torques tell:
 quarter turns are tried one joint and two neighbours at a time, and small errors are an extra column, the torque's
 derivative by the angle. An axis along gravity has no such derivative, and a link whose weight is uncertain makes good
-for a small error; both show in the deviation.
+for a small error; both show in the deviation. A payload or a spring that the model lacks asks for other torques, as a
+wrong zero does; the message names it, too.
+
+The quarter turns, what is found and the option that helps are shared with the search in excitation runs, where the
+inertials are free (excitation/checks.py).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from itertools import pairwise, product
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import pinvh
 
 from rx90_common.base.arrays import Array, Mask
-from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.model.zeros import QUARTERS, SMALLEST, ZeroCheck, encoder_error
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.records import JointRecord
 
+QUARTERS: Final = (-0.5 * math.pi, 0.5 * math.pi, math.pi)
+"""Turns by which the zeros of URDF and encoder differ where they count from other poses, rad."""
+SMALLEST: Final = 0.01
+"""Error of a zero that counts, rad: elasticity and rounded geometry pass for less."""
+STEP: Final = 1e-4
+"""Of differences by an angle, rad."""
 _INERTIAL_PRIOR_SD = 0.2  # of a link's mass, first moment and inertia: standard deviation of the URDF's values
 _MIN_LEVER = 0.05  # m: distance of a link's centre of mass that is not known better than this, times _INERTIAL_PRIOR_SD
 _CHI2_DROP = 36.0  # by which a quarter turn must lower chi squared: six standard deviations
@@ -30,13 +40,73 @@ _MAX_SMALL_ERROR = 0.4  # rad: up to which the derivative is good for the torque
 _ZERO_PRIOR_SD = 1.0  # rad, standard deviation of a zero of which nothing is known
 _UNINFORMATIVE_SHARE = 0.5  # of it, from which the torques tell nothing of a zero
 _ROUNDS = 3  # of weights, and of Gauss and Newton
-_MAX_INSTANTS = 400  # that are looked at, at most, evenly taken from all
-_SCREENING_STRIDE = 5  # of them is enough to rule out most turns
-_MEAN_S = 0.05  # s over which a run is averaged
-_CLUSTER_S = 1.0  # s within which the errors of a run are taken as one
+_MAX_INSTANTS, _SCREENING_STRIDE = 400, 5  # instants that are looked at, and which of them rule out most turns
+_MEAN_S, _CLUSTER_S = 0.05, 1.0  # s over which a run is averaged, and within which its errors are taken as one
 _SLIDING_SPEED = 0.02  # rad/s from which an element slides
 _MIN_TORQUE_SD = 3e-3  # of the torque's RMS: no joint is told better, for stamps, gears and geometry are not
 _DECAY_SHARES = (0.02, 0.15)  # decay of Stribeck-like columns over the fastest speed
+
+
+@dataclass(frozen=True, eq=False)
+class ZeroCheck:
+    """Which zeros would explain the recorded torques better than those given.
+
+    Attributes:
+        names: n joints.
+        zero: that were used, rad, shape (n,).
+        error: of them, rad, shape (n,): 0 where nothing speaks against one.
+        deviation: standard deviation of small errors, rad, shape (n,); 0 where it is not known, as of quarter turns.
+        told: whether the torques tell an error of the joint's zero at all, shape (n,).
+        before: RMS of the torque that is left, over that of the torque, all joints together.
+        after: the same with the better zeros.
+    """
+
+    names: tuple[str, ...]
+    zero: Array
+    error: Array
+    deviation: Array
+    told: Mask
+    before: float
+    after: float
+
+    @property
+    def text(self) -> str:
+        """Return it in words; empty where nothing speaks against the zeros."""
+        wrong = [
+            f"{name} by {error:.4g}{f' +- {spread:.2g}' if spread else ''} rad"
+            for name, error, spread in zip(self.names, self.error.tolist(), self.deviation.tolist(), strict=True)
+            if error
+        ]
+        if not wrong:
+            return ""
+        better = (np.round(self.zero + self.error, 6) + 0.0).tolist()
+        silent = [name for name, told in zip(self.names, self.told.tolist(), strict=True) if not told]
+        rest = f"; the torques do not tell the zero of {', '.join(silent)}" if silent else ""
+        return (
+            f"zeros: {', '.join(wrong)} {'seem' if len(wrong) > 1 else 'seems'} to be off (unexplained torque "
+            f"{self.before:.1%} -> {self.after:.1%}), or the model lacks a payload or a spring: "
+            f"try --zero {' '.join(f'{value:.6g}' for value in better)}{rest}"
+        )
+
+
+def encoder_error(shift: Array) -> Array:
+    """Return the errors of zeros, within half a turn, for joints that stand further on than assumed by `shift`, rad.
+
+    Recorded angles lose the zero, so that a joint which stands a further on has a zero that is a less.
+    """
+    return np.array([math.remainder(-value, 2.0 * math.pi) if value else 0.0 for value in shift.tolist()])
+
+
+def quarter_turns(start: Array, joints: Iterable[int]) -> tuple[list[Array], list[Array]]:
+    """Return the angles with a quarter turn of one of some joints, and with turns of two neighbours, rad, each (n,).
+
+    Opposite turns of neighbours leave the rest of the arm where it is: either alone may be no better.
+    """
+    axes = dict(zip(joints, np.eye(len(start))[list(joints)], strict=True))
+    single = [start + turn * axis for axis in axes.values() for turn in QUARTERS]
+    neighbours = [(axes[a], axes[b]) for a, b in pairwise(axes) if b == a + 1]
+    double = [start + a * first + b * second for first, second in neighbours for a, b in product(QUARTERS, repeat=2)]
+    return single, double
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +126,6 @@ class Instants:
     known: Mask
     block: NDArray[np.int64]
 
-    def thinned(self) -> Instants:
-        """Return no more of them than are needed."""
-        rows = np.arange(0, len(self.torque), max(1, math.ceil(len(self.torque) / _MAX_INSTANTS)))
-        return Instants(**{name: values[rows] for name, values in vars(self).items()})
-
 
 def record_instants(record: JointRecord, arm: RigidArm) -> Instants:
     """Return means over short times of a run of any motion.
@@ -69,8 +134,7 @@ def record_instants(record: JointRecord, arm: RigidArm) -> Instants:
         record: the run.
         arm: of the same joints.
     """
-    period = float(np.median(np.diff(record.time)))
-    size = max(1, round(_MEAN_S / period))
+    size = max(1, round(_MEAN_S / float(np.median(np.diff(record.time)))))
     count = len(record.time) // size
 
     def parts(values: Array) -> Array:
@@ -105,7 +169,8 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
         zero: recorded angles where those of the URDF are 0, rad, shape (n,); by default 0.
     """
     n = len(arm.names)
-    search = _Search(instants.thinned(), arm)
+    stride = max(1, math.ceil(len(instants.torque) / _MAX_INSTANTS))
+    search = _Search(replace(instants, **{name: values[::stride] for name, values in vars(instants).items()}), arm)
     shift = np.zeros(n)
     for _ in range(n):
         found = search.quarter_turned(shift)
@@ -147,19 +212,13 @@ class _Search:
 
     def left(self, shift: Array) -> float:
         """Return the RMS of the torque that friction and inertials do not explain, Nm."""
-        residual = self._fit(shift)[1]
+        residual = self._fit(shift, self._weight(shift))[1]
         return float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0
 
     def quarter_turned(self, start: Array) -> Array | None:
         """Return the angles with the quarter turn of a joint that explains the torques clearly better; None without."""
         weight = self._weight(start)
-        one = np.eye(len(start))
-        single = [start + turn * axis for axis in one for turn in QUARTERS]
-        # Opposite turns of neighbours leave the rest of the arm where it is: either alone may be no better.
-        double = [
-            start + a * first + b * second for first, second in pairwise(one) for a, b in product(QUARTERS, repeat=2)
-        ]
-        for trials in (single, double):
+        for trials in quarter_turns(start, range(len(start))):
             best = self._best(trials, weight) if trials else start
             # By the scatter that the better one leaves: with wrong angles all of it passes for noise.
             sharp = self._weight(best)
@@ -167,7 +226,7 @@ class _Search:
                 return best
         return None
 
-    def _best(self, trials: Sequence[Array], weight: Array) -> Array:
+    def _best(self, trials: list[Array], weight: Array) -> Array:
         """Return the angles with the least chi squared.
 
         Fitted to all instants are only those that some of them do not rule out: the least squares of some equations are
@@ -188,10 +247,13 @@ class _Search:
         shift, weight = np.zeros(len(start)), self._weight(start)
         deviation = np.full(len(start), _ZERO_PRIOR_SD)
         for _ in range(_ROUNDS):
-            slopes = self._slopes(start + shift, weight)
+            # The torque's derivatives by the angles, with the inertials that fit.
+            first = self._friction.shape[1]
+            inertial = self._inertial + self._known * self._fit(start + shift, weight)[0][first:]
+            motion = self._at.position + start + shift, self._at.velocity, self._at.acceleration
+            slopes = self._arm.stiffness_of(inertial, *motion)[self._rows]
             values, residual, _, covariance = self._fit(start + shift, weight, slopes, shift)
-            step = values[-len(start) :]
-            shift = np.clip(shift + step, -1.0, 1.0)
+            shift = np.clip(shift + values[-len(start) :], -1.0, 1.0)
             deviation = np.sqrt(np.diag(covariance)[-len(start) :])
             weight = self._weight_of(residual)
         return shift, deviation
@@ -218,16 +280,10 @@ class _Search:
         return np.asarray(1.0 / np.sqrt(np.maximum(power, _MIN_TORQUE_SD**2 * self.power + 1e-18))[self._joint])
 
     def _fit(
-        self,
-        shift: Array,
-        weight: Array | None = None,
-        slopes: Array | None = None,
-        error: Array | None = None,
-        every: int = 1,
+        self, shift: Array, weight: Array, slopes: Array | None = None, error: Array | None = None, every: int = 1
     ) -> tuple[Array, Array, float, Array]:
         """Return values, residual in Nm, chi squared with the prior's, and covariance; from all instants or fewer."""
         kept = self._rows[0] % every == 0
-        weight = (self._weight(shift) if weight is None else weight)[kept]
         target, regressor = self._rigid(shift, every)
         zeros = np.zeros((len(target), 0)) if slopes is None else slopes
         columns = np.hstack([self._friction[kept], regressor, zeros])
@@ -236,8 +292,8 @@ class _Search:
         wanted = np.zeros(size)
         if error is not None:
             wanted[-len(error) :] = -error / _ZERO_PRIOR_SD
-        matrix = np.vstack([columns * weight[:, None], np.diag(prior)])
-        right = np.concatenate([target * weight, wanted])
+        matrix = np.vstack([columns * weight[kept][:, None], np.diag(prior)])
+        right = np.concatenate([target * weight[kept], wanted])
         covariance = _inverse(matrix.T @ matrix)
         values = covariance @ (matrix.T @ right)
         left = right - matrix @ values
@@ -255,12 +311,6 @@ class _Search:
             self._seen[key] = (self._at.torque[::every] - torque)[known], regressor[known] * self._known
         return self._seen[key]
 
-    def _slopes(self, shift: Array, weight: Array) -> Array:
-        """Return the torque's derivatives by the angles, with the inertials that fit, shape (r, n)."""
-        inertial = self._inertial + self._known * self._fit(shift, weight)[0][self._friction.shape[1] :]
-        at = self._at
-        return self._arm.stiffness_of(inertial, at.position + shift, at.velocity, at.acceleration)[self._rows]
-
 
 def _inverse(normal: Array) -> Array:
     """Return the pseudo-inverse; in sweeps of one joint many columns are 0, and their prior stands alone."""
@@ -276,12 +326,8 @@ def _friction(velocity: Array, elements: Array) -> Array:
     """Return columns that any friction's torque at the joints is nearly made of, shape (m, n, 5 n_el)."""
     inputs = velocity @ elements.T
     fastest = np.maximum(np.abs(inputs).max(axis=0), 1e-9)
-    shapes: Sequence[Array] = [
-        (inputs > 0.0).astype(np.float64),
-        (inputs < 0.0).astype(np.float64),
-        inputs / fastest,
-        *(np.sign(inputs) * np.exp(-np.abs(inputs) / (share * fastest)) for share in _DECAY_SHARES),
-    ]
+    shapes = [1.0 * (inputs > 0.0), 1.0 * (inputs < 0.0), inputs / fastest]
+    shapes += [np.sign(inputs) * np.exp(-np.abs(inputs) / (share * fastest)) for share in _DECAY_SHARES]
     return np.concatenate([shape[:, None, :] * elements.T for shape in shapes], axis=2)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
-from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.records import BagSource
 
 SLIDING = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "omega_s", "delta", "c2")
 VISCOUS_EXPONENT = "alpha"
@@ -53,9 +53,7 @@ class ParameterEstimate:
     def texts(self) -> tuple[str, str]:
         """Return value and deviation, rounded to the second significant digit of the deviation: 28.03 and 0.10."""
         value, deviation = self.value, self.deviation
-        if not 0.0 < deviation < math.inf:
-            return f"{value:.4g}", f"{deviation:.2g}"
-        decimals = 1 - math.floor(math.log10(deviation))
+        decimals = 1 - math.floor(math.log10(deviation)) if 0.0 < deviation < math.inf else _MOST_DECIMALS + 1
         if decimals > _MOST_DECIMALS:
             return f"{value:.4g}", f"{deviation:.2g}"
         shown = max(0, decimals)

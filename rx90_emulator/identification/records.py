@@ -1,0 +1,282 @@
+"""The joint-side record of one bag or table, which every step of the identification works on, and how it is read.
+
+record = read_record("bag", layout)
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
+from scipy.ndimage import median_filter
+from scipy.signal import butter, sosfiltfilt
+
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.reading import read_joint_states
+from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.rates import NANOSECONDS
+from rx90_emulator.identification.layout import BagLayout
+
+_WALL_CLOCK = 946_684_800.0  # s, the year 2000: stamps before count from another beginning
+_MEDIAN_SAMPLES = 5  # samples in the running median by which spikes are found
+_OUTLIER_FACTOR, _MIN_SPIKE_SHARE = 4.0, 0.02  # of the 99th percentile of the distances from it, and of the range
+_NEIGHBOUR_SHARE = 0.25  # share of a spike's distance that its neighbours stay below
+_BANDWIDTH_HZ = 40.0  # Hz, of velocities differentiated from positions
+_MAX_VELOCITY_RATIO = 2.0  # largest ratio between a velocity and the change of its position
+_COMPARED_S, _REST_SPEED = 0.1, 1e-2  # s over which they are compared; rad/s, RMS, below which they are not
+_MIN_DISTINCT_VELOCITIES = 1000  # distinct velocities, below which they count as quantised
+_MAX_VALUE = 1e9  # rad, rad/s, Nm or A
+_STORAGE = (".mcap", ".db3", ".bag")
+
+
+@dataclass(frozen=True)
+class BagSource:
+    """A bag that estimates rest on.
+
+    Attributes:
+        path: the bag.
+        sha256: digest of its storage.
+        duration: time from the first to the last sample, s.
+        missing: messages missing from a steady stream.
+        outliers: messages left out because of a NaN, a spike or a repeated stamp.
+        begin: stamp of the first sample, s.
+    """
+
+    path: Path
+    sha256: str
+    duration: float
+    missing: int
+    outliers: int
+    begin: float = 0.0
+
+    @property
+    def recorded(self) -> str:
+        """Return when it was recorded, by its stamps; those of a simulation, and of many a log, give no date."""
+        if self.begin < _WALL_CLOCK:
+            return f"no date; stamps from {self.begin:.6g} to {self.begin + self.duration:.6g} s"
+        return datetime.fromtimestamp(self.begin, timezone.utc).isoformat(timespec="seconds")
+
+
+@dataclass(frozen=True, eq=False)
+class JointRecord:
+    """What the arm did and what the drives gave, at the joints, in one bag; finite numbers alone.
+
+    Attributes:
+        names: n joints.
+        time: s, strictly increasing, shape (m,).
+        position: rad, shape (m, n).
+        velocity: rad/s, shape (m, n).
+        torque: drive torque at the joint, friction not subtracted, Nm, shape (m, n).
+        source: the bag.
+        sha256: digest of the bag.
+        missing: messages missing from a steady stream.
+        outliers: messages left out because of a NaN, a spike or a repeated stamp.
+    """
+
+    names: tuple[str, ...]
+    time: Array
+    position: Array
+    velocity: Array
+    torque: Array
+    source: Path
+    sha256: str
+    missing: int = 0
+    outliers: int = 0
+
+    @property
+    def bag(self) -> BagSource:
+        """Return the bag, with the figures of what was read of it."""
+        duration = float(self.time[-1] - self.time[0])
+        return BagSource(self.source, self.sha256, duration, self.missing, self.outliers, float(self.time[0]))
+
+
+def check_joints(records: Sequence[JointRecord], names: Sequence[str]) -> None:
+    """Refuse a record of other joints than an arm's.
+
+    Raises:
+        IdentificationError: naming the bag, its joints and the arm's.
+    """
+    for record in records:
+        if tuple(record.names) != tuple(names):
+            raise IdentificationError(
+                f"{record.source}: joints {', '.join(record.names)}; accepted: {', '.join(names)}"
+            )
+
+
+def spikes(values: Array) -> Mask:
+    """Return which rows of samples hold a spike: far from the running median, while both neighbours are not.
+
+    The start of a motion lies far from the median, too, but not for a single sample.
+
+    Args:
+        values: shape (m, k).
+
+    Returns:
+        Whether any column has one, shape (m,).
+    """
+    distance = np.abs(values - median_filter(values, size=(_MEDIAN_SAMPLES, 1), mode="nearest"))
+    usual = np.percentile(distance, 99.0, axis=0)
+    low, high = np.percentile(values, (1.0, 99.0), axis=0)
+    far = distance > _OUTLIER_FACTOR * usual + _MIN_SPIKE_SHARE * (high - low) + 1e-9
+    beside = np.pad(distance, ((1, 1), (0, 0)))
+    alone = _NEIGHBOUR_SHARE * distance > np.maximum(beside[:-2], beside[2:])
+    return np.asarray((far & alone).any(axis=1))
+
+
+def digest(path: Path | str) -> str:
+    """Return the SHA-256 of a bag: of its storage files one after the other, without metadata.yaml."""
+    path = Path(path)
+    files = sorted(file for file in path.iterdir() if file.suffix in _STORAGE) if path.is_dir() else [path]
+    whole = hashlib.sha256()
+    for file in files:
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                whole.update(block)
+    return whole.hexdigest()
+
+
+def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) -> JointRecord:
+    """Read one bag.
+
+    Messages with a NaN and spikes of a single sample are left out and counted; messages that are missing in a steady
+    stream are counted, too. Velocities come from the messages; where these carry none or quantised ones, positions are
+    differentiated by a zero-phase filter.
+
+    Args:
+        path: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a table.
+        layout: what the messages hold.
+        rate: if given, block means of as many samples as leave about this rate, Hz.
+
+    Raises:
+        BagError: if the bag cannot be read, is empty, or has no such topic or names.
+        IdentificationError: if positions or efforts are missing or of a size that no joint reaches, time stamps go
+            back, or velocities are not those of the positions.
+    """
+    path = Path(path)
+    series = read_joint_states(
+        path, layout.topic, layout.messages, record_time=layout.record_time, mapping=layout.mapping
+    )
+    where = f"{path}: {series.topic}"
+    _check_content(where, series, layout)
+    kept = _good_rows(where, series)
+    time = series.stamp_ns[kept] / NANOSECONDS
+    position, velocity, effort = (
+        None if values is None else values[kept] for values in (series.position, series.velocity, series.effort)
+    )
+    assert position is not None
+    assert effort is not None
+    for name, values in (("position", position), ("velocity", velocity), ("effort", effort)):
+        # Numbers that no joint reaches, and efforts so small that their squares are none.
+        most = 0.0 if values is None else float(np.abs(values).max(initial=0.0))
+        if most > _MAX_VALUE or (name == "effort" and 0.0 < most < 1.0 / _MAX_VALUE):
+            least = f"{1.0 / _MAX_VALUE:g} to " if name == "effort" else "up to "
+            raise IdentificationError(f"{where}: the largest {name} is {most:.3g}; accepted: {least}{_MAX_VALUE:g}")
+    if layout.torque_constant is not None:
+        effort = effort * layout.torque_constant
+    if velocity is None:
+        velocity = _differentiated(time, position)
+    else:
+        fewest = min(_MIN_DISTINCT_VELOCITIES, len(time) / 4)
+        poor = [k for k, column in enumerate(velocity.T) if len(np.unique(column)) < fewest]
+        velocity[:, poor] = _differentiated(time, position[:, poor])
+        _check_velocity(where, layout, time, position, velocity)
+    if layout.turns is not None:
+        inverse = np.linalg.inv(layout.turns)
+        position, velocity, effort = position @ inverse.T, velocity @ inverse.T, effort @ layout.turns
+    if layout.zero is not None:
+        position = position - layout.zero
+    columns = time, position, velocity, effort
+    size = 1 if rate is None or len(time) < 2 else round((len(time) - 1) / (time[-1] - time[0]) / rate)
+    if size > 1:
+        count = len(time) // size
+        whole = slice(count * size)
+        columns = tuple(values[whole].reshape(count, size, *values.shape[1:]).mean(axis=1) for values in columns)
+    outliers = len(series.stamp_ns) - len(kept)
+    return JointRecord(layout.names, *columns, path, digest(path), _missing(series.time), outliers)
+
+
+def _check_content(where: str, series: JointSeries, layout: BagLayout) -> None:
+    for field in ("position", "effort"):
+        values: Array | None = getattr(series, field)
+        if values is None or np.isnan(values).all():
+            raise IdentificationError(f"{where} carries no {field}; accepted: position and effort")
+        if field == "effort" and not np.nan_to_num(values).any():
+            raise IdentificationError(f"{where} carries effort 0 throughout; accepted: measured efforts")
+    unit = series.units["effort"]
+    if unit != "Nm" and (unit != "A" or layout.torque_constant is None):
+        raise IdentificationError(
+            f"{where}: its efforts are in {plain(unit)}; accepted: Nm, or A with --torque-constant"
+        )
+
+
+def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
+    """Return the rows without NaN, spike or repeated stamp; refuse stamps that go back."""
+    stamp, steps = series.stamp_ns / NANOSECONDS, np.diff(series.stamp_ns)
+    wrong = ""
+    if len(steps) and not steps.any():
+        wrong = f"every stamp is {stamp[0]:.9f} s"
+    elif (steps < 0).any():
+        k = int(np.argmax(steps < 0))
+        wrong = f"the stamp goes back from {stamp[k]:.9f} s to {stamp[k + 1]:.9f} s"
+    if wrong:
+        raise IdentificationError(f"{where}: {wrong}; accepted: increasing stamps, or --record-time")
+    good = np.append(True, steps > 0)
+    for values in (series.position, series.velocity, series.effort):
+        if values is not None:
+            good &= np.isfinite(values).all(axis=1)
+    rows = np.flatnonzero(good)
+    if len(rows) == 0:
+        raise IdentificationError(f"{where} carries no message with finite numbers alone")
+    assert series.position is not None
+    assert series.effort is not None
+    return np.asarray(rows[~(spikes(series.position[rows]) | spikes(series.effort[rows]))])
+
+
+def _missing(time: Array) -> int:
+    """Return how many messages are missing from a steady stream."""
+    steps = np.diff(time)
+    if not len(steps):
+        return 0
+    period = float(np.median(steps))
+    in_gaps = float(np.sum(np.maximum(np.rint(steps / period) - 1.0, 0.0)))
+    # Jitter makes gaps without a loss; an error of the median period makes losses without a gap.
+    return int(min(in_gaps, max(0.0, np.rint((time[-1] - time[0]) / period) - np.count_nonzero(steps))))
+
+
+def _differentiated(time: Array, position: Array) -> Array:
+    """Return velocities by a zero-phase filter, shape (m, k)."""
+    if len(time) < 2 or position.shape[1] == 0:
+        return np.zeros_like(position)
+    period = float(np.median(np.diff(time)))
+    even = np.arange(time[0], time[-1] + period / 2.0, period)
+    smooth = np.column_stack([np.interp(even, time, column) for column in position.T])
+    if 0.4 / period > _BANDWIDTH_HZ and len(even) > 30:
+        smooth = sosfiltfilt(butter(2, _BANDWIDTH_HZ, fs=1.0 / period, output="sos"), smooth, axis=0)
+    slope = np.gradient(smooth, period, axis=0)
+    return np.column_stack([np.interp(time, even, column) for column in slope.T])
+
+
+def _check_velocity(where: str, layout: BagLayout, time: Array, position: Array, velocity: Array) -> None:
+    """Refuse velocities whose integrals over a window differ from the change of position in size or sign."""
+    size = max(1, round(_COMPARED_S * (len(time) - 1) / max(time[-1] - time[0], 1e-9)))
+    edges = np.arange(0, len(time), size)
+    travelled = cumulative_trapezoid(velocity, time, axis=0, initial=0)
+    lasting = np.diff(time[edges])
+    whole = lasting < 2.0 * np.median(lasting) if len(lasting) else np.zeros(0, dtype=np.bool_)  # no gap in it
+    distance, integral = (np.diff(values[edges], axis=0)[whole] for values in (position, travelled))
+    power = (distance**2).sum(axis=0)
+    for k in np.flatnonzero(power > len(distance) * (_REST_SPEED * _COMPARED_S) ** 2).tolist():
+        factor = float(distance[:, k] @ integral[:, k] / power[k])
+        if not 1.0 / _MAX_VELOCITY_RATIO < factor < _MAX_VELOCITY_RATIO:
+            raise IdentificationError(
+                f"{where}: the velocity of {quoted(layout.messages[k])} is {factor:.3g} times the change of its "
+                "position; accepted: rad and rad/s, of the same sign"
+            )

@@ -1,1 +1,0 @@
-"""Bags of any robot, read as joint-side records: position, velocity and drive torque of each joint."""
