@@ -71,8 +71,8 @@ if TYPE_CHECKING:
     from rx90_emulator.identification.excitation.payload import Payload, read_payloads
     from rx90_emulator.identification.excitation.result import ExcitationIdentification
     from rx90_emulator.identification.experiments.folder import IdentificationBags
-    from rx90_emulator.identification.experiments.job import plan_experiments, record_on_engine
-    from rx90_emulator.identification.experiments.plan import Experiment
+    from rx90_emulator.identification.experiments.plan import Experiment, plan_experiments
+    from rx90_emulator.identification.experiments.series import record_on_engine
     from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction
     from rx90_emulator.identification.job import write_excitation, write_identification, write_measured
     from rx90_emulator.identification.model.options import (
@@ -213,8 +213,8 @@ _HOMES = {
     "rx90_emulator.identification.excitation.payload": "Payload read_payloads",
     "rx90_emulator.identification.excitation.result": "ExcitationIdentification",
     "rx90_emulator.identification.experiments.folder": "IdentificationBags",
-    "rx90_emulator.identification.experiments.job": "plan_experiments record_on_engine",
-    "rx90_emulator.identification.experiments.plan": "Experiment",
+    "rx90_emulator.identification.experiments.plan": "Experiment plan_experiments",
+    "rx90_emulator.identification.experiments.series": "record_on_engine",
     "rx90_emulator.identification.identify": "check_friction identify_friction FrictionIdentification",
     "rx90_emulator.identification.job": "write_excitation write_identification write_measured",
     "rx90_emulator.identification.model.options": (
