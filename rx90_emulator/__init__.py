@@ -81,8 +81,11 @@ if TYPE_CHECKING:
         RobotOptions,
         ValidationTolerances,
     )
-    from rx90_emulator.identification.output.excitation_report import excitation_summary
-    from rx90_emulator.identification.output.report import identification_summary, measured_summary
+    from rx90_emulator.identification.output.summary import (
+        excitation_summary,
+        identification_summary,
+        measured_summary,
+    )
     from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured
     from rx90_emulator.identification.validation.options import MeasuredTolerances
     from rx90_emulator.identification.validation.prediction import Validation
@@ -220,8 +223,7 @@ _HOMES = {
     "rx90_emulator.identification.model.options": (
         "ExcitationTolerances MeasuredLayout RobotOptions ValidationTolerances"
     ),
-    "rx90_emulator.identification.output.excitation_report": "excitation_summary",
-    "rx90_emulator.identification.output.report": "measured_summary identification_summary",
+    "rx90_emulator.identification.output.summary": "excitation_summary identification_summary measured_summary",
     "rx90_emulator.identification.validation.measured": "compare_measured MeasuredComparison",
     "rx90_emulator.identification.validation.options": "MeasuredTolerances",
     "rx90_emulator.identification.validation.prediction": "Validation",

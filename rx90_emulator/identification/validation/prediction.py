@@ -216,8 +216,8 @@ def tip_difference(
     gaps = np.flatnonzero(np.diff(reference.stamp_ns) != period_ns)
     if len(gaps):
         raise IdentificationError(
-            f"{record.source}: set-points have a gap after {reference.time[gaps[0]]:.3f} s; accepted: one every "
-            f"{period_ns / 1e6:g} ms"
+            f"{record.source}: the set-points of {reference.topic} have a gap at {reference.time[gaps[0]]:.3f} s; "
+            f"accepted: one every {period_ns / 1e6:g} ms"
         )
     assert reference.position is not None
     assert reference.velocity is not None
