@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 
-from rx90_common.base.declared import declarations
 from rx90_common.base.entries import Text
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import one_line
@@ -20,7 +19,7 @@ from rx90_emulator.cli.options import (
     node_of,
     whole_number,
 )
-from rx90_emulator.identification.experiments.options import QUICK, ExcitationOptions, Wall
+from rx90_emulator.identification.experiments.options import DECLARED, QUICK, ExcitationOptions, Wall
 
 _EPILOG = """\
 Bags that are complete stay, whatever ends the run. No motion is checked for collisions, but for those of --excitation
@@ -28,8 +27,6 @@ of the arm with itself and with the planes given by --keep-above and --wall, by 
 Set-points keep the joints' ranges and speed limits, and the expected torque keeps what the URDF allows.
 """
 _TIMEOUT = 60.0  # s
-_NAMES = ("criterion", "runs", "harmonics", "period", "periods", "share", "seed", "clearance", "steps")
-"""Of the options of excitation runs that have a default value to show."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,13 +58,11 @@ def _add_excitation(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--excitation", action="store_true", help="instead: Fourier series of all joints at once, for "
                       "rx90_identify --excitation")  # fmt: skip
     group = verb.add_argument_group("with --excitation")
-    for name in _NAMES:
-        one = declarations(ExcitationOptions)[name]
-        assert one.entry is not None
-        choices = one.entry.choices if isinstance(one.entry, Text) else None
-        kind = {int: whole_number, float: FINITE}.get(one.kind, str)
-        group.add_argument(f"--{name}", type=kind, choices=choices, help=f"{one.entry.about} ({one.default})",
-                           metavar=None if choices else one.kind.__name__[0].upper())  # fmt: skip
+    for name, entry in DECLARED.items():
+        default, choices = getattr(ExcitationOptions, name), entry.choices if isinstance(entry, Text) else None
+        kind = {int: whole_number, float: FINITE}.get(type(default), str)
+        group.add_argument(f"--{name}", type=kind, choices=choices, help=f"{entry.about} ({default})",
+                           metavar=None if choices else type(default).__name__[0].upper())  # fmt: skip
     group.add_argument("--keep-above", type=FINITE, metavar="Z", help="a table: links and tool stay above this height "
                        "over the base's origin, m")  # fmt: skip
     group.add_argument("--wall", type=FINITE, nargs=4, action="append", metavar=("NX", "NY", "NZ", "D"),
@@ -80,7 +75,7 @@ def _add_excitation(verb: argparse.ArgumentParser) -> None:
 
 def _excitation_options(options: argparse.Namespace) -> ExcitationOptions | None:
     """Return the options of excitation runs; None without --excitation."""
-    given = {name: value for name in (*_NAMES, "torque_noise") if (value := getattr(options, name)) is not None}
+    given = {name: value for name in (*DECLARED, "torque_noise") if (value := getattr(options, name)) is not None}
     if not options.excitation:
         planes = [name for name in ("keep_above", "wall") if getattr(options, name) is not None]
         if unused := [*given, *planes]:

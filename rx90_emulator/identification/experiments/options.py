@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from pathlib import Path
 
-from rx90_common.base.declared import Declared
-from rx90_common.base.entries import Integer, ListOf, Number, Text
+from rx90_common.base.entries import Entry, Integer, Number, Text
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.section import Section
 
 QUICK = {"runs": 1, "periods": 1, "steps": 15}
 """Options of a short plan: one run, which a validation follows."""
@@ -53,46 +53,55 @@ class Wall:
         return cls((x, y, z), distance, name)
 
 
+DECLARED: dict[str, Entry] = {
+    "criterion": Text("condition: condition number of the weighted columns; d: determinant of the information",
+                      choices=("condition", "d")),
+    "runs": Integer("to identify from, of different speeds; one more is for the validation", low=1, high=20),
+    "harmonics": Integer("of the base frequency in each joint's series", low=3, high=50),
+    "period": Number("s, of the base frequency", "s", low=1.0, high=_LONGEST_S),
+    "periods": Integer("of each run", low=1, high=100),
+    "share": Number("of the limits of speed, acceleration and torque that may be used", low=0.05, high=1.0),
+    "seed": Integer("of the random motions that the search begins with; the same seed gives the same plan",
+                    low=0, high=2**31),
+    "clearance": Number("m, least distance to the planes", "m", low=0.0, high=10.0),
+    "steps": Integer("of the search, for each run", low=2, high=10_000),
+}  # fmt: skip
+"""What each of these options means and may be."""
+_NOISE = Number("standard deviation of a joint's torque", "Nm", low=1e-6, high=1e6)
+
+
 @dataclass(frozen=True)
-class ExcitationOptions(Declared):
-    """What can be chosen; each field with its meaning, unit, range and default.
+class ExcitationOptions:
+    """What can be chosen for a plan; `DECLARED` says what the other fields mean and may be.
+
+    Attributes:
+        walls: planes that links and tool keep away from.
+        torque_noise: standard deviation of the noise of each joint's torque, Nm, shape (n,); by default 1 % of the
+            URDF's effort.
+        validation: whether a run is planned that the identification does not use.
 
     Raises:
         ConfigError: naming option, value and what is accepted.
     """
 
-    criterion: Annotated[
-        str,
-        Text("condition: condition number of the weighted columns; d: determinant of the information",
-             choices=("condition", "d")),
-    ] = "d"  # fmt: skip
-    runs: Annotated[
-        int, Integer("to identify from, of different speeds; one more is for the validation", low=1, high=20)
-    ] = 3
-    harmonics: Annotated[int, Integer("of the base frequency in each joint's series", low=3, high=50)] = 10
-    period: Annotated[float, Number("s, of the base frequency", "s", low=1.0, high=_LONGEST_S)] = 12.0
-    periods: Annotated[int, Integer("of each run", low=1, high=100)] = 3
-    share: Annotated[
-        float, Number("of the limits of speed, acceleration and torque that may be used", low=0.05, high=1.0)
-    ] = 0.8
-    seed: Annotated[
-        int,
-        Integer("of the random motions that the search begins with; the same seed gives the same plan",
-                low=0, high=2**31),
-    ] = 0  # fmt: skip
-    clearance: Annotated[float, Number("m, least distance to the planes", "m", low=0.0, high=10.0)] = 0.02
-    steps: Annotated[int, Integer("of the search, for each run", low=2, high=10_000)] = 60
-    torque_noise: Annotated[
-        tuple[float, ...] | None,
-        ListOf("standard deviation of the noise of each joint's torque", "Nm", item=Number("", low=1e-6, high=1e6),
-               accepted="a number for each joint"),
-    ] = None  # fmt: skip
+    criterion: str = "d"
+    runs: int = 3
+    harmonics: int = 10
+    period: float = 12.0
+    periods: int = 3
+    share: float = 0.8
+    seed: int = 0
     walls: tuple[Wall, ...] = ()
+    clearance: float = 0.02
+    torque_noise: tuple[float, ...] | None = None
+    steps: int = 60
     validation: bool = True
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.period * self.periods > _LONGEST_S:
-            raise IdentificationError(
-                f"period times periods is {self.period * self.periods:g} s; accepted: up to {_LONGEST_S:g} s"
-            )
+        place = Path("--excitation")
+        given = Section({**vars(self), "period times periods": self.period * self.periods}, place)
+        for name, entry in DECLARED.items():
+            entry.take(given, name)
+        DECLARED["period"].take(given, "period times periods")
+        for value in self.torque_noise or ():
+            _NOISE.take(Section({"torque-noise": value}, place), "torque-noise")

@@ -19,7 +19,7 @@ from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimat
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.output.friction_file import friction_text
-from rx90_emulator.identification.output.report import identification_summary
+from rx90_emulator.identification.output.summary import identification_summary
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.setup import Setup
 
