@@ -32,8 +32,8 @@ from rx90_emulator.identification.excitation.linear_parameters import BaseGroups
 from rx90_emulator.identification.excitation.load_parts import LoadParts, identify_load_parts
 from rx90_emulator.identification.excitation.payload import Payload
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, Motion
-from rx90_emulator.identification.experiments.excitation.design import plan_excitation
-from rx90_emulator.identification.experiments.excitation.options import ExcitationOptions
+from rx90_emulator.identification.experiments.excitation import plan_excitation
+from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.setup import Setup
 
@@ -62,7 +62,8 @@ def planned_motions(setup: Setup, body: Payload, runs: int) -> list[Motion]:
     heavier = replace(setup, robot=replace(setup.robot, model=loaded(setup.robot.model, body)))
     options = ExcitationOptions(runs=runs, validation=False)
     time = np.arange(round(RATE * options.period * options.periods)) / RATE
-    return [run.series.at(time) for run in plan_excitation(heavier, options).runs]
+    plan = plan_excitation(heavier, options)
+    return [plan.search.basis.at(time).motion(coefficients) for coefficients in plan.coefficients]
 
 
 def transmitted_of(setup: Setup, motion: Motion, body: Payload | None) -> tuple[Array, Array]:

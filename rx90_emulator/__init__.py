@@ -71,8 +71,8 @@ if TYPE_CHECKING:
     from rx90_emulator.identification.excitation.payload import Payload, read_payloads
     from rx90_emulator.identification.excitation.result import ExcitationIdentification
     from rx90_emulator.identification.experiments.folder import IdentificationBags
-    from rx90_emulator.identification.experiments.job import plan_experiments, record_on_engine
-    from rx90_emulator.identification.experiments.plan import Experiment
+    from rx90_emulator.identification.experiments.plan import Experiment, plan_experiments
+    from rx90_emulator.identification.experiments.series import record_on_engine
     from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction
     from rx90_emulator.identification.job import write_excitation, write_identification, write_measured
     from rx90_emulator.identification.options import (
@@ -81,8 +81,11 @@ if TYPE_CHECKING:
         RobotOptions,
         ValidationTolerances,
     )
-    from rx90_emulator.identification.output.excitation_report import excitation_summary
-    from rx90_emulator.identification.output.report import identification_summary, measured_summary
+    from rx90_emulator.identification.output.summary import (
+        excitation_summary,
+        identification_summary,
+        measured_summary,
+    )
     from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured
     from rx90_emulator.identification.validation.options import MeasuredTolerances
     from rx90_emulator.identification.validation.prediction import Validation
@@ -213,13 +216,12 @@ _HOMES = {
     "rx90_emulator.identification.excitation.payload": "Payload read_payloads",
     "rx90_emulator.identification.excitation.result": "ExcitationIdentification",
     "rx90_emulator.identification.experiments.folder": "IdentificationBags",
-    "rx90_emulator.identification.experiments.job": "plan_experiments record_on_engine",
-    "rx90_emulator.identification.experiments.plan": "Experiment",
+    "rx90_emulator.identification.experiments.plan": "Experiment plan_experiments",
+    "rx90_emulator.identification.experiments.series": "record_on_engine",
     "rx90_emulator.identification.identify": "check_friction identify_friction FrictionIdentification",
     "rx90_emulator.identification.job": "write_excitation write_identification write_measured",
     "rx90_emulator.identification.options": ("ExcitationTolerances MeasuredLayout RobotOptions ValidationTolerances"),
-    "rx90_emulator.identification.output.excitation_report": "excitation_summary",
-    "rx90_emulator.identification.output.report": "measured_summary identification_summary",
+    "rx90_emulator.identification.output.summary": "excitation_summary identification_summary measured_summary",
     "rx90_emulator.identification.validation.measured": "compare_measured MeasuredComparison",
     "rx90_emulator.identification.validation.options": "MeasuredTolerances",
     "rx90_emulator.identification.validation.prediction": "Validation",

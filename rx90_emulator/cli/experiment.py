@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from rx90_common.base.entries import Text
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import one_line
 from rx90_common.description.robot_files import MODEL_FILES
@@ -18,7 +19,7 @@ from rx90_emulator.cli.options import (
     node_of,
     whole_number,
 )
-from rx90_emulator.identification.experiments.excitation.options import QUICK, Criterion, ExcitationOptions, Wall
+from rx90_emulator.identification.experiments.options import DECLARED, QUICK, ExcitationOptions, Wall
 
 _EPILOG = """\
 Bags that are complete stay, whatever ends the run. No motion is checked for collisions, but for those of --excitation
@@ -26,29 +27,6 @@ of the arm with itself and with the planes given by --keep-above and --wall, by 
 Set-points keep the joints' ranges and speed limits, and the expected torque keeps what the URDF allows.
 """
 _TIMEOUT = 60.0  # s
-_TYPES = {int: whole_number, float: FINITE}
-_OPTIONS = {
-    "criterion": str,
-    "runs": int,
-    "harmonics": int,
-    "period": float,
-    "periods": int,
-    "share": float,
-    "seed": int,
-    "clearance": float,
-    "steps": int,
-}
-_MEANINGS = {
-    "criterion": "condition: condition number of the weighted columns; d: determinant of the information",
-    "runs": "to identify from, of different speeds; one more is for the validation",
-    "harmonics": "of the base frequency in each joint's series",
-    "period": "s, of the base frequency",
-    "periods": "of each run",
-    "share": "of the limits of speed, acceleration and torque that may be used",
-    "seed": "of the random motions that the search begins with; the same seed gives the same plan",
-    "clearance": "m, least distance to the planes",
-    "steps": "of the search, for each run",
-}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,12 +58,11 @@ def _add_excitation(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--excitation", action="store_true", help="instead: Fourier series of all joints at once, for "
                       "rx90_identify --excitation")  # fmt: skip
     group = verb.add_argument_group("with --excitation")
-    for name, kind in _OPTIONS.items():
-        default = getattr(ExcitationOptions, name)
-        choices = [str(one) for one in Criterion] if name == "criterion" else None
-        group.add_argument(f"--{name}", type=_TYPES.get(kind, kind), choices=choices,
-                           help=f"{_MEANINGS[name]} ({default})",
-                           metavar=None if choices else kind.__name__[0].upper())  # fmt: skip
+    for name, entry in DECLARED.items():
+        default, choices = getattr(ExcitationOptions, name), entry.choices if isinstance(entry, Text) else None
+        kind = {int: whole_number, float: FINITE}.get(type(default), str)
+        group.add_argument(f"--{name}", type=kind, choices=choices, help=f"{entry.about} ({default})",
+                           metavar=None if choices else type(default).__name__[0].upper())  # fmt: skip
     group.add_argument("--keep-above", type=FINITE, metavar="Z", help="a table: links and tool stay above this height "
                        "over the base's origin, m")  # fmt: skip
     group.add_argument("--wall", type=FINITE, nargs=4, action="append", metavar=("NX", "NY", "NZ", "D"),
@@ -98,11 +75,10 @@ def _add_excitation(verb: argparse.ArgumentParser) -> None:
 
 def _excitation_options(options: argparse.Namespace) -> ExcitationOptions | None:
     """Return the options of excitation runs; None without --excitation."""
-    given = {name: getattr(options, name) for name in _OPTIONS if getattr(options, name) is not None}
-    planes = {"keep_above": options.keep_above, "wall": options.wall, "torque_noise": options.torque_noise}
+    given = {name: value for name in (*DECLARED, "torque_noise") if (value := getattr(options, name)) is not None}
     if not options.excitation:
-        unused = [*given, *(name for name, value in planes.items() if value is not None)]
-        if unused:
+        planes = [name for name in ("keep_above", "wall") if getattr(options, name) is not None]
+        if unused := [*given, *planes]:
             raise IdentificationError(f"--{unused[0].replace('_', '-')} without --excitation; accepted: with it")
         return None
     if options.group or options.speeds is not None:
@@ -110,13 +86,11 @@ def _excitation_options(options: argparse.Namespace) -> ExcitationOptions | None
         raise IdentificationError(f"{name} with --excitation; accepted: without it, all joints move at once")
     if options.clearance is not None and options.keep_above is None and not options.wall:
         raise IdentificationError(f"--clearance {options.clearance} without --keep-above or --wall; accepted: with one")
-    if "criterion" in given:
-        given["criterion"] = Criterion(given["criterion"])
+    if options.torque_noise is not None:
+        given["torque_noise"] = tuple(options.torque_noise)
     walls = [] if options.keep_above is None else [Wall.above(options.keep_above)]
     walls += [Wall.through(numbers) for numbers in options.wall or ()]
-    noise = None if options.torque_noise is None else tuple(options.torque_noise)
-    quick = QUICK if options.quick else {}
-    return ExcitationOptions(**{**quick, **given}, walls=tuple(walls), torque_noise=noise)
+    return ExcitationOptions(**{**(QUICK if options.quick else {}), **given}, walls=tuple(walls))
 
 
 def main(options: argparse.Namespace) -> None:
@@ -127,12 +101,8 @@ def main(options: argparse.Namespace) -> None:
     """
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.identification.experiments.job import (
-        describe,
-        plan_experiments,
-        record_on_engine,
-        record_on_nodes,
-    )
+    from rx90_emulator.identification.experiments import series
+    from rx90_emulator.identification.experiments.plan import plan_experiments
     from rx90_emulator.loop.setup import Setup
 
     if options.verb == "run":
@@ -142,17 +112,15 @@ def main(options: argparse.Namespace) -> None:
     setup = Setup.load(RobotFiles.of_options(options))
     if excitation is None:
         plan = plan_experiments(setup, options.group, quick=options.quick, speeds=options.speeds)
-        print(describe(plan, setup), flush=True)
+        print(series.describe(plan, setup), flush=True)
     else:
-        from rx90_emulator.identification.experiments.excitation.table import describe_excitation, plan_with_progress
-
-        runs = plan_with_progress(setup, excitation)
+        runs = series.plan_with_progress(setup, excitation)
         plan = runs.experiments
-        print(describe_excitation(runs), flush=True)
+        print(series.describe_excitation(runs), flush=True)
     if options.verb == "plan":
         return
     if options.engine:
-        record_on_engine(setup, plan, options.output, options.storage or STORAGE)
+        series.record_on_engine(setup, plan, options.output, options.storage or STORAGE)
     else:
-        record_on_nodes(setup, plan, options.output, node_of(options), options.timeout or _TIMEOUT)
+        series.record_on_nodes(setup, plan, options.output, node_of(options), options.timeout or _TIMEOUT)
     print(one_line(f"bags: {options.output}"))

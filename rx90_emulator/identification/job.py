@@ -26,18 +26,15 @@ from rx90_emulator.identification.options import (
     RobotOptions,
     ValidationTolerances,
 )
-from rx90_emulator.identification.output.excitation_report import excitation_page, excitation_summary
 from rx90_emulator.identification.output.friction_file import friction_text
-from rx90_emulator.identification.output.parameters_file import parameters_text
-from rx90_emulator.identification.output.report import (
-    check_page,
+from rx90_emulator.identification.output.report import check_page, excitation_page, measured_page, report_page
+from rx90_emulator.identification.output.robot_files import parameters_text, robot_files
+from rx90_emulator.identification.output.summary import (
     check_summary,
+    excitation_summary,
     identification_summary,
-    measured_page,
     measured_summary,
-    report_page,
 )
-from rx90_emulator.identification.output.robot_files import robot_files
 from rx90_emulator.identification.presliding.kinds import kind_steps
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured, simulated_setup

@@ -1,7 +1,8 @@
-"""The folder of a series of experiments: a bag of each, and an index of the bags by use."""
+"""The folder of a series of experiments: a bag of each, an index of them by use, and the friction of an emulator."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,11 +31,12 @@ EXPERIMENTS = Group(
 )
 """What the index of a series holds."""
 
+_WITH_SET_POINTS = ("motor_states", "rx90_controller/reference", "robot_description")
 TOPICS = {
     Kind.SLIDING: ("joint_states", "robot_description"),
     Kind.PRESLIDING: ("motor_states", "robot_description"),
-    Kind.EXCITATION: ("motor_states", "rx90_controller/reference", "robot_description"),
-    Kind.VALIDATION: ("motor_states", "rx90_controller/reference", "robot_description"),
+    Kind.EXCITATION: _WITH_SET_POINTS,
+    Kind.VALIDATION: _WITH_SET_POINTS,
 }
 """What is recorded: sweeps do not need the base rate, which keeps their bags small.
 
@@ -60,20 +62,6 @@ class IdentificationBags:
     ) -> IdentificationBags:
         """Return bags given by their names."""
         return cls(*(tuple(Path(bag) for bag in bags) for bags in (sliding, presliding, validation)))
-
-
-def make_folder(folder: Path) -> None:
-    """Make the folder of a series.
-
-    Raises:
-        IdentificationError: if it exists or cannot be made.
-    """
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise IdentificationError(
-            f"--output {folder}: {error.strerror}; accepted: a folder that can be made"
-        ) from error
 
 
 def write_index(folder: Path, done: Sequence[Experiment]) -> None:
@@ -109,13 +97,6 @@ def read_emulated(bags: Iterable[Path]) -> dict[str, FrictionElement]:
     return found[0] if all(one == found[0] for one in found) else {}
 
 
-def _names(folder: Path) -> list[str]:
-    try:
-        return [path.name for path in folder.iterdir()]
-    except OSError:
-        return []
-
-
 def read_index(folder: Path) -> IdentificationBags:
     """Return the bags of a series.
 
@@ -123,7 +104,7 @@ def read_index(folder: Path) -> IdentificationBags:
         IdentificationError: if the folder holds no index, or a bag is missing.
         ConfigError: if the index is no such file.
     """
-    if INDEX not in _names(folder):
+    if not os.path.lexists(folder / INDEX):
         raise IdentificationError(f"{folder}: no {INDEX}; accepted: a folder that rx90_experiment wrote, or --sliding, "
                                   "--presliding and --validation")  # fmt: skip
     found = {}

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.rates import NANOSECONDS
@@ -28,32 +27,26 @@ class Motion:
 
     Args:
         start: joint positions at time 0, rad, shape (n,).
+
+    Attributes:
+        pose: where it ends, rad, shape (n,).
+        duration: how long it takes so far, s.
     """
 
     def __init__(self, start: ArrayLike) -> None:
-        self._pose: Array = np.array(start, dtype=np.float64)
-        self._time = 0.0
-        rest = np.zeros_like(self._pose)
-        self._knots: list[tuple[float, Array, Array, Array]] = [(0.0, self._pose, rest, rest)]
-
-    @property
-    def duration(self) -> float:
-        """Return how long the motion takes so far, s."""
-        return self._time
-
-    @property
-    def pose(self) -> Array:
-        """Return where it ends, rad, shape (n,)."""
-        return self._pose.copy()
+        self.pose: Array = np.array(start, dtype=np.float64)
+        self.duration = 0.0
+        self._rest = np.zeros_like(self.pose)
+        self._knots = [(0.0, self.pose, self._rest, self._rest)]
 
     def rest(self, duration: float) -> None:
         """Stay for `duration`, s."""
-        self._add(duration, self._pose)
+        self._add(duration, self.pose)
 
     def move(self, target: ArrayLike, speed: ArrayLike, acceleration: float) -> None:
         """Go to `target`, rad, on a straight line in the joints, within speeds, rad/s, and an acceleration, rad/s²."""
         goal = np.array(target, dtype=np.float64)
-        distance = np.abs(goal - self._pose)
+        distance = np.abs(goal - self.pose)
         if not distance.any():
             return
         by_speed = float(np.max(distance / np.asarray(speed))) * _QUINTIC_PEAK_SPEED
@@ -67,9 +60,9 @@ class Motion:
         """
         ramp = _on_tick(max(0.05, _RAMP_PEAK_ACCELERATION * abs(speed) / acceleration))
         velocity = direction * speed
-        self._add(ramp, self._pose + 0.5 * ramp * velocity, velocity)
-        self._add(_on_tick(plateau), self._pose + _on_tick(plateau) * velocity, velocity)
-        self._add(ramp, self._pose + 0.5 * ramp * velocity)
+        self._add(ramp, self.pose + 0.5 * ramp * velocity, velocity)
+        self._add(_on_tick(plateau), self.pose + _on_tick(plateau) * velocity, velocity)
+        self._add(ramp, self.pose + 0.5 * ramp * velocity)
 
     def oscillate(self, direction: Array, amplitudes: Sequence[float], tones: Sequence[float], duration: float) -> None:
         """Oscillate about the pose along `direction` with a sum of sines, faded in and out over a quarter each.
@@ -83,15 +76,12 @@ class Motion:
         fastest = 2.0 * math.pi * max(tones)
         period = math.floor(1e3 * min(_LONGEST_KNOT_PERIOD, _KNOT_ANGLE / fastest)) / 1e3
         count = math.ceil(duration / period)
-        time = np.arange(1, count + 1) * period
-        s, s_dot, s_ddot = _faded_sines(time, count * period, amplitudes, tones)
-        centre, begin = self._pose, self._time
-        for row in range(count - 1):
-            knot = (begin + time[row], centre + direction * s[row], direction * s_dot[row], direction * s_ddot[row])
-            self._knots.append(knot)
-        self._time = begin + float(time[-1])
-        rest = np.zeros_like(centre)
-        self._knots.append((self._time, centre, rest, rest))
+        time: Array = np.arange(1, count + 1, dtype=np.float64) * period
+        s, s_dot, s_ddot = (
+            values[:, None] * direction for values in _faded_sines(time, count * period, amplitudes, tones)
+        )
+        s[-1] = 0.0
+        self.follow(time, self.pose + s, s_dot, s_ddot)
 
     def follow(self, time: Array, position: Array, velocity: Array, acceleration: Array) -> None:
         """Run through k knots that are known, the last of them at rest.
@@ -102,29 +92,21 @@ class Motion:
             velocity: rad/s, shape (k, n).
             acceleration: rad/s², shape (k, n).
         """
-        self._knots += zip((self._time + time).tolist(), position, velocity, acceleration, strict=True)
-        rest = np.zeros_like(self._pose)
-        self._pose, self._time = position[-1].copy(), self._knots[-1][0]
-        self._knots[-1] = (self._time, self._pose, rest, rest)
+        self._knots += zip((self.duration + time).tolist(), position, velocity, acceleration, strict=True)
+        self.pose, self.duration = position[-1].copy(), self._knots[-1][0]
+        self._knots[-1] = (self.duration, self.pose, self._rest, self._rest)
 
     def points(self, names: Sequence[str]) -> TrajectoryPoints:
         """Return the motion as the points that the controller takes."""
-        times, position, velocity, acceleration = zip(*self._knots, strict=True)
+        knots, *vectors = zip(*self._knots, strict=True)
         # Messages carry whole nanoseconds; the closed loop without ROS gets the same times as the nodes, to the bit.
-        return TrajectoryPoints.create(
-            names,
-            names,
-            [round(time * NANOSECONDS) / NANOSECONDS for time in times],
-            np.array(position).tolist(),
-            np.array(velocity).tolist(),
-            np.array(acceleration).tolist(),
-        )
+        times = [round(time * NANOSECONDS) / NANOSECONDS for time in knots]
+        return TrajectoryPoints.create(names, names, times, *(np.array(each).tolist() for each in vectors))
 
     def _add(self, duration: float, pose: Array, velocity: Array | None = None) -> None:
-        self._time += duration
-        self._pose = pose
-        rest = np.zeros_like(pose)
-        self._knots.append((self._time, pose, rest if velocity is None else velocity, rest))
+        self.duration += duration
+        self.pose = pose
+        self._knots.append((self.duration, pose, self._rest if velocity is None else velocity, self._rest))
 
 
 def _on_tick(duration: float) -> float:
@@ -133,7 +115,7 @@ def _on_tick(duration: float) -> float:
 
 
 def _faded_sines(
-    time: NDArray[Any], duration: float, amplitudes: Sequence[float], tones: Sequence[float]
+    time: Array, duration: float, amplitudes: Sequence[float], tones: Sequence[float]
 ) -> tuple[Array, Array, Array]:
     """Return the sum of sines times its fade, and both derivatives, each shape (m,)."""
     omega = 2.0 * np.pi * np.asarray(tones)

@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,14 +35,7 @@ _AT_REST = 1e-6  # rad
 _APPROACH_SPEED, _APPROACH_ACCELERATION = 0.25, 2.0
 
 
-def run_on_nodes(
-    setup: Setup,
-    plan: Sequence[Experiment],
-    folder: Path,
-    controller: str,
-    timeout: float,
-    say: Callable[[str], None],
-) -> None:
+def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, controller: str, timeout: float) -> None:
     """Run and record experiments on the controller node, one by one; after Ctrl-C the bags that are complete stay.
 
     Args:
@@ -50,15 +44,28 @@ def run_on_nodes(
         folder: for the bags.
         controller: name of the controller node.
         timeout: longest wait for a node, and for simulated time to go on, s.
-        say: prints a line for the user.
 
     Raises:
         ConfigError: if that cannot be a node's name.
         ExchangeError: if a node does not show up, time stands still, or the controller refuses a trajectory.
         ProcessError: if the recorder loses messages again and again, or ends early.
     """
-    with client_node("rx90_experiment", timeout, say) as client:
-        _Runner(setup, client, controller).run(plan, folder)
+    total = sum(experiment.duration for experiment in plan)
+    layout = "{l_bar}{bar}| {n:.0f}/{total:.0f} s [{elapsed}<{remaining}]"
+    # A recorder that still runs at the end is ended in order.
+    with (
+        client_node("rx90_experiment", timeout, partial(print, flush=True)) as client,
+        ProcessGroup(folder, grace=20.0) as recorders,
+    ):
+        runner = _Runner(setup, client, controller)
+        runner.approach(plan[0].points.position[0])
+        with tqdm(total=total, bar_format=layout, mininterval=0.2, miniters=0, disable=None) as bar:
+            for number, experiment in enumerate(plan):
+                bar.set_description_str(experiment.name)
+                runner.record(experiment, folder, recorders, bar)
+                if not number:
+                    runner.write_emulated(folder)
+                write_index(folder, plan[: number + 1])
 
 
 class _Runner:
@@ -71,22 +78,7 @@ class _Runner:
         self._trajectory.wait_for_controller()
         self._set_points = self._trajectory.set_points(self._robot.joint_names)
 
-    def run(self, plan: Sequence[Experiment], folder: Path) -> None:
-        """Run and record the experiments one after the other."""
-        # A recorder that still runs at the end is ended in order.
-        with ProcessGroup(folder, grace=20.0) as recorders:
-            self._approach(plan[0].points.position[0])
-            total = sum(experiment.duration for experiment in plan)
-            layout = "{l_bar}{bar}| {n:.0f}/{total:.0f} s [{elapsed}<{remaining}]"
-            with tqdm(total=total, bar_format=layout, mininterval=0.2, miniters=0, disable=None) as bar:
-                for number, experiment in enumerate(plan):
-                    bar.set_description_str(experiment.name)
-                    self._record(experiment, folder, recorders, bar)
-                    if not number:
-                        self._write_emulated(folder)
-                    write_index(folder, plan[: number + 1])
-
-    def _write_emulated(self, folder: Path) -> None:
+    def write_emulated(self, folder: Path) -> None:
         """Write the friction of the simulation beside the bags, if it is one and its files are on this machine."""
         name = text_parameter(self._client, "rx90_sim", "friction")
         if not name:
@@ -96,7 +88,7 @@ class _Runner:
         except ConfigError as error:
             self._client.say(f"the simulation's friction is not kept beside the bags: {error}")
 
-    def _approach(self, start: Array) -> None:
+    def approach(self, start: Array) -> None:
         here = self._position
         gap = float(np.abs(start - here).max())
         if gap <= self._start_tolerance:
@@ -106,30 +98,23 @@ class _Runner:
         self._client.say(f"approach: {math.degrees(gap):.1f} deg, {motion.duration:.1f} s")
         self._follow(motion.points(self._robot.joint_names), lambda _: None)
 
-    def _record(self, experiment: Experiment, folder: Path, recorders: ProcessGroup, bar: tqdm[Any]) -> None:
+    def record(self, experiment: Experiment, folder: Path, recorders: ProcessGroup, bar: tqdm[Any]) -> None:
+        """Run an experiment and record it, again where the recorder lost messages: a machine was busy for a moment."""
+        words = executable("rx90_bag", "record", "--output", folder / experiment.name, *TOPICS[experiment.kind])
+        done = bar.n
         for attempt in range(1, _ATTEMPTS + 1):
-            code, log = self._record_once(experiment, folder, recorders, bar)
+            recorder = recorders.start(experiment.name, words)
+            recorder.wait_for("ready: all", self._client.timeout)
+            self._follow(experiment.points, lambda elapsed: bar.update(done + elapsed - bar.n))
+            recorder.signal(signal.SIGINT)
+            code = recorder.wait(self._client.timeout)
+            bar.update(done + (experiment.duration if code == 0 else 0.0) - bar.n)
             if code == 0:
                 return
-            if attempt < _ATTEMPTS:
-                # A machine that was busy for a moment; experiments end where they begin, so this one can begin again.
+            if attempt < _ATTEMPTS:  # experiments end where they begin, so this one can begin again
                 bar.write(f"{experiment.name}: the recorder ended with exit code {code}; again", file=sys.stderr)
                 shutil.rmtree(folder / experiment.name, ignore_errors=True)
-        raise ExchangeError(f"the recorder of {experiment.name} ended with exit code {code} (see {log})")
-
-    def _record_once(
-        self, experiment: Experiment, folder: Path, recorders: ProcessGroup, bar: tqdm[Any]
-    ) -> tuple[int, Path | None]:
-        """Return the recorder's exit code, 1 where messages were lost, and its log."""
-        record = executable("rx90_bag", "record", "--output", folder / experiment.name, *TOPICS[experiment.kind])
-        recorder = recorders.start(experiment.name, record)
-        recorder.wait_for("ready: all", self._client.timeout)
-        done = bar.n
-        self._follow(experiment.points, lambda elapsed: bar.update(done + elapsed - bar.n))
-        recorder.signal(signal.SIGINT)
-        code = recorder.wait(self._client.timeout)
-        bar.update(done + (experiment.duration if code == 0 else 0.0) - bar.n)
-        return code, recorder.log
+        raise ExchangeError(f"the recorder of {experiment.name} ended with exit code {code} (see {recorder.log})")
 
     def _follow(self, points: TrajectoryPoints, show: Callable[[float], object]) -> None:
         """Send a trajectory and wait until the controller's set-points are at its end."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 from typing import Any
@@ -17,9 +17,7 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.bristles import BristlesPart
 from rx90_emulator.identification.estimates import LARGEST, PARAMETERS, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.identify import FrictionIdentification
-from rx90_emulator.identification.presliding.kinds import ElementKind
 from rx90_emulator.identification.records import BagSource
-from rx90_emulator.identification.sliding.fit import SlidingFit
 
 _REMARKS = """\
 #
@@ -32,19 +30,14 @@ _LARGEST = {"Nm": 1e6, "rad/s": 1e4, "1": 1e3, "Nm/rad": 1e12, "Nm s/rad": 1e9, 
 _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
 
 
+def six_digits(value: float) -> float:
+    """Return six digits of a value: what is beyond them is far below any standard deviation."""
+    return float(f"{value:.6g}")
+
+
 def friction_text(result: FrictionIdentification, now: datetime | None = None) -> str:
-    """Return the file's text.
-
-    Args:
-        result: what was identified.
-        now: date of the identification; by default the present.
-
-    Raises:
-        ConfigError: for values or deviations that are not finite, or absurd.
-    """
-    return elements_text(
-        result.arm.element_names, result.elements, result.fallback_name, now, result.sliding, result.kinds
-    )
+    """Return the text of the file of an identification from sweeps; arguments and errors as in `elements_text`."""
+    return elements_text(result.arm.element_names, result.elements, result.fallback_name, now, result)
 
 
 def elements_text(
@@ -52,8 +45,7 @@ def elements_text(
     elements: Sequence[IdentifiedElement],
     fallback_name: str | None,
     now: datetime | None = None,
-    sliding: SlidingFit | None = None,
-    kinds: Sequence[ElementKind] = (),
+    result: FrictionIdentification | None = None,
 ) -> str:
     """Return the text of a file with these elements.
 
@@ -62,135 +54,104 @@ def elements_text(
         elements: what was identified of each.
         fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
         now: date of the identification; by default the present.
-        sliding: fit of sweeps, whose use of the bags and goodness go into the file; None without sweeps.
-        kinds: how the kind of each element's bristles was chosen; empty where it was not asked for.
+        result: from sweeps, whose use of the bags, goodness of fit and kinds of bristles go into the file.
 
     Raises:
         IdentificationError: for a value that no arm has, or that is no number.
         ConfigError: for a deviation that is absurd.
     """
-    for name, one in zip(names, elements, strict=True):
-        _check(name, one)
     date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
-    sources: dict[BagSource, str] = {}
+    named, kinds = dict(zip(names, elements, strict=True)), () if result is None else result.kinds
+    for name, one in named.items():
+        _check(name, one)
+    labels: dict[BagSource, str] = {}
     for bags in (*(bags for one in elements for bags in one.sources.values()), *(kind.sources for kind in kinds)):
         for bag in bags:
-            sources.setdefault(bag, f"bag_{len(sources) + 1}")
-    source = f"{len(sources)} bags, {date}; omega_d is not identified"
-    identification = {
+            labels.setdefault(bag, f"bag_{len(labels) + 1}")
+    notes = {kind.element: f"bristles: {kind.text}" for kind in kinds}
+    for name, one in named.items():
+        if one.given_bristles:
+            said = f"{notes[name]}; " if name in notes else "bristles: "
+            notes[name] = f"{said}as its c0 those of {fallback_name}, assumed"
+    identification: dict[str, Any] = {
         "date": date,
         "bags": {
             label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": bag.recorded}
-            for bag, label in sources.items()
-        },
-        **({} if sliding is None else _sweeps(sliding, names, sources)),
-        **({"bristles": {kind.element: _kind(kind, sources) for kind in kinds}} if kinds else {}),
-        "parameters": {
-            name: _provenance(one, sources, date, fallback_name) for name, one in zip(names, elements, strict=True)
+            for bag, label in labels.items()
         },
     }
+    if result is not None:
+        fits, usage = zip(names, result.sliding.quality, strict=True), result.sliding.usage
+        identification["sweeps"] = {labels[use.bag]: use.text(names) for use in usage if use.bag in labels}
+        identification["fit"] = {name: one.content for name, one in fits if one is not None}
+    if kinds:
+        identification["bristles"] = {}
+    for kind in kinds:
+        chosen: dict[str, Any] = {"decision": kind.decision} | ({"reason": kind.reason} if kind.reason else {})
+        identification["bristles"][kind.element] = chosen
+        if kind.choice is not None:
+            chosen["tried"] = {
+                trial.family.name: {"missed": six_digits(trial.missed), "behind": six_digits(trial.behind)}
+                for trial in kind.choice.trials
+            }
+            chosen["bags"] = [labels[bag] for bag in kind.sources]
+    rounded = {name: _rounded(one) for name, one in named.items()}
+    identification["parameters"] = {
+        name: _provenance(one, rounded[name], labels, date, fallback_name) for name, one in named.items()
+    }
     check_numbers(identification, LARGEST, "identification")
+    source = f"{len(labels)} bags, {date}; omega_d is not identified"
     return FrictionFile(
-        {name: _rounded_element(one) for name, one in zip(names, elements, strict=True)},
+        rounded,
         "identified",
         source if fallback_name is None else f"{source}, it is that of {fallback_name}",
         identification,
-        about=_notes(names, elements, fallback_name, kinds),
+        about={name: {"note": text} for name, text in notes.items()},
     ).text(_REMARKS)
 
 
-def _notes(
-    names: Sequence[str], elements: Sequence[IdentifiedElement], fallback_name: str | None, kinds: Sequence[ElementKind]
-) -> dict[str, dict[str, str]]:
-    """Return what is said of the bristles of each element where they were looked for, or are the fallback's."""
-    said = {kind.element: f"bristles: {kind.text}" for kind in kinds}
-    for name, one in zip(names, elements, strict=True):
-        if one.given_bristles:
-            taken = f"as its c0 those of {fallback_name}, assumed"
-            said[name] = f"{said[name]}; {taken}" if name in said else f"bristles: {taken}"
-    return {name: {"note": text} for name, text in said.items()}
-
-
-def _sweeps(sliding: SlidingFit, names: Sequence[str], labels: Mapping[BagSource, str]) -> dict[str, Any]:
-    """Return what was used of each bag of sweeps, and how well the curves fit."""
-    named = zip(names, sliding.quality, strict=True)
-    return {
-        "sweeps": {labels[use.bag]: use.text(names) for use in sliding.usage if use.bag in labels},
-        "fit": {name: one.content for name, one in named if one is not None},
-    }
-
-
-def _kind(kind: ElementKind, labels: Mapping[BagSource, str]) -> dict[str, Any]:
-    """Return how the kind of an element's bristles was chosen."""
-    found: dict[str, Any] = {"decision": kind.decision}
-    if kind.reason:
-        found["reason"] = kind.reason
-    if kind.choice is not None:
-        found["tried"] = {
-            trial.family.name: {"missed": _rounded(trial.missed), "behind": _rounded(trial.behind)}
-            for trial in kind.choice.trials
-        }
-        found["bags"] = [labels[bag] for bag in kind.sources]
-    return found
-
-
 def _check(name: str, one: IdentifiedElement) -> None:
-    for parameter in FRICTION_UNITS:
-        value = getattr(one.element, parameter)
-        most = math.inf if parameter == "omega_d" else _LARGEST[FRICTION_UNITS[parameter]]
-        estimate = one.estimates.get(parameter)
+    for parameter, unit in FRICTION_UNITS.items():
+        value, estimate = getattr(one.element, parameter), one.estimates.get(parameter)
+        most = math.inf if parameter == "omega_d" else _LARGEST[unit]
         spread = estimate.deviation if estimate is not None and estimate.identifiable else 0.0
         if not (value <= most and math.isfinite(spread)):
             raise IdentificationError(
-                f"{plain(name)}: {parameter} came out as {value:.3g} +- {spread:.2g}; accepted: up to {most:g} "
-                f"{FRICTION_UNITS[parameter]}, with a finite deviation; nothing is written"
+                f"{plain(name)}: {parameter} came out as {value:.3g} +- {spread:.2g}; accepted: up to {most:g} {unit}, "
+                "with a finite deviation; nothing is written"
             )
 
 
 def _provenance(
-    one: IdentifiedElement, labels: dict[BagSource, str], date: str, fallback_name: str | None
+    one: IdentifiedElement, element: FrictionElement, labels: dict[BagSource, str], date: str, fallback_name: str | None
 ) -> dict[str, Any]:
-    element = _rounded_element(one)
+    """Return value, deviation, bags and origin of each parameter of an element."""
     values = vars(element) | {
         f"{name}.{key}": value for name, part in element.parts.items() for key, value in part.numbers().items()
     }
-    names = [*PARAMETERS, *(name for name in one.estimates if name not in PARAMETERS)]
-    bags = {name: [labels[bag] for bag in one.sources.get(name, ())] for name in names}
-    estimates = {name: one.estimates.get(name, _NOT_FITTED) for name in names}
-    # A part that is not known is left out, whatever the fallback has: its values are 0. But bristles go with c0.
-    from_there = [name for name in names if "." not in name or (one.given_bristles and name.startswith("bristles."))]
-    taken = {name: fallback_name if name in from_there else None for name in names}
-    return {name: _parameter(values.get(name, 0.0), estimates[name], bags[name], date, taken[name]) for name in names}
+    found = {}
+    for name in dict.fromkeys((*PARAMETERS, *one.estimates)):
+        estimate = one.estimates.get(name, _NOT_FITTED)
+        content = {"provenance": "assumed", "value": values.get(name, 0.0)}
+        if not estimate.identifiable:
+            # A part that is not known is left out, whatever the fallback has. But bristles go with c0.
+            from_there = "." not in name or (one.given_bristles and name.startswith("bristles."))
+            content |= {
+                "identifiable": False, "reason": estimate.reason, "taken_from": fallback_name if from_there else None
+            }  # fmt: skip
+        elif estimate.deviation:  # else given, not estimated
+            content |= {
+                "provenance": "identified",
+                "deviation": six_digits(estimate.deviation),
+                "interval": [six_digits(bound) for bound in estimate.bounds],
+            }
+        found[name] = content | {"bags": [labels[bag] for bag in one.sources.get(name, ())], "date": date}
+    return found
 
 
-def _parameter(
-    value: float, estimate: ParameterEstimate, bags: Sequence[str], date: str, fallback_name: str | None
-) -> dict[str, Any]:
-    if not estimate.identifiable:
-        return {
-            "provenance": "assumed", "value": value, "identifiable": False, "reason": estimate.reason,
-            "taken_from": fallback_name, "bags": list(bags), "date": date,
-        }  # fmt: skip
-    if not estimate.deviation:  # given, not estimated
-        return {"provenance": "assumed", "value": value, "bags": list(bags), "date": date}
-    return {
-        "provenance": "identified",
-        "value": value,
-        "deviation": _rounded(estimate.deviation),
-        "interval": [_rounded(bound) for bound in estimate.bounds],
-        "bags": list(bags),
-        "date": date,
-    }
-
-
-def _rounded(value: float) -> float:
-    """Return six digits: what is beyond them is far below any standard deviation."""
-    return float(f"{value:.6g}")
-
-
-def _rounded_element(one: IdentifiedElement) -> FrictionElement:
+def _rounded(one: IdentifiedElement) -> FrictionElement:
     element = one.element
-    values: dict[str, Any] = {name: _rounded(getattr(element, name)) for name in FRICTION_UNITS}
+    values: dict[str, Any] = {name: six_digits(getattr(element, name)) for name in FRICTION_UNITS}
     if element.bristles is not None and not one.given_bristles:
         values["bristles"] = _rounded_bristles(element.bristles)
     return replace(element, **values)
@@ -201,10 +162,10 @@ def _rounded_bristles(bristles: BristlesPart) -> BristlesPart:
     values: dict[str, Any] = {}
     for name, value in vars(bristles).items():
         if isinstance(value, tuple):
-            digits = [_rounded(each) for each in value]
+            digits = [six_digits(each) for each in value]
             largest = digits.index(max(digits))  # a small one could be less than what rounding the others leaves
             digits[largest] = round(1.0 - math.fsum(digits[:largest] + digits[largest + 1 :]), 12)
             values[name] = tuple(digits)
         else:
-            values[name] = _rounded(value)
+            values[name] = six_digits(value)
     return replace(bristles, **values)

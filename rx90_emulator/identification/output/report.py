@@ -1,6 +1,6 @@
-"""What is said of an identified friction, of a validation and of a measured run: tables for the terminal, and reports.
+"""The pages of an identification from sweeps or excitation runs, a check of a friction file and a measured run.
 
-A report is one self-contained HTML page.
+A report is one self-contained HTML page. Tables and sentences stand in the templates, which share `_macros.html.j2`.
 """
 
 from __future__ import annotations
@@ -9,65 +9,197 @@ import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.signal import welch
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
-from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Panel, Plot
-from rx90_emulator.identification.estimates import IdentifiedElement
+from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Mark, Panel, Plot
+from rx90_emulator.identification.estimates import IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.excitation.friction.estimates import FrictionCurve
+from rx90_emulator.identification.excitation.instruments import remark
+from rx90_emulator.identification.excitation.result import ExcitationIdentification
+from rx90_emulator.identification.excitation.torques import JointTorque, RunTorques, SpeedResiduals, misfits
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
+from rx90_emulator.identification.output import summary
+from rx90_emulator.identification.output.robot_files import torque_constants
 from rx90_emulator.identification.presliding.bristle_motion import MOST_MOTIONS, MOST_OF_BAG
-from rx90_emulator.identification.presliding.fit import HysteresisLoop
-from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE, ElementKind, decisions
+from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE, decisions
 from rx90_emulator.identification.sliding.fit import CurvePoints
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 
 _DRAWN_S = 60.0  # s of a run that are drawn: more would blur
-_TIME_AXIS = "time since the comparison began, s"
-_RECORDED_COLOUR, _PREDICTED_COLOUR, _DIFFERENCE_COLOUR = COLOURS[5], COLOURS[1], COLOURS[6]
+_RECORDED, _PREDICTED, _DIFFERENCE = COLOURS[5], COLOURS[1], COLOURS[6]
+_TIME, _SPEED = "time since the first motion, s", "velocity of the element, rad/s"
 _INTERVAL = 1.96  # standard deviations, 95 %
 _DRAWN_SHARE = 20  # one part in so many of a micro-oscillation is drawn: more loops would cover each other
+_ACROSS = 2  # columns of plots with a panel for each joint
 
 
-def curve_plots(result: FrictionIdentification) -> list[Plot]:
-    """Return torque against velocity of each element, with the residuals below."""
-    named = zip(result.arm.element_names, result.sliding.curves, strict=True)
-    return [_curve_plot(name, curve) for name, curve in named if len(curve.velocity)]
+def _render(template: str, date: datetime | None, **values: Any) -> str:
+    """Return a page; templates have the functions of `summary` and the built-in ones that they need."""
+    return render_page(
+        "rx90_emulator.identification.output", template, date=_utc(date), summary=summary, zip=zip, **values
+    )
 
 
-def drift_plots(result: FrictionIdentification) -> list[Plot]:
-    """Return residual torque along the motion against time of each element."""
-    plots = []
-    for name, curve in zip(result.arm.element_names, result.sliding.curves, strict=True):
-        if len(curve.velocity):
-            residual = np.sign(curve.velocity) * (curve.torque - curve.fitted)
-            plots.append(
-                Plot(
-                    [Panel((Level(0.0), Dots(curve.time, residual)), name, "time in the series, s", "residual, Nm")],
-                    height=1.8,
-                )
-            )
-    return plots
+def _utc(date: datetime | None) -> str:
+    return (date or datetime.now(timezone.utc)).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def _torque_panels(
+    names: Sequence[str], series: Sequence[tuple[Array, Array, Array, Array]], labels: tuple[str, str], time_label: str
+) -> list[Panel]:
+    """Return a panel for each joint: recorded and predicted torque, and their difference where they are compared.
+
+    Args:
+        names: of the joints.
+        series: of each its time, s, and the three torques, Nm, each of shape (k,); NaN leaves a gap.
+        labels: of recorded and predicted torque.
+        time_label: below the last panel.
+    """
+    panels = []
+    for name, (time, recorded, predicted, difference) in zip(names, series, strict=True):
+        curves = [
+            Curve(time, recorded, labels[0], _RECORDED, 1.8),
+            Curve(time, predicted, labels[1], _PREDICTED, 0.8),
+            Curve(time, difference, "difference", _DIFFERENCE, 0.6),
+        ]
+        panels.append(Panel(curves, name, time_label if name == names[-1] else "", "Nm"))
+    return panels
+
+
+def _across(names: Sequence[str], marks: Sequence[Sequence[Mark]], x_label: str, height: float = 1.9) -> Plot:
+    """Return a plot with a panel of Nm for each name, two in a row."""
+    last = len(names) - _ACROSS
+    panels = [Panel(some, name, x_label if k >= last else "", "Nm")
+              for k, (name, some) in enumerate(zip(names, marks, strict=True))]  # fmt: skip
+    return Plot(panels, columns=_ACROSS, height=height)
+
+
+def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, Plot]]:
+    """Return validations with the names of their bags, and torques and distance of the tips along each."""
+    found = []
+    for check in checks:
+        torque, tips = check.torque, len(check.tip_distance) > 0
+        difference = np.where(torque.compared, torque.predicted - torque.recorded, np.nan)
+        columns = zip(torque.recorded.T, torque.predicted.T, difference.T, strict=True)
+        series = [(torque.time, *column) for column in columns]
+        panels = _torque_panels(check.names, series, ("recorded", "predicted"), "" if tips else "time, s")
+        if tips:
+            far = Curve(check.tip_time, check.tip_distance * 1e6, "", COLOURS[0], 0.8)
+            panels.append(Panel([far], "tips", "time, s", "distance, µm"))
+        found.append((check, Path(check.source).name, Plot(panels, height=1.6, share_x=True)))
+    return found
+
+
+def check_page(checks: Sequence[Validation], friction_file: str, now: datetime | None = None) -> str:
+    """Return the text of the page on a friction file that was held against bags.
+
+    Args:
+        checks: one for each bag.
+        friction_file: name of the file.
+        now: date of the comparison; by default the present.
+    """
+    return _render("friction_check.html.j2", now, checks=_checks(checks), friction_file=friction_file)
+
+
+def measured_page(result: MeasuredComparison, files: tuple[str, ...], date: datetime) -> str:
+    """Return the text of the page on a measured run.
+
+    Args:
+        result: of the comparison.
+        files: that the robot was read from.
+        date: of the comparison.
+    """
+    time = result.time - result.time[0]
+    shown = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
+    time, label = time[shown], "time since the comparison began, s"
+    torque = result.agreement
+    difference = np.where(torque.compared, torque.predicted - torque.recorded, np.nan)
+    series = [(time, *(one[shown] for one in columns))
+              for columns in zip(torque.recorded.T, torque.predicted.T, difference.T, strict=True)]  # fmt: skip
+    panels = []
+    for name, measured, simulated in zip(result.names, result.position.T, result.simulated_position.T, strict=True):
+        both = [
+            Curve(time, measured[shown], "measured", _RECORDED, 1.8),
+            Curve(time, simulated[shown], "simulated", _PREDICTED, 0.8),
+        ]
+        apart = Curve(time, 1e3 * (simulated - measured)[shown], "simulated - measured", _DIFFERENCE, 0.7)
+        below = label if name == result.names[-1] else ""
+        panels += [Panel(both, name, below, "rad"), Panel([apart], name, below, "mrad")]
+    return _render(
+        "measured.html.j2",
+        date,
+        result=result,
+        files=files,
+        torques=Plot(_torque_panels(result.names, series, ("measured", "simulated"), label), height=1.7, share_x=True),
+        positions=Plot(panels, columns=2, height=1.7, share_x=True),
+    )
+
+
+def report_page(result: FrictionIdentification, friction_file: str, now: datetime | None = None) -> str:
+    """Return the text of the page on an identification from sweeps and micro-oscillations.
+
+    Args:
+        result: what was identified.
+        friction_file: name of the file with the values.
+        now: date of the identification; by default the present.
+    """
+    names, sliding, presliding = result.arm.element_names, result.sliding, result.presliding
+    named = dict(zip(names, result.elements, strict=True))
+    compared = [kind for kind in result.kinds if kind.choice is not None]
+    own_bristles = [kind.element for kind in compared if kind.trial is not None]
+    curves = [(name, curve) for name, curve in zip(names, sliding.curves, strict=True) if len(curve.velocity)]
+    loops = [loop for loop in presliding.loops if loop.joint not in own_bristles]
+    return _render(
+        "identification.html.j2",
+        now,
+        result=result,
+        named=named,
+        told=[(name, named[name]) for name in result.told],
+        others=[name for name in names if name not in result.told],
+        assumed=[(summary.which(lacking), reason) for reason, lacking in result.unidentifiable.items()],
+        parameters=shown_parameters(result),
+        units=FRICTION_UNITS,
+        fallback=result.fallback_name,
+        fading=[(name, one.element.omega_d) for name, one in named.items() if math.isfinite(one.element.omega_d)],
+        shared=names[len(result.arm.names) :],
+        checks=_checks(result.validations),
+        friction_file=friction_file,
+        curves=[_curve_plot(name, curve) for name, curve in curves],
+        trends=[_drift_plot(name, curve) for name, curve in curves],
+        loops=[_loop_plot(one.joint, one.position, "friction torque, Nm",
+                          {"measured": one.torque, "simulated": one.simulated_torque}) for one in loops],
+        own_bristles=own_bristles,
+        compared=compared,
+        decisions=decisions(result.kinds),
+        numbers=[(name, *row) for name, one in named.items() if not one.given_bristles for row in _own_numbers(one)],
+        most_motions=MOST_MOTIONS,
+        most_of_bag=MOST_OF_BAG,
+        distinguishable_se=DISTINGUISHABLE_SE,
+        kind_loops=[_loop_plot(one.element, one.largest[0], "torque of the bristles, Nm", one.largest[1])
+                    for one in compared],
+        correlations=_correlation_plots(result),
+    )  # fmt: skip
 
 
 def _curve_plot(name: str, curve: CurvePoints) -> Plot:
+    """Show torque against velocity of an element, with the residuals below."""
     smallest = float(np.abs(curve.velocity).min())
-    above: list[Curve | Dots | Level] = [
-        Level(0.0, upright=True),
-        Dots(curve.velocity, curve.torque, "measured, one stretch each"),
-    ]
-    below: list[Band | Dots | Level] = [Level(0.0, upright=True), Level(0.0)]
+    above: list[Mark] = [Level(0.0, upright=True), Dots(curve.velocity, curve.torque, "measured, one stretch each")]
+    below: list[Mark] = [Level(0.0, upright=True), Level(0.0)]
     for side in (curve.line[0] < 0.0, curve.line[0] > 0.0):
         velocity, torque, deviation = curve.line[:, side]
         above.append(Curve(velocity, torque, "identified", INK, 0.9))
         far = _INTERVAL * deviation
         below.append(Band(velocity, -far, far, "95 % of the identified curve", GREY))
-    noise = _INTERVAL * curve.deviation
     label = "measured - identified, 95 % of the noise"
-    below.append(Dots(curve.velocity, curve.torque - curve.fitted, label, COLOURS[0], noise))
+    below.append(Dots(curve.velocity, curve.torque - curve.fitted, label, COLOURS[0], _INTERVAL * curve.deviation))
     speeds = "velocity of the element, rad/s (logarithmic on either side)"
     panels = [
         Panel(above, name, "", "friction torque, Nm", "symlog", smallest=smallest),
@@ -76,35 +208,35 @@ def _curve_plot(name: str, curve: CurvePoints) -> Plot:
     return Plot(panels, height=2.3)
 
 
-def hysteresis_plot(loop: HysteresisLoop) -> Plot:
-    """Show friction torque against position in the middle of one micro-motion, measured and simulated."""
-    part = _middle(len(loop.position))
-    position = loop.position[part] * 1e6
+def _drift_plot(name: str, curve: CurvePoints) -> Plot:
+    """Show residual torque along the motion against time of an element."""
+    marks = (Level(0.0), Dots(curve.time, np.sign(curve.velocity) * (curve.torque - curve.fitted)))
+    return Plot([Panel(marks, name, "time in the series, s", "residual, Nm")], height=1.8)
+
+
+def _loop_plot(name: str, position: Array, label: str, torques: Mapping[str, Array]) -> Plot:
+    """Show torques against position in the middle of a micro-motion: measured, and by each model."""
+    count = len(position)
+    part = slice((_DRAWN_SHARE - 1) * count // (2 * _DRAWN_SHARE), (_DRAWN_SHARE + 1) * count // (2 * _DRAWN_SHARE))
+    colours = (_RECORDED, _PREDICTED, COLOURS[2], COLOURS[3])
     curves = [
-        Curve(position, loop.torque[part], "measured", COLOURS[5], 1.8),
-        Curve(position, loop.simulated_torque[part], "simulated", COLOURS[1], 0.8),
+        Curve(position[part] * 1e6, torque[part], of, colour, 1.8 if of == "measured" else 0.8)
+        for (of, torque), colour in zip(torques.items(), colours, strict=False)
     ]
-    return Plot([Panel(curves, loop.joint, "position, µrad", "friction torque, Nm")], height=3.2)
+    return Plot([Panel(curves, name, "position, µrad", label)], height=3.2)
 
 
-def kind_plot(kind: ElementKind) -> Plot:
-    """Show torque against position along a stretch of the largest micro-motion: measured, and by each kind."""
-    position, torques = kind.largest
-    part = _middle(len(position))
-    widths = {"measured": 1.8}
-    colours = (COLOURS[5], COLOURS[1], COLOURS[2], COLOURS[3])
-    curves = [
-        Curve(position[part] * 1e6, torque[part], name, colour, widths.get(name, 0.8))
-        for (name, torque), colour in zip(torques.items(), colours, strict=False)
-    ]
-    return Plot([Panel(curves, kind.element, "position, µrad", "torque of the bristles, Nm")], height=3.2)
+def _own_numbers(one: IdentifiedElement) -> list[tuple[str, str, str]]:
+    """Return name, value and deviation of the numbers of an element's own bristles; no deviation where assumed."""
+    found = []
+    for name, estimate in one.estimates.items():
+        if name.startswith("bristles."):
+            value, deviation = estimate.texts() if estimate.identifiable else (f"{one.value(name):.4g}", "")
+            found.append((name.removeprefix("bristles."), value, deviation))
+    return found
 
 
-def _middle(count: int) -> slice:
-    return slice((_DRAWN_SHARE - 1) * count // (2 * _DRAWN_SHARE), (_DRAWN_SHARE + 1) * count // (2 * _DRAWN_SHARE))
-
-
-def correlation_plots(result: FrictionIdentification) -> list[Plot]:
+def _correlation_plots(result: FrictionIdentification) -> list[Plot]:
     """Return the correlation of each element's parameters."""
     plots = []
     others = [kind.element for kind in result.kinds if kind.trial is not None]  # their c0 and c1 are not this fit's
@@ -121,345 +253,185 @@ def correlation_plots(result: FrictionIdentification) -> list[Plot]:
     return plots
 
 
-def validation_plot(check: Validation) -> Plot:
-    """Show recorded and predicted torque of each joint, their difference, and the distance of the tips."""
-    time, recorded, predicted, moves = check.torque
-    share = 100.0 * (predicted - recorded) / np.abs(recorded).max(axis=0)
-    share = np.where(moves, share, np.nan)
-    panels = [
-        Panel(
-            [
-                Curve(time, recorded[:, joint], "recorded", COLOURS[5], 1.8),
-                Curve(time, predicted[:, joint], "predicted", COLOURS[1], 0.7),
-            ],
-            y_label=f"{name}, Nm",
-        )
-        for joint, name in enumerate(check.names)
-    ]
-    differences = [
-        Curve(time, share[:, joint], name, COLOURS[joint % len(COLOURS)], 0.7) for joint, name in enumerate(check.names)
-    ]
-    tips = len(check.tip_distance) > 0
-    panels.append(Panel(differences, "difference", "" if tips else "time, s", "% of largest"))
-    if tips:
-        far = Curve(check.tip_time, check.tip_distance * 1e6, "", COLOURS[0], 0.8)
-        panels.append(Panel([far], "tips", "time, s", "distance, µm"))
-    return Plot(panels, height=1.6, share_x=True)
+_MAX_CORRELATION = 0.95  # correlation from which two parameters are named
+_SPEED_BINS = 20
+_MIN_BIN_SAMPLES = 8  # samples in a bin that is drawn
 
 
-def identification_summary(result: FrictionIdentification) -> str:
-    """Return values with deviations, true ones below, what is not identifiable and why, and the verdicts."""
-    width = max(10, *(len(name) + 1 for name in result.arm.element_names))
-    parameters, others = shown_parameters(result), []
-    lines = [f"{'element':<{width}}" + "".join(f"{name:>22}" for name in parameters)]
-    for name, one in zip(result.arm.element_names, result.elements, strict=True):
-        if name not in result.told:
-            others.append(name)
-            continue
-        cells = []
-        for parameter in parameters:
-            estimate = one.estimates.get(parameter)
-            if estimate is None:
-                cells.append(f"{'1':>22}")
-                continue
-            text = " +- ".join(estimate.texts()) if estimate.identifiable else "not identifiable"
-            cells.append(f"{text:>22}")
-        lines.append(f"{name:<{width}}" + "".join(cells))
-        if name in result.truth:
-            true = (f"{getattr(result.truth[name], parameter):.6g}" for parameter in parameters)
-            lines.append(f"{'  true':<{width}}" + "".join(f"{value:>22}" for value in true))
-    if others:
-        lines.append(f"{', '.join(others)}: nothing identified")
-    reasons = [f"not identifiable: {which(names)}: {reason}" for reason, names in result.unidentifiable.items()]
-    verdicts = [_verdict(check, result.scope) for check in result.validations]
-    return "\n".join([*lines, *reasons, *_kinds(result.kinds), *_given(result), *_fit(result), *verdicts])
-
-
-def _kinds(kinds: Sequence[ElementKind]) -> list[str]:
-    """Return what each kind of bristles misses in micro-oscillations that it was not fitted to, and the decisions."""
-    compared = [kind for kind in kinds if kind.choice is not None]
-    lines = []
-    if compared:
-        width = max(10, *(len(kind.element) + 1 for kind in kinds))
-        families = [trial.family.name for kind in compared[:1] if kind.choice for trial in kind.choice.trials]
-        lines.append("bristles: missed of the friction torque (standard errors behind the best kind)")
-        lines.append(f"{'element':<{width}}" + "".join(f"{name:>25}" for name in families))
-        for kind in compared:
-            assert kind.choice is not None
-            cells = [f"{trial.missed:.1%} ({trial.behind:.1f})" for trial in kind.choice.trials]
-            lines.append(f"{kind.element:<{width}}" + "".join(f"{cell:>25}" for cell in cells))
-    return [*lines, *(f"bristles of {names}: {text}" for names, text in decisions(kinds))]
-
-
-def _given(result: FrictionIdentification) -> list[str]:
-    """Return in a line whose bristles are the fallback's, of another kind than LuGre's."""
-    names = ", ".join(result.with_given_bristles)
-    return [f"bristles of {names}: as c0 those of {result.fallback_name}, assumed"] if names else []
-
-
-def _fit(result: FrictionIdentification) -> list[str]:
-    """Return how well the curves fit, and what was used of each bag of sweeps."""
-    names = result.arm.element_names
-    named = zip(names, result.sliding.quality, strict=True)
-    quality = [line for name, one in named if one is not None for line in one.lines(name)]
-    zeros = result.sliding.zeros
-    noticed = [zeros.text] if zeros is not None and zeros.text else []
-    return [*quality, *noticed, *(f"{use.bag.path}: {use.text(names)}" for use in result.sliding.usage)]
-
-
-def check_summary(checks: Sequence[Validation]) -> str:
-    """Return a table of the joints and the verdict for each bag that a friction file was held against."""
-    lines = []
-    for check in checks:
-        width = max(8, *(len(name) + 1 for name in check.names))
-        lines.append(f"{'joint':<{width}}{'RMS, Nm':>10}{'of torque':>11}{'worst, Nm':>11}{'of largest':>12}")
-        rows = zip(check.names, check.rms, check.rms_share, check.worst, check.worst_share, strict=True)
-        lines += [
-            f"{name:<{width}} {_number(rms, 9)} {_percent(share):>10} {_number(worst, 10)} {_percent(worst_share):>11}"
-            for name, rms, share, worst, worst_share in rows
-        ]
-        if check.zeros is not None and check.zeros.text:
-            lines.append(check.zeros.text)
-        lines.append(_verdict(check))
-    return "\n".join(lines)
-
-
-def which(lacking: Mapping[str, Sequence[str]]) -> str:
-    """Return parameters with the elements that lack them, elements that lack the same ones together."""
-    together: dict[str, list[str]] = {}
-    for name, parameters in lacking.items():
-        together.setdefault(", ".join(parameters), []).append(name)
-    return "; ".join(f"{parameters} of {', '.join(names)}" for parameters, names in together.items())
-
-
-def _verdict(check: Validation, scope: str = "") -> str:
-    limits = check.tolerances
-    joint = int(np.nanargmax(check.rms_share))
-    worst = int(np.nanargmax(check.worst_share))
-    tip = (
-        "no set-points, so no tip path"
-        if not len(check.tip_distance)
-        else f"tip worst {check.tip_worst * 1e6:.2f} um (limit {limits.tip * 1e6:g}), RMS {check.tip_rms * 1e6:.2f} um"
-    )
-    return (
-        f"validation {check.source}: {'confirmed' if check.passed else 'NOT CONFIRMED'}{scope}: torque RMS "
-        f"{check.rms_share[joint]:.2%} ({check.names[joint]}, limit {limits.torque:.0%}), worst "
-        f"{check.worst_share[worst]:.2%} ({check.names[worst]}, limit {limits.worst_torque:.0%}); {tip}"
-    )
-
-
-def check_page(checks: Sequence[Validation], friction_file: str, now: datetime | None = None) -> str:
-    """Return the text of the page on a friction file that was held against bags.
-
-    Args:
-        checks: one for each bag.
-        friction_file: name of the file.
-        now: date of the comparison; by default the present.
-    """
-    return render_page(
-        "rx90_emulator.identification.output",
-        "friction_check.html.j2",
-        checks=_drawn(checks),
-        friction_file=friction_file,
-        date=_date(now),
-    )
-
-
-def _drawn(checks: Sequence[Validation]) -> list[tuple[Validation, str, Plot]]:
-    return [(check, Path(check.source).name, validation_plot(check)) for check in checks]
-
-
-def _date(now: datetime | None) -> str:
-    return (now or datetime.now(timezone.utc)).strftime("%Y-%m-%d %H:%M UTC")
-
-
-def report_page(result: FrictionIdentification, friction_file: str, now: datetime | None = None) -> str:
-    """Return the page's text.
+def excitation_page(
+    result: ExcitationIdentification, date: datetime, versions: Mapping[str, str], files: Sequence[str]
+) -> str:
+    """Return the text of the page on an identification from excitation runs.
 
     Args:
         result: what was identified.
-        friction_file: name of the file with the values.
-        now: date of the identification; by default the present.
+        date: of the identification.
+        versions: of interpreter and libraries.
+        files: names of the robot's files, and last what is to be said about them.
     """
-    named = list(zip(result.arm.element_names, result.elements, strict=True))
-    compared = [kind for kind in result.kinds if kind.choice is not None]
-    own_bristles = [kind.element for kind in compared if kind.trial is not None]
-    return render_page(
-        "rx90_emulator.identification.output",
-        "identification.html.j2",
-        elements=[pair for pair in named if pair[0] in result.told],
-        others=[name for name in result.arm.element_names if name not in result.told],
-        truth=result.truth,
-        scope=result.scope,
-        assumed=[(which(names), reason) for reason, names in result.unidentifiable.items()],
-        parameters=shown_parameters(result),
-        units=FRICTION_UNITS,
-        fallback=result.fallback_name,
-        fading=[(name, one.element.omega_d) for name, one in named if math.isfinite(one.element.omega_d)],
-        shared=result.arm.element_names[len(result.arm.names) :],
-        checks=_drawn(result.validations),
-        friction_file=friction_file,
-        date=_date(now),
-        bags=result.bags,
-        quality=[pair for pair in zip(result.arm.element_names, result.sliding.quality, strict=True) if pair[1]],
-        usage=[(use, use.text(result.arm.element_names)) for use in result.sliding.usage],
-        zeros=result.sliding.zeros,
-        trends=drift_plots(result),
-        plateaus=result.sliding.plateaus,
-        motions=result.presliding.motions,
-        curves=curve_plots(result),
-        loops=[hysteresis_plot(loop) for loop in result.presliding.loops if loop.joint not in own_bristles],
-        own_bristles=own_bristles,
-        compared=compared,
-        decisions=decisions(result.kinds),
-        given=result.with_given_bristles,
-        numbers=[(name, *row) for name, one in named if not one.given_bristles for row in _own_numbers(one)],
-        families=[trial.family.name for kind in compared[:1] if kind.choice for trial in kind.choice.trials],
-        most_motions=MOST_MOTIONS,
-        most_of_bag=MOST_OF_BAG,
-        distinguishable_se=DISTINGUISHABLE_SE,
-        kind_loops=[kind_plot(kind) for kind in compared],
-        correlations=correlation_plots(result),
+    friction, problem = result.friction, result.problem
+    rows = [summary.friction_columns(one.estimates) for one in result.elements]
+    shown = dict.fromkeys(name for row in rows for name, one in row.items() if one.identifiable)
+    units = {name: FRICTION_UNITS.get(plain) or FRICTION_UNITS.get(f"{plain}_positive", "")
+             for name in shown if (plain := name.rstrip("+-"))}  # fmt: skip
+    checked = [one.torques for one in result.validations]
+    longest = max(result.torques, key=lambda run: run.source.duration)
+    curves = friction.curves()
+    deviation = np.sqrt(np.maximum(np.diag(friction.fit.covariance), 0.0))
+    known = np.isfinite(deviation) & (deviation > 0.0)
+    names = [name for name, one in zip(friction.names, known.tolist(), strict=True) if one]
+    correlation = friction.fit.covariance[np.ix_(known, known)] / np.outer(deviation[known], deviation[known])
+    close = [(names[i], names[j], float(correlation[i, j]))
+             for i, j in np.argwhere(np.triu(np.abs(correlation) > _MAX_CORRELATION, 1))]  # fmt: skip
+    return _render(
+        "excitation.html.j2",
+        date,
+        result=result,
+        files=files,
+        versions=", ".join(f"{name} {number}" for name, number in versions.items()),
+        friction=list(zip(problem.arm.element_names, rows, strict=True)),
+        shown=list(units.items()),
+        lacking=summary.lacking(result),
+        runs=[*(("fitted", run) for run in result.torques), *(("not used", run) for run in checked)],
+        drawn=[(run, _run_plot(run)) for run in (checked[:2] or [longest])],
+        curves=_friction_plot(curves, _measured_points(result, curves)),
+        spectra=_spectra_plot(checked or result.torques),
+        by_speed=_speed_plot(result.speeds),
+        misfits=misfits(result.speeds),
+        closed_loop=remark(result.instruments),
+        other="least squares" if result.instruments.biased else "instruments",
+        gains=_gain_rows(result),
+        by_time=_time_plot(result.torques, friction.blocks.length),
+        correlation=Plot([Heat(names, correlation)], height=7.0),
+        close=sorted(close, key=lambda pair: -abs(pair[2]))[:20],
+        runs_named=[run.source.path.name for run in checked or result.torques],
     )
 
 
-def _own_numbers(one: IdentifiedElement) -> list[tuple[str, str, str]]:
-    """Return name, value and deviation of the numbers of an element's own bristles; no deviation where assumed."""
-    found = []
-    for name, estimate in one.estimates.items():
-        if name.startswith("bristles."):
-            value, deviation = estimate.texts() if estimate.identifiable else (f"{one.value(name):.4g}", "")
-            found.append((name.removeprefix("bristles."), value, deviation))
-    return found
+def _gain_rows(result: ExcitationIdentification) -> list[tuple[str, tuple[str, str] | None, str]]:
+    """Return for each motor its name, gain with deviation if it was identified, and the torque constant if it has."""
+    if result.gains is None:
+        return []
+    constants, names, gains = torque_constants(result), result.problem.arm.names, result.gains
+    written = [""] * len(names) if constants is None else [f"{value:.4g}" for value in constants.value]
+    pairs = zip(gains.factor.tolist(), gains.deviation.tolist(), strict=True)
+    found = [ParameterEstimate(*pair).texts() if math.isfinite(pair[1]) else None for pair in pairs]
+    return list(zip(names, found, written, strict=True))
 
 
-def _measured_torque_plot(result: MeasuredComparison) -> Plot:
-    """Show measured and simulated torque and their difference, a panel for each joint."""
-    shown, time = _window(result)
-    difference = np.where(result.compared, result.simulated_torque - result.torque, np.nan)
-    panels = [
-        Panel(
-            [
-                Curve(time, result.torque[shown, joint], "measured", _RECORDED_COLOUR, 1.8),
-                Curve(time, result.simulated_torque[shown, joint], "simulated", _PREDICTED_COLOUR, 0.8),
-                Curve(time, difference[shown, joint], "difference, where it moves", _DIFFERENCE_COLOUR, 0.6),
-            ],
-            name,
-            _TIME_AXIS if joint == len(result.names) - 1 else "",
-            "Nm",
-        )
-        for joint, name in enumerate(result.names)
-    ]
+def _run_plot(run: RunTorques) -> Plot:
+    """Show the torques of the first part of a run, with gaps where a joint stands still."""
+    start = min(float(joint.time[0]) for joint in run.joints if len(joint.time))
+    series = []
+    for joint in run.joints:
+        count = max(1, int(np.searchsorted(joint.time, start + _DRAWN_S)))
+        time, _, recorded, predicted = (values[:count] for values in joint)
+        steps = np.diff(time)
+        gaps = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1 if len(steps) else np.empty(0, dtype=np.intp)
+        shown = (time - start, recorded, predicted, recorded - predicted)
+        series.append(tuple(np.insert(values, gaps, np.nan) for values in shown))
+    panels = _torque_panels(run.names, series, ("measured", "predicted"), _TIME)  # type: ignore[arg-type]
     return Plot(panels, height=1.7, share_x=True)
 
 
-def _measured_position_plot(result: MeasuredComparison) -> Plot:
-    """Show positions measured and simulated, and their difference beside them, a row for each joint."""
-    shown, time = _window(result)
-    panels = []
-    for joint, name in enumerate(result.names):
-        measured, simulated = result.position[shown, joint], result.simulated_position[shown, joint]
-        both = [
-            Curve(time, measured, "measured", _RECORDED_COLOUR, 1.8),
-            Curve(time, simulated, "simulated", _PREDICTED_COLOUR, 0.8),
+def _spectra_plot(runs: Sequence[RunTorques]) -> Plot:
+    """Show the amplitude spectra of measured torque and residual, a panel for each joint."""
+    names, panels = runs[0].names, []
+    for number, name in enumerate(names):
+        joints = [run.joints[number] for run in runs if len(run.joints[number].time) > 1]
+        if not joints:
+            panels.append(Panel([], f"{name}: stands still"))
+            continue
+        curves = [
+            Curve(*_spectrum(joints, [joint.recorded for joint in joints]), "measured", _RECORDED, 1.3),
+            Curve(*_spectrum(joints, [joint.residual for joint in joints]), "difference", _PREDICTED, 0.9),
         ]
-        apart = Curve(time, 1e3 * (simulated - measured), "simulated - measured", _DIFFERENCE_COLOUR, 0.7)
-        below = _TIME_AXIS if joint == len(result.names) - 1 else ""
-        panels += [Panel(both, name, below, "rad"), Panel([apart], name, below, "mrad")]
-    return Plot(panels, columns=2, height=1.7, share_x=True)
+        below = "frequency, Hz" if number >= len(names) - _ACROSS else ""
+        panels.append(Panel(curves, name, below, "Nm/√Hz", "log", "log"))
+    return Plot(panels, columns=_ACROSS, height=1.9)
 
 
-def _window(result: MeasuredComparison) -> tuple[slice, Array]:
-    """Return which samples are drawn, and their times, s."""
-    time = result.time - result.time[0]
-    shown = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
-    return shown, time[shown]
-
-
-_MEASURED_COLUMNS = (
-    f"{'torque RMS':>12}{'of measured':>13}{'worst':>11}{'of largest':>12}{'compared':>10}"
-    f"{'position RMS':>15}{'worst':>12}"
-)
-
-
-def measured_summary(result: MeasuredComparison) -> str:
-    """Return set-points, filters and lag, a row for each joint, and the verdict."""
-    width = max(8, *(len(name) + 1 for name in result.names))
-    rows = zip(
-        result.names,
-        result.torque_rms,
-        result.torque_share,
-        result.torque_worst,
-        result.worst_share,
-        result.compared_share,
-        result.position_rms,
-        result.position_worst,
-        strict=True,
-    )
-    table = [
-        f"{name:<{width}} {_number(rms, 8)} Nm {_percent(share):>12} {_number(worst, 7)} Nm {_percent(worst_share):>11}"
-        f"{part:>10.0%}{1e3 * position:>10.3f} mrad{1e3 * farthest:>7.3f} mrad"
-        for name, rms, share, worst, worst_share, part, position, farthest in rows
+def _spectrum(joints: Sequence[JointTorque], values: Sequence[Array]) -> tuple[Array, Array]:
+    """Return frequencies, Hz, and the root of the mean spectral density of all runs; 0 where a joint stands still."""
+    series = []
+    step = min(float(np.median(np.diff(joint.time))) for joint in joints)
+    for joint, own in zip(joints, values, strict=True):
+        place = np.rint((joint.time - joint.time[0]) / step).astype(np.intp)
+        even = np.zeros(place[-1] + 1)
+        even[place] = own
+        series.append(even)
+    weights = [len(even) for even in series]
+    length = min(max(weights), max(64, round(20.0 / step)))
+    found = [
+        welch(even, 1.0 / step, nperseg=min(length, len(even)), nfft=length, detrend="constant") for even in series
     ]
-    return "\n".join(
-        [*_measured_facts(result), f"{'joint':<{width}}{_MEASURED_COLUMNS}", *table, _measured_verdict(result)]
-    )
+    density = np.average([power for _, power in found], axis=0, weights=weights)
+    return found[0][0][1:-1], np.sqrt(density[1:-1])
 
 
-def _measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
-    """Return what was simulated and how it was compared, a sentence each."""
-    bands, which = result.bandwidths, "later" if result.lag >= 0.0 else "earlier"
-    return (
-        f"set-points: {result.setpoints}",
-        f"torques and positions are compared below {bands.torque:.3g} Hz ({bands.reason})",
-        f"the simulated motion is {abs(result.lag) * 1e3:.3f} ms {which}, which is taken out",
-        *(
-            f"{name}'s motor is at its limit in {share:.1%} of the simulated time"
-            for name, share in zip(result.names, result.saturated, strict=True)
-            if share > 0.0
-        ),
-        *result.remarks,
-    )
+def _speed_plot(speeds: Sequence[SpeedResiduals]) -> Plot:
+    """Show the mean residual against the velocity of each element, with 95 % intervals."""
+    marks: list[list[Mark]] = []
+    for one in speeds:
+        marks.append([Level(0.0, colour=_DIFFERENCE)])
+        if len(one.velocity):
+            bars = _INTERVAL * np.nan_to_num(one.deviation)
+            marks[-1].append(Curve(one.velocity, one.residual, "", COLOURS[0], 0.9))
+            marks[-1].append(Dots(one.velocity, one.residual, "mean of a bin, 95 %", COLOURS[0], bars))
+    return _across([one.element for one in speeds], marks, _SPEED)
 
 
-def _measured_verdict(result: MeasuredComparison) -> str:
-    """Return the verdict, with what decides and its limits."""
-    limits = result.tolerances
-    share = [-1.0 if math.isnan(one) else float(one) for one in result.torque_share]
-    joint, farthest = share.index(max(share)), int(result.position_worst.argmax())
-    return (
-        f"{result.source.path}: {'agrees' if result.passed else 'DOES NOT AGREE'}: torque RMS of all joints "
-        f"{result.total_share:.2%} (limit {limits.total_torque:.3g}), largest {max(share):.2%} "
-        f"({result.names[joint]}, limit {limits.torque:.3g}); position "
-        f"{1e3 * result.position_worst[farthest]:.3f} mrad ({result.names[farthest]}, limit "
-        f"{1e3 * limits.position:.4g} mrad)"
-    )
+def _time_plot(runs: Sequence[RunTorques], block: float) -> Plot:
+    """Show the mean of the residual against the motion over blocks of time, each run with its colour."""
+    names = runs[0].names
+    marks: list[list[Mark]] = [[Level(0.0, colour=_DIFFERENCE)] for _ in names]
+    for which, run in enumerate(runs):
+        start = min((float(joint.time[0]) for joint in run.joints if len(joint.time)), default=0.0)
+        label, colour = run.source.path.name if 1 < len(runs) <= len(COLOURS) else "", COLOURS[which % len(COLOURS)]
+        for own, joint in zip(marks, run.joints, strict=True):
+            if len(joint.time):
+                place = ((joint.time - start) / block).astype(np.intp)
+                count = np.bincount(place)
+                used = np.flatnonzero(count)
+                means = np.bincount(place, joint.residual * np.sign(joint.velocity))[used] / count[used]
+                middle: Array = np.asarray((used + 0.5) * block, dtype=np.float64)
+                own.append(Curve(middle, means, label, colour, 0.8, dots=True))
+    return _across(names, marks, _TIME)
 
 
-def _percent(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.2%}"
+def _friction_plot(curves: Sequence[FrictionCurve], points: Sequence[Array]) -> Plot:
+    """Show the friction torque of each element against its velocity, its band, and means of the measured torque."""
+    marks: list[list[Mark]] = []
+    for curve, measured in zip(curves, points, strict=True):
+        own: list[Mark] = [Level(0.0, colour=_DIFFERENCE), Level(0.0, colour=_DIFFERENCE, upright=True)]
+        for sign in (-1.0, 1.0):
+            side = sign * curve.velocity > 0.0
+            low, high = (bound[side] for bound in curve.band)
+            own.append(Band(curve.velocity[side], low, high, "95 %", COLOURS[5]))
+            own.append(Curve(curve.velocity[side], curve.torque[side], "identified", COLOURS[0], 1.2))
+        if len(measured):
+            own.append(Dots(measured[:, 0], measured[:, 1], "measured", COLOURS[1]))
+        marks.append(own)
+    return _across([curve.element for curve in curves], marks, _SPEED, 2.3)
 
 
-def _number(value: float, width: int) -> str:
-    return f"{'-':>{width}}" if math.isnan(value) else f"{value:>{width}.3f}"
+def _measured_points(result: ExcitationIdentification, curves: Sequence[FrictionCurve]) -> list[Array]:
+    """Return points beside the curve of each joint's own element: velocity, and the curve and mean residual of a bin.
 
-
-def measured_page(result: MeasuredComparison, files: tuple[str, ...], date: datetime) -> str:
-    """Return the page's text.
-
-    Args:
-        result: of the comparison.
-        files: that the robot was read from.
-        date: of the comparison.
+    Bins hold about the same number of samples, those of either sign apart.
     """
-    return render_page(
-        "rx90_emulator.identification.output",
-        "measured.html.j2",
-        result=result,
-        files=files,
-        date=date.strftime("%Y-%m-%d %H:%M UTC"),
-        facts=_measured_facts(result),
-        verdict=_measured_verdict(result),
-        torques=_measured_torque_plot(result),
-        positions=_measured_position_plot(result),
-    )
+    problem = result.problem
+    residual = problem.torque - result.friction.predicted
+    points = []
+    for number, curve in enumerate(curves):
+        rows = np.flatnonzero((problem.joint == number) & ~problem.reversal)
+        velocity, left = problem.velocity[rows, number], residual[rows]
+        low, high = (curve.velocity.min(), curve.velocity.max()) if len(curve.velocity) else (0.0, 0.0)
+        own = []
+        for sign in (-1.0, 1.0):
+            mine = np.flatnonzero(sign * velocity > 0.0)
+            for part in np.array_split(mine[np.argsort(velocity[mine])], _SPEED_BINS // 2):
+                if len(part) >= _MIN_BIN_SAMPLES and low <= (speed := velocity[part].mean()) <= high:
+                    own.append((speed, np.interp(speed, curve.velocity, curve.torque) + left[part].mean()))
+        points.append(np.array(own).reshape(-1, 2))
+    return points

@@ -1,7 +1,12 @@
-"""The files of a robot whose inertias, drives and friction were identified: a URDF, drives, friction and controller."""
+"""The folder of a robot that excitation runs identified: URDF, drives, friction, controller, and all parameters.
+
+A file of the robot that the runs began with is written again with what was identified; each value says where it comes
+from.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,12 +14,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.parsers import expat
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import load_yaml, without_schema_line, yaml_text
+from rx90_common.base.config import check_numbers, load_yaml, without_schema_line, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.description.robot import load_robot
@@ -24,16 +28,15 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.friction.friction_set import element_names
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.estimates import IdentifiedElement
+from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.excitation.bodies import central
 from rx90_emulator.identification.excitation.consistency import ConsistentInertias
+from rx90_emulator.identification.excitation.friction.cross_validation import CrossValidation
 from rx90_emulator.identification.excitation.result import ASSUMED_BRISTLES, ExcitationIdentification
-from rx90_emulator.identification.output.friction_file import elements_text
+from rx90_emulator.identification.excitation.torques import RunTorques, misfits
+from rx90_emulator.identification.output.friction_file import elements_text, six_digits
+from rx90_emulator.identification.output.summary import gain_warnings
 from rx90_emulator.identification.records import BagSource
-
-_ORIGIN_KEYS = ("provenance", "source")
-_OTHERS = "others"
-"""Stands for the keys that are not named."""
 
 
 class Identified(NamedTuple):
@@ -45,29 +48,27 @@ class Identified(NamedTuple):
 
 
 def marked(block: Mapping[str, Any], new: Mapping[str, Identified]) -> dict[str, Any]:
-    """Return a block with new values; where not all keys have one `provenance` or `source`, these name the keys."""
-    content = {key: value for key, value in block.items() if key not in (*_ORIGIN_KEYS, "note")}
+    """Return a block with new values; where not all keys have one `provenance` or `source`, these name the keys.
+
+    What most of several keys have stands under `others`, which is for all that are not named.
+    """
+    content = {key: value for key, value in block.items() if key not in ("provenance", "source", "note")}
     content |= {key: one.value for key, one in new.items()}
-    about = {}
-    for word in _ORIGIN_KEYS:
+    about: dict[str, Any] = {}
+    for word in ("provenance", "source"):
         given = block.get(word)
-        each = {key: given.get(key, given.get(_OTHERS)) if isinstance(given, dict) else given for key in content}
+        each = {key: given.get(key, given.get("others")) if isinstance(given, dict) else given for key in content}
         each |= {key: getattr(one, word) for key, one in new.items()}
-        if any(value is not None for value in each.values()):
-            about[word] = _named(each)
+        said = {key: value for key, value in each.items() if value is not None}
+        (most, count), *rest = Counter(each.values()).most_common()
+        if not rest:
+            about |= {word: most} if said else {}
+        elif most is None or len(said) < len(each) or count == rest[0][1]:
+            about[word] = said
+        else:
+            about[word] = {**{key: value for key, value in said.items() if value != most}, "others": most}
     note = {"note": block["note"]} if "note" in block else {}
     return about | note | content
-
-
-def _named(each: Mapping[str, str | None]) -> str | dict[str, str] | None:
-    """Return what all keys have, or a mapping; what most of several keys have stands under `others`."""
-    (most, count), *rest = Counter(each.values()).most_common()
-    if not rest:
-        return most
-    said = {key: value for key, value in each.items() if value is not None}
-    if most is None or len(said) < len(each) or count == rest[0][1]:
-        return said
-    return {**{key: value for key, value in said.items() if value != most}, _OTHERS: most}
 
 
 _MAX_MASS = 1e5  # kg
@@ -76,7 +77,7 @@ _MOMENTS = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (
 
 
 def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -> str:
-    """Return the URDF with other inertials.
+    """Return the URDF with other inertials; nothing else in it is changed.
 
     Args:
         urdf: a well-formed description.
@@ -87,15 +88,20 @@ def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -
         IdentificationError: for a link that is not there, and for a body that no link can be.
     """
     data = urdf.encode("utf-8")
-    places = _Places(data)
-    edits = [(places.first, places.first, f"<!-- {remark.strip().replace('--', '- -')} -->\n  ".encode())]
+    first, links, inertials = _places(data)
+    edits = [(first, first, f"<!-- {remark.strip().replace('--', '- -')} -->\n  ")]
     for link, pseudo in bodies.items():
-        if link not in places.links:
-            raise IdentificationError(f"no link {plain(link)} in the URDF; accepted: {', '.join(places.links)}")
-        text = "" if pseudo is None else _inertial(link, pseudo)
-        edits.append(places.edit(link, text))
+        if link not in links:
+            raise IdentificationError(f"no link {plain(link)} in the URDF; accepted: {', '.join(links)}")
+        at, text = links[link], "" if pseudo is None else _inertial(link, pseudo)
+        if link in inertials:
+            edits.append((*inertials[link], text))
+        elif text and data[at - 2 : at] == b"/>" and not data[at:].startswith(b"</link"):
+            edits.append((at - 2, at, f">\n    {text}\n  </link>"))
+        elif text:
+            edits.append((at, at, f"  {text}\n  "))
     for start, end, new in sorted(edits, reverse=True):
-        data = data[:start] + new + data[end:]
+        data = data[:start] + new.encode() + data[end:]
     return data.decode("utf-8")
 
 
@@ -108,62 +114,43 @@ def _inertial(link: str, pseudo: Array) -> str:
             f"{_MAX_MASS:g} kg and {_MAX_LEVER:g} m"
         )
     place = " ".join(repr(float(value)) for value in center)
-    moments = " ".join(f"{key}={quoteattr(repr(float(inertia[index])))}" for key, index in _MOMENTS.items())
+    moments = " ".join(f'{key}="{float(inertia[index])!r}"' for key, index in _MOMENTS.items())
     return (
         f'<inertial>\n      <origin xyz="{place}" rpy="0 0 0"/>\n      <mass value="{mass!r}"/>\n'
         f"      <inertia {moments}/>\n    </inertial>"
     )
 
 
-class _Places:
-    """Where in the bytes of a URDF the links and their inertials stand.
+def _places(data: bytes) -> tuple[int, dict[str, int], dict[str, tuple[int, int]]]:
+    """Return where in a URDF's bytes the first element inside the root begins, and links and inertials stand.
 
-    Attributes:
-        first: beginning of the first element inside the root.
-        links: beginning of what follows the content of each link: its end tag, or what follows an empty element.
-        inertials: beginning and end of the <inertial> of the links that have one.
+    A link has the beginning of what follows its content: its end tag, or what follows an empty element; an <inertial>
+    its beginning and end.
     """
+    first: list[int] = []
+    links: dict[str, int] = {}
+    inertials: dict[str, tuple[int, int]] = {}
+    path: list[tuple[str, int, str]] = []  # name, beginning and attribute `name` of the elements around
+    parser = expat.ParserCreate("utf-8")
 
-    def __init__(self, data: bytes) -> None:
-        self.first = 0
-        self.links: dict[str, int] = {}
-        self.inertials: dict[str, tuple[int, int]] = {}
-        self._data, self._path, self._link, self._begun = data, [""], "", 0
-        self._parser = expat.ParserCreate("utf-8")
-        self._parser.StartElementHandler = self._start
-        self._parser.EndElementHandler = self._end
-        self._parser.Parse(data, True)
+    def start(name: str, attributes: dict[str, str]) -> None:
+        if len(path) == 1:
+            first.append(parser.CurrentByteIndex)
+        path.append((name, parser.CurrentByteIndex, attributes.get("name", "")))
 
-    def edit(self, link: str, text: str) -> tuple[int, int, bytes]:
-        """Return beginning, end and new content of the bytes that give a link this <inertial>, or none."""
-        at = self.links[link]
-        if link in self.inertials:
-            return (*self.inertials[link], text.encode())
-        if not text:
-            return at, at, b""
-        if self._data[at - 2 : at] == b"/>" and not self._data[at:].startswith(b"</link"):
-            return at - 2, at, f">\n    {text}\n  </link>".encode()
-        return at, at, f"  {text}\n  ".encode()
-
-    def _start(self, name: str, attributes: dict[str, str]) -> None:
-        at = self._parser.CurrentByteIndex
-        if len(self._path) == 2 and not self.first:
-            self.first = at
-        self._path.append(name)
-        if self._path[2:] == ["link"]:
-            self._link = attributes.get("name", "")
-        if self._path[2:] == ["link", "inertial"]:
-            self._begun = at
-
-    def _end(self, name: str) -> None:
-        at = self._parser.CurrentByteIndex
-        if self._path[2:] == ["link"]:
-            self.links[self._link] = at
-        if self._path[2:] == ["link", "inertial"]:
+    def end(name: str) -> None:
+        at, names = parser.CurrentByteIndex, [one[0] for one in path[1:]]
+        if names == ["link"]:
+            links[path[1][2]] = at
+        elif names == ["link", "inertial"]:
             # Expat tells the beginning of an end tag, and the end of an empty element.
-            tag = self._data[at:].startswith(f"</{name}".encode())
-            self.inertials[self._link] = (self._begun, self._data.index(b">", at) + 1 if tag else at)
-        self._path.pop()
+            tag = data[at:].startswith(f"</{name}".encode())
+            inertials[path[1][2]] = path[2][1], data.index(b">", at) + 1 if tag else at
+        path.pop()
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.Parse(data, True)
+    return first[0], links, inertials
 
 
 _DRIVES_HEAD = """\
@@ -175,9 +162,8 @@ _CONTROLLER_HEAD = """\
 # The controller, with the identified friction in its feed-forward; everything else is as it was before.
 # Joint-side units, one value per motor (docs/explanation/closed_loop.md).
 """
-_SECOND_SPEED_SHARE = (
-    0.25  # of the nominal speed: where the compensation of two viscous parts meets their sum a second time
-)
+_SECOND_SPEED_SHARE = 0.25
+"""Of the nominal speed: where the compensation of two viscous parts meets their sum a second time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,38 +194,81 @@ class IdentifiedRobot:
     def __post_init__(self) -> None:
         if not np.isfinite(self.inertias.parameters).all():
             raise IdentificationError("inertial parameters that are not finite; nothing is written")
-        for name, value in zip(self.arm.names, self._amounts("k")[0].tolist(), strict=True):
+        for name, value in zip(self.arm.names, self._amounts("k")[0], strict=True):
             if value < 0.0:
                 raise IdentificationError(f"the spring of {name} was identified as {value:.3g} Nm; accepted: >= 0")
 
-    def _amounts(self, kind: str) -> tuple[Array, list[str]]:
+    def _amounts(self, kind: str) -> tuple[list[float], list[str]]:
         """Return the parameters of a kind at each joint, 0 where there is none, and the joints where it is in a sum."""
-        amount, shared = np.zeros(len(self.arm.names)), []
+        amounts, shared = [0.0] * len(self.arm.names), []
         for joint, name in enumerate(self.arm.names):
             if (column := f"{kind}_{joint + 1}") in self.standard:
                 k = self.standard.index(column)
-                amount[joint] = self.inertias.parameters[k]
+                amounts[joint] = float(self.inertias.parameters[k])
                 shared += [] if self.inertias.alone[k] else [name]
-        return amount, shared
-
-    def identified_drives(self) -> dict[tuple[str, str], Identified]:
-        """Return rotors and springs as values for the drives file, by block and key."""
-        found = {}
-        for kind, block, key in (("Ia", "transmission", "rotor_inertia"), ("k", "spring", "torque")):
-            amount, shared = self._amounts(kind)
-            if any(name.startswith(f"{kind}_") for name in self.standard):
-                how = (
-                    f"; of {listed(shared)} only the sum with the links, divided near to what was known"
-                    if shared
-                    else ""
-                )
-                found[block, key] = Identified(_plain_numbers(amount), "identified", self.origin + how)
-        return found
+        return amounts, shared
 
     @property
     def origin(self) -> str:
         """Return the bags with the dates of recording, in words."""
         return "identified from " + listed(f"{bag.path.name} (recorded {bag.recorded})" for bag in self.sources)
+
+    def drives_content(self, path: Path) -> dict[str, Any]:
+        """Return a drives file with rotors and springs that were identified, and the values of `drives`."""
+        new = {}
+        for kind, block, key in (("Ia", "transmission", "rotor_inertia"), ("k", "spring", "torque")):
+            if any(name.startswith(f"{kind}_") for name in self.standard):
+                amounts, shared = self._amounts(kind)
+                how = f"; of {listed(shared)} only the sum with the links, divided near to what was known"
+                new[block, key] = Identified(_numbers(amounts), "identified", self.origin + how * bool(shared))
+        new |= self.drives
+        content = dict(load_yaml(path).content)
+        for block in dict.fromkeys(block for block, _ in new):
+            content[block] = marked(content[block], {key: one for (there, key), one in new.items() if there == block})
+        return content
+
+    def controller_content(self, path: Path, speed: Array) -> dict[str, Any]:
+        """Return the controller with the friction that each motor turns against, at speeds up to the nominal ones."""
+        elements = [one.element for one in self.elements]
+        turned = [[element] for element in elements[:6]]
+        turned[5].append(elements[6])
+        viscous = [viscous_sum(some, float(top)) for some, top in zip(turned, speed, strict=True)]
+        values = {
+            "coulomb_torque": [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in turned],
+            "viscous_friction": [c2 for c2, _ in viscous],
+            "viscous_exponent": [alpha for _, alpha in viscous],
+        }
+        source = "the identified friction of each joint; of joint 6 and of element 7, with which motor 6 turns as well"
+        new = {key: Identified(_numbers(some), "derived", source) for key, some in values.items()}
+        # Its model, for the feed-forward by one, is the folder's own arm: not the one that the base names.
+        content = {key: value for key, value in load_yaml(path).content.items() if key != "model"}
+        return content | {"feed_forward": marked(content["feed_forward"], new)}
+
+    def urdf_text(self, text: str) -> str:
+        """Return a URDF with the bodies that were identified."""
+        prior = self.inertias.prior
+        new: dict[str, Array | None] = dict.fromkeys(prior.dropped)
+        for body, pseudo in zip(prior.bodies, self.inertias.pseudo, strict=True):
+            inverse = np.linalg.inv(body.frame)
+            new[body.link] = inverse @ pseudo @ inverse.T
+        rotors = ", ".join(f"{value:.6g}" for value in self.inertias.rotors)
+        remark = f" The inertials of {listed(new, 100)} are {self.origin}; other comments on masses are older. "
+        remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. " if rotors else ""
+        return with_inertials(text, new, remark)
+
+
+def viscous_sum(elements: Sequence[FrictionElement], speed: float) -> tuple[float, float]:
+    """Return c2 and alpha of one viscous part that has the sum of several at the speed and at a share of it."""
+    if len({one.alpha for one in elements}) == 1:
+        return sum(one.c2 for one in elements), elements[0].alpha
+    fast, slow = (sum(one.c2 * v**one.alpha for one in elements) for v in (speed, _SECOND_SPEED_SHARE * speed))
+    alpha = float(np.clip(np.log(slow / fast) / np.log(_SECOND_SPEED_SHARE), *ALPHA_BOUNDS)) if slow > 0.0 else 1.0
+    return fast / speed**alpha, alpha
+
+
+def _numbers(values: Sequence[float], digits: int = 12) -> list[float]:
+    """Return plain numbers of so many digits; behind the twelfth are rounding errors."""
+    return [float(f"{value:.{digits}g}") for value in values]
 
 
 def folder_base(arm: RigidArm, urdf: Path) -> tuple[RobotFiles | None, str]:
@@ -272,70 +301,18 @@ def robot_texts(
     """
     names = robot.arm.element_names if base is None else element_names(robot.arm.names)
     texts = {
-        FILES["urdf"]: _urdf(robot, urdf.read_text(encoding="utf-8")),
+        FILES["urdf"]: robot.urdf_text(urdf.read_text(encoding="utf-8")),
         FILES["friction"]: elements_text(names, robot.elements, robot.fallback_name, now),
     }
     if base is not None:
-        texts[FILES["drives"]] = _DRIVES_HEAD + yaml_text(_drives(robot, base.drives))
         limits = load_robot(base.urdf, base.tool).max_velocity
-        texts[FILES["controller"]] = _CONTROLLER_HEAD + yaml_text(_controller(robot, base.controller, limits))
+        texts[FILES["drives"]] = _DRIVES_HEAD + yaml_text(robot.drives_content(base.drives))
+        texts[FILES["controller"]] = _CONTROLLER_HEAD + yaml_text(robot.controller_content(base.controller, limits))
         for role in ("tool", "task", "poses"):
             path: Path | None = getattr(base, role)
             if path is not None:
                 texts[FILES[role]] = without_schema_line(path.read_text(encoding="utf-8"))
     return texts
-
-
-def _urdf(robot: IdentifiedRobot, text: str) -> str:
-    inertias, prior = robot.inertias, robot.inertias.prior
-    new: dict[str, Array | None] = dict.fromkeys(prior.dropped)
-    for body, pseudo in zip(prior.bodies, inertias.pseudo, strict=True):
-        inverse = np.linalg.inv(body.frame)
-        new[body.link] = inverse @ pseudo @ inverse.T
-    rotors = ", ".join(f"{value:.6g}" for value in inertias.rotors)
-    remark = f" The inertials of {listed(new, 100)} are {robot.origin}; other comments on masses are older. "
-    remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. " if rotors else ""
-    return with_inertials(text, new, remark)
-
-
-def _drives(robot: IdentifiedRobot, path: Path) -> dict[str, Any]:
-    new = {**robot.identified_drives(), **robot.drives}
-    content = dict(load_yaml(path).content)
-    for block in dict.fromkeys(block for block, _ in new):
-        content[block] = marked(content[block], {key: one for (there, key), one in new.items() if there == block})
-    return content
-
-
-def _controller(robot: IdentifiedRobot, path: Path, speed: Array) -> dict[str, Any]:
-    """Return the controller with the friction that each motor turns against, at speeds up to the nominal ones."""
-    elements = [one.element for one in robot.elements]
-    turned = [[element] for element in elements[:6]]
-    turned[5].append(elements[6])
-    viscous = [viscous_sum(some, float(top)) for some, top in zip(turned, speed, strict=True)]
-    source = "the identified friction of each joint; of joint 6 and of element 7, with which motor 6 turns as well"
-    coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in turned]
-    new = {
-        "coulomb_torque": Identified(_plain_numbers(coulomb), "derived", source),
-        "viscous_friction": Identified(_plain_numbers([c2 for c2, _ in viscous]), "derived", source),
-        "viscous_exponent": Identified(_plain_numbers([alpha for _, alpha in viscous]), "derived", source),
-    }
-    # Its model, for the feed-forward by one, is the folder's own arm: not the one that the base names.
-    content = {key: value for key, value in load_yaml(path).content.items() if key != "model"}
-    return content | {"feed_forward": marked(content["feed_forward"], new)}
-
-
-def viscous_sum(elements: Sequence[FrictionElement], speed: float) -> tuple[float, float]:
-    """Return c2 and alpha of one viscous part that has the sum of several at the speed and at a share of it."""
-    if len({one.alpha for one in elements}) == 1:
-        return sum(one.c2 for one in elements), elements[0].alpha
-    fast, slow = (sum(one.c2 * v**one.alpha for one in elements) for v in (speed, _SECOND_SPEED_SHARE * speed))
-    alpha = float(np.clip(np.log(slow / fast) / np.log(_SECOND_SPEED_SHARE), *ALPHA_BOUNDS)) if slow > 0.0 else 1.0
-    return fast / speed**alpha, alpha
-
-
-def _plain_numbers(values: Sequence[float] | Array) -> list[float]:
-    """Return plain numbers of twelve digits: the others are rounding errors."""
-    return [float(f"{value:.12g}") for value in values]
 
 
 def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[str, str], str]:
@@ -352,17 +329,17 @@ def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[
     drives = {}
     base: RobotFiles | None
     if setup is not None:
-        files = setup.files or RobotFiles()
-        urdf, base, note = files.urdf, files, "a robot folder; what the runs do not tell is as it was"
+        base = setup.files or RobotFiles()
+        urdf, note = base.urdf, "a robot folder; what the runs do not tell is as it was"
     else:
         urdf = Path(str(options.urdf))
         base, note = folder_base(problem.arm, urdf)
-        if options.gear is not None:
-            drives["transmission", "gear"] = _given(options.gear, "gear")
-            if options.torque_constant is not None:
-                drives["motor", "torque_constant"] = _given(options.torque_constant, "torque-constant")
-    constants = torque_constants(result)
-    if constants is not None:
+        given = {("transmission", "gear"): options.gear, ("motor", "torque_constant"): options.torque_constant}
+        for (block, key), values in given.items():
+            if options.gear is not None and values is not None:
+                said = f"as given with --{key.replace('_', '-')}"
+                drives[block, key] = Identified([float(value) for value in values], "assumed", said)
+    if (constants := torque_constants(result)) is not None:
         drives["motor", "torque_constant"] = constants
     robot = IdentifiedRobot(
         problem.arm,
@@ -390,11 +367,117 @@ def torque_constants(result: ExcitationIdentification) -> Identified | None:
     rest = "" if len(sure) == len(values) else "; the others are as before, for the payload does not tell them"
     odd = [result.problem.arm.names[k] for k in gains.implausible]
     rest += f"; {listed(odd)} hardly to be believed: parameters.yaml says why" if odd else ""
-    return Identified(
-        [float(f"{value:.6g}") for value in values], "identified",
-        f"torques of {listed(sure)} in runs with and without a known payload{rest}",
-    )  # fmt: skip
+    source = f"torques of {listed(sure)} in runs with and without a known payload{rest}"
+    return Identified(_numbers(values.tolist(), 6), "identified", source)
 
 
-def _given(values: Sequence[float], option: str) -> Identified:
-    return Identified([float(value) for value in values], "assumed", f"as given with --{option}")
+_PARAMETERS_HEAD = """\
+# Parameters identified from excitation runs, joint side, SI units; deviation: standard deviation, HAC.
+# A base parameter is the combination of inertial parameters in `group`: m mass, mx .. mz first moments, Ixx .. Izz
+# inertia about the origin of the link's joint, Ia rotor through its gear, k spring, offset of the torque; numbers are
+# those of the joints from the base. The robot's own files in this folder hold what the simulation loads.
+"""
+
+
+def parameters_text(result: ExcitationIdentification, date: datetime, versions: Mapping[str, str]) -> str:
+    """Return everything that the runs say, as one YAML file for programs and for the record.
+
+    Args:
+        result: what was identified.
+        date: of the identification.
+        versions: of interpreter and libraries.
+    """
+    friction, bandwidths = result.friction, result.problem.runs[0].bandwidths
+    chosen, other = "instrumental variables", "least squares"
+    if not result.instruments.biased:
+        chosen, other = other, chosen
+    content: dict[str, Any] = {
+        "date": date.isoformat(timespec="seconds"),
+        "versions": dict(versions),
+        "bags": [
+            {"path": str(bag.path), "use": use, "sha256": bag.sha256, "duration": six_digits(bag.duration)}
+            for use, bag in result.bags
+        ],
+        "bandwidths": {
+            "position": six_digits(bandwidths.position),
+            "torque": six_digits(bandwidths.torque),
+            "reason": bandwidths.reason,
+        },
+        "base_parameters": {
+            one.name: {"unit": one.unit, "group": one.group, **_estimate(one.estimate)}
+            | {"consistent": six_digits(one.consistent)}
+            | ({} if one.other is None else {other.replace(" ", "_"): _estimate(one.other)})
+            for one in result.base
+        },
+        "friction": {
+            name: {parameter: _estimate(estimate) for parameter, estimate in one.estimates.items()}
+            for name, one in zip(result.problem.arm.element_names, result.elements, strict=True)
+        },
+        "models": [
+            {
+                "name": row.name,
+                "parameters": row.parameters,
+                "relative_error": six_digits(row.relative_all),
+                "cross_validated_by_blocks": _cross_validation(row.by_blocks),
+                "kept": row.kept,
+                "reason": row.reason,
+            }
+            | ({} if row.by_runs is None else {"cross_validated_by_runs": _cross_validation(row.by_runs)})
+            for row in friction.models
+        ],
+        "fit": {run.source.path.name: _torques(run) for run in result.torques},
+        "validation": {
+            one.torques.source.path.name: {
+                "confirmed": one.passed,
+                **_torques(one.torques),
+                "relative_with_consistent_inertias": six_digits(one.consistent.total_share),
+            }
+            for one in result.validations
+        },
+        "estimator": chosen,
+        "instrumental_variables": result.instruments.reason,
+    }
+    if result.gains is not None:
+        factors, deviations = result.gains.factor.tolist(), result.gains.deviation.tolist()
+        content["drive_gains"] = {
+            name: {"true_over_recorded": six_digits(factor), "deviation": six_digits(deviation)}
+            if math.isfinite(deviation)
+            else {"identifiable": False, "reason": "the payload does not tell it; 1 is taken"}
+            for name, factor, deviation in zip(result.problem.arm.names, factors, deviations, strict=True)
+        }
+    variance = friction.fit.covariance.diagonal()
+    deviation = np.sqrt(np.where((variance > 0.0) & np.isfinite(variance), variance, np.nan))
+    correlation = (friction.fit.covariance / np.outer(deviation, deviation)).tolist()
+    content |= {
+        "not_determined": list(result.undetermined),
+        "misfits": misfits(result.speeds),
+        "drifts": [one.text for one in result.trends],
+        "remarks": [*friction.remarks, *gain_warnings(result)],
+        "correlation": {
+            "names": list(friction.names),
+            "matrix": [[None if math.isnan(share) else round(share, 3) for share in row] for row in correlation],
+        },
+    }
+    check_numbers(content, LARGEST)
+    return _PARAMETERS_HEAD + yaml_text(content)
+
+
+def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
+    if not estimate.identifiable:
+        return {"identifiable": False, "reason": estimate.reason}
+    return {"value": six_digits(estimate.value), "deviation": six_digits(estimate.deviation)}
+
+
+def _cross_validation(check: CrossValidation) -> dict[str, Any]:
+    return {"relative_error": six_digits(check.relative), "gain": six_digits(check.gain),
+            "gain_deviation": six_digits(check.gain_deviation)}  # fmt: skip
+
+
+def _torques(run: RunTorques) -> dict[str, Any]:
+    joints = {
+        name: {"rms": six_digits(rms), "relative": six_digits(share)}
+        | ({} if math.isnan(chi) else {"chi_square": six_digits(chi)})
+        for name, rms, share, chi in zip(run.names, run.rms, run.share, run.chi_square, strict=True)
+        if math.isfinite(rms)
+    }
+    return {"relative": six_digits(run.total_share), "joints": joints}

@@ -35,8 +35,8 @@ from rx90_emulator.identification.layout import JOINT_STATES, BagLayout, arm_lay
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.validation.options import MeasuredTolerances
-from rx90_emulator.identification.validation.prediction import TorquePrediction
 from rx90_emulator.identification.validation.setpoints import SetPoints, path_setpoints, recorded_setpoints, run_along
+from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
 from rx90_emulator.loop.setup import Setup
 
 _JOINTS = 6
@@ -57,24 +57,16 @@ def simulated_setup(files: RobotFiles) -> Setup:
         path: Path = getattr(files, role)
         if not path.is_file():
             raise ConfigError(f"{path.parent}: no {FILES[role]}; {OTHER_ARMS}")
-    joints = _movable_joints(files.urdf)
-    if joints is not None:
-        if len(joints) != _JOINTS:
-            raise ConfigError(f"{files.urdf}: {len(joints)} movable joints; {OTHER_ARMS}")
-        wanted = element_names(joints)
-        missing = [name for name in wanted if name not in FrictionFile.read(files.friction).elements]
-        if missing:
-            raise ConfigError(f"{files.friction}: no friction element {listed(missing)}; {OTHER_ARMS}")
-    return Setup.load(files)
-
-
-def _movable_joints(urdf: Path) -> tuple[str, ...] | None:
-    """Return the names of the joints that move; None for what is no XML, which the setup's own refusal names."""
     try:
-        root = ET.parse(urdf).getroot()
+        joints = [one.get("name", "") for one in ET.parse(files.urdf).iter("joint") if one.get("type") in _MOVABLE]
     except (ET.ParseError, OSError):
-        return None
-    return tuple(str(joint.get("name")) for joint in root.findall("joint") if joint.get("type") in _MOVABLE)
+        return Setup.load(files)  # which names the fault
+    if len(joints) != _JOINTS:
+        raise ConfigError(f"{files.urdf}: {len(joints)} movable joints; {OTHER_ARMS}")
+    there = FrictionFile.read(files.friction).elements
+    if missing := [name for name in element_names(joints) if name not in there]:
+        raise ConfigError(f"{files.friction}: no friction element {listed(missing)}; {OTHER_ARMS}")
+    return Setup.load(files)
 
 
 def bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
@@ -83,24 +75,19 @@ def bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
     Raises:
         BagError: if the bag cannot be read, or is another robot's.
         ConfigError: for a signal map that is not acceptable.
-        IdentificationError: for options of another size, and a bag without states.
+        IdentificationError: for options of another size, a bag without states, and one whose first message names none
+            of this arm's joints or motors.
     """
     check_robot(bag, setup.robot.model.name)
     joints = setup.robot.joint_names
     options, mapping = with_signals(options, [bag])
     topic = options.topic or recorded_topic(bag, (MOTOR_STATES, JOINT_STATES), mapping)
-    if options.names is None:
-        _check_names(bag, topic, joints, mapping)
-    return arm_layout(topic, joints, options, lambda: setup.drives.gear, mapping)
-
-
-def _check_names(bag: Path, topic: str, joints: Sequence[str], mapping: LogMapping | None) -> None:
-    """Refuse a log whose first message names none of this arm's joints or motors: another arm's."""
-    names = _first_names(bag, topic, mapping)
+    names = () if options.names is not None else _first_names(bag, topic, mapping)
     if names and not {*names} & {*joints, *MOTOR_NAMES}:
         raise IdentificationError(
             f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or --names; {OTHER_ARMS}"
         )
+    return arm_layout(topic, joints, options, lambda: setup.drives.gear, mapping)
 
 
 def _first_names(bag: Path, topic: str, mapping: LogMapping | None) -> Sequence[str]:
@@ -197,11 +184,19 @@ class MeasuredComparison:
         return np.asarray(np.abs(self.simulated_position - self.position).max(axis=0))
 
     @property
+    def criteria(self) -> tuple[Criterion, Criterion, Criterion]:
+        """Return what the verdict rests on: torques of all joints and of each, and positions."""
+        limits = self.tolerances
+        return (
+            Criterion("torque RMS of all joints", self.total_share, limits.total_torque),
+            largest("largest", self.names, self.torque_share, limits.torque),
+            largest("position", self.names, self.position_worst, limits.position, "mrad", 3),
+        )
+
+    @property
     def passed(self) -> bool:
         """Return whether torques, of each joint that moves and of all together, and positions agree."""
-        limits = self.tolerances
-        torque = self.agreement.within(limits.torque) and self.total_share <= limits.total_torque
-        return torque and bool((self.position_worst <= limits.position).all())
+        return all(one.passed for one in self.criteria)
 
 
 _MAX_BANDWIDTH_SHARE = 0.3  # bandwidth of the set-points over the rate of the position loop, at most
@@ -261,11 +256,10 @@ def compare_measured(
     progress("closed loop")
     simulated = _Simulated(setup, setpoints, run)
     progress("comparison")
-    rows = simulated.within(run.time[run.rows])
+    rows = simulated.covered
     time = run.time[run.rows][rows]
     measured = run.parallel(np.stack([run.position, run.torque], axis=1))[rows]
-    speed = run.velocity[run.rows][rows]
-    lag = _lag(simulated, time, measured[:, 0], speed)
+    lag = simulated.lag(time, measured[:, 0], run.velocity[run.rows][rows])
     follows = simulated.at(time + lag)
     return MeasuredComparison(
         names=run.names,
@@ -301,19 +295,15 @@ def _bandwidths(record: JointRecord, setup: Setup, bandwidth: float | None) -> B
 
 
 class _Simulated:
-    """The simulated run, through the low-pass of the measured one, at any time.
-
-    Attributes:
-        saturated: share of the ticks in which each motor was at its limit, shape (6,).
-    """
+    """The simulated run, through the low-pass of the measured one, at any time."""
 
     def __init__(self, setup: Setup, setpoints: SetPoints, run: FilteredRun) -> None:
-        rates, gear = setup.rates, setup.drives.gear
+        rates = setup.rates
         # As often as it was measured: what a slow sampling folds into the band is then the same on both sides.
         often = run.rate > 1.5 * rates.position_hz
         fast, slow, self.saturated = run_along(setup, setpoints.values, setpoints.initial_position, record_fast=often)
         if often:
-            turns = gear[:, None] * coupling_matrix()
+            turns = setup.drives.gear[:, None] * coupling_matrix()
             position = fast.motor_states[:, 0] @ np.linalg.inv(turns).T
             values = np.stack([position, fast.motor_states[:, 2] @ turns], axis=1)
         else:
@@ -325,28 +315,25 @@ class _Simulated:
             raise IdentificationError(f"{run.source.path}: too short for a low-pass of {run.bandwidths.torque:.3g} Hz")
         since = (len(taps) // 2 + np.arange(len(filtered))) / rate
         self._start = setpoints.start
-        self._first, self._last = max(self._start + float(since[0]), setpoints.begin), self._start + float(since[-1])
         self._curve: BSpline = make_interp_spline(since, filtered, k=3)
-
-    def within(self, time: Array) -> Mask:
-        """Return which of the times it covers, however late it is."""
-        inside = (time >= self._first + _MAX_LAG_S) & (time <= self._last - _MAX_LAG_S)
-        if not inside.any():
+        first, last = max(self._start + float(since[0]), setpoints.begin), self._start + float(since[-1])
+        time = run.time[run.rows]
+        self.covered: Mask = (time >= first + _MAX_LAG_S) & (time <= last - _MAX_LAG_S)
+        """Which of the run's rows it covers, however late it is."""
+        if not self.covered.any():
             raise IdentificationError("measured and simulated run have no time in common; accepted: a longer bag")
-        return inside
 
     def at(self, time: Array) -> Array:
         """Return position rad and torque Nm at times, shape (k, 2, 6)."""
         return np.asarray(self._curve(time - self._start))
 
-
-def _lag(simulated: _Simulated, time: Array, position: Array, velocity: Array) -> float:
-    """Return by how much the simulated motion is later than the measured one, s: least squares of the positions."""
-    lag, power = 0.0, float(np.sum(velocity**2))
-    for _ in range(_LAG_ROUNDS):
-        difference = simulated.at(time + lag)[:, 0] - position
-        lag = float(np.clip(lag - np.sum(difference * velocity) / power, -_MAX_LAG_S, _MAX_LAG_S))
-    return lag
+    def lag(self, time: Array, position: Array, velocity: Array) -> float:
+        """Return by how much it is later than the measured motion, s: least squares of the positions."""
+        lag, power = 0.0, float(np.sum(velocity**2))
+        for _ in range(_LAG_ROUNDS):
+            difference = self.at(time + lag)[:, 0] - position
+            lag = float(np.clip(lag - np.sum(difference * velocity) / power, -_MAX_LAG_S, _MAX_LAG_S))
+        return lag
 
 
 def _moves(run: FilteredRun) -> Mask:

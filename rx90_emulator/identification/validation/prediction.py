@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionElement, FrictionSet
@@ -21,6 +20,7 @@ from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.sliding.fit import SlidingFit
 from rx90_emulator.identification.validation.setpoints import read_setpoints, run_along, setpoint_rows
+from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
 from rx90_emulator.identification.zeros import ZeroCheck, check_zeros, record_instants
 from rx90_emulator.loop.setup import Setup
 
@@ -31,164 +31,9 @@ _FILTER_EDGE_S = 0.1  # s at both ends, where the filter's transients are
 _MAX_WEIGHT_SD = 0.05  # standard deviation over RMS torque up to which a joint's error of the weights is applied
 
 
-class TorquePrediction(NamedTuple):
-    """Recorded and predicted drive torques of n joints, low-passed, from the first motion on.
-
-    Attributes:
-        time: s, shape (m,).
-        recorded: Nm, shape (m, n).
-        predicted: Nm, shape (m, n).
-        compared: where a joint moves, shape (m, n): at rest its torque depends on what happened before.
-    """
-
-    time: Array
-    recorded: Array
-    predicted: Array
-    compared: Mask
-
-    @property
-    def rms(self) -> Array:
-        """Return the RMS difference where a joint moves, Nm, shape (n,); NaN for a joint at rest."""
-        return self._rms(self.predicted - self.recorded)
-
-    @property
-    def worst(self) -> Array:
-        """Return the largest difference where a joint moves, Nm, shape (n,); NaN for a joint at rest."""
-        largest = np.where(self.compared, np.abs(self.predicted - self.recorded), 0.0).max(axis=0)
-        return np.where(self.compared.any(axis=0), largest, np.nan)
-
-    @property
-    def rms_share(self) -> Array:
-        """Return the RMS difference over the RMS recorded torque, shape (n,)."""
-        return np.asarray(self.rms / self._rms(self.recorded))
-
-    @property
-    def worst_share(self) -> Array:
-        """Return the largest difference over the largest recorded torque, shape (n,)."""
-        return np.asarray(self.worst / np.abs(self.recorded).max(axis=0))
-
-    @property
-    def total_share(self) -> float:
-        """Return the RMS difference of all joints over their RMS recorded torque."""
-        difference, recorded = (
-            np.where(self.compared, values, 0.0) for values in (self.predicted - self.recorded, self.recorded)
-        )
-        return float(np.linalg.norm(difference) / np.linalg.norm(recorded))
-
-    def within(self, limit: float) -> bool:
-        """Return whether the RMS difference of each joint that moves is within a share of its RMS torque."""
-        return bool((self.rms_share[self.compared.any(axis=0)] <= limit).all())
-
-    def _rms(self, values: Array) -> Array:
-        count = self.compared.sum(axis=0)
-        squares = np.where(self.compared, values, 0.0) ** 2
-        return np.asarray(np.sqrt(squares.sum(axis=0) / np.where(count, count, np.nan)))
-
-
-def friction_along(element_matrix: Array, lugre: tuple[FrictionElement, ...], time: Array, position: Array) -> Array:
-    """Return the friction torque at the joints along a motion, Nm, shape (m, n).
-
-    Args:
-        element_matrix: joint velocities to input velocities of the elements, shape (e, n).
-        lugre: the e elements.
-        time: s, shape (m,).
-        position: of the joints, rad, shape (m, n).
-    """
-    inputs = position @ element_matrix.T
-    steps = np.diff(time, prepend=time[0])
-    mean = np.diff(inputs, axis=0, prepend=inputs[:1]) / np.where(steps > 0.0, steps, 1.0)[:, None]
-    return np.asarray(prescribed_torque(lugre, mean, steps) @ element_matrix)
-
-
-def predict_torque(
-    arm: RigidArm, lugre: tuple[FrictionElement, ...], sliding: SlidingFit | None, record: JointRecord
-) -> TorquePrediction:
-    """Predict the drives' torques along a recorded motion.
-
-    Args:
-        arm: rigid-body model.
-        lugre: its friction elements.
-        sliding: fit whose error of the arm's weights is applied where it is known; None: the weights of the model.
-        record: the motion and the recorded torques.
-
-    Raises:
-        IdentificationError: if the arm does not move in the record.
-    """
-    step = float(np.median(np.diff(record.time)))
-    moving = np.flatnonzero(np.abs(record.velocity).max(axis=1) > _MOVING_SPEED)
-    if len(moving) == 0 or record.time[-1] - record.time[moving[0]] < 4.0 * _FILTER_EDGE_S:
-        raise IdentificationError(f"{record.source}: the arm does not move; accepted: a run of all joints")
-    sections = butter(4, min(_BANDWIDTH_HZ, 0.4 / step), fs=1.0 / step, output="sos")
-
-    def smooth(values: Array) -> Array:
-        return np.asarray(sosfiltfilt(sections, values, axis=0))
-
-    acceleration = np.gradient(smooth(record.velocity), record.time, axis=0)
-    friction = smooth(friction_along(arm.element_matrix, lugre, record.time, record.position))
-    inside = (record.time > record.time[moving[0]] + _FILTER_EDGE_S) & (record.time < record.time[-1] - _FILTER_EDGE_S)
-    kept = np.flatnonzero(inside)[:: max(1, round(0.1 / _BANDWIDTH_HZ / step))]
-    position = record.position[kept]
-    rigid = arm.torque(position, record.velocity[kept], acceleration[kept])
-    recorded = smooth(record.torque)[kept]
-    if sliding is not None:
-        rigid = rigid + _error_of_weights(arm, sliding, position, recorded)
-    span = 2 * round(0.5 * _FILTER_EDGE_S / step) + 1
-    moves = minimum_filter1d(np.abs(smooth(record.velocity)), span, axis=0)[kept] > _COMPARED_SPEED
-    return TorquePrediction(record.time[kept], recorded, rigid + friction[kept], moves)
-
-
-def _error_of_weights(arm: RigidArm, sliding: SlidingFit, position: Array, recorded: Array) -> Array:
-    """Return the torque of the arm's inertial errors, Nm, shape (m, n); 0 for joints where it is too uncertain.
-
-    Sweeps of some joints, or at one pose, leave the weights of other joints and at other poses undetermined. The
-    fit's error of them is then hundreds of Nm with a standard deviation as large, and the weights of the description
-    are better. Sweeps at constant velocity determine hardly anything of the inertias.
-    """
-    nothing = np.zeros_like(position)
-    regressor = arm.regressor(position, nothing, nothing)
-    values, directions = np.linalg.eigh(sliding.inertial_covariance)
-    parts = regressor @ (directions * np.sqrt(np.maximum(values, 0.0)))
-    deviation = np.sqrt(np.mean(np.sum(parts**2, axis=2), axis=0))
-    known = deviation <= _MAX_WEIGHT_SD * np.sqrt(np.mean(recorded**2, axis=0))
-    return np.asarray(np.where(known, regressor @ sliding.inertial, 0.0))
-
-
-def tip_difference(
-    setup: Setup, lugre: tuple[FrictionElement, ...], record: JointRecord, reference: JointSeries
-) -> tuple[Array, Array]:
-    """Return time and distance of the tip of the closed loop, run along the recorded set-points, from the recorded one.
-
-    Raises:
-        IdentificationError: if the set-points have gaps.
-        DivergenceError: naming joint and tick.
-        SupervisionError: if the controller's supervision cuts the power.
-    """
-    period_ns = setup.rates.period_ns * setup.rates.ratio
-    gaps = np.flatnonzero(np.diff(reference.stamp_ns) != period_ns)
-    if len(gaps):
-        raise IdentificationError(
-            f"{record.source}: the set-points of {reference.topic} have a gap at {reference.time[gaps[0]]:.3f} s; "
-            f"accepted: one every {period_ns / 1e6:g} ms"
-        )
-    assert reference.position is not None
-    assert reference.velocity is not None
-    first = int(np.searchsorted(record.time, reference.time[0] - 1e-9))
-    start = np.clip(record.position[first], setup.robot.lower, setup.robot.upper)
-    identified = replace(setup, friction=FrictionSet(setup.friction.names, lugre))
-    _, slow, _ = run_along(identified, setpoint_rows(reference.position, reference.velocity, setup), start)
-    recorded = np.column_stack(
-        [np.interp(reference.time, record.time, record.position[:, j]) for j in range(len(record.names))]
-    )
-    inside = (reference.time >= record.time[0]) & (reference.time <= record.time[-1])
-    tips = [forward(setup.robot.chain, q).position for q in (slow.joint_states[:, 0], recorded)]
-    return reference.time[inside], np.linalg.norm(tips[0] - tips[1], axis=1)[inside]
-
-
 @dataclass(frozen=True, eq=False)
 class Validation:
     """Recorded against predicted torques, and the recorded tip against the simulated one.
-
-    Joints are compared where they move: the torque of a joint at rest depends on vibrations that no bag shows.
 
     Attributes:
         names: joints, n of them.
@@ -244,12 +89,19 @@ class Validation:
         return float(np.sqrt(np.mean(self.tip_distance**2))) if len(self.tip_distance) else float("nan")
 
     @property
+    def criteria(self) -> tuple[Criterion, Criterion, Criterion]:
+        """Return what the verdict rests on: RMS and largest difference of torques, distance of the tips."""
+        limits = self.tolerances
+        return (
+            largest("torque RMS", self.names, self.rms_share, limits.torque),
+            largest("worst", self.names, self.worst_share, limits.worst_torque),
+            Criterion("tip worst", self.tip_worst, limits.tip, unit="um"),
+        )
+
+    @property
     def passed(self) -> bool:
         """Return whether everything that could be compared agrees."""
-        limits = self.tolerances
-        worst = self.worst_share[self.torque.compared.any(axis=0)]
-        torque = self.torque.within(limits.torque) and bool((worst <= limits.worst_torque).all())
-        return torque and not self.tip_worst > limits.tip
+        return all(one.passed for one in self.criteria)
 
 
 def validate(
@@ -274,9 +126,105 @@ def validate(
     bag = record.source
     torque = predict_torque(robot.arm, lugre, sliding, record)
     tip_time, distance = np.zeros(0), np.zeros(0)
-    reference = None if robot.setup is None else read_setpoints(bag, record.names, robot.zero, robot.mapping)
-    if robot.setup is not None and reference is not None:
-        tip_time, distance = tip_difference(robot.setup, lugre, record, reference)
+    if robot.setup is not None:
+        reference = read_setpoints(bag, record.names, robot.zero, robot.mapping)
+        if reference is not None:
+            tip_time, distance = tip_difference(robot.setup, lugre, record, reference)
     # With sweeps, these have been asked already.
     zeros = check_zeros(record_instants(record, robot.arm), robot.arm, robot.zero) if sliding is None else None
     return Validation(record.names, torque, tip_time, distance, tolerances, str(bag), zeros)
+
+
+def predict_torque(
+    arm: RigidArm, lugre: tuple[FrictionElement, ...], sliding: SlidingFit | None, record: JointRecord
+) -> TorquePrediction:
+    """Predict the drives' torques along a recorded motion, from its beginning on.
+
+    Args:
+        arm: rigid-body model.
+        lugre: its friction elements.
+        sliding: fit whose error of the arm's weights is applied where it is known; None: the weights of the model.
+        record: the motion and the recorded torques.
+
+    Raises:
+        IdentificationError: if no joint moves in the record.
+    """
+    step = float(np.median(np.diff(record.time)))
+    sections = butter(4, min(_BANDWIDTH_HZ, 0.4 / step), fs=1.0 / step, output="sos")
+
+    def smooth(values: Array) -> Array:
+        return np.asarray(sosfiltfilt(sections, values, axis=0))
+
+    moving = np.flatnonzero(np.abs(record.velocity).max(axis=1) > _MOVING_SPEED)
+    if len(moving) == 0 or record.time[-1] - record.time[moving[0]] < 4.0 * _FILTER_EDGE_S:
+        raise IdentificationError(f"{record.source}: the arm does not move; accepted: a run of all joints")
+    velocity = smooth(record.velocity)
+    inside = (record.time > record.time[moving[0]] + _FILTER_EDGE_S) & (record.time < record.time[-1] - _FILTER_EDGE_S)
+    kept = np.flatnonzero(inside)[:: max(1, round(0.1 / _BANDWIDTH_HZ / step))]
+    span = 2 * round(0.5 * _FILTER_EDGE_S / step) + 1
+    compared = minimum_filter1d(np.abs(velocity), span, axis=0)[kept] > _COMPARED_SPEED
+    if not compared.any():
+        raise IdentificationError(
+            f"{record.source}: no joint moves at {1e3 * _COMPARED_SPEED:g} mrad/s for {2.0 * _FILTER_EDGE_S:g} s, and "
+            "torques at rest are not compared; accepted: a run of all joints"
+        )
+    friction = smooth(_friction_along(arm.element_matrix, lugre, record.time, record.position))
+    position, acceleration = record.position[kept], np.gradient(velocity, record.time, axis=0)[kept]
+    rigid = arm.torque(position, record.velocity[kept], acceleration)
+    recorded = smooth(record.torque)[kept]
+    if sliding is not None:
+        rigid = rigid + _error_of_weights(arm, sliding, position, recorded)
+    return TorquePrediction(record.time[kept], recorded, rigid + friction[kept], compared)
+
+
+def _friction_along(element_matrix: Array, lugre: tuple[FrictionElement, ...], time: Array, position: Array) -> Array:
+    """Return the friction torque at the joints along a motion, Nm, shape (m, n)."""
+    inputs = position @ element_matrix.T
+    steps = np.diff(time, prepend=time[0])
+    mean = np.diff(inputs, axis=0, prepend=inputs[:1]) / np.where(steps > 0.0, steps, 1.0)[:, None]
+    return np.asarray(prescribed_torque(lugre, mean, steps) @ element_matrix)
+
+
+def _error_of_weights(arm: RigidArm, sliding: SlidingFit, position: Array, recorded: Array) -> Array:
+    """Return the torque of the arm's inertial errors, Nm, shape (m, n); 0 for joints where it is too uncertain.
+
+    Sweeps of some joints, or at one pose, leave the weights of other joints and at other poses undetermined. The
+    fit's error of them is then hundreds of Nm with a standard deviation as large, and the weights of the description
+    are better. Sweeps at constant velocity determine hardly anything of the inertias.
+    """
+    nothing = np.zeros_like(position)
+    regressor = arm.regressor(position, nothing, nothing)
+    values, directions = np.linalg.eigh(sliding.inertial_covariance)
+    parts = regressor @ (directions * np.sqrt(np.maximum(values, 0.0)))
+    deviation = np.sqrt(np.mean(np.sum(parts**2, axis=2), axis=0))
+    known = deviation <= _MAX_WEIGHT_SD * np.sqrt(np.mean(recorded**2, axis=0))
+    return np.asarray(np.where(known, regressor @ sliding.inertial, 0.0))
+
+
+def tip_difference(
+    setup: Setup, lugre: tuple[FrictionElement, ...], record: JointRecord, reference: JointSeries
+) -> tuple[Array, Array]:
+    """Return time and distance of the tip of the closed loop, run along the recorded set-points, from the recorded one.
+
+    Raises:
+        IdentificationError: if the set-points have gaps.
+        DivergenceError: naming joint and tick.
+        SupervisionError: if the controller's supervision cuts the power.
+    """
+    period_ns = setup.rates.period_ns * setup.rates.ratio
+    gaps = np.flatnonzero(np.diff(reference.stamp_ns) != period_ns)
+    if len(gaps):
+        raise IdentificationError(
+            f"{record.source}: the set-points of {reference.topic} have a gap at {reference.time[gaps[0]]:.3f} s; "
+            f"accepted: one every {period_ns / 1e6:g} ms"
+        )
+    assert reference.position is not None
+    assert reference.velocity is not None
+    first = int(np.searchsorted(record.time, reference.time[0] - 1e-9))
+    start = np.clip(record.position[first], setup.robot.lower, setup.robot.upper)
+    identified = replace(setup, friction=FrictionSet(setup.friction.names, lugre))
+    _, slow, _ = run_along(identified, setpoint_rows(reference.position, reference.velocity, setup), start)
+    recorded = np.column_stack([np.interp(reference.time, record.time, joint) for joint in record.position.T])
+    inside = (reference.time >= record.time[0]) & (reference.time <= record.time[-1])
+    tips = [forward(setup.robot.chain, q).position for q in (slow.joint_states[:, 0], recorded)]
+    return reference.time[inside], np.linalg.norm(tips[0] - tips[1], axis=1)[inside]

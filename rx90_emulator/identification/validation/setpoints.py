@@ -28,7 +28,6 @@ _HOLD_S = 0.5  # s at rest before a motion, in which the integrators take the ar
 _MIN_LEAD_S = 0.5  # s, least time in which the arm gets the velocity that a record begins with
 _REST_SPEED = 1e-6  # rad/s, of a set-point
 _RANGE_SLACK = 1e-5  # of a range: times are whole nanoseconds
-_QUANTITIES = ("position", "velocity", "acceleration")
 _MAX_GAP_PERIODS = 3.5  # periods between set-points that still are interpolated
 
 
@@ -63,26 +62,27 @@ class SetPoints:
         Raises:
             TrajectoryError: for positions beyond the joints' range, naming joint, value, time in the bag and range.
         """
-        found = self._farthest("position", "rad", limits.lower, limits.upper, limits.names, period)
-        if found:
-            raise TrajectoryError(f"{bag}: {found}; set-points are {self.source}")
-        sizes = (("velocity", "rad/s", limits.velocity), ("acceleration", "rad/s^2", limits.acceleration))
-        said = [self._farthest(what, unit, -most, most, limits.names, period) for what, unit, most in sizes]
-        return tuple(f"{text}; the simulation goes on nevertheless" for text in said if text)
-
-    def _farthest(self, what: str, unit: str, low: Array, high: Array, names: tuple[str, ...], period: float) -> str:
-        """Return the value that is farthest beyond its limits, in words; empty where none is."""
-        values, width = self.values[:, _QUANTITIES.index(what)], high - low
-        beyond = np.maximum(low - values, values - high) / width
-        row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
-        if beyond[row, joint] <= _RANGE_SLACK:
-            return ""
-        time = self.start + row * period
-        where = f"{time:.3f} s" if time >= self.begin else "the lead-in, before the bag begins"
-        return (
-            f"{names[joint]} needs the {what} {values[row, joint]:.4g} {unit} at {where}; accepted by the robot's "
-            f"files: [{low[joint]:.4g}, {high[joint]:.4g}] {unit}"
-        )
+        said = []
+        for k, (what, unit, low, high) in enumerate((
+            ("position", "rad", limits.lower, limits.upper),
+            ("velocity", "rad/s", -limits.velocity, limits.velocity),
+            ("acceleration", "rad/s^2", -limits.acceleration, limits.acceleration),
+        )):  # fmt: skip
+            values = self.values[:, k]
+            beyond = np.maximum(low - values, values - high) / (high - low)
+            row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+            if beyond[row, joint] <= _RANGE_SLACK:
+                continue
+            time = self.start + row * period
+            where = f"{time:.3f} s" if time >= self.begin else "the lead-in, before the bag begins"
+            found = (
+                f"{limits.names[joint]} needs the {what} {values[row, joint]:.4g} {unit} at {where}; accepted by the "
+                f"robot's files: [{low[joint]:.4g}, {high[joint]:.4g}] {unit}"
+            )
+            if k == 0:
+                raise TrajectoryError(f"{bag}: {found}; set-points are {self.source}")
+            said.append(f"{found}; the simulation goes on nevertheless")
+        return tuple(said)
 
 
 def read_setpoints(

@@ -20,14 +20,14 @@ from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO, IdentificationError
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.experiments import job as experiments_job
-from rx90_emulator.identification.experiments.excitation import table as excitation_table
-from rx90_emulator.identification.experiments.excitation.design import plan_excitation
-from rx90_emulator.identification.experiments.excitation.options import ExcitationOptions
+from rx90_emulator.identification.experiments import plan as plans
+from rx90_emulator.identification.experiments import series as recording
+from rx90_emulator.identification.experiments.excitation import plan_excitation
 from rx90_emulator.identification.experiments.folder import read_emulated, read_index
-from rx90_emulator.identification.experiments.job import run_on_engine
 from rx90_emulator.identification.experiments.motion import Motion
+from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, PlanOptions, make_plan
+from rx90_emulator.identification.experiments.series import run_on_engine
 from rx90_emulator.identification.identify import identify_friction
 from rx90_emulator.identification.job import write_identification
 from rx90_emulator.loop.closed_loop import simulate
@@ -192,9 +192,9 @@ def test_experiments_run_on_the_real_nodes(
     cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=0.0")
     planned, cut = tmp_path / "planned", tmp_path / "cut"
     # The run for the validation, which the command always adds, is recorded like the one before it.
-    plan = excitation_table.plan_with_progress
+    plan = recording.plan_with_progress
     monkeypatch.setattr(
-        excitation_table,
+        recording,
         "plan_with_progress",
         lambda setup, options: plan(setup, replace(options, validation=False)),
     )
@@ -202,7 +202,7 @@ def test_experiments_run_on_the_real_nodes(
     for name in ("runs", "harmonics", "period", "periods", "steps"):
         words += [f"--{name}", str(getattr(EXCITATION, name))]
     assert run("rx90_experiment", ["run", "--nodes", *words]) == DONE
-    monkeypatch.setattr(experiments_job, "make_plan", lambda *_: short_series(shipped))
+    monkeypatch.setattr(plans, "make_plan", lambda *_: short_series(shipped))
     interrupt = threading.Thread(target=interrupt_once, args=[cut / "long"])
     interrupt.start()
     assert run("rx90_experiment", ["run", "--nodes", "--output", str(cut)]) == INTERRUPTED

@@ -18,7 +18,7 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import SLIDING, ElementEstimate
 from rx90_emulator.identification.identify import identify_records
 from rx90_emulator.identification.output.friction_file import friction_text
-from rx90_emulator.identification.output.report import identification_summary
+from rx90_emulator.identification.output.summary import identification_summary
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.setup import Setup

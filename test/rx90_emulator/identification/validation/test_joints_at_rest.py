@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from rx90_emulator.identification.options import ValidationTolerances
-from rx90_emulator.identification.output.report import check_page, check_summary
-from rx90_emulator.identification.validation.prediction import TorquePrediction, Validation
+from rx90_emulator.identification.output.report import check_page
+from rx90_emulator.identification.output.summary import check_summary
+from rx90_emulator.identification.validation.prediction import Validation
+from rx90_emulator.identification.validation.verdict import TorquePrediction
 
 
 def validation(error: float) -> Validation:

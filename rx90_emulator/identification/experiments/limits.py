@@ -1,0 +1,128 @@
+"""What joints and motors of an arm may do: the shares of it that a motion uses; a plan beyond them is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import IdentificationError, TrajectoryError
+from rx90_common.base.rates import Rates
+from rx90_common.description.rigid_torque import rigid_torque
+from rx90_common.description.wrist import coupling_matrix
+from rx90_common.exchange.topics import MOTOR_NAMES
+from rx90_controller.trajectory import TrajectoryGenerator
+from rx90_emulator.identification.experiments.plan import Experiment
+from rx90_emulator.loop.setup import Setup
+
+_PERIOD = Rates().position_period
+_TORQUE_STRIDE = 10
+TURNS: Array = coupling_matrix()
+"""Speeds of motors, seen through their gears, per speeds of joints, shape (6, 6)."""
+CARRIES: Array = np.asarray(np.linalg.inv(TURNS).T)
+"""Torques of motors, seen through their gears, per torques of joints, shape (6, 6)."""
+COUPLED_MOTORS: tuple[int, ...] = tuple(
+    np.flatnonzero(((TURNS - np.eye(6) != 0.0) | (CARRIES - np.eye(6) != 0.0)).any(axis=1)).tolist()
+)
+"""The numbers of the motors that turn with, or carry, more than their joint."""
+
+
+def motor_torque_limit(setup: Setup) -> Array:
+    """Return the torque that each motor gives at most, seen through its gear, Nm, shape (6,)."""
+    return np.asarray(np.abs(setup.drives.gear) * setup.drives.peak_torque)
+
+
+def limit_shares(
+    setup: Setup, motion: tuple[Array, Array, Array], torque: Array, share: float = 1.0, speed: float = 1.0,
+    margin: float = 0.0,
+) -> dict[str, Array]:  # fmt: skip
+    """Return signed shares of what is allowed, by name, each of the shape of what it is a share of.
+
+    No file says how fast a motor may turn: it is taken to be as fast as its joint alone may be.
+
+    Args:
+        setup: ranges, speeds, efforts of the joints, accelerations of the controller, peak torques of the drives.
+        motion: position rad, velocity rad/s and acceleration rad/s² of the joints, shape (m, 6) each.
+        torque: with friction, Nm, shape (k, 6).
+        share: of accelerations and torques that counts as all of them.
+        speed: the same of the speeds.
+        margin: that the joints' ranges are narrower by at either end, rad.
+    """
+    position, velocity, acceleration = motion
+    robot = setup.robot
+    middle, reach = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower) - margin
+    return {
+        "position": (position - middle) / reach,
+        "speed": velocity / (speed * robot.max_velocity),
+        "motor_speed": velocity @ TURNS.T / (speed * robot.max_velocity),
+        "acceleration": acceleration / (share * setup.controller.max_acceleration),
+        "torque": torque / (share * robot.max_effort),
+        "motor_torque": torque @ CARRIES.T / (share * motor_torque_limit(setup)),
+    }
+
+
+def friction_torque(setup: Setup, velocity: Array, smooth: float = 0.0) -> tuple[Array, Array]:
+    """Return the friction that the controller compensates.
+
+    Args:
+        setup: with Coulomb and viscous friction of each motor, seen through its gear, in the controller.
+        velocity: of the joints, rad/s, shape (m, 6).
+        smooth: speed over which Coulomb friction changes its sign, rad/s.
+
+    Returns:
+        Joint torques, Nm, shape (m, 6), and the derivative of each motor's friction by its speed, shape (m, 6), which
+        is without Coulomb friction where its sign jumps.
+    """
+    motors, controller = velocity @ TURNS.T, setup.controller
+    speed, exponent = np.abs(motors), controller.viscous_exponent
+    sign = np.tanh(motors / smooth) if smooth else np.sign(motors)
+    slope = controller.viscous * exponent * np.maximum(speed, 1e-6) ** (exponent - 1.0)
+    if smooth:
+        slope = slope + controller.coulomb * (1.0 - sign**2) / smooth
+    torque = sign * controller.coulomb + np.sign(motors) * controller.viscous * speed**exponent
+    return np.asarray(torque @ TURNS), np.asarray(slope)
+
+
+def check_experiment(experiment: Experiment, setup: Setup) -> tuple[dict[str, Array], Array]:
+    """Return the largest shares of the limits that an experiment uses, and its set-points.
+
+    Torques are those of the rigid body, rotors, spring and the friction that the controller compensates.
+
+    Args:
+        experiment: whose trajectory the controller's own generator accepts.
+        setup: robot, drives and controller.
+
+    Returns:
+        Shares by the names of `limit_shares`, each of shape (6,), and set-points, shape (m, 3, 6).
+
+    Raises:
+        IdentificationError: if it leaves a joint's or a motor's limits, of torque too, naming which, amount and limit.
+    """
+    robot, points = setup.robot, experiment.points
+    generator = TrajectoryGenerator(setup.controller.limits(robot), _PERIOD, points.position[0])
+    try:
+        generator.accept(points, 0, 0)
+    except TrajectoryError as error:
+        raise IdentificationError(f"{experiment.name}: {error}") from error
+    setpoints = generator.setpoints(0, round(experiment.duration / _PERIOD) + 1)
+    position, velocity, acceleration = motion = setpoints.transpose(1, 0, 2)
+    some = slice(None, None, _TORQUE_STRIDE)
+    rigid = rigid_torque(robot.model, setup.drives.rotor_matrix, setup.drives.spring_torque,
+                         position[some], velocity[some], acceleration[some])  # fmt: skip
+    torque = rigid + friction_torque(setup, velocity[some])[0]
+    shares = {
+        name: np.abs(share).max(axis=0)
+        for name, share in limit_shares(setup, (motion[0], motion[1], motion[2]), torque).items()
+    }
+    for name, names, most, unit in (
+        ("motor_speed", MOTOR_NAMES, robot.max_velocity, "rad/s, through its gear"),
+        ("torque", robot.joint_names, robot.max_effort, "Nm"),
+        ("motor_torque", MOTOR_NAMES, motor_torque_limit(setup), "Nm, through its gear"),
+    ):
+        share = shares[name]
+        k = int(np.argmax(share))
+        if share[k] > 1.0:
+            raise IdentificationError(
+                f"{experiment.name}: {names[k]} would need {share[k] * most[k]:.3g} {unit}; accepted: up to "
+                f"{most[k]:.3g}; choose other poses or less speed or acceleration"
+            )
+    return shares, setpoints

@@ -1,0 +1,206 @@
+"""How near an arm comes to planes around it, a table or walls, and to itself.
+
+The shapes are those of `<collision>` in the URDF, tool included: boxes, cylinders and spheres, as Pinocchio reads them.
+How far they stay from planes is exact: each shape's nearest point counts, and so do the centres of the joints and the
+tool centre point. Whether the arm touches itself is left to Pinocchio's collision checker; links that a joint connects
+touch anyway. Meshes do not count, and the plan's table says so.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from rx90_common.base.arrays import Array, Index
+from rx90_common.description.robot import RobotModel
+from rx90_common.description.rotations import axis_rotation
+from rx90_emulator.identification.experiments.options import Wall
+
+SELF_CLEARANCE = 0.005
+"""m, that shapes of the arm keep from each other."""
+_ANGLE_STEP = 1e-4  # rad: the checker is right to about 1e-6 m
+_MIN_APPROACH = 1e-6  # m: a shape whose distance to a plane changes less over the joints' ranges does not count for it
+_WALL_SCALE = 0.1  # m too near to a wall that cost as much as a limit exceeded by its whole size
+_DISTANCE_MARGIN = 0.01  # m that a search leaves for what lies between its samples
+
+
+def _without_meshes(robot: RobotModel) -> tuple[str, tuple[str, ...]]:
+    """Return the URDF without meshes, and the links that had some, but for those that do not move."""
+    root, names = ET.fromstring(robot.urdf), []
+    for link in root.findall("link"):
+        for collision in link.findall("collision"):
+            if collision.find("geometry/mesh") is not None:
+                link.remove(collision)
+                name = str(link.get("name"))
+                if _joint_of(robot.model.frames[robot.model.getFrameId(name, pin.BODY)]) > 0:
+                    names.append(name)
+    return ET.tostring(root, encoding="unicode"), tuple(dict.fromkeys(names))
+
+
+def _joint_of(frame: Any) -> int:
+    """Return the number of the joint that moves a frame, 0 for the base; Pinocchio 2 calls it `parent`."""
+    return int(frame.parentJoint if hasattr(frame, "parentJoint") else frame.parent)
+
+
+class Workspace:
+    """Planes that an arm keeps away from, and pairs of its shapes that stay apart.
+
+    Args:
+        robot: an arm of n joints, with its tool.
+        walls: the planes.
+        home: where its runs begin, rad, shape (n,).
+
+    Attributes:
+        walls: the planes.
+        meshes: links with shapes that do not count.
+        uncounted: pairs of links that come too near to each other at home already: shapes are rough.
+    """
+
+    def __init__(self, robot: RobotModel, walls: Sequence[Wall], home: ArrayLike) -> None:
+        self.walls = tuple(walls)
+        urdf, self.meshes = _without_meshes(robot)
+        self._robot, self._model = robot, robot.model
+        self._shapes = pin.buildGeomFromUrdfString(robot.model, urdf, pin.COLLISION)
+        self._set_shapes()
+        poses = np.random.default_rng(0).uniform(robot.lower, robot.upper, (50, len(robot.joint_names)))
+        spread = [np.ptp(self._to_wall(poses, wall)[0], axis=0) for wall in walls]
+        # Not what only turns in place, such as a shoulder over a table.
+        self._movable = [np.flatnonzero(width > _MIN_APPROACH) for width in spread]
+        objects = self._shapes.geometryObjects
+        joint = [_joint_of(self._model.frames[one.parentFrame]) for one in objects]
+        pairs = [(a, b) for a, b in combinations(range(len(objects)), 2) if abs(joint[a] - joint[b]) > 1]
+        self._set_pairs(pairs)
+        near = self._self_distances(np.asarray(home, dtype=np.float64)[None, :])[0] < SELF_CLEARANCE
+        names = [" and ".join(objects[k].name.rpartition("_")[0] for k in pair) for pair in pairs]
+        self.uncounted = tuple(dict.fromkeys(name for name, one in zip(names, near, strict=True) if one))
+        self._set_pairs([pair for pair, one in zip(pairs, near, strict=True) if not one])
+
+    def _set_shapes(self) -> None:
+        """Write down the shapes that move, in frames of the joints that are parallel to the base's at 0.
+
+        A shape is a box with half-lengths, rounded by a ball, and a disk around its z axis: a cylinder is a disk with a
+        height, a sphere a ball alone, a point neither.
+        """
+        robot, model, data = self._robot, self._model, self._shapes.createData()
+        pin.updateGeometryPlacements(model, model.createData(), self._shapes, data, pin.neutral(model))
+        centers = np.cumsum(robot.chain.origin, axis=0)
+        names = [*robot.joint_names, robot.tcp_frame]
+        link = [*range(len(centers)), len(centers) - 1]
+        center = [*np.zeros_like(centers), robot.chain.tcp_position]
+        axes, half, disk, ball = ([each] * len(link) for each in (np.eye(3), np.zeros(3), 0.0, 0.0))
+        for one, placed in zip(self._shapes.geometryObjects, data.oMg, strict=True):
+            frame, shape = model.frames[one.parentFrame], one.geometry
+            joint = _joint_of(frame) - 1
+            if joint < 0:
+                continue
+            kind = type(shape).__name__
+            names.append(frame.name)
+            link.append(joint)
+            center.append(placed.translation - centers[joint])
+            axes.append(placed.rotation.copy())
+            round_half = np.array([0.0, 0.0, shape.halfLength]) if kind == "Cylinder" else np.zeros(3)
+            half.append(np.array(shape.halfSide) if kind == "Box" else round_half)
+            disk.append(shape.radius if kind == "Cylinder" else 0.0)
+            ball.append(shape.radius if kind == "Sphere" else 0.0)
+        self._names, self._link = names, np.array(link)
+        self._center, self._axes, self._half = np.array(center), np.array(axes), np.array(half)
+        self._disk, self._ball = np.array(disk), np.array(ball)
+
+    def _to_wall(self, position: Array, wall: Wall) -> tuple[Array, Array]:
+        """Return each shape's distance to a plane, m, shape (m, s), and its derivative by positions, shape (m, s, n).
+
+        A convex body's nearest point gives the derivative, whichever it is (envelope theorem).
+        """
+        chain, normal = self._robot.chain, np.array(wall.normal)
+        rotation, center = np.broadcast_to(np.eye(3), (len(position), 3, 3)), np.zeros((len(position), 3))
+        frames: list[tuple[Array, Array, Array]] = []
+        for joint, (origin, turn) in enumerate(zip(chain.origin, chain.axis, strict=True)):
+            center = center + rotation @ origin
+            axis = rotation @ turn
+            rotation = rotation @ axis_rotation(turn, position[:, joint])
+            frames.append((rotation, center, axis))
+        rotations, centers, axes = (np.stack(each, axis=1) for each in zip(*frames, strict=True))
+        turned = rotations[:, self._link] @ self._axes
+        along = np.einsum("i,msij->msj", normal, turned)
+        across = np.linalg.norm(along[..., :2], axis=-1)
+        local = -np.sign(along) * self._half
+        local[..., :2] -= along[..., :2] / np.maximum(across, 1e-12)[..., None] * self._disk[:, None]
+        point = np.einsum("msij,msj->msi", turned, local) - self._ball[:, None] * normal
+        point += centers[:, self._link] + np.einsum("msij,sj->msi", rotations[:, self._link], self._center)
+        lever = point[:, :, None, :] - centers[:, None, :, :]
+        swept = np.cross(np.broadcast_to(axes[:, None], lever.shape), lever) @ normal
+        moves = np.arange(len(self._robot.joint_names)) <= self._link[:, None]
+        return point @ normal - wall.distance, np.where(moves, swept, 0.0)
+
+    def lowest(self, position: Array) -> list[tuple[float, str]]:
+        """Return the least distance to each plane along a motion, m, and what comes so near; inf where nothing can."""
+        found = []
+        for wall, counts in zip(self.walls, self._movable, strict=True):
+            distance = self._to_wall(position, wall)[0][:, counts]
+            near = int(np.argmin(distance.min(axis=0))) if len(counts) else 0
+            found.append(
+                (float(distance[:, near].min()), self._names[counts[near]]) if len(counts) else (math.inf, "nothing")
+            )
+        return found
+
+    def nearness(self, position: Array, clearance: float) -> tuple[float, Array]:
+        """Return what it costs to be too near to walls or itself, and its derivative by the position, shape (m, n)."""
+        value, slope = 0.0, np.zeros_like(position)
+        for wall, counts in zip(self.walls, self._movable, strict=True):
+            distance, by_position = (each[:, counts] for each in self._to_wall(position, wall))
+            missing = np.maximum((clearance + _DISTANCE_MARGIN - distance) / _WALL_SCALE, 0.0)
+            value += float(np.sum(missing**2))
+            slope -= 2.0 / _WALL_SCALE * np.einsum("ms,msn->mn", missing, by_position)
+        gap = SELF_CLEARANCE + _DISTANCE_MARGIN
+        near = self.near_itself(position, gap)
+        distance = self._self_distances(position[near])
+        missing = np.maximum((gap - distance) / _WALL_SCALE, 0.0)
+        value += float(np.sum(missing**2))
+        slopes = self._self_slopes(position[near], distance, gap)
+        slope[near] -= 2.0 / _WALL_SCALE * np.einsum("ms,msn->mn", missing, slopes)
+        return value, slope
+
+    def _set_pairs(self, pairs: Sequence[tuple[int, int]]) -> None:
+        self._shapes.removeAllCollisionPairs()
+        for pair in pairs:
+            self._shapes.addCollisionPair(pin.CollisionPair(*pair))
+        self._data = self._model.createData(), self._shapes.createData()
+
+    def near_itself(self, position: Array, gap: float = SELF_CLEARANCE) -> Index:
+        """Return the rows of positions, rad, shape (m, n), where shapes are nearer to each other than a gap, m."""
+        arm, pairs = self._data
+        for request in pairs.collisionRequests:
+            request.security_margin = gap
+        touching = [pin.computeCollisions(self._model, arm, self._shapes, pairs, q, True) for q in position]
+        return np.flatnonzero(np.array(touching, dtype=bool))
+
+    def _self_distances(self, position: Array) -> Array:
+        """Return the distance of each pair, m, negative where they overlap, shape (m, p)."""
+        arm, pairs = self._data
+        found = np.empty((len(position), len(self._shapes.collisionPairs)))
+        for row, q in enumerate(position):
+            pin.computeDistances(self._model, arm, self._shapes, pairs, q)
+            found[row] = [one.min_distance for one in pairs.distanceResults]
+        return found
+
+    def _self_slopes(self, position: Array, distance: Array, gap: float) -> Array:
+        """Return the derivatives by positions of distances, m/rad, shape (m, p, n); 0 of those above a gap, m."""
+        arm, pairs = self._data
+        found = np.zeros((*distance.shape, position.shape[1]))
+        for row, q in enumerate(position):
+            close = np.flatnonzero(distance[row] < gap).tolist()
+            for joint in range(len(q)) if close else ():
+                moved = q.copy()
+                moved[joint] += _ANGLE_STEP
+                pin.updateGeometryPlacements(self._model, arm, self._shapes, pairs, moved)
+                for k in close:
+                    there = pin.computeDistance(self._shapes, pairs, k).min_distance
+                    found[row, k, joint] = (there - distance[row, k]) / _ANGLE_STEP
+        return found

@@ -1,0 +1,291 @@
+"""What the terminal says of an identification, a check of a friction file and a measured run: tables and sentences.
+
+Pages say the same sentences; `report` draws them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+from rx90_emulator.identification.estimates import ParameterEstimate
+from rx90_emulator.identification.excitation.friction.law import Part
+from rx90_emulator.identification.excitation.gains import PLAUSIBLE
+from rx90_emulator.identification.excitation.instruments import remark
+from rx90_emulator.identification.excitation.result import ExcitationIdentification
+from rx90_emulator.identification.excitation.torques import TorqueValidation, misfits
+from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
+from rx90_emulator.identification.presliding.kinds import decisions
+from rx90_emulator.identification.validation.measured import MeasuredComparison
+from rx90_emulator.identification.validation.prediction import Validation
+from rx90_emulator.identification.validation.verdict import Criterion, largest, verdict
+
+_CONFIRMED = ("confirmed", "NOT CONFIRMED")
+
+
+def percent(value: float, digits: int = 2, nothing: str = "-") -> str:
+    """Return a share in percent; NaN, which stands for what is not compared, as `nothing`."""
+    return nothing if math.isnan(value) else f"{value:.{digits}%}"
+
+
+def number(value: float, form: str = ".3f", nothing: str = "-") -> str:
+    """Return a number in a format; NaN, which stands for what is not compared, as `nothing`."""
+    return nothing if math.isnan(value) else f"{value:{form}}"
+
+
+def _table(head: Sequence[str], width: int, places: Sequence[int], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return the lines of a table: the first cells to the left in a width, the others to the right in their places."""
+    return [
+        f"{name:<{width}}" + "".join(f"{cell:>{place}}" for cell, place in zip(cells, places, strict=False))
+        for name, *cells in (head, *rows)
+    ]
+
+
+def _width(least: int, names: Iterable[str]) -> int:
+    return max(least, *(len(name) + 1 for name in names))
+
+
+def identification_summary(result: FrictionIdentification) -> str:
+    """Return values with deviations, true ones below, what is not identifiable and why, and the verdicts."""
+    parameters, rows, others = shown_parameters(result), [], []
+    for name, one in zip(result.arm.element_names, result.elements, strict=True):
+        if name not in result.told:
+            others.append(name)
+            continue
+        given = (one.estimates.get(parameter) for parameter in parameters)
+        rows.append([name, *("1" if each is None else _with_deviation(each, "not identifiable") for each in given)])
+        if name in result.truth:
+            rows.append(["  true", *(f"{getattr(result.truth[name], parameter):.6g}" for parameter in parameters)])
+    width = _width(10, result.arm.element_names)
+    lines = _table(["element", *parameters], width, [22] * len(parameters), rows)
+    if others:
+        lines.append(f"{', '.join(others)}: nothing identified")
+    lines += [f"not identifiable: {which(names)}: {reason}" for reason, names in result.unidentifiable.items()]
+    if compared := [(kind.element, kind.choice) for kind in result.kinds if kind.choice is not None]:
+        lines.append("bristles: missed of the friction torque (standard errors behind the best kind)")
+        families = [trial.family.name for trial in compared[0][1].trials]
+        rows = [[name, *(f"{t.missed:.1%} ({t.behind:.1f})" for t in choice.trials)] for name, choice in compared]
+        lines += _table(["element", *families], width, [25] * len(families), rows)
+    lines += [f"bristles of {names}: {text}" for names, text in decisions(result.kinds)]
+    if given_bristles := ", ".join(result.with_given_bristles):
+        lines.append(f"bristles of {given_bristles}: as c0 those of {result.fallback_name}, assumed")
+    names, sliding = result.arm.element_names, result.sliding
+    lines += [line for name, one in zip(names, sliding.quality, strict=True) if one for line in one.lines(name)]
+    lines += [sliding.zeros.text] if sliding.zeros is not None and sliding.zeros.text else []
+    lines += [f"{use.bag.path}: {use.text(names)}" for use in sliding.usage]
+    return "\n".join([*lines, *(_verdict(check, result.scope) for check in result.validations)])
+
+
+def _with_deviation(estimate: ParameterEstimate, unknown: str = "-") -> str:
+    if not estimate.identifiable:
+        return unknown
+    value, deviation = estimate.texts()
+    return f"{value} +- {deviation}" if estimate.deviation else value
+
+
+def which(lacking: Mapping[str, Sequence[str]]) -> str:
+    """Return parameters with the elements that lack them, elements that lack the same ones together."""
+    together: dict[str, list[str]] = {}
+    for name, parameters in lacking.items():
+        together.setdefault(", ".join(parameters), []).append(name)
+    return "; ".join(f"{parameters} of {', '.join(names)}" for parameters, names in together.items())
+
+
+def _verdict(check: Validation, scope: str = "") -> str:
+    *torque, tip = check.criteria
+    tips = (tip, f"RMS {check.tip_rms * 1e6:.2f} um") if len(check.tip_distance) else ("no set-points, so no tip path",)
+    words = (_CONFIRMED[0] + scope, _CONFIRMED[1] + scope)
+    return verdict(f"validation {check.source}", check.passed, words, torque, tips)
+
+
+def check_summary(checks: Sequence[Validation]) -> str:
+    """Return a table of the joints and the verdict for each bag that a friction file was held against."""
+    lines = []
+    for check in checks:
+        values = zip(check.names, check.rms, check.rms_share, check.worst, check.worst_share, strict=True)
+        rows = ((name, number(a), percent(b), number(c), percent(d)) for name, a, b, c, d in values)
+        head = ("joint", "RMS, Nm", "of torque", "worst, Nm", "of largest")
+        lines += _table(head, _width(8, check.names), (10, 11, 11, 12), rows)
+        lines += [check.zeros.text] if check.zeros is not None and check.zeros.text else []
+        lines.append(_verdict(check))
+    return "\n".join(lines)
+
+
+def measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
+    """Return what was simulated and how it was compared, a sentence each."""
+    bands = result.bandwidths
+    return (
+        f"set-points: {result.setpoints}",
+        f"torques and positions are compared below {bands.torque:.3g} Hz ({bands.reason})",
+        f"the simulated motion is {abs(result.lag) * 1e3:.3f} ms {'later' if result.lag >= 0.0 else 'earlier'}, which "
+        "is taken out",
+        *(
+            f"{name}'s motor is at its limit in {share:.1%} of the simulated time"
+            for name, share in zip(result.names, result.saturated, strict=True)
+            if share > 0.0
+        ),
+        *result.remarks,
+    )
+
+
+def measured_verdict(result: MeasuredComparison) -> str:
+    """Return the verdict, with what decides and its limits."""
+    *torque, position = result.criteria
+    return verdict(result.source.path, result.passed, ("agrees", "DOES NOT AGREE"), torque, (position,))
+
+
+def measured_summary(result: MeasuredComparison) -> str:
+    """Return set-points, filters and lag, a row for each joint, and the verdict."""
+    head = "joint", "torque RMS", "of measured", "worst", "of largest", "compared", "position RMS", "worst"
+    rows = [
+        (name, f"{number(result.torque_rms[k])} Nm", percent(result.torque_share[k]),
+         f"{number(result.torque_worst[k])} Nm", percent(result.worst_share[k]), f"{result.compared_share[k]:.0%}",
+         f"{1e3 * result.position_rms[k]:.3f} mrad", f"{1e3 * result.position_worst[k]:.3f} mrad")
+        for k, name in enumerate(result.names)
+    ]  # fmt: skip
+    table = _table(head, _width(8, result.names), (12, 13, 11, 12, 10, 15, 12), rows)
+    return "\n".join([*measured_facts(result), *table, measured_verdict(result)])
+
+
+def excitation_summary(result: ExcitationIdentification) -> str:
+    """Return friction with deviations, goodness of fit, the model that was kept, and what was left out and why."""
+    names, joints = result.problem.arm.element_names, result.problem.arm.names
+    shown = [friction_columns(one.estimates) for one in result.elements]
+    columns = list(dict.fromkeys(name for row in shown for name, one in row.items() if one.identifiable))
+    rows = [
+        [name, *(_with_deviation(row[c]) if c in row else "-" for c in columns)]
+        for name, row in zip(names, shown, strict=True)
+    ]
+    lines = _table(["element", *columns], _width(9, names), [22] * len(columns), rows)
+    # Where elements have different reasons, the report gives them.
+    lines += [
+        f"not identified: {parameters} of {elements}: {reasons[0] if len(reasons) == 1 else 'reasons in the report'}"
+        for parameters, elements, reasons in lacking(result)
+    ]
+    if result.undetermined:
+        unknown = ", ".join(result.undetermined)
+        lines.append(f"not determined by these runs: {unknown}; the files take them from the description")
+    runs = [*(("fitted", run) for run in result.torques), *(("unseen", one.torques) for one in result.validations)]
+    fits = []
+    for use, run in runs:
+        shares = [percent(v, 1) for v in (*run.share, run.total_share)]
+        fits.append([f"{use} {run.source.path.name}", *shares])
+        chi = (">1e4" if k else number(v, ".3g") for k, v in zip(run.noiseless, run.chi_square, strict=True))
+        fits.append(["  chi^2 over noise", *chi])
+        if run.noiseless.any():
+            fits.append(["  (>1e4: next to no noise beside the difference, as in smoothed torques; tells nothing)"])
+    width, places = max(8, *(len(run.source.path.name) + 9 for _, run in runs)), [max(10, len(n) + 2) for n in joints]
+    lines += _table(["torque RMS", *joints, "all"], width, [*places, 8], fits)
+    lines += [result.zeros.text] if result.zeros.text else []
+    return "\n".join([
+        *lines,
+        f"model: {kept_parts(result)}; last step of the choice: {result.model.reason}",
+        f"closed loop: {remark(result.instruments)}",
+        *_gain_texts(result),
+        *([] if result.loads is None else [result.loads.remark(names)]),
+        *(f"misfit: {text}" for text in misfits(result.speeds)),
+        *(f"drift: {one.text}" for one in result.trends),
+        *(excitation_verdict(check) for check in result.validations),
+    ])  # fmt: skip
+
+
+def excitation_criteria(check: TorqueValidation) -> tuple[Criterion, Criterion]:
+    """Return what the verdict on an excitation run rests on: torques of all joints, and of each."""
+    limits, run = check.tolerances, check.torques
+    return (
+        Criterion("torque RMS of all joints", run.total_share, limits.total, digits=1),
+        largest("largest", run.names, run.share, limits.joint, digits=1),
+    )
+
+
+def excitation_verdict(check: TorqueValidation) -> str:
+    """Return the verdict on a run that was not used, with what decides and its limits."""
+    return verdict(f"validation {check.torques.source.path}", check.passed, _CONFIRMED, excitation_criteria(check))
+
+
+def kept_parts(result: ExcitationIdentification) -> str:
+    """Return in words what the friction that was kept consists of, and which elements have it."""
+    names, parts = result.problem.arm.element_names, result.friction.parts
+    texts = ["Coulomb + viscous"]
+    for part in Part:
+        having = [name for name, own in zip(names, parts, strict=True) if part in own]
+        if having:
+            texts.append(f"{part.value}: {'all' if len(having) == len(names) else ', '.join(having)}")
+    return " + ".join(texts)
+
+
+def _gain_texts(result: ExcitationIdentification) -> list[str]:
+    """Return by what the recorded torque of each motor is multiplied, if that was identified, and what it leaves."""
+    if result.gains is None:
+        return []
+    gains = zip(result.problem.arm.names, result.gains.factor.tolist(), result.gains.deviation.tolist(), strict=True)
+    texts = [
+        f"{name} {' +- '.join(ParameterEstimate(value, deviation).texts())}" if math.isfinite(deviation)
+        else f"{name} 1 (the payload does not tell it)"
+        for name, value, deviation in gains
+    ]  # fmt: skip
+    text = f"drive gains, true over recorded torque: {', '.join(texts)}; all values are for torques multiplied by them"
+    return [text, *(f"warning: {warning}" for warning in gain_warnings(result))]
+
+
+def gain_warnings(result: ExcitationIdentification) -> list[str]:
+    """Return which drive gains are hardly to be believed, and which motors keep theirs, and what follows."""
+    if result.gains is None:
+        return []
+    gains, names = result.gains, result.problem.arm.names
+    lines = []
+    if len(gains.implausible):
+        values = ", ".join(f"{names[k]} {gains.factor[k]:.3g}" for k in gains.implausible)
+        lines.append(
+            f"hardly a drive gain: {values}; torque constants, hot magnets and gears explain {PLAUSIBLE[0]:g} to "
+            f"{PLAUSIBLE[1]:g}. Is the payload's mass or centre, the run that carried it, a gear or the unit of effort "
+            "another one (A RMS for peak A: 0.71 or 1.41)? Inertias, friction and torque constants are as much off then"
+        )
+    kept = [name for k, name in enumerate(names) if k not in gains.told]
+    if kept:
+        lines.append(
+            f"{', '.join(kept)} keep{'s' if len(kept) == 1 else ''} the given gain, whose scale may not fit "
+            "that of the identified ones: inertias, which all joints share, and torques there can be off by as much"
+        )
+    return lines
+
+
+_SHOWN = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1", "load.driving", "load.driven")
+
+
+def friction_columns(estimates: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
+    """Return estimates of an element in the order in which tables show them; both signs as one where they are equal."""
+    found = {}
+    for name in _SHOWN:
+        if name in estimates:
+            found[name] = estimates[name]
+        elif f"{name}_positive" in estimates:
+            positive, negative = (estimates[f"{name}_{sign}"] for sign in ("positive", "negative"))
+            unknown = not positive.identifiable and not negative.identifiable and positive.reason == negative.reason
+            if unknown or positive == negative:
+                found[name] = positive
+            else:
+                found |= {f"{name}+": positive, f"{name}-": negative}
+    return found
+
+
+def lacking(result: ExcitationIdentification) -> list[tuple[str, str, tuple[str, ...]]]:
+    """Return what is not identified: parameters, elements, and the reasons; what the same elements lack together."""
+    names = result.problem.arm.element_names
+    reasons: dict[str, dict[str, str]] = {}
+    for element, one in zip(names, result.elements, strict=True):
+        for name, estimate in friction_columns(one.estimates).items():
+            if not estimate.identifiable:
+                reasons.setdefault(name, {})[element] = estimate.reason
+    together: dict[tuple[tuple[str, str], ...], list[str]] = {}
+    for name, of in reasons.items():
+        together.setdefault(tuple(of.items()), []).append(name)
+    found = []
+    for lacked, parameters in together.items():
+        elements: dict[str, list[str]] = {}
+        for element, reason in lacked:
+            elements.setdefault(reason, []).append(element)
+        texts = [reason if len(elements) == 1 else f"{', '.join(of)}: {reason}" for reason, of in elements.items()]
+        whose = "all elements" if len(lacked) == len(names) else ", ".join(element for element, _ in lacked)
+        found.append((", ".join(parameters), whose, tuple(texts)))
+    return found

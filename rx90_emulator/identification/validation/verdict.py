@@ -1,0 +1,114 @@
+"""Recorded against predicted torques, and the verdict on them: each quantity with its joint, value and limit.
+
+Joints are compared where they move: the torque of a joint at rest depends on vibrations that no bag shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rx90_common.base.arrays import Array, Mask
+
+
+@dataclass(frozen=True, eq=False)
+class TorquePrediction:
+    """Recorded and predicted drive torques of n joints through the same low-pass.
+
+    Attributes:
+        time: s, shape (m,).
+        recorded: Nm, shape (m, n).
+        predicted: Nm, shape (m, n).
+        compared: where a joint moves, shape (m, n).
+    """
+
+    time: Array
+    recorded: Array
+    predicted: Array
+    compared: Mask
+
+    @property
+    def rms(self) -> Array:
+        """Return the RMS difference where a joint moves, Nm, shape (n,); NaN for a joint at rest."""
+        return self._rms(self.predicted - self.recorded)
+
+    @property
+    def worst(self) -> Array:
+        """Return the largest difference where a joint moves, Nm, shape (n,); NaN for a joint at rest."""
+        largest = np.where(self.compared, np.abs(self.predicted - self.recorded), 0.0).max(axis=0)
+        return np.where(self.compared.any(axis=0), largest, np.nan)
+
+    @property
+    def rms_share(self) -> Array:
+        """Return the RMS difference over the RMS recorded torque, shape (n,)."""
+        return np.asarray(self.rms / self._rms(self.recorded))
+
+    @property
+    def worst_share(self) -> Array:
+        """Return the largest difference over the largest recorded torque, shape (n,)."""
+        return np.asarray(self.worst / np.abs(self.recorded).max(axis=0))
+
+    @property
+    def total_share(self) -> float:
+        """Return the RMS difference of all joints over their RMS recorded torque."""
+        difference, recorded = (
+            np.where(self.compared, values, 0.0) for values in (self.predicted - self.recorded, self.recorded)
+        )
+        return float(np.linalg.norm(difference) / np.linalg.norm(recorded))
+
+    def _rms(self, values: Array) -> Array:
+        count = self.compared.sum(axis=0)
+        squares = np.where(self.compared, values, 0.0) ** 2
+        return np.asarray(np.sqrt(squares.sum(axis=0) / np.where(count, count, np.nan)))
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """A quantity that a verdict rests on.
+
+    Attributes:
+        quantity: in words.
+        value: its largest value, NaN if it is not compared.
+        limit: up to which it agrees.
+        joint: that has the value; "" for a quantity of the whole arm.
+        unit: of the text; %, or a millionth or thousandth of the value's own.
+        digits: behind the point.
+    """
+
+    quantity: str
+    value: float
+    limit: float
+    joint: str = ""
+    unit: str = "%"
+    digits: int = 2
+
+    @property
+    def passed(self) -> bool:
+        """Return whether it agrees."""
+        return not self.value > self.limit
+
+    @property
+    def text(self) -> str:
+        """Return quantity, value, joint and limit: "torque RMS 0.13% (joint_6, limit 5%)"."""
+        scale = {"%": 1e2, "mrad": 1e3}.get(self.unit, 1e6)
+        value = (
+            f"{self.value:.{self.digits}%}" if self.unit == "%" else f"{scale * self.value:.{self.digits}f} {self.unit}"
+        )
+        limit = f"{scale * self.limit:g}{'%' * (self.unit == '%')}"
+        return f"{self.quantity} {value} ({f'{self.joint}, ' * bool(self.joint)}limit {limit})"
+
+
+def largest(
+    quantity: str, names: Sequence[str], values: Array, limit: float, unit: str = "%", digits: int = 2
+) -> Criterion:
+    """Return the criterion of the joint with the largest value; NaN stands for a joint that is not compared."""
+    joint = int(np.nanargmax(values))
+    return Criterion(quantity, float(values[joint]), limit, names[joint], unit, digits)
+
+
+def verdict(source: object, passed: bool, words: tuple[str, str], *criteria: Sequence[Criterion | str]) -> str:
+    """Return one sentence: the bag, the verdict in the first or the second words, and groups of what decides."""
+    groups = (", ".join(one if isinstance(one, str) else one.text for one in group) for group in criteria)
+    return f"{source}: {words[0] if passed else words[1]}: {'; '.join(groups)}"
