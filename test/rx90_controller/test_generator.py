@@ -12,14 +12,6 @@ from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.points import message_content
 
 
-def test_without_a_trajectory_the_position_is_held(generator: TrajectoryGenerator) -> None:
-    """Nothing given, the set-point is the held position at rest, for ever."""
-    got = generator.setpoints(0, 5000)
-    assert np.all(got[:, 0] == HOME)
-    assert np.all(got[:, 1:] == 0.0)
-    assert not generator.moving(5000)
-
-
 def test_a_first_point_later_than_the_start_is_reached_from_the_held_position(
     generator: TrajectoryGenerator,
 ) -> None:
@@ -34,51 +26,6 @@ def test_a_first_point_later_than_the_start_is_reached_from_the_held_position(
     assert np.all(got[501:, 0] == HOME + 0.4)
     assert np.all(got[501:, 1:] == 0.0)
     assert not generator.moving(520)
-
-
-def test_a_start_in_the_future_waits_at_the_held_position(generator: TrajectoryGenerator) -> None:
-    """Until its start tick the old set-point is held, bit for bit; from it on the motion runs."""
-    assert generator.accept(move(0.4, 0.5), now=0, start=300) == (300, 800, 0.0)
-    assert generator.moving(0)
-    got = generator.setpoints(0, 1000)
-    assert np.all(got[:301, 0] == HOME)
-    assert np.all(got[:300, 1:] == 0.0)
-    fresh = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    fresh.accept(move(0.4, 0.5), now=0, start=None)
-    assert np.array_equal(got[300:], fresh.setpoints(0, 700))
-
-
-def test_a_replacement_in_motion_goes_on_from_there(generator: TrajectoryGenerator) -> None:
-    """A new trajectory takes over position and velocity of the running one without a jump."""
-    generator.accept(move(1.0, 1.0), now=0, start=None)
-    generator.setpoints(0, 400)
-    before = generator.setpoints(400)[0].copy()
-    generator.accept(points([0.6], [HOME], [ZERO]), now=401, start=401)
-    after = generator.setpoints(401, 700)
-    assert np.all(before[1] > 0.5)
-    assert after[0, 0] == pytest.approx(before[0] + PERIOD * before[1], abs=5e-6)
-    assert after[0, 1] == pytest.approx(before[1], abs=0.02)
-    assert np.abs(np.diff(after[:, 1], axis=0)).max() < 0.05
-    assert np.all(after[-1, 0] == HOME)
-
-
-def test_a_waiting_trajectory_is_replaced_by_the_next(generator: TrajectoryGenerator) -> None:
-    """Of two accepted trajectories only the later one runs."""
-    generator.accept(move(0.4, 0.5), now=0, start=200)
-    generator.accept(move(-0.3, 0.5), now=0, start=100)
-    got = generator.setpoints(0, 1000)
-    assert np.all(got[:, 0] <= HOME + 1e-12)
-    assert np.all(got[-1, 0] == HOME - 0.3)
-
-
-def test_the_running_motion_ends_before_a_later_start(generator: TrajectoryGenerator) -> None:
-    """A trajectory for later lets the running one finish and starts from where that one ends."""
-    generator.accept(move(0.4, 0.3), now=0, start=None)
-    generator.setpoints(0, 100)
-    generator.accept(points([0.3], [HOME], [ZERO]), now=100, start=500)
-    got = generator.setpoints(100, 1000)
-    assert np.all(got[399, 0] == HOME + 0.4)
-    assert np.all(got[-1, 0] == HOME)
 
 
 def test_a_stop_brakes_each_joint_within_its_limit_and_holds(generator: TrajectoryGenerator) -> None:
@@ -115,41 +62,6 @@ def test_each_end_is_told_once(generator: TrajectoryGenerator) -> None:
     generator.delay(70, 1170)
     assert [tick for tick in range(1170, 1700) if generator.ended(tick) is not None] == [1570]
     assert told == [None] * 100
-
-
-def test_reset_drops_what_runs_and_waits(generator: TrajectoryGenerator) -> None:
-    """After a reset the given position is held, whatever ran or waited before."""
-    generator.accept(move(0.4, 0.5), 0, None)
-    generator.setpoints(0, 100)
-    generator.accept(move(0.2, 0.5), 100, 200)
-    generator.reset(ZERO)
-    got = generator.setpoints(0, 1000)
-    assert np.all(got == 0.0)
-
-
-def test_a_delay_moves_the_running_trajectory_and_leaves_no_jump(generator: TrajectoryGenerator) -> None:
-    """Ticks that pass without set-points make what runs, and what was to replace it, come later by as much."""
-    runs = []
-    for delay in (0, 2000):
-        generator.reset(HOME)
-        generator.accept(move(0.4, 0.5), now=0, start=None)
-        first = generator.setpoints(0, 100)[:, 0]
-        generator.accept(move(0.1, 0.5), now=100, start=300)
-        generator.delay(delay, 100 + delay)
-        runs.append(np.vstack([first, generator.setpoints(100 + delay, 900)[:, 0]]))
-    assert np.array_equal(*runs)
-
-
-def test_a_trajectory_that_waits_at_rest_starts_in_time_after_a_delay(generator: TrajectoryGenerator) -> None:
-    """Where the arm rests, a delay does not move the start of what waits, unless that has passed."""
-    generator.accept(move(0.4, 0.5), now=0, start=3000)
-    generator.delay(2000, 2000)
-    assert np.all(generator.setpoints(2000, 1000)[:, 0] == HOME)
-    assert generator.setpoints(3500)[0, 0] == pytest.approx(HOME + 0.4)
-    generator.accept(move(0.0, 0.5), now=3600, start=4000)
-    generator.delay(2000, 5700)
-    assert generator.setpoints(5700)[0, 0] == pytest.approx(HOME + 0.4)
-    assert generator.setpoints(6200)[0, 0] == pytest.approx(HOME)
 
 
 @pytest.mark.parametrize("seed", range(12))

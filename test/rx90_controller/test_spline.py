@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import BPoly, CubicHermiteSpline, PPoly
 
-from rx90_controller.trajectory.spline import Bounds, Spline, interpolate
+from rx90_controller.trajectory.spline import Bounds, interpolate
 
 Array = NDArray[np.float64]
 TIMES = np.array([0.0, 0.13, 0.5, 0.51, 1.7, 2.0])
@@ -35,32 +35,6 @@ def test_accelerations_make_it_quintic() -> None:
     for order in range(3):
         want = spline(INSIDE, order)
         assert got[:, order] == pytest.approx(want, abs=1e-10 * np.abs(want).max())
-
-
-@pytest.mark.parametrize("given", ["velocity", "acceleration"])
-def test_every_point_is_met(given: str) -> None:
-    """At each knot the set-point is the point, with the derivatives it carries; after the last it rests."""
-    acceleration = ACCELERATION if given == "acceleration" else None
-    spline = interpolate(TIMES, POSITION, VELOCITY, acceleration)
-    got = spline.sample(TIMES[:-1])
-    assert got[:, 0] == pytest.approx(POSITION[:-1], abs=1e-15)
-    assert got[:, 1] == pytest.approx(VELOCITY[:-1], abs=1e-15)
-    if acceleration is not None:
-        assert got[:, 2] == pytest.approx(ACCELERATION[:-1], abs=1e-14)
-    before = spline.sample(np.nextafter(TIMES[1:], 0.0))
-    assert before[:, 0] == pytest.approx(POSITION[1:], abs=1e-12)
-    rest = spline.sample(np.array([2.0, 2.1, 1e6]))
-    assert np.all(rest[:, 0] == POSITION[-1])
-    assert np.all(rest[:, 1:] == 0.0)
-
-
-def test_a_resting_spline_rests() -> None:
-    """A spline of one knot gives its position at every time, also before it."""
-    spline = Spline(np.zeros(1), np.zeros((0, 6, 6)), POSITION[0])
-    got = spline.sample(np.array([-1.0, 0.0, 5.0]))
-    assert spline.duration == 0.0
-    assert np.all(got[1:, 0] == POSITION[0])
-    assert np.all(got[1:, 1:] == 0.0)
 
 
 def test_bounds_are_the_control_points() -> None:
