@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,30 +13,20 @@ import pytest
 import yaml
 from refusals import refusal_by
 
+from rx90_common.base.entries import REQUIRED, Entry, Number, Numbers, Switch
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.groups import Group
 from rx90_common.description.robot_files import RobotFiles
-from rx90_controller.law.parameters import CS7BParameters, load_controller
+from rx90_controller.law.parameters import CONTROLLER, CS7BParameters, load_controller
 from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
-POSITIVE_SIX = [
-    ("servo", "inertia"),
-    ("current_loop", "slew_rate"),
-    ("supervision", "following_error"),
-    ("trajectory", "max_acceleration"),
-]
-SIX = [
-    *POSITIVE_SIX,
-    ("servo", "kp"),
-    ("servo", "kv"),
-    ("servo", "ki"),
-    ("servo", "integrator_limit"),
-    ("feed_forward", "coulomb_torque"),
-    ("feed_forward", "viscous_friction"),
-]
-POSITIVE_ONE = [("feed_forward", "coulomb_velocity"), ("current_loop", "bandwidth"), ("supervision", "over_speed")]
-ONE = [*POSITIVE_ONE, ("trajectory", "start_tolerance")]
-SWITCHES = [("feed_forward", key) for key in ("velocity", "acceleration", "coulomb", "viscous")]
+KEYS: dict[str, Entry] = {
+    f"{block}.{key}": entry
+    for block, group in CONTROLLER.keys.items()
+    if isinstance(group, Group) and block != "model"
+    for key, entry in group.keys.items()
+}
 MODEL_SWITCHES = [("feed_forward", key) for key in ("inverse_dynamics", "friction_model")]
 
 
@@ -45,78 +35,41 @@ def refusal(path: Path) -> str:
     return refusal_by(load_controller, path)
 
 
-def test_these_are_all_keys(shipped_files: RobotFiles) -> None:
-    """The lists above name every key of the shipped file, so that none goes untested."""
-    data = yaml.safe_load(shipped_files.controller.read_text())
-    keys = [(block, key) for block in data for key in data[block] if key not in {"source", "provenance"}]
-    assert sorted(keys) == sorted(SIX + ONE + SWITCHES + MODEL_SWITCHES)
+def refused_values(entry: Entry) -> Iterator[tuple[Any, str]]:
+    """Yield values that a declaration does not accept, and what is said of them behind the key."""
+    if isinstance(entry, Switch):
+        yield from ((value, f" is {value!r}; accepted: true or false") for value in (1, 0.0, "maybe", None))
+        return
+    assert isinstance(entry, Number)
+    bounded = math.isfinite(entry.high)
+    beyond = [*([entry.low - 1.0] * math.isfinite(entry.low)), *([2.0 * entry.high, 1e308] * bounded)]
+    bad: list[Any] = [*beyond, math.nan, math.inf, "strong", None, True, *([entry.low] * entry.above)]
+    if isinstance(entry, Numbers):
+        good = entry.high if bounded else 1.0
+        yield from (([good] * 5 + [value], f"[5] is {value!r}; accepted: 6 numbers") for value in bad)
+        bad = [[good] * 5, [good] * 7, good, "1 2 3 4 5 6", None]
+        yield from ((value, f" is {value!r}; accepted: 6 numbers") for value in bad)
+    else:
+        yield from ((value, f" is {value!r}; accepted: ") for value in [*bad, [1.0]])
 
 
-@pytest.mark.parametrize("place", SIX, ids=".".join)
-@pytest.mark.parametrize("value", [-1.5, math.nan, math.inf, "strong", None, True])
-def test_a_bad_value_in_a_list_is_refused(
-    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
+@pytest.mark.parametrize("name", KEYS)
+def test_every_key_refuses_what_its_declaration_does_not_accept(
+    shipped_files: RobotFiles, edited_yaml: Edit, name: str
 ) -> None:
-    """One bad number of six is refused by file, key, index and value."""
-    assert f"{'.'.join(place)}[5] is {value!r};" in refusal(edited_yaml(shipped_files.controller, (*place, 5), value))
-
-
-@pytest.mark.parametrize("place", SIX, ids=".".join)
-def test_a_list_that_is_not_six_numbers_is_refused(
-    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str]
-) -> None:
-    """A list of another length, a single number or a text is refused with what was given."""
-    for value in ([1.0] * 5, [1.0] * 7, 3.0, "1 2 3 4 5 6", None):
-        said = refusal(edited_yaml(shipped_files.controller, place, value))
-        assert f"{'.'.join(place)} is {value!r}; accepted: 6 numbers" in said
-
-
-@pytest.mark.parametrize("place", ONE, ids=".".join)
-@pytest.mark.parametrize("value", [-1.5, math.nan, math.inf, "strong", None, True, [1.0]])
-def test_a_bad_single_value_is_refused(
-    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
-) -> None:
-    """A single value out of its range is refused by file, key and value."""
-    assert f"{'.'.join(place)} is {value!r};" in refusal(edited_yaml(shipped_files.controller, place, value))
-
-
-@pytest.mark.parametrize("place", POSITIVE_SIX + POSITIVE_ONE, ids=".".join)
-def test_zero_is_refused_where_it_means_nothing(
-    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str]
-) -> None:
-    """Zero is refused for what is divided by or would stop the amplifier."""
-    where = (*place, 0) if place in POSITIVE_SIX else place
-    assert "is 0.0;" in refusal(edited_yaml(shipped_files.controller, where, 0.0))
-
-
-@pytest.mark.parametrize("place", SWITCHES + MODEL_SWITCHES, ids=".".join)
-@pytest.mark.parametrize("value", [1, 0.0, "maybe", None])
-def test_a_switch_is_true_or_false(
-    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
-) -> None:
-    """A switch that is neither true nor false is refused."""
-    said = refusal(edited_yaml(shipped_files.controller, place, value))
-    assert f"{'.'.join(place)} is {value!r}; accepted: true or false" in said
+    """One line names file, key, index, value and what is accepted; a key without a default is missed."""
+    entry, place = KEYS[name], tuple(name.split("."))
+    for value, words in refused_values(entry):
+        assert f"{name}{words}" in refusal(edited_yaml(shipped_files.controller, place, value))
+    if entry.default is REQUIRED:
+        assert f"{name} is missing" in refusal(edited_yaml(shipped_files.controller, place, None, remove=True))
 
 
 def test_the_viscous_exponents_may_be_left_out(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
-    """Without them all are 1; six numbers in [0.3, 2] are taken, others are refused by key, index and value."""
+    """Without them all are 1; six numbers in [0.3, 2] are taken."""
     assert load_controller(shipped_files.controller).viscous_exponent.tolist() == [1.0] * 6
     place, good = ("feed_forward", "viscous_exponent"), [0.3, 0.6, 0.7, 1.0, 1.5, 2.0]
-    read = load_controller(edited_yaml(shipped_files.controller, place, good))
-    assert read.viscous_exponent.tolist() == good
-    for bad in (0.0, -0.6, 0.29, 2.01, math.nan, "half"):
-        said = refusal(edited_yaml(shipped_files.controller, place, [*good[:5], bad]))
-        assert f"feed_forward.viscous_exponent[5] is {bad!r}; accepted: 6 numbers, each a number in [0.3, 2]" in said
-    said = refusal(edited_yaml(shipped_files.controller, place, 0.6))
-    assert "feed_forward.viscous_exponent is 0.6; accepted: 6 numbers" in said
-
-
-@pytest.mark.parametrize("place", SIX + ONE + SWITCHES, ids=".".join)
-def test_a_missing_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str]) -> None:
-    """Without one of its keys the file is refused by that key."""
-    said = refusal(edited_yaml(shipped_files.controller, place, None, remove=True))
-    assert f"{'.'.join(place)} is missing" in said
+    assert load_controller(edited_yaml(shipped_files.controller, place, good)).viscous_exponent.tolist() == good
 
 
 @pytest.mark.parametrize("block", ["servo", "feed_forward", "current_loop", "supervision", "trajectory"])
