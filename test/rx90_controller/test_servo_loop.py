@@ -162,20 +162,6 @@ def test_a_stamp_too_far_ahead_is_refused(rig: Rig) -> None:
     assert rig.around.taken == [(1, 60_100_000_000, "")]
 
 
-def test_an_end_is_told_once(rig: Rig) -> None:
-    """What is accepted is published with its start; the end of the motion is one line with its time."""
-    rig.loop.hold(rig.states(0))
-    rig.around.lines.clear()
-    rig.loop.receive(rig.trajectory(0.1, stamp=(0, 500_000)))
-    assert rig.around.taken == [(1, 1_000_000, "")]
-    rig.run(0, 4004)
-    assert len(rig.around.lines) == 1
-    rig.run(4004, 5)
-    assert rig.around.lines[1:] == ["trajectory ended at 1.001 s; holding"]
-    rig.run(4009, 500)
-    assert len(rig.around.lines) == 2
-
-
 @pytest.mark.parametrize("named", [False, True])
 def test_an_empty_trajectory_stops_within_the_accelerations_and_holds(rig: Rig, named: bool) -> None:
     """Position and velocity of the set-points go on without a jump, then the place is held; two lines tell it."""
