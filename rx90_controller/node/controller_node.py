@@ -107,6 +107,10 @@ class Control:
             f"ready: {name}, velocity loops at {rates.base_hz} Hz, position loops at {rates.position_hz} Hz, states on "
             f"{channel.subscribe_topic}, trajectories on {node.resolve_topic_name(_TRAJECTORY)}"
         )
+        interfaces = import_client_interfaces(node)
+        self._state: ControllerState | None = None
+        if interfaces is not None:
+            self._state = interfaces.ControllerState(node, cs7b, goals.state_ticks)
 
         def topic(name: str) -> Publisher:
             return publish(node, JointState, f"~/{name}", STATE_QOS.profile)
@@ -121,10 +125,6 @@ class Control:
         self._details = [(topic(each), names.encoder(effort=values)) for each, names, values in details]
         self._detail_ns = tick_ns * declare_decimation(node)
         self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS.profile)
-        interfaces = import_client_interfaces(node)
-        self._state: ControllerState | None = None
-        if interfaces is not None:
-            self._state = interfaces.ControllerState(node, cs7b, goals.state_ticks)
         self.publishers: tuple[Publisher, ...] = (
             *(row[0] for row in self._every_tick),
             *(row[0] for row in self._details),
