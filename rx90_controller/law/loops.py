@@ -59,15 +59,7 @@ def position_servo(
 ) -> tuple[Lanes, Lanes, Lanes, Lanes]:
     """Return position error, integrator, torque of PI and torque of FF of one position tick.
 
-    Args:
-        law: constants, a record of CONTROLLER_DTYPE.
-        width: how many lanes of them, a literal.
-        position_setpoint: of the motors, rad.
-        velocity_setpoint: rad/s.
-        acceleration_setpoint: rad/s^2.
-        position: measured, rad.
-        integrator: Nm.
-        limited: sign of the last tick's saturation.
+    `width` lanes of the law's constants are used, a literal; `limited` is the sign of the last tick's saturation.
     """
     error = position_setpoint - position
     # Anti-windup: no integration further into the amplifier's saturation.
@@ -91,19 +83,9 @@ def velocity_servo(
     velocity: Lanes,
     current: Lanes,
 ) -> tuple[Lanes, Lanes, Lanes, Lanes]:
-    """Return commanded current, A, motor current, torque, Nm, and sign of the amplifier's saturation of a base tick.
+    """Return commanded current, motor current, torque and sign of the saturation of one base tick.
 
-    They are damping, amplifier limit, and current loop of first order with limited slew.
-
-    Args:
-        law: constants, a record of CONTROLLER_DTYPE.
-        width: how many lanes of them, a literal.
-        current_gain: of the current loop.
-        position_torque: of PI, Nm.
-        feed_forward: of FF, Nm.
-        velocity_setpoint: of the motors, rad/s.
-        velocity: measured, rad/s.
-        current: in the motors, A.
+    D's damping, the amplifier's limit, and C, the current loop of first order with limited slew.
     """
     damping = load(law.derivative, width) * (load(law.velocity_weight, width) * velocity_setpoint - velocity)
     peak, constant = load(law.peak_current, width), load(law.torque_constant, width)

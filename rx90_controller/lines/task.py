@@ -30,8 +30,6 @@ SETTLING = 0.2
 USUAL_SPEED = 0.1
 USUAL_ACCELERATION = 1.0
 """What a line has whose speed and acceleration nobody names, m/s and m/s²."""
-
-
 _angles = partial(Numbers, count=3, low=-360.0, high=360.0)
 _rest = partial(Number, low=0.0, high=LONGEST_REST, default=LEFT_OUT)
 
@@ -170,10 +168,10 @@ class LineTask:
 
     start: tuple[float, ...]
     end: tuple[float, ...]
-    speed: float
-    acceleration: float
-    start_rpy: tuple[float, ...]
-    end_rpy: tuple[float, ...]
+    speed: float = USUAL_SPEED
+    acceleration: float = USUAL_ACCELERATION
+    start_rpy: tuple[float, ...] = TOOL_DOWN
+    end_rpy: tuple[float, ...] = TOOL_DOWN
     rest_before: float = 0.5
     rest_after: float = 0.5
     branch: Branch = DEFAULT_BRANCH
@@ -243,13 +241,13 @@ def load_task(name: Path | str | None = None, *, robot: Path | str | None = None
     line = content["line"]
     start_rpy = line.pop("tool_rpy_degrees")
     end_rpy = line.pop("end_tool_rpy_degrees", start_rpy)
-    posture = content.get("posture")
+    posture = content.get("posture", {})
     try:
         return LineTask(
             **line,
             start_rpy=_radians(start_rpy),
             end_rpy=_radians(end_rpy),
-            branch=DEFAULT_BRANCH if posture is None else Branch(**posture),
+            branch=Branch(**posture),
         )
     except LineError as error:
         raise LineError(f"{file}: {error}") from error

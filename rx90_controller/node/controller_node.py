@@ -10,7 +10,6 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.guard_condition import GuardCondition
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -35,7 +34,7 @@ from rx90_common.exchange.qos import LATCHED_QOS, REQUEST_QOS, STATE_QOS, TICK_Q
 from rx90_common.exchange.qos_overrides import publish
 from rx90_common.exchange.subscribing import subscribe
 from rx90_common.exchange.throttle import ThrottledLog
-from rx90_common.exchange.tick_channel import Ends, MakeChannel, TickChannel
+from rx90_common.exchange.tick_channel import Ends, MakeChannel
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import (
     DETAILS,
@@ -68,39 +67,103 @@ _TRAJECTORY = "~/joint_trajectory"
 _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
-class ControllerOutputs:
-    """What the loops did, as topics, and lines for the user; called by the ticking thread: `Outputs`."""
+class Control:
+    """What a configured controller consists of, and the `Outputs` of its loop; the torque is off until that is active.
 
-    def __init__(
-        self, node: ManagedNode, channel: TickChannel, cs7b: CS7B, robot: str, state: ControllerState | None
-    ) -> None:
-        self._node, self._cs7b, self._state, self._log = node, cs7b, state, node.get_logger()
+    Args:
+        node: owner of topics, services and parameters.
+        files: the robot's.
+        make_channel: makes the exchange with the simulation.
+        local: whether a simulation in this process says how time is kept, by `serving.follow`; else the topic does.
+
+    Raises:
+        Rx90Error: for files and parameters that are refused, and a second controller.
+
+    Attributes:
+        loop: follows trajectories.
+        serving: runs it tick by tick.
+        publishers: of all that the ticking thread sends.
+        action: where control_msgs is there.
+        ready: the line that says that the first states have come.
+    """
+
+    def __init__(self, node: ManagedNode, files: RobotFiles, make_channel: MakeChannel, *, local: bool) -> None:
+        self._node, self._log = node, node.get_logger()
+        rates = declare_rates(node)
+        robot, drives = load_robot(files.urdf), load_drives(files.drives)
+        record = partial(CS7BParameters.record, robot=robot, drives=drives, rates=rates)
+        law = LawParameters(node, files.controller, record)
+        self._cs7b = cs7b = CS7B(robot, drives, law.parameters, rates)
+        cs7b.warm_up()
+        name, tick_ns = plain(robot.model.name), rates.period_ns * rates.ratio
+        channel = make_channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
+        goals = declare_goal_parameters(node, cs7b.joint_names, rates)
+        if goals.without_use:
+            self._log.warning(
+                f"not used, parameters of joint_trajectory_controller: {', '.join(goals.without_use)}; the law is the "
+                "CS7B's, set-points go on from set-points along splines, and whatever stops decelerates"
+            )
         self.ready = (
-            f"ready: {robot}, velocity loops at {cs7b.rates.base_hz} Hz, position loops at {cs7b.rates.position_hz} "
-            f"Hz, states on {channel.subscribe_topic}, trajectories on {node.resolve_topic_name(_TRAJECTORY)}"
+            f"ready: {name}, velocity loops at {rates.base_hz} Hz, position loops at {rates.position_hz} Hz, states on "
+            f"{channel.subscribe_topic}, trajectories on {node.resolve_topic_name(_TRAJECTORY)}"
         )
-        self.report: GuardCondition | None = None
-        codec, motors = JointStateCodec(cs7b.joint_names), JointStateCodec(MOTOR_NAMES)
+        interfaces = import_client_interfaces(node)
+        self._state: ControllerState | None = None
+        if interfaces is not None:
+            self._state = interfaces.ControllerState(node, cs7b, goals.state_ticks)
 
         def topic(name: str) -> Publisher:
             return publish(node, JointState, f"~/{name}", STATE_QOS.profile)
 
         # The arrays are always the same, brought up to date by a call of the same method.
+        codec, motors = JointStateCodec(cs7b.joint_names), JointStateCodec(MOTOR_NAMES)
         self._every_tick = [
             (topic("reference"), cs7b.reference, codec.encoder(*cs7b.reference())),
             (topic("tracking_error"), cs7b.tracking_error, codec.encoder(*cs7b.tracking_error())),
         ]
         details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
-        self._details = [(topic(name), names.encoder(effort=values)) for name, names, values in details]
-        self._detail_ns = cs7b.rates.period_ns * cs7b.rates.ratio * declare_decimation(node)
+        self._details = [(topic(each), names.encoder(effort=values)) for each, names, values in details]
+        self._detail_ns = tick_ns * declare_decimation(node)
         self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS.profile)
         self.publishers: tuple[Publisher, ...] = (
             *(row[0] for row in self._every_tick),
             *(row[0] for row in self._details),
             self._accepted,
-            *([state.publisher] if state is not None else []),
+            *([] if self._state is None else [self._state.publisher]),
             channel.publisher,
         )
+        self.loop = loop = ServoLoop(cs7b, self, declare_horizon(node), goals.monitor_ticks)
+        loop.active = loop.enabled = False
+        law.change_with(loop.change_law)
+        loop.options, loop.tolerances = goals.options, goals.tolerances
+        cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
+        self._report = node.create_guard_condition(loop.report)
+        messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, self.error)
+        self._pacer = Pacer(rates.period, 1.0)
+        self.serving = Serving(channel, messages, loop, self._pacer, self.info, name)
+        self._complaints = ThrottledLog(self.error)
+        if not local:
+            subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
+        qos = TRAJECTORY_QOS.profile
+        subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, qos, check_trajectory_bytes)
+        node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS.profile)
+        self.action: FollowJointTrajectoryAction | None = None
+        if interfaces is not None:
+            self.action = interfaces.serve_clients(node, loop, cs7b, lambda: channel.matches().publishers > 0)
+        allow_goal_changes(node, cs7b, loop)
+        self._reported = (0, time.monotonic())  # tick and time of the last status
+        self._diagnostics = Diagnostics(node, self._status)
+
+    # The ticking thread.
+
+    def tick_loop(self) -> None:
+        """Answer the simulation until `serving.stop`.
+
+        Raises:
+            ExchangeError: if the simulation's rates are not this one's.
+        """
+        self.serving.run()
+        node_tools.wait_until_received(self.publishers)
 
     def wait_for_subscribers(self) -> None:
         """Wait until subscribers, also those of the commands, are matched."""
@@ -121,10 +184,11 @@ class ControllerOutputs:
         if self._state is not None and stamp_ns % self._state.period_ns == 0:
             self._state.publish(stamp_ns)
 
+    # Any thread.
+
     def wake(self) -> None:
-        """Have the node's executor report; callable from every thread."""
-        if self.report is not None:
-            self.report.trigger()
+        """Have the node's executor report."""
+        self._report.trigger()
 
     def accepted(self, trajectory: JointTrajectory, start_ns: int, source: str = "") -> None:
         """Publish a trajectory as it came, stamped with its start; the frame says where from."""
@@ -141,77 +205,6 @@ class ControllerOutputs:
     def error(self, text: str) -> None:
         """Print what went wrong."""
         self._log.error(one_line(text))
-
-
-class Control:
-    """What a configured controller consists of; the torque is off until `loop` is activated.
-
-    Args:
-        node: owner of topics, services and parameters.
-        files: the robot's.
-        make_channel: makes the exchange with the simulation.
-        local: whether a simulation in this process says how time is kept, by `serving.follow`; else the topic does.
-
-    Raises:
-        Rx90Error: for files and parameters that are refused, and a second controller.
-
-    Attributes:
-        loop: follows trajectories.
-        serving: runs it tick by tick.
-        publishers: of all that the ticking thread sends.
-        action: where control_msgs is there.
-    """
-
-    def __init__(self, node: ManagedNode, files: RobotFiles, make_channel: MakeChannel, *, local: bool) -> None:
-        self._log = node.get_logger()
-        rates = declare_rates(node)
-        robot, drives = load_robot(files.urdf), load_drives(files.drives)
-        record = partial(CS7BParameters.record, robot=robot, drives=drives, rates=rates)
-        law = LawParameters(node, files.controller, record)
-        self._cs7b = cs7b = CS7B(robot, drives, law.parameters, rates)
-        cs7b.warm_up()
-        name = plain(robot.model.name)
-        channel = make_channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
-        goals = declare_goal_parameters(node, cs7b.joint_names, rates)
-        if goals.without_use:
-            self._log.warning(
-                f"not used, parameters of joint_trajectory_controller: {', '.join(goals.without_use)}; the law is the "
-                "CS7B's, set-points go on from set-points along splines, and whatever stops decelerates"
-            )
-        interfaces = import_client_interfaces(node)
-        state = None if interfaces is None else interfaces.ControllerState(node, cs7b, goals.state_ticks)
-        outputs = ControllerOutputs(node, channel, cs7b, name, state)
-        self.publishers = outputs.publishers
-        self.loop = loop = ServoLoop(cs7b, outputs, declare_horizon(node), goals.monitor_ticks)
-        loop.active = loop.enabled = False
-        law.change_with(loop.change_law)
-        loop.options, loop.tolerances = goals.options, goals.tolerances
-        cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
-        outputs.report = node.create_guard_condition(loop.report)
-        messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
-        self._pacer = Pacer(rates.period, 1.0)
-        self.serving = Serving(channel, messages, loop, self._pacer, outputs.info, name)
-        self._complaints = ThrottledLog(outputs.error)
-        if not local:
-            subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
-        qos = TRAJECTORY_QOS.profile
-        subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, qos, check_trajectory_bytes)
-        node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS.profile)
-        self.action: FollowJointTrajectoryAction | None = None
-        if interfaces is not None:
-            self.action = interfaces.serve_clients(node, loop, cs7b, lambda: channel.matches().publishers > 0)
-        allow_goal_changes(node, cs7b, loop)
-        self._reported = (0, time.monotonic())  # tick and time of the last status
-        self._diagnostics = Diagnostics(node, self._status)
-
-    def tick_loop(self) -> None:
-        """Answer the simulation until `serving.stop`, on the ticking thread.
-
-        Raises:
-            ExchangeError: if the simulation's rates are not this one's.
-        """
-        self.serving.run()
-        node_tools.wait_until_received(self.publishers)
 
     # Topics, services and diagnostics, on the executor's thread.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -32,16 +31,8 @@ Positions are those of the tool centre point in base_link; the tool's z axis is 
 points it down. example: rx90_line --start 0.6 -0.2 0.2 --end 0.6 0.2 0.2 --speed 0.1 --approach
 """
 _TIMEOUT = 30.0  # s
-# Options that go into the task as they are.
-_PLAIN_OPTIONS = (
-    "start",
-    "end",
-    "speed",
-    "acceleration",
-    "rest_before",
-    "rest_after",
-    "singularity_margin",
-)
+_PLAIN_OPTIONS = ("start", "end", "speed", "acceleration", "rest_before", "rest_after", "singularity_margin")
+"""Options that go into the task as they are."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -109,45 +100,25 @@ def main(options: argparse.Namespace) -> None:
         _send(plan, limits, options)
 
 
-def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
-    return tuple(math.radians(angle) for angle in degrees)
-
-
 def _task(options: argparse.Namespace, files: RobotFiles) -> LineTask:
-    """Return the task of the file with the options laid over it, or of the options alone."""
-    from rx90_controller.lines.task import (
-        DEFAULT_BRANCH,
-        TOOL_DOWN,
-        USUAL_ACCELERATION,
-        USUAL_SPEED,
-        LineTask,
-        load_task,
-    )
+    """Return the task of the file, or of start and end alone, with the options laid over it."""
+    from rx90_controller.lines.task import LineTask, load_task
 
     file = files.required("task") if options.reference else options.from_file
-    base = None if file is None else load_task(file)
+    task = LineTask(tuple(options.start), tuple(options.end)) if file is None else load_task(file)
     given: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value
         for key in _PLAIN_OPTIONS
         if (value := getattr(options, key)) is not None
     }
-    if options.tool_rpy is not None:
-        given["start_rpy"] = given["end_rpy"] = _radians(options.tool_rpy)
-    if options.end_tool_rpy is not None:
-        given["end_rpy"] = _radians(options.end_tool_rpy)
-    branch = base.branch if base else DEFAULT_BRANCH
+    for names, degrees in ((("start_rpy", "end_rpy"), options.tool_rpy), (("end_rpy",), options.end_tool_rpy)):
+        if degrees is not None:
+            given |= dict.fromkeys(names, tuple(math.radians(angle) for angle in degrees))
+    branch = task.branch
     given["branch"] = Branch(
         options.shoulder or branch.shoulder, options.elbow or branch.elbow, options.wrist or branch.wrist
     )
-    if base is not None:
-        return replace(base, **given)
-    usual: dict[str, Any] = {
-        "speed": USUAL_SPEED,
-        "acceleration": USUAL_ACCELERATION,
-        "start_rpy": TOOL_DOWN,
-        "end_rpy": TOOL_DOWN,
-    }
-    return LineTask(**(usual | given))
+    return replace(task, **given)
 
 
 def _send(plan: LinePlan, limits: JointLimits, options: argparse.Namespace) -> None:

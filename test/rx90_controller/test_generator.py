@@ -1,23 +1,20 @@
-"""The set-point generator: hold, start, follow, replace, stop, delay, hold again."""
+"""The set-point generator: follow, replace, stop, delay, hold, and the same rules written down a second time."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from joint_moves import HOME, LIMITS, NAMES, PERIOD, ZERO, move, points
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.points import message_content
-
-
-def test_without_a_trajectory_the_position_is_held(generator: TrajectoryGenerator) -> None:
-    """Nothing given, the set-point is the held position at rest, for ever."""
-    got = generator.setpoints(0, 5000)
-    assert np.all(got[:, 0] == HOME)
-    assert np.all(got[:, 1:] == 0.0)
-    assert not generator.moving(5000)
 
 
 def test_a_first_point_later_than_the_start_is_reached_from_the_held_position(
@@ -34,51 +31,6 @@ def test_a_first_point_later_than_the_start_is_reached_from_the_held_position(
     assert np.all(got[501:, 0] == HOME + 0.4)
     assert np.all(got[501:, 1:] == 0.0)
     assert not generator.moving(520)
-
-
-def test_a_start_in_the_future_waits_at_the_held_position(generator: TrajectoryGenerator) -> None:
-    """Until its start tick the old set-point is held, bit for bit; from it on the motion runs."""
-    assert generator.accept(move(0.4, 0.5), now=0, start=300) == (300, 800, 0.0)
-    assert generator.moving(0)
-    got = generator.setpoints(0, 1000)
-    assert np.all(got[:301, 0] == HOME)
-    assert np.all(got[:300, 1:] == 0.0)
-    fresh = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    fresh.accept(move(0.4, 0.5), now=0, start=None)
-    assert np.array_equal(got[300:], fresh.setpoints(0, 700))
-
-
-def test_a_replacement_in_motion_goes_on_from_there(generator: TrajectoryGenerator) -> None:
-    """A new trajectory takes over position and velocity of the running one without a jump."""
-    generator.accept(move(1.0, 1.0), now=0, start=None)
-    generator.setpoints(0, 400)
-    before = generator.setpoints(400)[0].copy()
-    generator.accept(points([0.6], [HOME], [ZERO]), now=401, start=401)
-    after = generator.setpoints(401, 700)
-    assert np.all(before[1] > 0.5)
-    assert after[0, 0] == pytest.approx(before[0] + PERIOD * before[1], abs=5e-6)
-    assert after[0, 1] == pytest.approx(before[1], abs=0.02)
-    assert np.abs(np.diff(after[:, 1], axis=0)).max() < 0.05
-    assert np.all(after[-1, 0] == HOME)
-
-
-def test_a_waiting_trajectory_is_replaced_by_the_next(generator: TrajectoryGenerator) -> None:
-    """Of two accepted trajectories only the later one runs."""
-    generator.accept(move(0.4, 0.5), now=0, start=200)
-    generator.accept(move(-0.3, 0.5), now=0, start=100)
-    got = generator.setpoints(0, 1000)
-    assert np.all(got[:, 0] <= HOME + 1e-12)
-    assert np.all(got[-1, 0] == HOME - 0.3)
-
-
-def test_the_running_motion_ends_before_a_later_start(generator: TrajectoryGenerator) -> None:
-    """A trajectory for later lets the running one finish and starts from where that one ends."""
-    generator.accept(move(0.4, 0.3), now=0, start=None)
-    generator.setpoints(0, 100)
-    generator.accept(points([0.3], [HOME], [ZERO]), now=100, start=500)
-    got = generator.setpoints(100, 1000)
-    assert np.all(got[399, 0] == HOME + 0.4)
-    assert np.all(got[-1, 0] == HOME)
 
 
 def test_a_stop_brakes_each_joint_within_its_limit_and_holds(generator: TrajectoryGenerator) -> None:
@@ -115,41 +67,6 @@ def test_each_end_is_told_once(generator: TrajectoryGenerator) -> None:
     generator.delay(70, 1170)
     assert [tick for tick in range(1170, 1700) if generator.ended(tick) is not None] == [1570]
     assert told == [None] * 100
-
-
-def test_reset_drops_what_runs_and_waits(generator: TrajectoryGenerator) -> None:
-    """After a reset the given position is held, whatever ran or waited before."""
-    generator.accept(move(0.4, 0.5), 0, None)
-    generator.setpoints(0, 100)
-    generator.accept(move(0.2, 0.5), 100, 200)
-    generator.reset(ZERO)
-    got = generator.setpoints(0, 1000)
-    assert np.all(got == 0.0)
-
-
-def test_a_delay_moves_the_running_trajectory_and_leaves_no_jump(generator: TrajectoryGenerator) -> None:
-    """Ticks that pass without set-points make what runs, and what was to replace it, come later by as much."""
-    runs = []
-    for delay in (0, 2000):
-        generator.reset(HOME)
-        generator.accept(move(0.4, 0.5), now=0, start=None)
-        first = generator.setpoints(0, 100)[:, 0]
-        generator.accept(move(0.1, 0.5), now=100, start=300)
-        generator.delay(delay, 100 + delay)
-        runs.append(np.vstack([first, generator.setpoints(100 + delay, 900)[:, 0]]))
-    assert np.array_equal(*runs)
-
-
-def test_a_trajectory_that_waits_at_rest_starts_in_time_after_a_delay(generator: TrajectoryGenerator) -> None:
-    """Where the arm rests, a delay does not move the start of what waits, unless that has passed."""
-    generator.accept(move(0.4, 0.5), now=0, start=3000)
-    generator.delay(2000, 2000)
-    assert np.all(generator.setpoints(2000, 1000)[:, 0] == HOME)
-    assert generator.setpoints(3500)[0, 0] == pytest.approx(HOME + 0.4)
-    generator.accept(move(0.0, 0.5), now=3600, start=4000)
-    generator.delay(2000, 5700)
-    assert generator.setpoints(5700)[0, 0] == pytest.approx(HOME + 0.4)
-    assert generator.setpoints(6200)[0, 0] == pytest.approx(HOME)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -196,3 +113,100 @@ def test_what_points_do_not_carry_is_interpolated_as_by_joint_trajectory_control
     twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
     twin.accept(TrajectoryPoints.create(NAMES, NAMES, again_times, *again), 0, None)
     assert twin.setpoints(0, end + 1)[:, :2] == pytest.approx(got[:, :2], abs=1e-6)
+
+
+class Reference:
+    """The generator's rules tick by tick, each set-point sampled from a generator that has one trajectory only."""
+
+    def __init__(self) -> None:
+        self.begin(HOME)
+
+    def begin(self, hold: Array) -> None:
+        """Hold a position, with nothing to follow."""
+        self.running, self.start = TrajectoryGenerator(LIMITS, PERIOD, hold), 0
+        self.length = 0
+        self.waiting: tuple[int, int, TrajectoryGenerator] | None = None
+
+    def setpoint(self, tick: int) -> Array:
+        """Return the set-point of a tick, the trajectory that waits begun if it is its time."""
+        if self.waiting is not None and tick >= self.waiting[0]:
+            (self.start, self.length, self.running), self.waiting = self.waiting, None
+        return self.running.setpoints(tick - self.start)[0]
+
+    def accept(self, to: Array, seconds: float, now: int, begin: int) -> None:
+        """Let a joint move to a point at rest begin at a tick."""
+        if self.waiting is not None and self.waiting[0] < now:
+            self.setpoint(now)
+        position, velocity, acceleration = self.running.setpoints(begin - self.start)[0]
+        both = TrajectoryPoints.create(
+            NAMES, NAMES, [0.0, seconds], [position, to], [velocity, ZERO], [acceleration, ZERO]
+        )
+        alone = TrajectoryGenerator(replace(LIMITS, acceleration=np.full(6, np.inf)), PERIOD, position)
+        alone.accept(both, 0, 0)
+        self.waiting = begin, round(seconds / PERIOD), alone
+
+    def delay(self, count: int, tick: int) -> None:
+        """Let ticks from `tick` on pass."""
+        if self.waiting is not None and self.waiting[0] < tick:
+            self.setpoint(tick)
+        resting = tick - self.start >= self.length
+        self.start += count
+        if self.waiting is not None:
+            begin, length, alone = self.waiting
+            self.waiting = max(begin, tick + count) if resting else begin + count, length, alone
+
+
+@settings(max_examples=80)
+@given(st.data())
+def test_random_requests_give_what_the_rules_say(data: st.DataObject) -> None:
+    """However trajectories, delays, resets and blocks follow each other, set-points are those of the rules."""
+    generator, reference, tick = TrajectoryGenerator(LIMITS, PERIOD, HOME), Reference(), 0
+    for _ in range(data.draw(st.integers(1, 12))):
+        what = data.draw(st.sampled_from(["run", "run", "accept", "accept", "delay", "reset"]))
+        count = data.draw(st.integers(1, 150))
+        if what == "run":
+            revision = generator.revision
+            ahead = generator.setpoints(tick, count)
+            wanted = np.array([reference.setpoint(tick + k) for k in range(count)])
+            assert ahead == pytest.approx(wanted, abs=1e-9)
+            assert generator.revision == revision
+            tick += count
+        elif what == "accept":
+            to, seconds = HOME + 0.001 * data.draw(st.integers(-50, 50)), 0.001 * data.draw(st.integers(150, 400))
+            begin = tick + data.draw(st.integers(0, 200))
+            target = TrajectoryPoints.create(NAMES, NAMES, [seconds], [to], [ZERO], [ZERO])
+            revision = generator.revision
+            assert generator.accept(target, tick, begin).begin == begin
+            assert generator.revision != revision
+            reference.accept(to, seconds, tick, begin)
+        elif what == "delay":
+            tick += count
+            generator.delay(count, tick)
+            reference.delay(count, tick - count)
+        else:
+            hold = generator.setpoints(tick)[0, 0]
+            tick = data.draw(st.integers(0, 1000))
+            generator.reset(hold)
+            reference.begin(hold)
+
+
+@given(
+    blocks=st.lists(st.integers(1, 400), min_size=1, max_size=12),
+    start=st.integers(0, 900),
+    seconds=st.floats(0.3, 1.2),
+)
+@settings(max_examples=60)
+def test_a_block_equals_the_same_ticks_one_by_one(blocks: list[int], start: int, seconds: float) -> None:
+    """However the ticks are grouped, the set-points are the same to the last bit."""
+
+    def fresh() -> TrajectoryGenerator:
+        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+        generator.accept(points([seconds / 2, seconds], [HOME + 0.2, HOME + 0.1], [ZERO + 0.1, ZERO]), 0, start)
+        return generator
+
+    single, grouped, tick = fresh(), fresh(), 0
+    for count in blocks:
+        block = grouped.setpoints(tick, count)
+        assert block.shape == (count, 3, 6)
+        assert np.array_equal(block, np.concatenate([single.setpoints(tick + k) for k in range(count)]))
+        tick += count

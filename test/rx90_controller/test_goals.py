@@ -1,4 +1,4 @@
-"""The contract of FollowJointTrajectory without ROS: what is refused, and what a goal says of its tolerances."""
+"""Goals of FollowJointTrajectory without ROS: what is refused, how one is followed, its tolerances, and how it ends."""
 
 from __future__ import annotations
 
@@ -11,33 +11,23 @@ from goal_arm import Arm, checked, message, stamp, tolerance, two
 from joint_moves import HOME, NAMES, PERIOD, ZERO
 
 from rx90_common.base.errors import ConfigError
-from rx90_controller.trajectory.request import GoalError, GoalTolerances, ResultCode
-
-
-def apart() -> list[SimpleNamespace]:
-    """Return two points at the same time, in different places."""
-    points = two(1.0, 1.0)
-    points[0].positions = [0.0] * 6
-    return points
-
+from rx90_controller.trajectory.request import (
+    GoalError,
+    GoalOptions,
+    GoalTolerances,
+    ResultCode,
+    State,
+    check_request,
+)
 
 REFUSED: dict[str, tuple[dict[str, Any], ResultCode, str]] = {
     "no joints": ({"joint_names": []}, ResultCode.INVALID_JOINTS, "'joint_1' is missing; accepted: all of joint_1"),
     "wrong joints": ({"joint_names": ["a", *NAMES[1:]]}, ResultCode.INVALID_JOINTS, "unknown joint 'a'; accepted:"),
-    "one too many": ({"joint_names": [*NAMES, "b"]}, ResultCode.INVALID_JOINTS, "unknown joint 'b'; accepted:"),
     "repeated": ({"joint_names": [*NAMES[:5], "joint_1"]}, ResultCode.INVALID_JOINTS, "'joint_1' stands 2 times"),
-    "a subset": ({"joint_names": list(NAMES[:5])}, ResultCode.INVALID_JOINTS, "'joint_6' is missing; accepted: all"),
     "no points": ({"points": []}, ResultCode.INVALID_GOAL, "no points; accepted: at least one"),
     "end velocity": ({"velocities": [0, 0.1, 0, 0, 0, 0]}, ResultCode.INVALID_GOAL, "joint_2 ends at 0.1 rad/s"),
-    "equal times": ({"points": apart()}, ResultCode.INVALID_GOAL, "point 1: time_from_start 1 s after 1 s"),
     "falling times": ({"points": two(1.0, 0.5)}, ResultCode.INVALID_GOAL, "point 1: time_from_start 0.5 s after 1 s"),
-    "a time before the start": ({"points": two(-1.0, 0.5)}, ResultCode.INVALID_GOAL, "time_from_start -1 s; accepted"),
-    "no positions": ({"positions": []}, ResultCode.INVALID_GOAL, "no positions; accepted: positions of all"),
-    "few positions": ({"positions": [0.0] * 5}, ResultCode.INVALID_GOAL, "5 positions; accepted: 6"),
-    "many velocities": ({"velocities": [0.0] * 7}, ResultCode.INVALID_GOAL, "7 velocities; accepted: 6"),
-    "few accelerations": ({"accelerations": [0.0]}, ResultCode.INVALID_GOAL, "1 accelerations; accepted: 6"),
     "effort": ({"effort": [1.0] * 6}, ResultCode.INVALID_GOAL, "point 0: carries effort; accepted:"),
-    "not a number": ({"positions": [0.0] * 5 + [np.nan]}, ResultCode.INVALID_GOAL, "of joint_6 is nan; accepted"),
     "more than joints": (
         {"multi_dof_trajectory": SimpleNamespace(joint_names=["base"], points=[])},
         ResultCode.INVALID_GOAL,
@@ -208,3 +198,222 @@ def test_a_point_at_the_start_elsewhere_or_over_is_refused() -> None:
         arm.offer("over", message(seconds=0.0, stamp=0.1))
     assert caught.value.code is ResultCode.OLD_HEADER_TIMESTAMP
     assert [event.state.name for event in arm.run(600)] == ["SUCCEEDED"]
+
+
+def test_a_goal_that_is_followed_succeeds_at_its_last_point() -> None:
+    """From waiting to running to succeeded, with code 0; then the last point is held and no goal is active."""
+    arm = Arm()
+    assert arm.offer("a", message(stamp=0.1)) is None
+    arm.run(100)
+    assert arm.active == "a"
+    assert arm.feedback is None
+    assert arm.run(600) == []
+    event = arm.run(1)[0]
+    assert event == ("a", State.SUCCEEDED, 0, "goal reached at 0.7 s, 0 s after the last point", 701)
+    assert arm.active is None
+    assert arm.feedback is None
+    assert arm.run(500) == []
+    assert np.all(arm.setpoints[-1] == [HOME + 0.2, ZERO, ZERO])
+
+
+def test_feedback_says_what_is_wanted_and_what_is() -> None:
+    """Desired, actual and error at the last tick, in time of the trajectory and of the clock, which scaling parts."""
+    arm = Arm()
+    arm.off[1], arm.off_speed[1] = 0.01, 0.1
+    arm.trajectory.set_speed_scaling(0.5, 0)
+    arm.offer("a", message())
+    arm.run(301)
+    feedback = arm.feedback
+    assert feedback is not None
+    assert feedback.tick == 300
+    assert feedback.desired[0] == pytest.approx(HOME + 0.2 * (3 * 0.25**2 - 2 * 0.25**3))
+    assert feedback.error[0] == pytest.approx(arm.off)
+    assert feedback.error[1] == pytest.approx(arm.off_speed)
+    assert feedback.actual[:2] == pytest.approx(feedback.desired[:2] - feedback.error[:2])
+    # The measured acceleration is the difference of the velocities over a tick.
+    assert feedback.actual[2] == pytest.approx(feedback.desired[2], abs=0.05)
+    assert (feedback.desired_time, feedback.actual_time) == pytest.approx((0.15, 0.3))
+
+
+@pytest.mark.parametrize("at", [1, 123, 300, 599])
+def test_a_cancelled_goal_stops_along_the_path(at: int) -> None:
+    """CANCELED at once; the arm comes to rest on the straight way between the poses, and holds."""
+    arm, way = Arm(), np.array([0.2, 0.1, -0.1, 0.3, 0.2, 0.4])
+    arm.offer("a", message(HOME + way))
+    arm.run(at)
+    event = arm.cancel()
+    assert event is not None
+    assert event.key == "a"
+    assert event[1:3] == (State.CANCELED, ResultCode.SUCCESSFUL)
+    assert event.text.startswith(f"cancelled; stopping from {at * PERIOD:g} s on, at rest at ")
+    assert arm.cancel() is None
+    assert arm.run(300) == []
+    assert arm.stopped_smoothly()
+    share = (np.array(arm.setpoints)[:, 0] - HOME) / way
+    assert np.abs(share - share[:, :1]).max() < 1e-9
+    assert arm.outputs.info.call_args.args[0].startswith("stopped at ")
+
+
+def test_a_new_goal_pre_empts_the_one_before() -> None:
+    """The one before ends with code -1; a refused one leaves it and its set-points as they are."""
+    arm = Arm()
+    arm.offer("a", message())
+    arm.run(200)
+    with pytest.raises(GoalError) as caught:
+        arm.offer("b", message(HOME + 9.0))
+    assert caught.value.code is ResultCode.INVALID_GOAL
+    assert arm.active == "a"
+    event = arm.offer("c", message(HOME - 0.1, 0.9))
+    assert event is not None
+    assert event == ("a", State.ABORTED, ResultCode.INVALID_GOAL, "pre-empted by a new goal, at 0.2 s", 200)
+    ended = arm.run(1000)
+    assert [(each.key, each.state) for each in ended] == [("c", State.SUCCEEDED)]
+    assert arm.stopped_smoothly()
+    assert np.all(arm.setpoints[-1][0] == HOME - 0.1)
+
+
+def test_what_ends_the_following_ends_the_goal() -> None:
+    """Brakes, a reset or a deactivation: code -1 with the reason; what the arm does is left to who says so."""
+    arm = Arm()
+    assert arm.drop("the torque is off") is None
+    arm.offer("a", message())
+    arm.run(100)
+    event = arm.drop("the torque is off")
+    assert event == ("a", State.ABORTED, ResultCode.INVALID_GOAL, "the torque is off, at 0.1 s", 100)
+    arm.run(600)
+    assert np.all(arm.setpoints[-1][0] == HOME + 0.2)
+
+
+def test_a_goal_held_on_its_path_goes_on_and_succeeds() -> None:
+    """Scaled to 0 in mid-motion no time passes on the trajectory; scaled up again it ends as it would have."""
+    arm = Arm()
+    arm.offer("a", message())
+    arm.run(200)
+    arm.trajectory.set_speed_scaling(0.0, arm.tick)
+    assert arm.run(3000) == []
+    held = arm.feedback
+    assert held is not None
+    assert held.desired_time < 0.3
+    arm.trajectory.set_speed_scaling(1.0, arm.tick)
+    assert [each.state for each in arm.run(800)] == [State.SUCCEEDED]
+    assert arm.stopped_smoothly()
+
+
+def test_a_goal_may_start_where_the_path_is_now() -> None:
+    """With allow_trajectory_replacement a first point at the start may lie elsewhere; without, it may not."""
+    both = two(0.0, 0.8)
+    for allowed in (False, True):
+        arm = Arm(allow_trajectory_replacement=allowed)
+        arm.offer("a", message())
+        arm.run(300)
+        goal = message(points=both)
+        if allowed:
+            arm.offer("b", goal)
+            assert [each.state for each in arm.run(900)] == [State.SUCCEEDED]
+            assert arm.stopped_smoothly()
+        else:
+            with pytest.raises(GoalError, match=r"starts at .* accepted: within"):
+                arm.offer("b", goal)
+
+
+@pytest.mark.parametrize(
+    ("goal", "row", "amount", "said"),
+    [
+        ({"path_tolerance": [tolerance("joint_4", 0.02)]}, 0, 0.03, "position error 0.03 rad, accepted up to 0.02 rad"),
+        (
+            {"path_tolerance": [tolerance("joint_4", 0.0, 0.3)]},
+            1,
+            -0.4,
+            "velocity error -0.4 rad/s, accepted up to 0.3 rad/s",
+        ),
+    ],
+)
+@pytest.mark.parametrize("at", [0, 250])
+def test_a_path_tolerance_holds_from_the_first_sample_on(
+    goal: dict[str, Any], row: int, amount: float, said: str, at: int
+) -> None:
+    """Beyond it in any sample: code -4 with joint, amount, limit and time, and a stop along the path."""
+    arm = Arm()
+    arm.offer("a", message(**goal))
+    assert arm.run(at) == []
+    (arm.off, arm.off_speed)[row][3] = amount
+    event = arm.run(1)[0]
+    assert event[1:3] == (State.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED)
+    time = f"{at * PERIOD:g} s"
+    assert event.text == f"joint_4: {said} along the path, at {time}, {time} on the trajectory"
+    assert arm.run(300) == []
+    assert arm.stopped_smoothly()
+    assert np.abs(arm.setpoints[-1][0] - HOME).max() < 0.15
+
+
+def test_an_acceleration_beyond_its_tolerance_is_found() -> None:
+    """A jump of the measured velocity over a tick is an acceleration."""
+    arm = Arm()
+    arm.offer("a", message(path_tolerance=[tolerance("joint_1", 0.0, 0.0, 8.0)]))
+    assert arm.run(100) == []
+    arm.off_speed[0] = 0.02
+    event = arm.run(1)[0]
+    assert event.code is ResultCode.PATH_TOLERANCE_VIOLATED
+    assert event.text.startswith("joint_1: acceleration error 19.99 rad/s^2, accepted up to 8 rad/s^2 along")
+
+
+def test_what_is_furthest_beyond_its_tolerance_is_named() -> None:
+    """Of several violations the largest in terms of its limit is told; a value that is none counts as the largest."""
+    for wrong, joint in ((0.5, "joint_2"), (np.nan, "joint_5")):
+        arm = Arm()
+        arm.offer("a", message(path_tolerance=[tolerance("joint_5", 0.4), tolerance("joint_2", 0.1)]))
+        arm.off[1], arm.off[4] = 0.5, wrong
+        assert arm.run(1)[0].text.startswith(f"{joint}: position error")
+
+
+def test_a_goal_is_reached_once_its_tolerances_hold() -> None:
+    """Past the last point it settles, and succeeds within goal_time; path tolerances no longer count."""
+    arm = Arm()
+    arm.offer("a", message(goal_time_tolerance=stamp(0.2)))
+    arm.run(600)
+    arm.off[2], arm.off[1] = 0.011, 0.06
+    assert arm.run(150) == []
+    assert arm.active == "a"
+    arm.off[2] = 0.009
+    assert arm.run(1)[0].text == "goal reached at 0.75 s, 0.15 s after the last point"
+
+
+def test_a_goal_that_is_not_reached_in_time_is_aborted() -> None:
+    """After goal_time: code -5 with joint, amount, limit and time; exactly goal_time is still in time."""
+    arm = Arm()
+    arm.offer("a", message(goal_time_tolerance=stamp(0.2)))
+    arm.off[2] = 0.011
+    assert arm.run(801) == []
+    event = arm.run(1)[0]
+    assert event[1:3] == (State.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
+    assert event.text == (
+        "joint_3: position error 0.011 rad, accepted up to 0.01 rad at the goal, 0.201 s after the last point, "
+        "at 0.801 s, 0.801 s on the trajectory"
+    )
+    arm.run(100)
+    assert arm.stopped_smoothly()
+    assert np.all(arm.setpoints[-1][0] == HOME + 0.2)
+
+
+def test_without_goal_time_a_goal_settles_for_ever() -> None:
+    """With goal_time 0 in defaults and goal, the stopped-velocity tolerance alone decides, however long it takes."""
+    arm = Arm()
+    goal = message()
+    tolerances = GoalTolerances.of_parameters(NAMES)
+    arm.offer("a", check_request(goal.trajectory, tolerances, GoalOptions(), 1000, goal))
+    arm.off_speed[0] = 0.011
+    assert arm.run(5000) == []
+    arm.off_speed[0] = 0.009
+    assert arm.run(1)[0].state is State.SUCCEEDED
+
+
+def test_tolerances_of_a_goal_end_with_it() -> None:
+    """A goal without tolerances of its own has the defaults, whatever the one before had."""
+    arm = Arm()
+    arm.offer("a", message(path_tolerance=[tolerance("joint_2", -1.0)]))
+    arm.off[1] = 0.06
+    assert arm.run(300) == []
+    arm.offer("b", message())
+    event = arm.run(1)[0]
+    assert event.key == "b"
+    assert event.code is ResultCode.PATH_TOLERANCE_VIOLATED

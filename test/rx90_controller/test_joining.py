@@ -154,23 +154,6 @@ def test_refusals_count_the_points_as_they_were_sent(generator: TrajectoryGenera
         generator.join(points([0.1, 0.2, 0.301], [*way[:2], HOME - 0.5], rest), 400, 100, anywhere=False)
 
 
-@given(at=st.integers(1, 999), factor=st.sampled_from([1.0, 0.6, 0.05, 0.0]), ahead=st.sampled_from([0, 0, 150]))
-@settings(max_examples=25)
-def test_a_replacement_is_continuous_at_any_speed(at: int, factor: float, ahead: int) -> None:
-    """Joined anywhere to a running motion at any scaling, now or later, position and velocity go on without a jump."""
-    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    generator.accept(points([1.0], [HOME + 0.4], [ZERO]), 0, None)
-    generator.set_speed_scaling(factor, max(at - 20, 1))
-    got = [generator.setpoints(0, at)]
-    start = at + ahead if ahead else None
-    generator.join(points([1.2, 2.0], [HOME, HOME + 0.2], [ZERO, ZERO]), at, start, anywhere=False)
-    got.append(generator.setpoints(at, 300))
-    generator.set_speed_scaling(1.0, at + 300)
-    got.append(generator.setpoints(at + 300, 4000))
-    within_limits(np.concatenate(got))
-    assert np.all(got[-1][-1] == [HOME + 0.2, ZERO, ZERO])
-
-
 REQUESTS = ("join", "join", "accept", "scale", "scale", "halt", "stop", "delay")
 
 

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ import yaml
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from schema_faults import schema_faults
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -26,7 +28,9 @@ from rx90_common.base.share import config_path
 from rx90_common.process.children import executable
 from rx90_controller.lines.plan import Approach, plan_line
 from rx90_controller.lines.task import load_task
+from rx90_controller.node import trajectory_client
 from rx90_controller.node.trajectory_client import TrajectoryClient
+from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.setup import Setup
 
@@ -34,58 +38,28 @@ REFERENCE = "robots/rx90b/task.yaml"
 PATIENCE = 60.0
 
 
-def test_dry_run_prints_the_plan(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (f"--from-file {REFERENCE}", ["5.600 s, moving from 1.000 s to 5.100 s", "front/positive/positive"]),
+        # 0.4 m at 0.2 m/s and 1 m/s^2: 2 s + 0.2 s; what is given beside a task file replaces what that has.
+        (f"--from-file {REFERENCE} --speed 0.2 --rest-before 0.25", ["2.950 s, moving from 0.250 s to 2.450 s"]),
+        # Start and end are enough; negative coordinates are no options.
+        (
+            "--start 0.6 -0.2 0.2 --end 0.6 0.2 0.2 --wrist negative",
+            ["0.4000 m at 0.1 m/s", "front/positive/negative"],
+        ),
+    ],
+)
+def test_dry_run_prints_the_plan(capsys: pytest.CaptureFixture[str], arguments: str, words: list[str]) -> None:
     """The table names duration, posture, knots, each margin and each joint, and nothing is sent."""
-    assert run("rx90_line", ["--from-file", REFERENCE, "--dry-run"]) == 0
+    assert run("rx90_line", [*arguments.split(), "--dry-run"]) == 0
     out = capsys.readouterr().out
-    assert "5.600 s, moving from 1.000 s to 5.100 s" in out
-    assert "front/positive/positive" in out
+    assert [word for word in words if word not in out] == []
     rows = {line.split()[0]: line.split()[1:] for line in out.splitlines()}
-    assert [float(x) for x in rows["joint_1"][:3]] == pytest.approx([-26.57, -26.57, 7.18])
-    assert {
-        "joint_1",
-        "joint_2",
-        "joint_3",
-        "joint_4",
-        "joint_5",
-        "joint_6",
-        "knots",
-        "margin",
-    } <= rows.keys()
-
-
-def test_options_win_over_the_file(capsys: pytest.CaptureFixture[str]) -> None:
-    """A speed and a rest given beside a task file replace those of the file, the rest of it stays."""
-    assert run("rx90_line", ["--from-file", REFERENCE, "--speed", "0.2", "--rest-before", "0.25", "--dry-run"]) == 0
-    # 0.4 m at 0.2 m/s and 1 m/s^2: 2 s + 0.2 s.
-    out = capsys.readouterr().out
-    assert "2.950 s, moving from 0.250 s to 2.450 s" in out
-
-
-def test_options_alone_make_a_line(capsys: pytest.CaptureFixture[str]) -> None:
-    """Start and end are enough: the tool points down, 100 mm/s, negative coordinates are no options."""
-    assert (
-        run(
-            "rx90_line",
-            [
-                "--start",
-                "0.6",
-                "-0.2",
-                "0.2",
-                "--end",
-                "0.6",
-                "0.2",
-                "0.2",
-                "--wrist",
-                "negative",
-                "--dry-run",
-            ],
-        )
-        == 0
-    )
-    out = capsys.readouterr().out
-    assert "0.4000 m at 0.1 m/s" in out
-    assert "front/positive/negative" in out
+    assert {*(f"joint_{i}" for i in range(1, 7)), "knots", "margin"} <= rows.keys()
+    if REFERENCE in arguments:
+        assert [float(x) for x in rows["joint_1"][:3]] == pytest.approx([-26.57, -26.57, 7.18])
 
 
 def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
@@ -105,29 +79,28 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "expected"),
+    ("arguments", "expected"),
     [
-        ("--start 0.6 0 0.2 --end 1.6 0 0.2 --dry-run", 2, "out of reach"),
-        ("--start 0.6 0 0.2 --end 0.6 0 0.2 --dry-run", 2, "two different points"),
+        ("--start 0.6 0 0.2 --end 1.6 0 0.2 --dry-run", "out of reach"),
+        ("--start 0.6 0 0.2 --end 0.6 0 0.2 --dry-run", "two different points"),
         (
             "--from-file robots/rx90b/task.yaml --acceleration 40 --dry-run",
-            2,
             "would refuse the line: point 2: joint_1 has",
         ),
-        ("--from-file nowhere.yaml --dry-run", 2, "no file 'nowhere.yaml'"),
-        ("--start 0.6 0 0.2 --end 0.6 0.1 0.2 --tool nowhere.yaml --dry-run", 2, "no file 'nowhere.yaml'"),
-        ("--from-file robots/rx90b/task.yaml --dry-run --output /nowhere/a.yaml", 2, "/nowhere does not exist; acc"),
-        ("--from-file robots/rx90b/task.yaml --start-time -1", 2, "start time is -1 s"),
-        ("--from-file robots/rx90b/task.yaml --node bad/-name", 2, "name is 'bad/-name' ("),
-        ("--from-file robots/rx90b/task.yaml --ros-args -r", 2, "ROS arguments "),
-        ("--from-file robots/rx90b/task.yaml --ros-args -p foo", 2, "ROS arguments "),
+        ("--from-file nowhere.yaml --dry-run", "no file 'nowhere.yaml'"),
+        ("--start 0.6 0 0.2 --end 0.6 0.1 0.2 --tool nowhere.yaml --dry-run", "no file 'nowhere.yaml'"),
+        ("--from-file robots/rx90b/task.yaml --dry-run --output /nowhere/a.yaml", "/nowhere does not exist; acc"),
+        ("--from-file robots/rx90b/task.yaml --start-time -1", "start time is -1 s"),
+        ("--from-file robots/rx90b/task.yaml --node bad/-name", "name is 'bad/-name' ("),
+        ("--from-file robots/rx90b/task.yaml --ros-args -r", "ROS arguments "),
+        ("--from-file robots/rx90b/task.yaml --ros-args -p foo", "ROS arguments "),
     ],
 )
 def test_a_mistake_gives_one_line_and_a_status(
-    capsys: pytest.CaptureFixture[str], arguments: str, status: int, expected: str
+    capsys: pytest.CaptureFixture[str], arguments: str, expected: str
 ) -> None:
-    """Each mistake leaves one line on standard error, no traceback, and the documented exit status."""
-    assert run("rx90_line", arguments.split()) == status
+    """Each mistake leaves one line on standard error, no traceback, and the exit status of a refusal."""
+    assert run("rx90_line", arguments.split()) == 2
     error = capsys.readouterr().err
     assert expected in error
     assert error.startswith("rx90_line: ")
@@ -330,3 +303,76 @@ def test_an_empty_controller_name_is_refused() -> None:
     """`--node ''` would name a topic in the root namespace, where no controller listens."""
     with pytest.raises(ConfigError, match="is empty; accepted: a name such as"):
         TrajectoryClient(SimpleNamespace(), "")  # type: ignore[arg-type]  # refused before it is looked at
+
+
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+POINTS = TrajectoryPoints(np.array([1.0]), np.zeros((1, 6)), np.zeros((1, 6)), None)
+
+
+class Graph:
+    """A node, its publisher and its time: what is known and matched after each look, as told."""
+
+    def __init__(self, looks: list[tuple[int, int]], timeout: float) -> None:
+        self.now, self.timeout, self.said, self.sent_at = 0.0, timeout, list[str](), list[float]()
+        self._looks: Iterator[tuple[int, int]] = iter(looks)
+        self.known, self.have = next(self._looks)
+        self.node = self
+        self.topic_name, self.qos_profile = "/rx90_controller/joint_trajectory", QoSProfile(depth=1)
+
+    def resolve_topic_name(self, name: str) -> str:
+        """Return an absolute name."""
+        return f"/{name}"
+
+    def create_publisher(self, *_: object) -> Graph:
+        """Return itself."""
+        return self
+
+    def get_subscriptions_info_by_topic(self, _: str) -> list[Any]:
+        """Return who is known to listen; a reliable publisher suits all of them."""
+        kinds = [ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT] * 3
+        return [SimpleNamespace(qos_profile=QoSProfile(depth=1, reliability=kind)) for kind in kinds[: self.known]]
+
+    def get_subscription_count(self) -> int:
+        """Return how many are matched."""
+        return self.have
+
+    def spin(self) -> None:
+        """Let time pass, to the next look."""
+        self.now += 0.05
+        self.known, self.have = next(self._looks, (self.known, self.have))
+
+    def publish(self, _: object) -> None:
+        """Note when."""
+        self.sent_at.append(self.now)
+
+    def wait_for_all_acked(self, _: object) -> bool:
+        """Confirm at once."""
+        return True
+
+    def say(self, text: str) -> None:
+        """Note a line."""
+        self.said.append(text)
+
+    def check_interrupt(self) -> None:
+        """Go on."""
+
+
+@pytest.mark.parametrize(
+    ("looks", "timeout", "sent_at", "said"),
+    [
+        ([(1, 1)], 30.0, 1.2, 0),
+        # A recorder shows up in the graph after 0.2 s and is matched 0.3 s later.
+        ([(1, 1)] * 4 + [(2, 1)] * 6 + [(2, 2)], 30.0, 1.7, 0),
+        # It is stopped, and is never matched.
+        ([(2, 1)], 2.0, 2.05, 1),
+    ],
+)
+def test_it_waits_for_all_that_listen(
+    monkeypatch: pytest.MonkeyPatch, looks: list[tuple[int, int]], timeout: float, sent_at: float, said: int
+) -> None:
+    """1.2 s after the last one was matched, or the timeout after somebody was not, which is said."""
+    graph: Any = Graph(looks, timeout)
+    monkeypatch.setattr(trajectory_client.time, "monotonic", lambda: graph.now)
+    TrajectoryClient(graph, "rx90_controller").send(NAMES, POINTS)
+    assert graph.sent_at == [pytest.approx(sent_at, abs=0.11)]
+    assert [line.startswith("1 of 2 that listen to /rx90_controller/joint") for line in graph.said] == [True] * said

@@ -280,29 +280,3 @@ def test_two_senders_are_one_queue_and_none_is_heard_while_not_active(rig: Rig) 
         rig.loop.receive(given)
         assert rig.around.lines[-1] == "trajectory rejected: the controller is inactive; accepted: in state active"
     assert rig.loop.rejected == 3
-
-
-def test_only_a_trajectory_that_is_followed_ends_a_goal(rig: Rig) -> None:
-    """One that is refused leaves the goal alone; that another one replaces it is no error."""
-    rig.loop.hold(rig.states(0))
-    sender = goal(rig, rig.trajectory(0.02))
-    rig.loop.receive(rig.trajectory(9.0))
-    sender.on_result.assert_not_called()
-    with mock.patch.object(rig.around, "error") as error:
-        rig.loop.receive(rig.trajectory(0.01))
-    (ended,) = sender.on_result.call_args.args
-    assert ended.reason.startswith("replaced by a trajectory on the topic")
-    error.assert_not_called()
-
-
-def test_nothing_is_computed_for_a_controller_that_is_not_active(ways: Ways) -> None:
-    """What is sent to it is refused for that reason, whatever else is wrong with it, and not joined."""
-    rig = ways.rig
-    rig.loop.activate(False)
-    wrong = message(rig, 30, 1.0)
-    wrong.joint_names[0] = "elbow"
-    rig.loop.receive(wrong)
-    goal(rig, message(rig, 30, 1.0))
-    assert "the controller is inactive" in rig.around.lines[-2]
-    assert "the controller is inactive" in rig.around.lines[-1]
-    assert ways.beside == []

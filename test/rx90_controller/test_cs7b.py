@@ -1,0 +1,359 @@
+"""The six servo loops on one inertia against independent answers; saturation, feed-forward, and the supervision.
+
+Joint 5 stays at rest wherever joint 6 is looked at, because motor 6 follows q5 + q6.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import signal
+
+from rx90_common.base.errors import SupervisionError
+from rx90_common.base.rates import Rates
+from rx90_controller.law.parameters import FeedForward
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.setup import Setup
+
+Array = NDArray[np.float64]
+MakeServo = Callable[..., Any]
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+JUMP = np.array([0.1, -0.2, 0.3, 0.05, 0.0, -0.1])
+KP, KV, KI, INERTIA, BANDWIDTH, PEAK = 40.0, 300.0, 1e5, 2.0, 800.0, 12.0
+
+
+def step_to(servo: Any, target: Array) -> None:
+    """Give a set-point that jumps at the start and stays."""
+    rows, rest = [target, target], [[0.0] * 6] * 2
+    servo.controller.trajectory.accept(
+        TrajectoryPoints.create(NAMES, NAMES, [0.0, 1e-3], rows, rest, [[], []]), 0, None
+    )
+
+
+def ramp(servo: Any, speed: Array, seconds: float) -> None:
+    """Give a set-point that runs at constant speed."""
+    times, end = [0.0, seconds, seconds + 0.1], speed * seconds
+    rows, rates = [[0.0] * 6, end, end + 0.05 * speed], [speed, speed, [0.0] * 6]
+    servo.controller.trajectory.accept(TrajectoryPoints.create(NAMES, NAMES, times, rows, rates, [[]] * 3), 0, None)
+
+
+def sampled_loop(reference: Callable[[int], tuple[float, float]], ticks: int, ratio: int, period: float) -> Array:
+    """Return positions of one inertia under the law, by matrices written from its description.
+
+    torque = Mn [kv (kp e + dq_r - dq) + ki integral(e)], PI held over `ratio` ticks, current loop of first order.
+    The inertia by the matrix exponential of a double integrator, the current loop by its sampled pole.
+    """
+    plant = signal.cont2discrete((np.eye(2, k=1), np.array([[0], [1 / INERTIA]]), np.eye(2), np.zeros((2, 1))), period)
+    a, b = plant[0], plant[1][:, 0]
+    pole = math.exp(-2 * math.pi * BANDWIDTH * period)
+    state, torque, integral, held = np.zeros(2), 0.0, 0.0, 0.0
+    positions = []
+    for k in range(ticks):
+        target, speed = reference(k // ratio)
+        if k % ratio == 0:
+            error = target - state[0]
+            integral += error * ratio * period
+            held = INERTIA * (KV * KP * error + KI * integral)
+        asked = held + INERTIA * KV * (speed - state[1])
+        torque = pole * torque + (1 - pole) * asked
+        positions.append(state[0])
+        state = a @ state + b * torque
+    return np.array(positions)
+
+
+@pytest.mark.parametrize("rates", [Rates(), Rates(4000, 4000), Rates(8000, 500)], ids=["4:1", "1:1", "16:1"])
+def test_step_response_of_the_sampled_loop(servo: MakeServo, rates: Rates) -> None:
+    """The answer to a step equals that of the sampled loop written as matrices, at any ratio of rates."""
+    loop = servo(rates, inertia=INERTIA)
+    step_to(loop, JUMP)
+    ticks = rates.base_hz // 5
+    got, _ = loop.run(ticks)
+    unit = sampled_loop(lambda _: (1.0, 0.0), ticks, rates.ratio, rates.period)
+    assert got == pytest.approx(np.outer(unit, JUMP), abs=1e-12)
+
+
+def test_step_response_tends_to_the_continuous_transfer_function(servo: MakeServo) -> None:
+    """With growing rates the answer tends, with order 1, to that of the continuous loop by SciPy."""
+    # q / q_r of M s^2 q = lag(s) M [kv (kp e - s q) + ki e / s], e = q_r - q, lag = 1 / (s / w + 1).
+    w = 2 * math.pi * BANDWIDTH
+    system = signal.lti([KV * KP, KI], [1 / w, 1.0, KV, KV * KP, KI])
+    errors = []
+    for base in (8000, 16000, 32000):
+        loop = servo(Rates(base, base // 4), inertia=INERTIA)
+        step_to(loop, JUMP)
+        ticks = base // 10
+        got, _ = loop.run(ticks)
+        _, want = signal.step(system, T=np.arange(ticks) / base)
+        errors.append(np.abs(got[:, 0] / JUMP[0] - want).max())
+    assert errors[0] < 0.1
+    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([1.0, 1.0], abs=0.2)
+
+
+def test_ramp_response(servo: MakeServo) -> None:
+    """A ramp is followed as the sampled loop does, and in the end without position error."""
+    speed = np.array([0.5, -0.4, 0.3, 0.2, 0.0, 0.1])
+    loop = servo(inertia=INERTIA)
+    ramp(loop, speed, 2.0)
+    got, _ = loop.run(4000)
+    unit = sampled_loop(lambda row: (row * 1e-3, 1.0), 4000, 4, 250e-6)
+    assert got == pytest.approx(np.outer(unit, speed), abs=1e-12)
+    error = loop.controller.state["error"][0]
+    assert np.abs(error).max() < 1e-3 * 0.5 / 40  # without the integrator of the loop: dq_r / kp
+
+
+def test_without_the_velocity_set_point_d_damps_the_motion_itself(servo: MakeServo) -> None:
+    """With D on the measured velocity alone a ramp is answered as the sampled loop with no velocity input does."""
+    loop = servo(inertia=INERTIA, feed_forward=FeedForward.off())
+    speed = np.array([0.5, -0.4, 0.3, 0.2, 0.0, 0.1])
+    ramp(loop, speed, 2.0)
+    got, _ = loop.run(4000)
+    unit = sampled_loop(lambda row: (row * 1e-3, 0.0), 4000, 4, 250e-6)
+    assert got == pytest.approx(np.outer(unit, speed), abs=1e-12)
+
+
+def test_the_integrator_takes_a_constant_load(servo: MakeServo) -> None:
+    """Under a constant load torque the position error dies out and the integrator gives the load."""
+    loop = servo(inertia=INERTIA)
+    positions, torques = loop.run(8000, load=-7.0)
+    assert np.abs(positions).max() > 1e-5
+    assert np.abs(positions[-1]).max() < 1e-9
+    assert torques[-1] == pytest.approx(np.full(6, 7.0), rel=1e-6)
+    assert loop.controller.state["integrator"][0] == pytest.approx(np.full(6, 7.0), rel=1e-6)
+
+
+def test_the_current_loop_is_a_sampled_lag_of_its_bandwidth(servo: MakeServo) -> None:
+    """A step of the asked current is answered as a lag of first order, 1 - exp(-2 pi f t), sampled."""
+    loop = servo(kv=np.zeros(6), ki=np.full(6, 1e-9), inertia=1e9, current_bandwidth=150.0)
+    controller = loop.controller
+    controller.state["feed_forward"][0] = 3.0
+    controller.tick = 1  # no position tick before the fourth
+    got = [controller.step(np.zeros(6), np.zeros(6)).copy() for _ in range(3)]
+    controller.tick = 1
+    got += [controller.step(np.zeros(6), np.zeros(6)).copy() for _ in range(3)]
+    times = (np.arange(6) + 1) / 4000
+    want = 3.0 * (1 - np.exp(-2 * math.pi * 150.0 * times))
+    assert np.array(got) == pytest.approx(np.repeat(want[:, None], 6, axis=1), rel=1e-12)
+
+
+def test_the_amplifier_slews_no_faster_than_it_can(servo: MakeServo) -> None:
+    """A large change of current runs at the slew rate, then settles by the lag; the torque is k_t i."""
+    loop = servo(current_slew=np.full(6, 8000.0))
+    controller, rest = loop.controller, np.zeros(6)
+    controller.state["feed_forward"][0] = 6.0  # 12 A at 0.5 Nm/A: six ticks of 2 A
+    currents = []
+    for _ in range(12):
+        controller.tick = 1
+        controller.step(rest, rest)
+        currents.append(controller.state["current"][0].copy())
+    gain, current = 1 - math.exp(-2 * math.pi * 800.0 / 4000), 0.0
+    for got in currents:
+        current += min(2.0, gain * (12.0 - current))
+        assert got == pytest.approx(np.full(6, current), rel=1e-12)
+    assert currents[1] == pytest.approx(np.full(6, 4.0))
+    assert controller.state["command"][0] == pytest.approx(0.5 * currents[-1])
+
+
+def test_pi_and_feed_forward_run_on_every_fourth_tick_only(servo: MakeServo) -> None:
+    """Between position ticks PI and FF torques are held, while velocity feedback and current go on."""
+    loop = servo(viscous=np.full(6, 3.0), feed_forward=FeedForward())
+    rows, rest = [[0.3] * 6], [[0.0] * 6]
+    loop.controller.trajectory.accept(TrajectoryPoints.create(NAMES, NAMES, [0.5], rows, rest, [[]]), 0, None)
+    held, moving = [], []
+    for _ in range(400):
+        loop.run(1)
+        state = loop.controller.state[0]
+        held.append(np.concatenate([state["position_torque"], state["feed_forward"], state["error"]]))
+        moving.append(state["command"].copy())
+    changes = np.any(np.diff(held, axis=0) != 0.0, axis=1)
+    ticks = np.arange(1, 400)
+    assert np.array_equal(changes, ticks % 4 == 0)
+    assert np.all(np.any(np.diff(moving, axis=0) != 0.0, axis=1)[8:])
+
+
+def limited_loop(size: float, ticks: int) -> tuple[Array, Array, int]:
+    """Return positions, torques and ticks in saturation of one inertia under the law with a torque limit.
+
+    Conditional integration: the integrator stands still while the amplifier is at its limit and the error
+    would drive it further there.
+    """
+    position = velocity = torque = integral = held = 0.0
+    limited, count, pole = 0, 0, math.exp(-2 * math.pi * 800.0 / 4000)
+    positions, torques = [], []
+    for k in range(ticks):
+        positions.append(position)
+        if k % 4 == 0:
+            error = size - position
+            if error * limited <= 0:
+                integral += error * 1e-3
+            held = INERTIA * (KV * KP * error + KI * integral)
+        asked = held - INERTIA * KV * velocity
+        limited = 0 if abs(asked) <= PEAK else int(math.copysign(1, asked))
+        count += limited != 0
+        torque = pole * torque + (1 - pole) * min(PEAK, max(-PEAK, asked))
+        torques.append(torque)
+        position += velocity / 4000 + torque / INERTIA / 2 / 4000**2
+        velocity += torque / INERTIA / 4000
+    return np.array(positions), np.array(torques), count
+
+
+def test_saturation_and_recovery(servo: MakeServo) -> None:
+    """A step far beyond the amplifier's limit equals conditional integration, tick by tick, and is counted."""
+    loop = servo(inertia=INERTIA, peak=PEAK)
+    step_to(loop, 1.0 * np.eye(6)[0])
+    got, torques = loop.run(12000)
+    want, want_torques, count = limited_loop(1.0, 12000)
+    assert got[:, 0] == pytest.approx(want, abs=1e-9)
+    assert torques[:, 0] == pytest.approx(want_torques, abs=1e-6)
+    assert np.abs(torques).max() <= PEAK * (1 + 1e-12)
+    assert count > 1000
+    assert loop.controller.saturated.tolist() == [count, 0, 0, 0, 0, 0]
+
+
+def test_the_integrator_has_a_limit(servo: MakeServo) -> None:
+    """Under a load beyond its limit the integrator stops there, of either sign, and comes back without delay."""
+    for load in (9.0, -9.0):
+        loop = servo(inertia=INERTIA, integrator_limit=np.full(6, 4.0))
+        loop.run(8000, load=load)
+        integrator = loop.controller.state["integrator"][0]
+        assert np.all(integrator == -math.copysign(4.0, load))
+        # What is missing the proportional part gives: 5 Nm over M kv kp.
+        error = loop.controller.state["error"][0]
+        assert error == pytest.approx(np.full(6, -math.copysign(5.0, load) / (INERTIA * KV * KP)), rel=1e-6)
+        loop.run(4, load=-load)
+        assert np.all(np.abs(integrator) <= 4.0)
+
+
+PARTS = {
+    "none": FeedForward.off(),
+    "acceleration": dataclasses.replace(FeedForward.off(), acceleration=True),
+    "coulomb": dataclasses.replace(FeedForward.off(), coulomb=True),
+    "viscous": dataclasses.replace(FeedForward.off(), viscous=True),
+    "all": FeedForward(),
+}
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_each_part_of_the_feed_forward_has_its_switch(shipped: Setup, part: str) -> None:
+    """Each switch adds its own torque, by motor, from the set-points alone: inertia, Coulomb, viscous."""
+    switch, given = PARTS[part], shipped.controller
+    controller = dataclasses.replace(shipped, controller=dataclasses.replace(given, feed_forward=switch)).cs7b()
+    goal = [0.5, -0.4, 0.3, 0.6, -0.5, 0.7]
+    controller.trajectory.accept(
+        TrajectoryPoints.create(NAMES, NAMES, [1.0], [goal], [[0.0] * 6], [[0.0] * 6]), 0, None
+    )
+    gear, coupling = shipped.drives.gear, np.eye(6)
+    coupling[5, 4] = 1.0
+    for k in range(0, 4000, 4):
+        controller.step(np.full(6, 0.3), np.full(6, -2.0))  # what is measured does not matter to it
+        for _ in range(3):
+            controller.step(np.zeros(6), np.zeros(6))
+        # 10 s^3 - 15 s^4 + 6 s^5 with its derivatives.
+        s = k / 4000
+        # Motor 6 is seen from its own gear's output, which turns with q5 + q6.
+        rate = coupling @ goal * (30 * s**2 - 60 * s**3 + 30 * s**4)
+        acceleration = coupling @ goal * (60 * s - 180 * s**2 + 120 * s**3)
+        sign = np.clip(rate / given.coulomb_velocity, -1.0, 1.0)
+        want = (
+            switch.acceleration * given.inertia * acceleration
+            + switch.coulomb * given.coulomb * sign
+            + switch.viscous * given.viscous * rate
+        )
+        assert controller.state["feed_forward"][0] * gear == pytest.approx(want, abs=1e-9)
+    joint = coupling.T @ want
+    assert controller.reference()[2] == pytest.approx(joint, abs=1e-9)
+
+
+def test_gains_are_given_for_the_joint_and_used_at_the_motor(shipped: Setup) -> None:
+    """The torque at the gear's output is Mn [kv (kp e + dq_r - dq) + ki T sum(e)] of the gear's own angle."""
+    law, given = shipped.cs7b(), shipped.controller
+    rng, gear = np.random.default_rng(12), shipped.drives.gear
+    error, rate = rng.uniform(-1e-4, 1e-4, 6), rng.uniform(-1e-3, 1e-3, 6)
+    law.step(-error * gear, rate * gear)
+    coupling = np.eye(6)
+    coupling[5, 4] = 1.0
+    pi = given.inertia * (given.kv * given.kp + given.ki * 1e-3) * error
+    damping = -given.inertia * given.kv * rate
+    gain = 1 - math.exp(-2 * math.pi * given.current_bandwidth / 4000)
+    assert law.state["position_torque"][0] * gear == pytest.approx(pi, rel=1e-12)
+    assert law.state["command"][0] * gear == pytest.approx(gain * (pi + damping), rel=1e-9)
+    at_joint = law.tracking_error()
+    assert at_joint[0] == pytest.approx(np.linalg.solve(coupling, error), rel=1e-9)
+    assert at_joint[1] == pytest.approx(-np.linalg.solve(coupling, rate), rel=1e-9)
+    assert at_joint[2] == pytest.approx(coupling.T @ (gain * (pi + damping)), rel=1e-9)
+
+
+def test_reset_discharges_everything(servo: MakeServo) -> None:
+    """After a reset the law's state is that of a new controller, and the measured position is held."""
+    loop = servo(inertia=INERTIA, peak=PEAK)
+    fresh = loop.controller.state.copy()
+    step_to(loop, 1.0 * np.eye(6)[0])
+    loop.run(100)
+    assert not np.array_equal(loop.controller.state, fresh)
+    here = np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.7])
+    loop.controller.reset(here, tick=8)
+    assert np.array_equal(loop.controller.state, fresh)
+    assert loop.controller.position_tick == 2
+    assert np.all(loop.controller.step(here, np.zeros(6)) == pytest.approx(np.zeros(6), abs=1e-9))
+    assert loop.controller.reference()[0] == pytest.approx([0.5, 0.4, 0.3, 0.2, 0.1, 0.6])
+
+
+COUPLING = np.eye(6)
+COUPLING[5, 4] = 1.0  # motor 6 turns with q5 + q6
+NOMINAL_SPEED = np.deg2rad([236, 200, 286, 401, 320, 580])  # published, rad/s
+
+
+@pytest.mark.parametrize("joint", range(6))
+@pytest.mark.parametrize("quantity", ["following error", "speed"])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_each_joint_has_its_limits(shipped: Setup, joint: int, quantity: str, sign: float) -> None:
+    """A joint beyond 0.05 rad or 1.2 times its nominal speed is a fault with its name, value and time; below, none."""
+    limit = 0.05 if quantity == "following error" else 1.2 * NOMINAL_SPEED[joint]
+    at_motors = shipped.drives.gear * COUPLING[:, joint] * limit * sign
+    moved, rest = (at_motors, np.zeros(6)) if quantity == "following error" else (np.zeros(6), at_motors)
+    controller = shipped.cs7b()
+    controller.reset(np.zeros(6), tick=8)
+    controller.step(0.999 * moved, 0.999 * rest)
+    assert controller.fault is None
+    for _ in range(4):
+        controller.step(1.001 * moved, 1.001 * rest)
+    fault = controller.fault
+    assert fault is not None
+    assert (fault.joint, fault.quantity) == (f"joint_{joint + 1}", quantity)
+    assert fault.limit == pytest.approx(limit)
+    # The error is the set-point less the measurement.
+    assert fault.value == pytest.approx(1.001 * limit * (-sign if quantity == "following error" else sign))
+    assert fault.time == 12 * 250e-6
+    controller.reset(np.zeros(6))
+    assert controller.fault is None
+
+
+def weak(setup: Setup, following_error: float) -> Setup:
+    """Return a setup whose motor 2 is too weak for the motion, with another limit of the following error."""
+    drives = dataclasses.replace(setup.drives, peak_current=setup.drives.peak_current * [1, 0.15, 1, 1, 1, 1])
+    controller = dataclasses.replace(setup.controller, following_error=np.full(6, following_error))
+    return dataclasses.replace(setup, drives=drives, controller=controller)
+
+
+def test_a_run_ends_where_the_error_goes_beyond_its_limit(shipped: Setup) -> None:
+    """The closed loop ends with an error in the tick in which the same run without supervision is 0.05 rad off."""
+    names, home = shipped.robot.joint_names, np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
+    turn = home + 0.08 * np.array([1, -1, 1, -1, 1, -1])
+    points = TrajectoryPoints.create(names, names, [0.0, 0.3, 0.6], [home, turn, home], [[0.0] * 6] * 3, [[]] * 3)
+    error = simulate(weak(shipped, 10.0), points).slow.tracking_error[:, 0]
+    beyond = np.abs(error) > 0.05
+    first = int(np.argmax(beyond.any(axis=1)))
+    assert first > 0
+    joint = int(np.argmax(beyond[first]))
+    with pytest.raises(SupervisionError) as caught:
+        simulate(weak(shipped, 0.05), points)
+    assert str(caught.value) == (
+        f"joint_{joint + 1}: following error {error[first, joint]:.4g} rad at {first / 1000:.6g} s; "
+        "accepted: up to 0.05 rad; the controller's supervision has cut the power"
+    )
