@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 from zlib import crc32
 
 import numpy as np
@@ -156,20 +156,6 @@ class BulkSqlite3Writer(Sqlite3Writer):
 
 
 class BulkWriter(Writer):
-    """rosbags' writer; messages come by `write_many` alone."""
+    """rosbags' writer, whose storage takes messages by `write_many` alone."""
 
     STORAGE_PLUGINS = {StoragePlugin.MCAP: BulkMcapWriter, StoragePlugin.SQLITE3: BulkSqlite3Writer}  # noqa: RUF012 - as in rosbags
-
-    def write_many(self, channel: Int64Array, log_ns: Int64Array, messages: MessageBatch) -> None:
-        """Write messages, in this order, of the connections with these numbers, int64 (n,)."""
-        storage: Any = self.storage
-        storage.write_many(channel, log_ns, messages)
-        self.min_timestamp = min(self.min_timestamp, int(log_ns.min()))
-        self.max_timestamp = max(self.max_timestamp, int(log_ns.max()))
-        for number, count in zip(*(field.tolist() for field in np.unique(channel, return_counts=True)), strict=True):
-            self.counts[number] += count
-
-    def checkpoint(self) -> None:
-        """Hand what is pending to the system, so that it outlives this process."""
-        storage: Any = self.storage
-        storage.checkpoint()

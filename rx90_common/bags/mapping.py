@@ -295,7 +295,10 @@ class LogMapping:
             topics,
             None if time is None else (time["file"], time["column"]),
             Fraction(1) if time is None else SECONDS[time["unit"]],
-            *(content.get(key) for key in ("rate", "delimiter", "decimal", "header")),
+            content.get("rate"),
+            content.get("delimiter"),
+            content.get("decimal"),
+            content.get("header"),
             content["exact"],
             {key: content[key] for key in MESSAGE_KEYS if key in root},
         )

@@ -172,7 +172,8 @@ class BagWriter:
         Raises:
             BagWriteError: if the disk is full or nearly so, or writing fails otherwise.
         """
-        begin = 0
+        begin, writer = 0, self._writer
+        storage: Any = writer.storage
         self._begun = self._begun or len(messages) > 0
         while begin < len(messages):
             # Up to where the disk is to be looked at, or a checkpoint to be made.
@@ -183,13 +184,17 @@ class BagWriter:
             rows = slice(begin, end)
             batch, last = messages.take(rows), int(log_ns[end - 1])
             with self._failures():
-                self._writer.write_many(number[rows], log_ns[rows], batch)
+                storage.write_many(number[rows], log_ns[rows], batch)
+                writer.min_timestamp = min(writer.min_timestamp, int(log_ns[rows].min()))
+                writer.max_timestamp = max(writer.max_timestamp, int(log_ns[rows].max()))
+                for each, count in zip(*np.unique(number[rows], return_counts=True), strict=True):
+                    writer.counts[int(each)] += int(count)
                 self._unchecked_bytes += batch.total
                 if self._unchecked_bytes > _BYTES_PER_SPACE_CHECK:
                     self._check_space(last)
                 if last >= self._checkpoint_ns + _CHECKPOINT_NS:
                     self._checkpoint_ns = last
-                    self._writer.checkpoint()
+                    storage.checkpoint()
             begin = end
 
     def close(self) -> None:

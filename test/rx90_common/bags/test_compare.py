@@ -82,6 +82,7 @@ def test_rms_and_maximum_of_all_rows() -> None:
     ("one", "other", "exact", "within_1"),
     [
         (math.nan, math.nan, "same", "same"),
+        (math.nan, np.int64(0x7FF8000000000001).view(np.float64), "differs", "same"),
         (math.inf, math.inf, "same", "same"),
         (0.0, -0.0, "differs", "same"),
         (1.0, np.nextafter(1.0, 2.0), "differs", "same"),
@@ -100,34 +101,6 @@ def test_special_numbers(one: float, other: float, exact: str, within_1: str) ->
         found = value_of(compared(x, y), NAMES[1], "position")
         assert math.isfinite(found.maximum)
         assert math.isfinite(found.rms)
-
-
-def test_missing_messages() -> None:
-    """A stamp that only one bag has differs, wherever it lies, or is only counted when asked."""
-    a = series(20)
-    inside, outside = np.arange(20) != 7, np.arange(20) < 15
-    result = compared(a, a.take(inside))
-    assert result.verdict is Verdict.DIFFERS
-    assert result.reasons == ("only the first bag has 1 messages of the common range, the first at t = 0.007000000 s",)
-    result = compared(a.take(outside), a, common_range=True)
-    assert result.verdict is Verdict.SAME
-    assert result.b is not None
-    assert result.b.outside == 5
-    assert compared(a.take(outside), a).verdict is Verdict.DIFFERS
-    lonely = compared(a.take(slice(0, 1)), a)
-    assert lonely.verdict is Verdict.DIFFERS
-    assert lonely.reasons == ("only the second bag has 19 messages outside the common range",)
-
-
-def test_two_nan_with_other_bits_differ_unless_a_tolerance_is_given() -> None:
-    """Without a tolerance bits count, also those of a NaN; with one, NaN is NaN."""
-    quiet, other = np.array([0x7FF8000000000000, 0x7FF8000000000001]).view(np.float64)
-    a, b = changed(series(), 3, 1, quiet), changed(series(), 3, 1, other)
-    result = compared(a, b)
-    assert result.verdict is Verdict.DIFFERS
-    assert value_of(result, NAMES[1], "position").not_finite == 1
-    assert compared(a, a).verdict is Verdict.SAME
-    assert compared(a, b, "position=1e-9").verdict is Verdict.SAME
 
 
 @pytest.mark.parametrize(
@@ -158,23 +131,10 @@ def test_bags_of_runs_that_began_at_other_times_are_aligned(
     assert said in out + err
 
 
-def test_a_bag_without_trajectory_cannot_be_aligned_by_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What is missing is named, with what records it."""
-    write_joint_states(tmp_path / "a", [series()])
-    assert run("rx90_bag", ["compare", str(tmp_path / "a"), str(tmp_path / "a"), "--align", "trajectory"]) == 2
-    assert "no trajectory in it; accepted: a bag with rx90_controller/trajectory_accepted" in capsys.readouterr().err
-
-
-def test_repeated_messages() -> None:
-    """Exact repetitions count once; a second message with the same stamp and other content differs."""
+def test_a_second_message_of_a_stamp_is_counted() -> None:
+    """A second message with the same stamp and other content differs, and is counted as such."""
     a = series(6)
-    doubled = joined(a, a.take(slice(2, 5)))
-    result = compared(a, doubled)
-    assert result.verdict is Verdict.SAME
-    assert result.b is not None
-    assert (result.pairs, result.b.repeats) == (6, 3)
-    other = changed(a.take(slice(2, 3)), 0, 0, 99.0)
-    result = compared(a, joined(a, other))
+    result = compared(a, joined(a, changed(a.take(slice(2, 3)), 0, 0, 99.0)))
     assert result.verdict is Verdict.DIFFERS
     assert result.b is not None
     assert (result.b.missing, result.b.ambiguous) == (1, 1)
@@ -257,19 +217,17 @@ def test_exit_code(bags: Path, arguments: str, code: int, monkeypatch: pytest.Mo
     [
         ("a off --tolerance joint_states:speed=1", "accepted: position, velocity, effort"),
         ("a off --tolerance position=-1", "accepted: a finite number >= 0"),
-        ("a off --tolerance position=inf", "accepted: a finite number >= 0"),
         ("a off --tolerance position", "accepted: [TOPIC:[JOINT:]]FIELD=VALUE"),
         ("a off --tolerance joint_state:position=1", "/joint_state, which is in neither bag"),
         ("a off --tolerance *:joint_9:position=1", "joint_9, which no compared topic has"),
         ("a off --tolerances odd.yaml", "joint_states.speed is not a known key"),
-        ("a off --tolerances nowhere.yaml", "nowhere.yaml: cannot be read"),
         ("a off --topics elbow", "/elbow is in neither bag; JointState topics: /joint_states"),
         ("a off --from soon", "--from is 'soon'; accepted: a time in s"),
-        ("a off --from nan", "--from is 'nan'; accepted: a time in s"),
         ("a off --from 1e999999", "--from is '1e999999'; accepted: a time in s, e.g. 1.25, up to 4,294,967,296 s"),
         ("a off --from 2 --to 1", "accepted: a start before the end"),
         ("a off --from 100", "in the time window"),
         ("a nowhere", "nowhere: no such bag"),
+        ("a a --align trajectory", "no trajectory in it; accepted: a bag with rx90_controller/trajectory_accepted"),
     ],
 )
 def test_mistakes_are_one_line(

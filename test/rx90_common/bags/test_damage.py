@@ -89,8 +89,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
             ),
             f"message_count is {count!r}; accepted: an integer in [0, ",
         )
-        for where in ("of a topic", "in all")
-        for count in (1e20, 10**20, -1, "many", True)
+        for where, count in (("of a topic", 1e20), ("in all", 10**20), ("of a topic", -1), ("in all", "many"))
     },
     "metadata with other sum": (
         lambda bag: edit_metadata(bag, lambda c: c.update(message_count=7)),
@@ -138,7 +137,7 @@ def test_each_damage_is_one_line(tmp_path: Path, damage: str, verb: str, capsys:
 
 
 @pytest.mark.parametrize("verb", ["info", "compare"])
-@pytest.mark.parametrize("rows", ["1", "7", "20, 3, 4", "30"])
+@pytest.mark.parametrize("rows", ["1", "20, 3, 4", "30"])
 def test_deleted_rows_are_noticed(tmp_path: Path, rows: str, verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     """A database that is read alone says how many messages were deleted from it, unless these were the last ones."""
     write_joint_states(tmp_path / "bag", [series(30)], storage="sqlite3")
@@ -158,28 +157,6 @@ def test_deleted_rows_are_noticed(tmp_path: Path, rows: str, verb: str, capsys: 
         f"rx90_bag: {file}: bag.db3 is damaged: {lost} messages are gone: the last one has number 30, {30 - lost} are "
         "there; 'ros2 bag convert' makes a bag of these\n"
     )
-
-
-def test_a_row_that_claims_gigabytes_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """SQLite finds too little memory for a row whose length is damaged; that is one line, too."""
-    write_joint_states(tmp_path / "bag", [series(30)], storage="sqlite3")
-    file = tmp_path / "bag" / "bag.db3"
-    with sqlite3.connect(file) as database:
-        (root,) = database.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
-        (size,) = database.execute("PRAGMA page_size").fetchone()
-    database.close()
-    content = bytearray(file.read_bytes())
-    while content[page := (root - 1) * size] == 5:  # an inner page of a table: go down to a leaf
-        (cell,) = struct.unpack_from(">H", content, page + 12)
-        (root,) = struct.unpack_from(">I", content, page + cell)
-    (cell,) = struct.unpack_from(">H", content, page + 5)  # where the content begins
-    # 4 GB in all (a varint), row 4, a head of 9 bytes: no id, 3,084 bytes as topic, which begin beyond the page.
-    content[page + cell : page + cell + 12] = b"\x8f\xff\xff\xff\x7f\x04\x09\x00\xf4\x24\x00\x00"
-    file.write_bytes(content)
-    assert run("rx90_bag", ["info", str(file)]) == 2
-    out, err = capsys.readouterr()
-    assert (out, err.count("\n")) == ("", 1)
-    assert "bag.db3 is damaged: " in err
 
 
 def test_bags_without_joint_states(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -197,30 +197,6 @@ def test_a_table_needs_one_set_of_joints(tmp_path: Path) -> None:
         export_bag(changing, tmp_path / "changed.csv")
 
 
-@pytest.mark.parametrize(
-    ("line", "text"),
-    [
-        ("0.5,1.0,x,3.0,4.0", "column 3 is 'x'"),
-        ("0.5,1.0", "2 fields, others have 5"),
-        ("0.5,1.0,2.0,3.0,4.0,5.0", "6 fields, others have 5"),
-        ("soon,1.0,2.0,3.0,4.0", "time 'soon'"),
-        ("-1.0,1.0,2.0,3.0,4.0", "time '-1.0'; accepted: 0 to 2147483648 s"),
-    ],
-)
-def test_a_line_that_was_damaged_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: str, text: str
-) -> None:
-    """A line of an exported file that holds other than a time and numbers is refused with its number."""
-    series = JointSeries("/joint_states", NAMES, np.array([1, 2]), np.ones((2, 2)), np.ones((2, 2)))
-    write_joint_states(tmp_path / "bag", [series])
-    export_bag(tmp_path / "bag", tmp_path / "one.csv")
-    lines = (tmp_path / "one.csv").read_text().splitlines()
-    (tmp_path / "one.csv").write_text("\n".join([*lines[:2], line]))
-    assert run("rx90_bag", ["import", str(tmp_path / "one.csv"), str(tmp_path / "again")]) == 2
-    assert f"one.csv: 1 corrupt row, line 3 (line 3: {text}" in capsys.readouterr().err
-    assert not (tmp_path / "again").exists()
-
-
 def test_a_header_with_another_unit_than_the_mapping_is_refused(bag: Path, tmp_path: Path) -> None:
     """Who changes the unit in the header of an exported file, or in its mapping, is told that the two differ."""
     export_bag(bag, tmp_path / "one.csv", topics=["joint_states"])

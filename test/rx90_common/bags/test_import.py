@@ -183,22 +183,13 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
         (("[2, 3]", "[2, qb]"), "1,2,3", "log.csv: no column 'qb'; there are no names"),
         (("[2, 3]", "[2, 0]"), "1,2,3", "position.columns[1] is 0; accepted: the number of a column, from 1 on, or"),
         (("topics:", "delimiter: ','\ndecimal: ','\ntopics:"), "1,2,3", "decimal is ',', and so is delimiter"),
-        (("unit: rad", "unit: grad"), "1,2,3", "position.unit is 'grad'; accepted: one of rad, deg, turns, counts"),
-        (("unit: rad", "unit: counts"), "1,2,3", "position.counts_per_turn is missing"),
         (
             ("unit: rad", "unit: rad, counts_per_turn: 4096"),
             "1,2,3",
             "position.counts_per_turn stands beside unit: rad; accepted: beside counts or counts/s",
         ),
         (("unit: rad", "unit: rad, factor: [1, 0]"), "1,2,3", "position.factor is 0.0; accepted: numbers other than 0"),
-        (("unit: rad", "unit: rad, gears: 3"), "1,2,3", "position.gears is not a known key"),
         (("unit: rad", "unit: rad, file: 2"), "1,2,3", ": 1 log; accepted: 2, those that "),
-        (("column: 1, ", ""), "1,2,3", "m.yaml: time.column is missing; accepted: the number of a column, from 1 on"),
-        (
-            ("columns: [2, 3], ", ""),
-            "1,2,3",
-            "position.columns is missing; accepted: a list of columns, one",
-        ),
         (
             ("[2, 3]", "[2, 2]"),
             "1,2,3",
@@ -211,18 +202,8 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
         ),
         (("[2, 3]", "[2, 1]"), "1,2,3", "log.csv: column 1 in joint_states.position is that of the times; accepted"),
         (("rad", "rad"), 't,a,b\n1,"' + "1" * 200_000 + '",3', "log.csv: every row is corrupt: 1 corrupt row, line 2"),
-        (("position", "acceleration"), "1,2,3", "joint_states.position is missing; accepted: one or more of position"),
-        (("time:", "rate: 5\ntime:"), "1,2,3", "time and rate: both are there; accepted: one of them"),
         (("[a, b]", '[a, "b\\0"]'), "1,2,3", "joint_states.names is ['a', 'b\\x00']; accepted: texts without NUL"),
-        (("[a, b]", "[a, a]"), "1,2,3", "joint_states.names is ['a', 'a']; accepted: one name or more, each once"),
-        (
-            ("time: {column: 1, unit: s}", "rate: 1.0e-300"),
-            "1,2,3",
-            "rate is 1e-300; accepted: a number in [0.001, 1e+06]",
-        ),
-        (("joint_states:", '"joint\\n2":'), "1,2,3", "accepted: topics as ROS names them"),
         (("rad", "rad"), "t,qa,qb\n", "log.csv: holds no row of numbers"),
-        (("time:", "delimiter: ;\ntime:"), "1,2,3", "log.csv: holds no row of numbers"),
         (
             ("[2, 3]", "[2, 3]"),
             "x,a,3\nx,a,3\n",
@@ -365,3 +346,11 @@ def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureF
             assert reader.message_count == len(TIME)
     assert run("rx90_bag", ["compare", str(tmp_path / "mA" / "bag"), str(tmp_path / "mNm" / "bag")]) == 1
     assert "effort is in A in the first bag and in Nm in the second, and not compared" in capsys.readouterr().out
+
+
+def test_a_column_may_stand_for_two_quantities_of_two_units(tmp_path: Path) -> None:
+    """Each quantity has its own unit and factor, also where two of them come from one column."""
+    mapping = PLAIN + "    effort: {columns: [3, 2], unit: mA, factor: [1, -2]}\n"
+    found = imported(tmp_path, mapping.replace("unit: rad", "unit: deg"), rows(","))
+    np.testing.assert_allclose(found.position, np.deg2rad(POSITION), rtol=1e-14)
+    np.testing.assert_allclose(found.effort, POSITION[:, ::-1] * [1e-3, -2e-3], rtol=1e-14)

@@ -15,7 +15,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rx90_common.bags.reading import JointSeries, read_joint_bag, read_joint_states
-from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError
 
 FLOATS = st.floats(width=64)  # also NaN, infinities, -0.0
@@ -192,16 +191,3 @@ def test_reading_and_writing_need_no_ros() -> None:
     modules += ["rx90_emulator.cli.bag", "rx90_emulator.cli.bag_compare"]
     code = "import sys; sys.modules['rclpy'] = None\n" + "".join(f"import {m}\n" for m in modules)
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_topics_are_kept_apart_whatever_chunks_hold(tmp_path: Path) -> None:
-    """Of a bag whose chunks hold other topics each, the topics that are asked for are read, and no others."""
-    early = [series(20, topic="/a"), series(20, topic="/b")]
-    late = series(20, topic="/c", step_ns=10_000_000_000)
-    write_joint_states(tmp_path / "bag", [*early, late])
-    found = read_joint_bag(tmp_path / "bag", ["a", "c"]).series
-    for one in (early[0], late):
-        (read,) = found.pop(one.topic)
-        assert read.stamp_ns.tolist() == one.stamp_ns.tolist()
-        assert np.array_equal(read.position, one.position)
-    assert not found

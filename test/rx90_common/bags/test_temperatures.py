@@ -14,7 +14,6 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 import rx90_emulator as rx
 from rx90_common.bags import exporting, logs
 from rx90_common.bags.batch import temperature_cdr
-from rx90_common.bags.exporting import export_bag
 from rx90_common.bags.plotting import plot_bags
 from rx90_common.base.errors import BagError, ExchangeError
 from rx90_common.report.plot import Curve
@@ -135,25 +134,6 @@ def test_names_that_come_and_go_leave_rows_whole(tmp_path: Path) -> None:
     assert found.temperature.tobytes() == expected.tobytes()
 
 
-def test_tables_of_temperatures_have_names_and_units(bag: Path, tmp_path: Path) -> None:
-    """CSV, Parquet and NPZ have a row for each stamp under names with °C; NPZ under a name that MATLAB takes."""
-    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
-    columns = [f"{name} temperature [°C]" for name in NAMES]
-    for suffix in (".csv", ".parquet", ".npz"):
-        export_bag(bag, tmp_path / f"t{suffix}", topics=["temperatures"])
-    lines = (tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()
-    assert lines[0].split(",") == ["time [s]", *columns]
-    assert lines[3] == "1790000002.000000007,-0.0,5e-324,0.30000000000000004"
-    table = parquet.read_table(tmp_path / "t.parquet")
-    assert table.column_names == ["stamp [ns]", "time [s]", *columns]
-    assert table.schema.field(columns[2]).metadata == {b"unit": "°C".encode(), b"joint": b"motor_1",
-                                                       b"field": b"temperature"}  # fmt: skip
-    with np.load(tmp_path / "t.npz") as arrays:
-        assert arrays["temperatures_names"].tolist() == list(NAMES)
-        assert arrays["temperatures_temperature_C"].tobytes() == np.column_stack(table.columns[2:]).tobytes()
-        assert arrays["temperatures_stamp_ns"].tolist() == [*STAMPS, STAMPS[-1]]
-
-
 def test_temperatures_are_compared(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A temperature that differs is a line with the difference and 1; within --tolerance it is none, and 0."""
     told = usual()
@@ -173,14 +153,6 @@ def test_bags_are_not_the_same_in_what_neither_has(bag: Path, capsys: pytest.Cap
     (line,) = capsys.readouterr().err.splitlines()
     assert line == "rx90_bag: fields velocity, temperature: no message has any of them; accepted: some of position"
     assert run("rx90_bag", [*words, "--fields", "position", "temperature"]) == 0
-
-
-def test_a_lost_temperature_differs(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A message that only one bag has makes the two differ, in the line of the name that it is of."""
-    lost = write(tmp_path / "lost", [one for one in usual() if one[:2] != (STAMPS[9], "motor_1")])
-    assert run("rx90_bag", ["compare", str(bag), str(lost)]) == 1
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.endswith("1 (1 not finite)")]
-    assert line.split()[:2] == ["temperature", "motor_1"]
 
 
 def test_temperatures_are_drawn(bag: Path) -> None:

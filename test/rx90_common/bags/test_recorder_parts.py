@@ -1,0 +1,196 @@
+"""Parts of the recorder: counts by sequence numbers, takes from the middleware, and the end of a recording."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from processes import wait_until
+from rclpy.node import Node
+from ros_client import own_node
+from sensor_msgs.msg import JointState
+
+from rx90_common.bags.batch import MessageBatch
+from rx90_common.bags.ordering import Arrived, TimeSource
+from rx90_common.bags.recorder import recording
+from rx90_common.bags.recorder.stream import SequenceCounter, Stream, Streams
+from rx90_common.base.errors import BagWriteError
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.qos import TICK_QOS
+
+SENT_BEFORE = 9  # one a round: these take longer than a topic that is quiet is waited for
+LONG = 120.0
+
+
+class Publisher:
+    """Stands for a stream: a publisher that sends on and on, and whose messages come late, one in each round."""
+
+    index = 0
+    time_source = TimeSource.NEWEST
+
+    def __init__(self) -> None:
+        self.sent_ns = 0
+        self.taken = 0
+        self._calls = 0
+        self._begin_ns = time.time_ns()
+
+    def take(self) -> Arrived:
+        """Return a message and, in the next call, none."""
+        self._calls += 1
+        if self._calls % 2 == 0:
+            return Arrived(0, self.time_source, MessageBatch.of([]), np.empty(0, dtype=np.int64))
+        self.taken += 1
+        self.sent_ns = self._begin_ns if self.taken <= SENT_BEFORE else time.time_ns()
+        return Arrived(0, self.time_source, MessageBatch.of([b"%d" % self.taken]), np.zeros(1, dtype=np.int64))
+
+
+def test_a_publisher_that_goes_on_is_read_up_to_the_end_that_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All that was sent before the end is read, however late it comes; then the recorder ends, busy topics or not."""
+    monkeypatch.setattr(recording, "_MAX_DRAIN_S", LONG)
+    publisher: Any = Publisher()
+    reader = recording.MessageReader()
+    reader.add(publisher)
+    reader.start()
+    begin = time.monotonic()
+    reader.finish()
+    assert time.monotonic() - begin < LONG / 2.0
+    read = [message for each in reader.collect() for message in each.messages]
+    assert read[:SENT_BEFORE] == [b"%d" % number for number in range(1, SENT_BEFORE + 1)]
+    assert len(read) == publisher.taken > SENT_BEFORE
+
+
+class Deadlock(Publisher):
+    """A stream whose middleware gives one message and does not return from the next call."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.reached, self.freed = threading.Event(), threading.Event()
+
+    def take(self) -> Arrived:
+        """Return a message; then stand still until the test is over."""
+        if self.taken:
+            self.reached.set()
+            self.freed.wait()
+        return super().take()
+
+
+def test_a_reader_that_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who waits for the end learns where it stands, in one line, after all that it had read; nothing comes twice."""
+    monkeypatch.setattr(recording, "_MAX_END_S", 0.01)
+    stream: Any = Deadlock()
+    reader = recording.MessageReader()
+    reader.add(stream)
+    reader.start()
+    assert stream.reached.wait(LONG)
+    for _ in range(2):
+        reader.finish()
+    read = [message for each in reader.collect() for message in each.messages]
+    assert read == [b"1"]
+    stream.freed.set()
+    reader.join(LONG)
+    with pytest.raises(BagWriteError, match=r"did not end within 0\.01 s \(it is in .*\.py:\d+\)") as caught:
+        reader.check()
+    assert not reader.collect()
+    assert "\n" not in str(caught.value)
+
+
+@given(st.sets(st.integers(1, 300), min_size=1))
+def test_single_writer_is_counted_exactly(numbers: set[int]) -> None:
+    """Of one writer every number missing between its first and last message is counted as lost."""
+    counter = SequenceCounter(lambda: 1, transient_local=False)
+    for number in sorted(numbers):
+        counter.add(np.array([number]))
+    assert counter.received == len(numbers)
+    assert counter.lost == max(numbers) - min(numbers) + 1 - len(numbers)
+    assert len(counter.writers) == 1
+
+
+@given(st.lists(st.lists(st.integers(1, 30), max_size=8)), st.booleans())
+def test_batches_count_as_messages_do(batches: list[list[int]], runs: bool) -> None:
+    """Numbers counted in batches, in runs without a gap or in any order, give the counts of one after the other."""
+    counters = [SequenceCounter(lambda: 2, transient_local=False) for _ in range(2)]
+    for batch in batches:
+        numbers = list(range(batch[0], batch[0] + len(batch))) if runs and batch else batch
+        counters[0].add(np.array(numbers, dtype=np.int64))
+        for number in numbers:
+            counters[1].add(np.array([number]))
+    assert counters[0].writers == counters[1].writers
+
+
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=4), st.randoms(use_true_random=False))
+def test_interleaved_writers_lose_nothing(counts: list[int], random: Any) -> None:
+    """Several complete writers, in any interleaving of their messages, count as no loss and as that many."""
+    counter = SequenceCounter(lambda: len(counts), transient_local=False)
+    counter.start()
+    numbers = [0] * len(counts)
+    order = [writer for writer, count in enumerate(counts) for _ in range(count)]
+    random.shuffle(order)
+    for writer in order:
+        numbers[writer] += 1
+        counter.add(np.array([numbers[writer]]))
+    assert counter.lost == 0
+    assert sorted(writer.received for writer in counter.writers) == sorted(counts)
+
+
+def test_writer_that_appears_later() -> None:
+    """A writer that appears while recording must be heard from its first message on, unless latched."""
+    for transient_local, lost in ((False, 3), (True, 0)):
+        matches = [1]
+        counter = SequenceCounter(partial(max, matches), transient_local=transient_local)
+        for number in (5, 6):
+            counter.add(np.array([number]))
+        counter.start()
+        matches.append(2)
+        for number in (7, 4, 5, 8):
+            counter.add(np.array([number]))
+        assert counter.lost == lost
+        assert [writer.received for writer in counter.writers] == [4, 2]
+
+
+def test_gap_after_a_restart() -> None:
+    """A gap of a restarted publisher is counted for it, wherever its predecessor's count ended."""
+    for end in (4, 40, 4000):
+        counter = SequenceCounter(lambda: 2, transient_local=False)
+        for number in (*range(1, end), *range(1, 101), *range(104, 200)):
+            counter.add(np.array([number]))
+        assert [writer.lost for writer in counter.writers] == [0, 3]
+
+
+@pytest.fixture
+def node(ros_domain: int) -> Iterator[Node]:
+    """Return a node in a domain of its own."""
+    with own_node("taking", ros_domain) as node:
+        yield node
+
+
+@pytest.mark.ros
+def test_what_is_sent_is_taken_whole(node: Node) -> None:
+    """Messages come in order, to the bit, numbered and with their times, while the receiving thread seldom wakes."""
+    count = 1500
+    publisher = node.create_publisher(JointState, "numbers", TICK_QOS.profile)
+    streams, found = Streams(node, ["numbers"]), list[Stream]()
+    wait_until(lambda: streams.discover(found.append), "the subscription")
+    wait_until(lambda: publisher.get_subscription_count() == 1, "the publisher")
+    codec = JointStateCodec(["a", "b"])
+    sent = [codec.encode(stamp, np.array([stamp, 1.0])) for stamp in range(count)]
+    began = time.time_ns()
+    for raw in sent:
+        publisher.publish(raw)
+    messages, received = [], []
+    while len(messages) < count:
+        arrived = found[0].take()
+        assert len(arrived.messages) <= 512
+        messages += arrived.messages
+        received += arrived.received_ns.tolist()
+    assert messages == sent
+    assert (found[0].counter.received, found[0].lost(), found[0].repeated) == (count, 0, 0)
+    assert received == sorted(received)
+    assert began <= found[0].sent_ns <= received[-1]
+    assert 0 < streams._batching.pauses < count / 10
