@@ -38,7 +38,7 @@ from rx90_emulator.identification.presliding.bristle_motion import (
     joint_groups,
 )
 from rx90_emulator.identification.presliding.fit import PreslidingFit
-from rx90_emulator.identification.presliding.group_fit import GroupFit, KindFit
+from rx90_emulator.identification.presliding.group_fit import GroupFit
 from rx90_emulator.identification.records import BagSource
 
 MIN_MOTIONS: Final = 3
@@ -60,29 +60,25 @@ class KindTrial:
     """What became of a kind of bristles.
 
     Attributes:
-        fit: to all motions.
+        family: the kind.
+        bristles: that fit all motions; None is LuGre's.
         seen: torque of the element along its largest motion, measured, with others' taken off by the fit, and fitted,
             block means, Nm, each shape (b,).
         estimates: of c0, c1 and the kind's own numbers; the deviations are those of the jackknife over the motions.
         missed: RMS of what it misses in motions that were not fitted, over the RMS of the friction torque.
         behind: by how many standard errors it predicts worse than the best kind; 0 for that.
+        inertia: largest relative error of the joints' inertia.
+        reach: largest deflection at which a block slips, rad; 0 without blocks.
     """
 
-    fit: KindFit
+    family: KindFamily
+    bristles: BristlesPart | None
     seen: tuple[Array, Array]
     estimates: dict[str, ParameterEstimate]
     missed: float
     behind: float
-
-    @property
-    def family(self) -> KindFamily:
-        """Return the kind."""
-        return self.fit.family
-
-    @property
-    def bristles(self) -> BristlesPart | None:
-        """Return the bristles that fit all motions; None is LuGre's."""
-        return self.fit.bristles
+    inertia: float = 0.0
+    reach: float = 0.0
 
     @property
     def distinguishable(self) -> bool:
@@ -132,13 +128,13 @@ class KindChoice:
             return f"even the best kind, {best.family.name}, misses {100.0 * best.missed:.0f} % of the friction torque"
         if self.kind is None:
             return f"the data do not tell {listed([trial.family.name for trial in self.possible])} apart"
-        if abs(best.fit.inertia) > _MAX_INERTIA_ERROR:
-            error = f"{100.0 * abs(best.fit.inertia):.0f} % off the description's"
+        if best.inertia > _MAX_INERTIA_ERROR:
+            error = f"{100.0 * best.inertia:.0f} % off the description's"
             return f"the joint's inertia would be {error}: a payload or a rotor may be missing"
         travel = float(np.ptp(self.position))
-        if best.fit.reach > _MAX_REACH * travel:
+        if best.reach > _MAX_REACH * travel:
             return (
-                f"Maxwell slip predicts best, but a block would slip only after {1e3 * best.fit.reach:.2g} mrad, and "
+                f"Maxwell slip predicts best, but a block would slip only after {1e3 * best.reach:.2g} mrad, and "
                 f"the micro-oscillations went through {1e3 * travel:.2g} mrad"
             )
         return ""
@@ -350,34 +346,40 @@ def _choices(
         for some in own:
             # Of sets with the same kind here, which differ elsewhere, that which predicts best.
             chosen = errors.best(each for each in power if each[place] == some[place])
-            whole = fits[chosen]
-            element = whole.element(place)
-            estimates = jackknife_estimates(element, [fit.element(place) for fit in without[chosen]], floor)
-            missed = float(np.sqrt(power[chosen].sum() / friction))
-            behind = errors.behind(chosen, best)
-            trials.append(KindTrial(element, whole.seen(place, largest), estimates, missed, behind))
+            whole, rows = fits[chosen], [fit.numbers(place) for fit in without[chosen]]
+            trials.append(
+                KindTrial(
+                    some[place],
+                    whole.bristles(place),
+                    whole.seen(place, largest),
+                    jackknife_estimates(whole.numbers(place), rows, floor),
+                    float(np.sqrt(power[chosen].sum() / friction)),
+                    errors.behind(chosen, best),
+                    float(np.abs(whole.x[whole.model.inertial]).max()),
+                    whole.reach(place),
+                )
+            )
         found.append(KindChoice(tuple(trials), positions[largest]))
     return found
 
 
 def jackknife_estimates(
-    whole: KindFit, without: Sequence[KindFit], floor: Mapping[str, float]
+    whole: Mapping[str, float], without: Sequence[Mapping[str, float]], floor: Mapping[str, float]
 ) -> dict[str, ParameterEstimate]:
     """Return what was fitted with the deviations of the jackknife: how far fits without one motion each lie apart.
 
     A variance of so few fits is itself uncertain: Student's distribution widens the deviations so that 1.96 of them
     hold 95 %. What is the same in all motions does not show in it: the floor, in parts of c0 and c1, is for that.
     """
-    values = whole.numbers()
-    rows = np.array([list(fit.numbers().values()) for fit in without])
+    rows = np.array([list(fit.values()) for fit in without])
     student = stats.t.ppf(0.975, len(rows) - 1) / stats.norm.ppf(0.975)
     spread = student * np.sqrt((len(rows) - 1.0) * np.var(rows, axis=0))
     found = {}
-    for (name, value), scatter in zip(values.items(), spread.tolist(), strict=True):
+    for (name, value), scatter in zip(whole.items(), spread.tolist(), strict=True):
         deviation = float(np.hypot(scatter, floor[name] * value if name in floor else _MIN_SD_OF_PARTS))
         found[name] = ParameterEstimate(value, deviation)
         if name in PRESLIDING and not deviation < LARGEST_DEVIATION * value:
             found[name] = ParameterEstimate.unknown(f"standard deviation {deviation:.2g} at a value of {value:.3g}")
-    if whole.family.blocks:
-        found[f"bristles.{ATTRACTION}"] = ParameterEstimate.unknown("it does not show in presliding")
+        if name.endswith(ATTRACTION):
+            found[name] = ParameterEstimate.unknown("it does not show in presliding")
     return found
