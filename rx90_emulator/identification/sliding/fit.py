@@ -13,7 +13,6 @@ from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import SLIDING, VISCOUS_EXPONENT, ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.records import JointRecord, check_joints
-from rx90_emulator.identification.sliding.equations import sliding_rows
 from rx90_emulator.identification.sliding.plateaus import BagUse, Blocks, find_blocks
 from rx90_emulator.identification.sliding.quality import FitQuality
 from rx90_emulator.identification.sliding.solver import (
@@ -27,6 +26,7 @@ from rx90_emulator.identification.sliding.solver import (
     CurveFit,
     natural,
     natural_jacobian,
+    sliding_rows,
     torque,
     torque_jacobian,
 )
@@ -253,7 +253,7 @@ def _natural_covariance(fit: CurveFit, element: int) -> Array:
     wider = np.sqrt(np.maximum(design, fit.misfits[element].widening))
     # The degrees of freedom are Satterthwaite's: with the intraclass correlation of a plateau's blocks each plateau is
     # one observation, with the rest of the variance each block is one. The factor is that of the 97.5 % quantiles.
-    common = float((1.0 - (1.0 - fit.weights.share[fit.weights.cluster]) ** 2)[mine].mean())
+    common = float(fit.common[mine].mean())
     fitted = int(fit.free[element].sum())
     plateaus = max(1, len(np.unique(fit.rows.plateau[mine])) - fitted)
     freedom = 1.0 / (common**2 / plateaus + (1.0 - common) ** 2 / max(1, int(mine.sum()) - fitted))
@@ -322,7 +322,7 @@ def _curve(fit: CurveFit, element: int) -> CurvePoints:
 
     power = np.bincount(number, gain**2, len(plateau))
     velocity = mean(along, gain**2)
-    noise = np.bincount(number, (gain / fit.weights.factor[mine]) ** 2, len(plateau))
+    noise = np.bincount(number, (gain * fit.noise[mine]) ** 2, len(plateau))
     return CurvePoints(
         velocity=velocity,
         torque=np.bincount(number, gain * left, len(plateau)) / power,

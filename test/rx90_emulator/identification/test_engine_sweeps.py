@@ -14,8 +14,8 @@ from rx90_common.bags.writing import write_joint_states
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import PlanOptions, make_plan
-from rx90_emulator.identification.layout import arm_layout
 from rx90_emulator.identification.records import JointRecord, read_record
+from rx90_emulator.identification.robot import arm_layout
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
