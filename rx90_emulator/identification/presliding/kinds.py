@@ -23,8 +23,7 @@ import numpy as np
 from scipy import stats
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import counted, listed
+from rx90_common.base.quoting import listed
 from rx90_common.friction.held_out import HeldOutErrors, leave_out
 from rx90_common.friction.parts.bristles import BristlesPart
 from rx90_emulator.identification.arm import RigidArm
@@ -34,7 +33,6 @@ from rx90_emulator.identification.presliding.bristle_motion import (
     FAMILIES,
     KindFamily,
     KindMotion,
-    MovedGroup,
     joint_groups,
 )
 from rx90_emulator.identification.presliding.fit import PreslidingFit
@@ -222,9 +220,25 @@ def choose_kinds(
     """
     groups = {moved.elements: moved for moved in fit.groups}
     found: dict[str, ElementKind] = {}
-    for group in joint_groups(arm):
-        names = [arm.element_names[e] for e in group.elements]
-        found |= {kind.element: kind for kind in _of_group(names, groups.get(group.elements), progress)}
+    for elements in (group.elements for group in joint_groups(arm)):
+        names, moved = [arm.element_names[e] for e in elements], groups.get(elements)
+        least, count = max(MIN_MOTIONS, 2 * len(names)), 0 if moved is None else len(moved.motions)
+        if moved is not None and count >= least and len(names) <= MAX_ELEMENTS:
+            choices = choose_kinds_of(
+                moved.motions,
+                moved.c0,
+                FAMILIES,
+                lambda place, kind, names=names: progress(f"{names[place]}: {kind}"),  # type: ignore[misc]
+            )
+            for name, one in zip(names, choices, strict=True):
+                found[name] = ElementKind(name, one.doubt, one, moved.sources)
+            continue
+        for _ in range(steps_of(len(names), FAMILIES)):
+            progress(f"{listed(names)}: bristles")
+        reason = f"{count} micro-oscillations; {least} or more tell kinds apart"
+        if len(names) > MAX_ELEMENTS:
+            reason = f"{len(names)} elements share joints; accepted: {MAX_ELEMENTS} at most"
+        found |= {name: ElementKind(name, reason) for name in names}
     return tuple(found[name] for name in arm.element_names)
 
 
@@ -237,26 +251,6 @@ def steps_of(elements: int, families: Sequence[KindFamily]) -> int:
     """Return how often `choose_kinds_of` calls `progress`."""
     searched = len(_middle(families)) ** elements if 1 < elements <= MAX_ELEMENTS else 0
     return searched + elements * len(families)
-
-
-def _of_group(names: Sequence[str], moved: MovedGroup | None, progress: Callable[[str], None]) -> list[ElementKind]:
-    least, count = _least_motions(len(names)), 0 if moved is None else len(moved.motions)
-    if moved is None or count < least or len(names) > MAX_ELEMENTS:
-        for _ in range(steps_of(len(names), FAMILIES)):
-            progress(f"{listed(names)}: bristles")
-        reason = f"{count} micro-oscillations; {least} or more tell kinds apart"
-        if len(names) > MAX_ELEMENTS:
-            reason = f"{len(names)} elements share joints; accepted: {MAX_ELEMENTS} at most"
-        return [ElementKind(name, reason) for name in names]
-    choices = choose_kinds_of(
-        moved.motions, moved.c0, FAMILIES, lambda place, kind: progress(f"{names[place]}: {kind}")
-    )
-    return [ElementKind(name, one.doubt, one, moved.sources) for name, one in zip(names, choices, strict=True)]
-
-
-def _least_motions(elements: int) -> int:
-    """Return the micro-motions of joints with so many elements, below which their kinds are not compared."""
-    return max(MIN_MOTIONS, 2 * elements)
 
 
 def _middle(families: Sequence[KindFamily]) -> dict[str, KindFamily]:
@@ -276,20 +270,13 @@ def choose_kinds_of(
     """Return which kinds of bristles the elements of a group of joints have.
 
     Args:
-        motions: micro-motions of the group, for its e elements 2 e or more, and at least MIN_MOTIONS.
+        motions: micro-motions of the group of e elements, 2 e or more, and at least MIN_MOTIONS.
         c0: a first guess, Nm/rad, such as that of the fit with LuGre's bristles, shape (e,).
         families: what is tried.
         progress: called `steps_of(e, families)` times, with the place of an element and the name of a kind before the
             kind is tried.
-
-    Raises:
-        IdentificationError: for fewer motions.
     """
-    count, least = len(c0), _least_motions(len(c0))
-    if len(motions) < least:
-        raise IdentificationError(
-            f"{len(motions)} micro-motions of {counted(count, 'element')}; accepted: {least} or more"
-        )
+    count = len(c0)
     middle = _middle(families)
     fits: dict[tuple[KindFamily, ...], GroupFit] = {}
     if count > 1:
@@ -311,39 +298,17 @@ def choose_kinds_of(
             fits[chosen] = GroupFit.of(chosen, motions, c0)
         if chosen not in power:
             without[chosen], power[chosen] = _held_out(fits[chosen])
-    return _choices(sets, fits, without, power)
-
-
-def _held_out(whole: GroupFit) -> tuple[list[GroupFit], Array]:
-    """Return the fits to all motions but one, and what they miss in each spectral line of that one, shape (lines,)."""
-
-    def squares(fit: GroupFit, index: int) -> Array:
-        motion = whole.model.motions[index]
-        lines = np.unique(motion.line, return_inverse=True)[1]
-        left = fit.left_over(motion, whole.model.starts(whole.x)[index])
-        return np.bincount(lines, np.sum(left**2, axis=1)).astype(np.float64)
-
-    return leave_out(range(len(whole.model.motions)), whole.without, squares)
-
-
-def _choices(
-    sets: Sequence[Sequence[tuple[KindFamily, ...]]],
-    fits: Mapping[tuple[KindFamily, ...], GroupFit],
-    without: Mapping[tuple[KindFamily, ...], Sequence[GroupFit]],
-    power: Mapping[tuple[KindFamily, ...], Array],
-) -> list[KindChoice]:
-    """Return the choice of each element, by its sets of kinds."""
     errors = HeldOutErrors(power)
     best = errors.best()
     model = fits[best].model
     friction = sum(float(np.sum((motion.target / model.scale) ** 2)) for motion in model.motions)
     floor = _MIN_RELATIVE_SD if len(sets) == 1 else _MIN_RELATIVE_SD_SHARED
     found = []
-    for place, own in enumerate(sets):
+    for place, tried_here in enumerate(sets):
         positions = [motion.traces[place].position for motion in model.motions]
         largest = int(np.argmax([np.ptp(position) for position in positions]))
         trials = []
-        for some in own:
+        for some in tried_here:
             # Of sets with the same kind here, which differ elsewhere, that which predicts best.
             chosen = errors.best(each for each in power if each[place] == some[place])
             whole, rows = fits[chosen], [fit.numbers(place) for fit in without[chosen]]
@@ -361,6 +326,18 @@ def _choices(
             )
         found.append(KindChoice(tuple(trials), positions[largest]))
     return found
+
+
+def _held_out(whole: GroupFit) -> tuple[list[GroupFit], Array]:
+    """Return the fits to all motions but one, and what they miss in each spectral line of that one, shape (lines,)."""
+
+    def squares(fit: GroupFit, index: int) -> Array:
+        motion = whole.model.motions[index]
+        lines = np.unique(motion.line, return_inverse=True)[1]
+        left = fit.left_over(motion, whole.model.starts(whole.x)[index])
+        return np.bincount(lines, np.sum(left**2, axis=1)).astype(np.float64)
+
+    return leave_out(range(len(whole.model.motions)), whole.without, squares)
 
 
 def jackknife_estimates(
