@@ -113,6 +113,14 @@ def test_nothing_is_replaced_on_refusal(series: Path, tmp_path: Path, capsys: py
     assert [file.name for file in tmp_path.iterdir()] == ["friction.yaml"]
 
 
+def test_a_bag_is_not_validated_by_itself(series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A bag that was used for the identification is refused as validation."""
+    bag = str(read_index(series).sliding[0])
+    arguments = ["--sliding", bag, "--validation", bag, "--output", str(tmp_path / "f.yaml")]
+    assert run("rx90_identify", arguments) == REFUSED
+    assert "also used for the identification" in capsys.readouterr().err
+
+
 def test_an_identified_wrist_is_confirmed_on_a_fresh_motion(
     shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

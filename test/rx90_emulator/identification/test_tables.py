@@ -157,21 +157,12 @@ def test_view_and_plot_show_a_table(shipped: Setup, tmp_path: Path, capsys: pyte
 @pytest.mark.parametrize(
     ("suffix", "change", "said"),
     [
-        (".csv", {"velocity": {"columns": ["speed"], "unit": "rpm"}}, "no column 'speed'; there are t, q, dq, i"),
         (".parquet", {"velocity": {"columns": ["speed"], "unit": "rpm"}}, "no column 'speed'; there are t, q, dq, i"),
         (".npz", {"velocity": {"columns": [9], "unit": "rpm"}}, "no column 9; there are t, q, dq, i"),
         (".npz", {"time": {"column": "i", "unit": "s"}}, "accepted: 0 to 2147483648 s"),
         (".csv", {"gear": [1, 2]}, "--gear: 2 values; accepted: 1 for 1 joints"),
         (".csv", {"gear": [0]}, "gear[0] is 0.0; accepted"),
-        (".csv", {"time": None}, "time and rate: none is there; accepted: one of them"),
-        (".csv", {"names": None}, "names is missing"),
-        (
-            ".csv",
-            {"time": None, "position": None, "velocity": None, "effort": None},
-            "names no columns of ",
-        ),
-        (".csv", {"topics": {"joint_states": {"names": ["a"], "position": {"columns": ["q"], "unit": "rad"}}}},
-         "topics has joint_states, too, which stands twice"),
+        (".csv", {"time": None, "position": None, "velocity": None, "effort": None}, "names no columns of "),
         (".parquet", {"effort": {"columns": ["i"], "unit": "mA", "file": 2}}, ": 1 log; accepted: 2, those that"),
     ],
 )  # fmt: skip
