@@ -23,7 +23,7 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
-from rx90_emulator.identification.layout import BagLayout
+from rx90_emulator.identification.robot import BagLayout
 
 _WALL_CLOCK = 946_684_800.0  # s, the year 2000: stamps before count from another beginning
 _MEDIAN_SAMPLES = 5  # samples in the running median by which spikes are found

@@ -1,36 +1,203 @@
-"""The robot that bags come from: this project's, or any other."""
+"""The robot that bags come from, this project's or any other, and what the messages of its logs hold.
+
+Whose positions, on which side of the gears, in which unit is stated once, by the options of a command or by a signal
+map, for bags and tables alike: `arm_layout` makes one layout of it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final, TypeAlias, TypeVar
 
 import numpy as np
 
-from rx90_common.bags.mapping import LogMapping, is_table
+from rx90_common.bags.mapping import MESSAGE_KEYS, LogMapping, is_table, mapping_of
+from rx90_common.bags.reading import BagReader
 from rx90_common.bags.recorded import check_robot
+from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import IdentificationError
+from rx90_common.base.errors import ConfigError, IdentificationError
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.topics import MOTOR_STATES
+from rx90_common.description.wrist import coupling_matrix
+from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
 from rx90_emulator.identification.arm import RigidArm, joint_model
-from rx90_emulator.identification.layout import (
-    JOINT_STATES,
-    BagLayout,
-    arm_layout,
-    check_sizes,
-    recorded_topic,
-    with_signals,
-)
-from rx90_emulator.identification.options import RobotOptions
+from rx90_emulator.identification.options import MeasuredLayout, RobotOptions
 from rx90_emulator.loop.setup import Setup
 
+JOINT_STATES = "joint_states"
+MessageOptions: TypeAlias = RobotOptions | MeasuredLayout
+Options = TypeVar("Options", RobotOptions, MeasuredLayout)
+NO_OPTIONS: Final = MeasuredLayout()
 _DEFAULT_OPTIONS = RobotOptions()
+_ONE_EACH = ("names", "gear", "torque_constant", "zero", "rotor_inertia", "spring")
+
+
+@dataclass(frozen=True, eq=False)
+class BagLayout:
+    """What the JointState messages of a bag or a table hold.
+
+    Attributes:
+        topic: topic name; the leading slash may be left out.
+        messages: names in the messages, one for each of n joints or motors, from base to tip.
+        names: the joints' names in the record, n of them.
+        turns: motor turns for joint turns, gears included, shape (n, n), where the messages hold motor-side
+            values: motor position = turns @ joint position, joint torque = turns^T @ motor torque. None where
+            they hold joint-side values.
+        torque_constant: torque per unit of effort on the messages' side, shape (n,), where effort is a current, A.
+        record_time: whether the times of recording are taken for the stamps.
+        zero: joint angle by the messages where that of the URDF is 0, rad, shape (n,); None for 0.
+        mapping: what the columns of a table hold, where that is not in the file beside it.
+
+    Raises:
+        IdentificationError: if a name stands twice or `turns` is not invertible.
+    """
+
+    topic: str
+    messages: tuple[str, ...]
+    names: tuple[str, ...]
+    turns: Array | None = None
+    torque_constant: Array | None = None
+    record_time: bool = False
+    zero: Array | None = None
+    mapping: LogMapping | None = None
+
+    def __post_init__(self) -> None:
+        twice = [name for name in self.messages if self.messages.count(name) > 1]
+        if twice:
+            found = f"name {quoted(twice[0])} in the messages for two joints"
+            raise IdentificationError(f"{found}; accepted: each name once")
+        if self.turns is not None and abs(np.linalg.det(self.turns)) < 1e-9:
+            raise IdentificationError(f"gears times coupling: {self.turns.tolist()}; accepted: an invertible matrix")
+
+
+def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMapping | None]:
+    """Return options with what a signal map says of the messages, and the map if the options name one.
+
+    Args:
+        options: of a command.
+        logs: bags and tables; where the options name no map, that beside a table says so, too.
+
+    Raises:
+        ConfigError: for a map that is not acceptable, one key in a map and among the options, and tables whose maps
+            say different things of the arm.
+        BagError: for a table without a map.
+    """
+    given = None if options.signals is None else LogMapping.load(Path(options.signals))
+    maps = [mapping_of(log) for log in logs if is_table(log)] if given is None else [given]
+    for one in maps[1:]:
+        if one.messages != maps[0].messages:
+            raise ConfigError(
+                f"{plain(one.file)} says other things of the arm than {plain(maps[0].file)}; accepted: the same "
+                f"{', '.join(MESSAGE_KEYS)}"
+            )
+    said = maps[0].messages if maps else {}
+    for key in said:
+        if getattr(options, key) not in (None, False):
+            raise ConfigError(f"--{key.replace('_', '-')} beside {key} in {plain(maps[0].file)}; accepted: one of them")
+    return replace(options, **said), given
+
+
+def check_sizes(options: MessageOptions, n: int) -> None:
+    """Refuse options of another size than that for n joints, and numbers that are not finite.
+
+    Raises:
+        IdentificationError: naming the option.
+    """
+    for name in (*_ONE_EACH, "coupling"):
+        values, size = getattr(options, name, None), n * n if name == "coupling" else n
+        if values is not None and len(values) != size:
+            raise IdentificationError(
+                f"--{name.replace('_', '-')}: {len(values)} values; accepted: {size} for {n} joints"
+            )
+        if values is not None and name != "names" and not np.isfinite(values).all():
+            raise IdentificationError(f"--{name.replace('_', '-')}: {list(values)}; accepted: finite numbers")
+
+
+def arm_layout(
+    topic: str,
+    joints: Sequence[str],
+    options: MessageOptions = NO_OPTIONS,
+    own_gear: Callable[[], Array] | None = None,
+    mapping: LogMapping | None = None,
+) -> BagLayout:
+    """Return the layout of a topic of an arm.
+
+    Args:
+        topic: topic name; that of motors has this project's names, gears and coupling where the options say nothing
+            else.
+        joints: the joints' names.
+        options: what the messages hold where it is not as here.
+        own_gear: returns the gears of a robot of this project; None for another robot.
+        mapping: what the columns of a table hold.
+
+    Raises:
+        IdentificationError: for options of another size, and a coupling of this project's robot without gears.
+    """
+    n, own = len(joints), own_gear is not None
+    check_sizes(options, n)
+    motors = own and topic.rpartition("/")[2] == MOTOR_STATES
+    gear = own_gear() if own_gear is not None and motors and options.gear is None else _array(options.gear)
+    if own and gear is None and options.coupling is not None:
+        raise IdentificationError("--coupling without --gear; accepted: for the motors' states, with their --gear")
+    turns = None
+    if gear is not None:
+        usual = coupling_matrix() if own else np.eye(n)
+        turns = gear[:, None] * (usual if options.coupling is None else np.reshape(options.coupling, (n, n)))
+    return BagLayout(
+        topic,
+        tuple(options.names or (MOTOR_NAMES if motors else joints)),
+        tuple(joints),
+        turns,
+        _array(options.torque_constant),
+        options.record_time,
+        _array(options.zero),
+        mapping,
+    )
+
+
+def _array(values: Sequence[float] | None) -> Array | None:
+    return None if values is None else np.array(values, dtype=np.float64)
+
+
+def topic_names(bag: Path, mapping: LogMapping | None = None) -> set[str]:
+    """Return the absolute names of the topics of a bag or a table; that is not read for it.
+
+    Raises:
+        BagError: if the bag cannot be read, or the table has no map.
+    """
+    if is_table(bag):
+        return set(map(absolute, mapping_of(bag, mapping).topics))
+    with BagReader(bag) as reader:
+        return {topic.name for topic in reader.topics}
+
+
+def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None = None) -> str:
+    """Return the first of this project's topics that a bag has; of a table with one topic this one.
+
+    Args:
+        bag: to be looked at.
+        topics: motor_states and joint_states, the one that is preferred first.
+        mapping: what the columns of a table hold.
+
+    Raises:
+        BagError: if the bag cannot be read.
+        IdentificationError: if it holds neither.
+    """
+    there = topic_names(bag, mapping)
+    if is_table(bag) and len(there) == 1:
+        return there.pop()
+    for topic in topics:
+        if absolute(topic) in there:
+            return topic
+    what = f"neither {MOTOR_STATES} nor {JOINT_STATES}" if len(topics) > 1 else f"no topic {plain(topics[0])}"
+    raise IdentificationError(f"{bag}: {what}; there are {', '.join(sorted(there)) or 'no topics'}; accepted: --topic")
 
 
 @dataclass(frozen=True, eq=False)

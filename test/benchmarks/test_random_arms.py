@@ -14,8 +14,8 @@ from benchmarks.excitation_truth import Truth, truth_of
 from benchmarks.friction_equations import FrictionLaw
 from benchmarks.random_arms import random_arm
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.layout import arm_layout
 from rx90_emulator.identification.records import read_record
+from rx90_emulator.identification.robot import arm_layout
 
 
 def test_the_bristle_is_that_of_a_stiff_solver() -> None:

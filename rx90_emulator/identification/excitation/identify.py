@@ -40,10 +40,9 @@ from rx90_emulator.identification.excitation.result import (
 )
 from rx90_emulator.identification.excitation.torques import TorqueValidation, run_torques, trends
 from rx90_emulator.identification.identify import check_given_once, read_records
-from rx90_emulator.identification.layout import topic_names
 from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.records import JointRecord
-from rx90_emulator.identification.robot import RecordedRobot
+from rx90_emulator.identification.robot import RecordedRobot, topic_names
 
 _REFERENCE = "rx90_controller/reference"
 _NO_PAYLOADS: Mapping[str, Payload] = MappingProxyType({})

@@ -17,7 +17,7 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction.parts.bristles import BristlesPart, MaxwellSlip
-from rx90_emulator.identification.presliding.bristle_motion import ATTRACTION, KindFamily, KindMotion
+from rx90_emulator.identification.presliding.bristle_motion import KindFamily, KindMotion
 
 INERTIA_SD = 0.05
 """Prior standard deviation of the errors of the mass matrix in parts of sqrt(M_jj M_ii)."""
@@ -28,47 +28,6 @@ _MAX_EVALUATIONS, _MAX_REFINEMENTS = 15, 6  # of the residuals, Jacobian apart: 
 _SHARED_EFFORT = 0.6  # of them, where elements share joints: a fit is long, and there are many
 _TOLERANCE = 1e-4  # relative, of the parameters and of the residual power
 _PARAMETER_STEP = 1e-4  # step of difference quotients, of parameters of the order of 1
-
-
-@dataclass(frozen=True, eq=False)
-class KindFit:
-    """Bristles of a kind of one element, fitted to some motions.
-
-    Attributes:
-        family: the kind.
-        c0: Nm/rad.
-        shape: the numbers of the kind's own, as `KindFamily.bristles` takes them.
-        c1: Nm s/rad.
-        inertia: largest relative error of the joints' inertia.
-        coulomb: Coulomb torque of the element, Nm.
-    """
-
-    family: KindFamily
-    c0: float
-    shape: Array
-    c1: float
-    inertia: float
-    coulomb: float
-
-    @property
-    def bristles(self) -> BristlesPart | None:
-        """Return the bristles; None is LuGre's."""
-        return self.family.bristles(self.shape, self.coulomb)
-
-    @property
-    def reach(self) -> float:
-        """Return the largest deflection at which a block slips, rad; 0 without blocks."""
-        part = self.bristles
-        if not isinstance(part, MaxwellSlip):
-            return 0.0
-        return float(np.max(np.divide(part.share, part.stiffness))) * self.coulomb / self.c0
-
-    def numbers(self) -> dict[str, float]:
-        """Return what was fitted by its names: c0, c1, bristles.share[0]; what only goes with it is left out."""
-        part = self.bristles
-        own = {} if part is None else {f"bristles.{name}": value for name, value in part.numbers().items()}
-        own.pop(f"bristles.{ATTRACTION}", None)
-        return {"c0": self.c0, "c1": self.c1, **own}
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +103,7 @@ class GroupModel:
     def torque(self, x: Array, index: int, n: int) -> Array:
         """Return block means of the torque, Nm, and of its part that c0 gives, of the bristles of element n; (b, 2)."""
         own, trace = x[self.places[n]], self.motions[index].traces[n]
-        both = trace.bristles(self._kind(own, n), _exp(own[0]), self._clipped(self.starts(x)[index, n]))
+        both = trace.bristles(self.kind(own, n), _exp(own[0]), self._clipped(self.starts(x)[index, n]))
         return np.column_stack([both @ (1.0, self._c1(own, n)), both[:, 0]])
 
     def friction(self, x: Array, index: int) -> Array:
@@ -157,7 +116,8 @@ class GroupModel:
         place = self.inertial
         return np.repeat([INERTIA_SD, self.start_sd], [place.stop - place.start, x.size - place.stop])
 
-    def _kind(self, own: Array, n: int) -> BristlesPart | None:
+    def kind(self, own: Array, n: int) -> BristlesPart | None:
+        """Return the bristles of element n by its parameters; None is LuGre's."""
         return self.families[n].bristles(own[2:], self.motions[0].traces[n].element.tau_c_positive)
 
     def _c1(self, own: Array, n: int) -> float:
@@ -168,7 +128,7 @@ class GroupModel:
 
     def _spectra(self, own: Array, n: int, index: int, start: float) -> Array:
         trace = self.motions[index].traces[n]
-        return trace.spectra(self._kind(own, n), _exp(own[0]), self._clipped(start))
+        return trace.spectra(self.kind(own, n), _exp(own[0]), self._clipped(start))
 
     def _slopes(self, x: Array, index: int) -> Array:
         """Return the derivatives of a motion's torques by the parameters, Nm, shape (r, k, parameters)."""
@@ -272,13 +232,24 @@ class GroupFit:
         best = least_squares(residual, first, slopes, method="lm", max_nfev=_MAX_EVALUATIONS, xtol=_TOLERANCE).x
         return model.of_motion(np.concatenate([fixed, best]), 0)
 
-    def element(self, place: int) -> KindFit:
-        """Return what was fitted of the element at a place in the group."""
+    def bristles(self, place: int) -> BristlesPart | None:
+        """Return the bristles of the element at a place in the group; None is LuGre's."""
+        return self.model.kind(self.x[self.model.places[place]], place)
+
+    def numbers(self, place: int) -> dict[str, float]:
+        """Return what was fitted of an element by its names: c0, Nm/rad, c1, Nm s/rad, bristles.share[0]."""
         c0, c1 = self.model.values(self.x)[place].tolist()
-        shape = self.x[self.model.places[place]][2:]
+        part = self.bristles(place)
+        own = {} if part is None else {f"bristles.{name}": value for name, value in part.numbers().items()}
+        return {"c0": c0, "c1": c1, **own}
+
+    def reach(self, place: int) -> float:
+        """Return the largest deflection at which a block of an element slips, rad; 0 without blocks."""
+        part = self.bristles(place)
+        if not isinstance(part, MaxwellSlip):
+            return 0.0
         coulomb = self.model.motions[0].traces[place].element.tau_c_positive
-        inertia = float(np.abs(self.x[self.model.inertial]).max())
-        return KindFit(self.model.families[place], c0, shape, c1, inertia, coulomb)
+        return float(np.max(np.divide(part.share, part.stiffness))) * coulomb / self.numbers(place)["c0"]
 
     def seen(self, place: int, index: int) -> tuple[Array, Array]:
         """Return the torque of an element along a motion, the measured one less all others', and its own, Nm.

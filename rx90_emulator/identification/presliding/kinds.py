@@ -23,8 +23,7 @@ import numpy as np
 from scipy import stats
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import counted, listed
+from rx90_common.base.quoting import listed
 from rx90_common.friction.held_out import HeldOutErrors, leave_out
 from rx90_common.friction.parts.bristles import BristlesPart
 from rx90_emulator.identification.arm import RigidArm
@@ -34,11 +33,10 @@ from rx90_emulator.identification.presliding.bristle_motion import (
     FAMILIES,
     KindFamily,
     KindMotion,
-    MovedGroup,
     joint_groups,
 )
 from rx90_emulator.identification.presliding.fit import PreslidingFit
-from rx90_emulator.identification.presliding.group_fit import GroupFit, KindFit
+from rx90_emulator.identification.presliding.group_fit import GroupFit
 from rx90_emulator.identification.records import BagSource
 
 MIN_MOTIONS: Final = 3
@@ -60,29 +58,25 @@ class KindTrial:
     """What became of a kind of bristles.
 
     Attributes:
-        fit: to all motions.
+        family: the kind.
+        bristles: that fit all motions; None is LuGre's.
         seen: torque of the element along its largest motion, measured, with others' taken off by the fit, and fitted,
             block means, Nm, each shape (b,).
         estimates: of c0, c1 and the kind's own numbers; the deviations are those of the jackknife over the motions.
         missed: RMS of what it misses in motions that were not fitted, over the RMS of the friction torque.
         behind: by how many standard errors it predicts worse than the best kind; 0 for that.
+        inertia: largest relative error of the joints' inertia.
+        reach: largest deflection at which a block slips, rad; 0 without blocks.
     """
 
-    fit: KindFit
+    family: KindFamily
+    bristles: BristlesPart | None
     seen: tuple[Array, Array]
     estimates: dict[str, ParameterEstimate]
     missed: float
     behind: float
-
-    @property
-    def family(self) -> KindFamily:
-        """Return the kind."""
-        return self.fit.family
-
-    @property
-    def bristles(self) -> BristlesPart | None:
-        """Return the bristles that fit all motions; None is LuGre's."""
-        return self.fit.bristles
+    inertia: float = 0.0
+    reach: float = 0.0
 
     @property
     def distinguishable(self) -> bool:
@@ -132,13 +126,13 @@ class KindChoice:
             return f"even the best kind, {best.family.name}, misses {100.0 * best.missed:.0f} % of the friction torque"
         if self.kind is None:
             return f"the data do not tell {listed([trial.family.name for trial in self.possible])} apart"
-        if abs(best.fit.inertia) > _MAX_INERTIA_ERROR:
-            error = f"{100.0 * abs(best.fit.inertia):.0f} % off the description's"
+        if best.inertia > _MAX_INERTIA_ERROR:
+            error = f"{100.0 * best.inertia:.0f} % off the description's"
             return f"the joint's inertia would be {error}: a payload or a rotor may be missing"
         travel = float(np.ptp(self.position))
-        if best.fit.reach > _MAX_REACH * travel:
+        if best.reach > _MAX_REACH * travel:
             return (
-                f"Maxwell slip predicts best, but a block would slip only after {1e3 * best.fit.reach:.2g} mrad, and "
+                f"Maxwell slip predicts best, but a block would slip only after {1e3 * best.reach:.2g} mrad, and "
                 f"the micro-oscillations went through {1e3 * travel:.2g} mrad"
             )
         return ""
@@ -226,9 +220,25 @@ def choose_kinds(
     """
     groups = {moved.elements: moved for moved in fit.groups}
     found: dict[str, ElementKind] = {}
-    for group in joint_groups(arm):
-        names = [arm.element_names[e] for e in group.elements]
-        found |= {kind.element: kind for kind in _of_group(names, groups.get(group.elements), progress)}
+    for elements in (group.elements for group in joint_groups(arm)):
+        names, moved = [arm.element_names[e] for e in elements], groups.get(elements)
+        least, count = max(MIN_MOTIONS, 2 * len(names)), 0 if moved is None else len(moved.motions)
+        if moved is not None and count >= least and len(names) <= MAX_ELEMENTS:
+            choices = choose_kinds_of(
+                moved.motions,
+                moved.c0,
+                FAMILIES,
+                lambda place, kind, names=names: progress(f"{names[place]}: {kind}"),  # type: ignore[misc]
+            )
+            for name, one in zip(names, choices, strict=True):
+                found[name] = ElementKind(name, one.doubt, one, moved.sources)
+            continue
+        for _ in range(steps_of(len(names), FAMILIES)):
+            progress(f"{listed(names)}: bristles")
+        reason = f"{count} micro-oscillations; {least} or more tell kinds apart"
+        if len(names) > MAX_ELEMENTS:
+            reason = f"{len(names)} elements share joints; accepted: {MAX_ELEMENTS} at most"
+        found |= {name: ElementKind(name, reason) for name in names}
     return tuple(found[name] for name in arm.element_names)
 
 
@@ -241,26 +251,6 @@ def steps_of(elements: int, families: Sequence[KindFamily]) -> int:
     """Return how often `choose_kinds_of` calls `progress`."""
     searched = len(_middle(families)) ** elements if 1 < elements <= MAX_ELEMENTS else 0
     return searched + elements * len(families)
-
-
-def _of_group(names: Sequence[str], moved: MovedGroup | None, progress: Callable[[str], None]) -> list[ElementKind]:
-    least, count = _least_motions(len(names)), 0 if moved is None else len(moved.motions)
-    if moved is None or count < least or len(names) > MAX_ELEMENTS:
-        for _ in range(steps_of(len(names), FAMILIES)):
-            progress(f"{listed(names)}: bristles")
-        reason = f"{count} micro-oscillations; {least} or more tell kinds apart"
-        if len(names) > MAX_ELEMENTS:
-            reason = f"{len(names)} elements share joints; accepted: {MAX_ELEMENTS} at most"
-        return [ElementKind(name, reason) for name in names]
-    choices = choose_kinds_of(
-        moved.motions, moved.c0, FAMILIES, lambda place, kind: progress(f"{names[place]}: {kind}")
-    )
-    return [ElementKind(name, one.doubt, one, moved.sources) for name, one in zip(names, choices, strict=True)]
-
-
-def _least_motions(elements: int) -> int:
-    """Return the micro-motions of joints with so many elements, below which their kinds are not compared."""
-    return max(MIN_MOTIONS, 2 * elements)
 
 
 def _middle(families: Sequence[KindFamily]) -> dict[str, KindFamily]:
@@ -280,20 +270,13 @@ def choose_kinds_of(
     """Return which kinds of bristles the elements of a group of joints have.
 
     Args:
-        motions: micro-motions of the group, for its e elements 2 e or more, and at least MIN_MOTIONS.
+        motions: micro-motions of the group of e elements, 2 e or more, and at least MIN_MOTIONS.
         c0: a first guess, Nm/rad, such as that of the fit with LuGre's bristles, shape (e,).
         families: what is tried.
         progress: called `steps_of(e, families)` times, with the place of an element and the name of a kind before the
             kind is tried.
-
-    Raises:
-        IdentificationError: for fewer motions.
     """
-    count, least = len(c0), _least_motions(len(c0))
-    if len(motions) < least:
-        raise IdentificationError(
-            f"{len(motions)} micro-motions of {counted(count, 'element')}; accepted: {least} or more"
-        )
+    count = len(c0)
     middle = _middle(families)
     fits: dict[tuple[KindFamily, ...], GroupFit] = {}
     if count > 1:
@@ -315,7 +298,34 @@ def choose_kinds_of(
             fits[chosen] = GroupFit.of(chosen, motions, c0)
         if chosen not in power:
             without[chosen], power[chosen] = _held_out(fits[chosen])
-    return _choices(sets, fits, without, power)
+    errors = HeldOutErrors(power)
+    best = errors.best()
+    model = fits[best].model
+    friction = sum(float(np.sum((motion.target / model.scale) ** 2)) for motion in model.motions)
+    floor = _MIN_RELATIVE_SD if len(sets) == 1 else _MIN_RELATIVE_SD_SHARED
+    found = []
+    for place, tried_here in enumerate(sets):
+        positions = [motion.traces[place].position for motion in model.motions]
+        largest = int(np.argmax([np.ptp(position) for position in positions]))
+        trials = []
+        for some in tried_here:
+            # Of sets with the same kind here, which differ elsewhere, that which predicts best.
+            chosen = errors.best(each for each in power if each[place] == some[place])
+            whole, rows = fits[chosen], [fit.numbers(place) for fit in without[chosen]]
+            trials.append(
+                KindTrial(
+                    some[place],
+                    whole.bristles(place),
+                    whole.seen(place, largest),
+                    jackknife_estimates(whole.numbers(place), rows, floor),
+                    float(np.sqrt(power[chosen].sum() / friction)),
+                    errors.behind(chosen, best),
+                    float(np.abs(whole.x[whole.model.inertial]).max()),
+                    whole.reach(place),
+                )
+            )
+        found.append(KindChoice(tuple(trials), positions[largest]))
+    return found
 
 
 def _held_out(whole: GroupFit) -> tuple[list[GroupFit], Array]:
@@ -330,54 +340,23 @@ def _held_out(whole: GroupFit) -> tuple[list[GroupFit], Array]:
     return leave_out(range(len(whole.model.motions)), whole.without, squares)
 
 
-def _choices(
-    sets: Sequence[Sequence[tuple[KindFamily, ...]]],
-    fits: Mapping[tuple[KindFamily, ...], GroupFit],
-    without: Mapping[tuple[KindFamily, ...], Sequence[GroupFit]],
-    power: Mapping[tuple[KindFamily, ...], Array],
-) -> list[KindChoice]:
-    """Return the choice of each element, by its sets of kinds."""
-    errors = HeldOutErrors(power)
-    best = errors.best()
-    model = fits[best].model
-    friction = sum(float(np.sum((motion.target / model.scale) ** 2)) for motion in model.motions)
-    floor = _MIN_RELATIVE_SD if len(sets) == 1 else _MIN_RELATIVE_SD_SHARED
-    found = []
-    for place, own in enumerate(sets):
-        positions = [motion.traces[place].position for motion in model.motions]
-        largest = int(np.argmax([np.ptp(position) for position in positions]))
-        trials = []
-        for some in own:
-            # Of sets with the same kind here, which differ elsewhere, that which predicts best.
-            chosen = errors.best(each for each in power if each[place] == some[place])
-            whole = fits[chosen]
-            element = whole.element(place)
-            estimates = jackknife_estimates(element, [fit.element(place) for fit in without[chosen]], floor)
-            missed = float(np.sqrt(power[chosen].sum() / friction))
-            behind = errors.behind(chosen, best)
-            trials.append(KindTrial(element, whole.seen(place, largest), estimates, missed, behind))
-        found.append(KindChoice(tuple(trials), positions[largest]))
-    return found
-
-
 def jackknife_estimates(
-    whole: KindFit, without: Sequence[KindFit], floor: Mapping[str, float]
+    whole: Mapping[str, float], without: Sequence[Mapping[str, float]], floor: Mapping[str, float]
 ) -> dict[str, ParameterEstimate]:
     """Return what was fitted with the deviations of the jackknife: how far fits without one motion each lie apart.
 
     A variance of so few fits is itself uncertain: Student's distribution widens the deviations so that 1.96 of them
     hold 95 %. What is the same in all motions does not show in it: the floor, in parts of c0 and c1, is for that.
     """
-    values = whole.numbers()
-    rows = np.array([list(fit.numbers().values()) for fit in without])
+    rows = np.array([list(fit.values()) for fit in without])
     student = stats.t.ppf(0.975, len(rows) - 1) / stats.norm.ppf(0.975)
     spread = student * np.sqrt((len(rows) - 1.0) * np.var(rows, axis=0))
     found = {}
-    for (name, value), scatter in zip(values.items(), spread.tolist(), strict=True):
+    for (name, value), scatter in zip(whole.items(), spread.tolist(), strict=True):
         deviation = float(np.hypot(scatter, floor[name] * value if name in floor else _MIN_SD_OF_PARTS))
         found[name] = ParameterEstimate(value, deviation)
         if name in PRESLIDING and not deviation < LARGEST_DEVIATION * value:
             found[name] = ParameterEstimate.unknown(f"standard deviation {deviation:.2g} at a value of {value:.3g}")
-    if whole.family.blocks:
-        found[f"bristles.{ATTRACTION}"] = ParameterEstimate.unknown("it does not show in presliding")
+        if name.endswith(ATTRACTION):
+            found[name] = ParameterEstimate.unknown("it does not show in presliding")
     return found

@@ -10,11 +10,9 @@ from scipy.stats import t as student
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import quoted
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import SLIDING, VISCOUS_EXPONENT, ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.records import JointRecord, check_joints
-from rx90_emulator.identification.sliding.equations import sliding_rows
 from rx90_emulator.identification.sliding.plateaus import BagUse, Blocks, find_blocks
 from rx90_emulator.identification.sliding.quality import FitQuality
 from rx90_emulator.identification.sliding.solver import (
@@ -28,6 +26,7 @@ from rx90_emulator.identification.sliding.solver import (
     CurveFit,
     natural,
     natural_jacobian,
+    sliding_rows,
     torque,
     torque_jacobian,
 )
@@ -101,9 +100,7 @@ class SlidingFit:
     zeros: ZeroCheck | None = None
 
 
-def identify_sliding(
-    records: Sequence[JointRecord], arm: RigidArm, required: Sequence[str] = (), zero: Array | None = None
-) -> SlidingFit:
+def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, zero: Array | None = None) -> SlidingFit:
     """Fit tau_c+-, tau_s+-, omega_s, delta, c2 and, where they prefer one, alpha of every element that slides.
 
     Errors of the arm's inertial parameters, such as an unknown payload, are nuisance parameters of the same fit, so
@@ -112,27 +109,21 @@ def identify_sliding(
     Args:
         records: sweeps at constant velocity, both directions, several speeds.
         arm: rigid-body model of the same joints.
-        required: elements that must have sweeps at enough speeds; others may lack them.
         zero: of the encoders, that the records are without, rad, shape (n,); by default 0.
 
     Raises:
         IdentificationError: for other joints than the arm's; for no sweep; for too few speeds or a single direction of
-            a required element, or of all elements; and for torques that do not oppose the motion.
+            all elements; and for torques that do not oppose the motion.
     """
     check_joints(records, arm.names)
     names = arm.element_names
-    for name in required:
-        if name not in names:
-            raise IdentificationError(f"element {quoted(name)}; accepted: {', '.join(names)}")
     where = ", ".join(str(record.source) for record in records)
     blocks, usage = find_blocks(records, arm.element_matrix)
     blocks, lacking = _enough(blocks, arm)
-    # Where none is left, what an element lacks that moves says more than that another one rests.
-    none_slides = len(lacking) == len(names)
-    unusable = sorted(lacking, key=lambda name: lacking[name] == _DOES_NOT_SLIDE) if none_slides else ()
-    for name in [*required, *unusable]:
-        if name in lacking:
-            raise IdentificationError(f"{where}: {name} {lacking[name]}")
+    if len(lacking) == len(names):
+        # What an element lacks that moves says more than that another one rests.
+        name = min(lacking, key=lambda name: lacking[name] == _DOES_NOT_SLIDE)
+        raise IdentificationError(f"{where}: {name} {lacking[name]}")
     known = known_joints(blocks.sliding, arm.element_matrix)
     motion = blocks.position, blocks.velocity, blocks.acceleration
     zeros = check_zeros(Instants(*motion, blocks.torque, known, blocks.plateau), arm, zero)
@@ -262,7 +253,7 @@ def _natural_covariance(fit: CurveFit, element: int) -> Array:
     wider = np.sqrt(np.maximum(design, fit.misfits[element].widening))
     # The degrees of freedom are Satterthwaite's: with the intraclass correlation of a plateau's blocks each plateau is
     # one observation, with the rest of the variance each block is one. The factor is that of the 97.5 % quantiles.
-    common = float((1.0 - (1.0 - fit.weights.share[fit.weights.cluster]) ** 2)[mine].mean())
+    common = float(fit.common[mine].mean())
     fitted = int(fit.free[element].sum())
     plateaus = max(1, len(np.unique(fit.rows.plateau[mine])) - fitted)
     freedom = 1.0 / (common**2 / plateaus + (1.0 - common) ** 2 / max(1, int(mine.sum()) - fitted))
@@ -331,7 +322,7 @@ def _curve(fit: CurveFit, element: int) -> CurvePoints:
 
     power = np.bincount(number, gain**2, len(plateau))
     velocity = mean(along, gain**2)
-    noise = np.bincount(number, (gain / fit.weights.factor[mine]) ** 2, len(plateau))
+    noise = np.bincount(number, (gain * fit.noise[mine]) ** 2, len(plateau))
     return CurvePoints(
         velocity=velocity,
         torque=np.bincount(number, gain * left, len(plateau)) / power,

@@ -14,11 +14,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 from scipy.special import stdtrit
 
 from rx90_common.base.arrays import Array, Mask
-from rx90_emulator.identification.sliding.equations import SlidingRows, Weights
 
 FALSE_ALARMS = 0.01
 """Probability that drift is claimed in a series without any, of all elements together."""
@@ -54,38 +52,6 @@ class Residuals:
     velocity: Array
     along: Array
     time: Array
-
-    @classmethod
-    def of(cls, rows: SlidingRows, weights: Weights, residual: Array, slope: Array) -> Residuals:
-        """Return what a fit leaves.
-
-        Args:
-            rows: the equations.
-            weights: of the fit.
-            residual: of the equations, shape (r,).
-            slope: derivatives of the equations by the free parameters, shape (r, q).
-        """
-        operator = weights.operator()
-        left = np.asarray(operator @ residual)
-        number = np.asarray(np.unique(rows.plateau, return_inverse=True)[1], dtype=np.int64)
-        count = int(number.max()) + 1
-        gather = csr_array((np.ones(len(rows)), (number, np.arange(len(rows)))), shape=(count, len(rows)))
-        slides = rows.gain != 0.0
-        shared = np.maximum(np.asarray(gather @ slides.astype(np.float64)), 1.0)
-        gain = np.asarray(operator @ (np.sign(rows.velocity) * rows.gain))
-        nuisance = operator @ rows.nuisance
-        basis = np.linalg.qr(np.vstack([nuisance, np.eye(nuisance.shape[1])]))[0][: len(left)]
-        both = np.hstack([np.asarray(operator @ slope), gain])
-        both = both - basis @ (basis.T @ both)
-        return cls(
-            left=left,
-            slope=both[:, : slope.shape[1]],
-            gain=both[:, slope.shape[1] :],
-            plateau=number,
-            velocity=np.asarray(gather @ (rows.velocity * slides)) / shared,
-            along=np.asarray(gather @ (gain * left[:, None])) / np.sqrt(np.maximum(gather @ gain**2, 1e-300)),
-            time=np.asarray(gather @ rows.time) / np.bincount(number),
-        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,23 +1,38 @@
-"""The non-linear least-squares fit of all elements' curves: several starts, bounds, reweighting, covariance.
+"""The equations of the sliding fit, and the non-linear least-squares fit of all elements' curves to them.
 
-With dz/dt = 0, equations 17 to 19 leave sign(v) [tau_c + d exp(-(|v| / omega_s)^delta) + c2 |v|^alpha] with the
+A block gives, joint by joint, drive torque - rigid torque = E^T f + Y p with the friction torques f of the
+elements and errors p of the inertial parameters (an unknown payload, a wrong mass). The torque of an element that
+sticks is unknown, so only combinations of joints are kept in which no such element acts: the columns of N with
+E_stuck N = 0. With joints 5 and 6 turning against each other, element 7 sticks, and the one combination left for it
+is the difference of the two torques.
+
+An element has one velocity in a plateau, hence one torque. The equations are linear in these torques f and in the
+nuisance parameters p. Eliminating p leaves a quadratic form in f, the normal equations, which is sufficient for the
+friction. It is small, so the non-linear fit of the curves costs nothing.
+
+With dz/dt = 0, equations 17 to 19 leave f = sign(v) [tau_c + d exp(-(|v| / omega_s)^delta) + c2 |v|^alpha] with the
 Stribeck rise d = tau_s - tau_c. Written in d and in the logarithms of omega_s, delta and alpha, the bounds
 tau_s >= tau_c > 0 and omega_s, delta > 0 are plain, and five of the eight parameters are linear.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr, solve_triangular
 from scipy.optimize import least_squares, lsq_linear
 from scipy.sparse import csr_array
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay_slopes, viscous_torque
 from rx90_common.friction.element import ALPHA_BOUNDS
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import SLIDING, VISCOUS_EXPONENT
-from rx90_emulator.identification.sliding.equations import NormalForm, SlidingRows, Weights, speed_design_effect
+from rx90_emulator.identification.sliding.plateaus import Blocks
 from rx90_emulator.identification.sliding.quality import Drift, Misfit, Residuals, drifts_of, misfits_of
 
 FITTED = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c2", "omega_s", "delta", "alpha")
@@ -37,6 +52,206 @@ _STARTS = ((0.3, 1.0), (0.1, 1.0), (0.03, 1.0), (0.1, 2.0), (0.3, 2.0))
 _ALPHA_START = 0.8
 _BOUND_MARGIN = 1e-3  # Nm, or of a logarithm
 _TIE_WEIGHT = 10.0  # weight of an exact equation over that of the data
+_MIN_EFFECT_SD = 1e-2  # effect of an inertial error on all data together, in standard deviations of the noise
+_HUBER_SD = 3.0  # standard deviations from which a residual counts linearly
+_SPEED_CLASS_WIDTH = 0.1  # width of the classes of ln |speed| that count as one speed
+_MIN_RESIDUAL_LEVERAGE = 0.05  # lower bound of 1 - leverage of a plateau's mean
+_RANK_CUTOFF = 1e-13  # of the largest eigenvalue: smaller ones count as 0
+
+
+@dataclass(frozen=True, eq=False)
+class SlidingRows:
+    """Equations scaled to unit noise: `value` = sum over elements of gain * f(velocity) + nuisance @ p.
+
+    Attributes:
+        value: shape (r,).
+        gain: of the elements' torques, 1/Nm, shape (r, n_el).
+        velocity: of the elements, mean of the plateau, rad/s, shape (r, n_el).
+        nuisance: coefficients of errors along k observable directions of the inertial parameters, shape (r, k); the
+            prior of each error is 0 with a standard deviation of 1.
+        directions: these directions, in SI units, shape (10 n, k).
+        scale: square root of the number of samples in the row's block mean, shape (r,).
+        group: joint whose noise the row has, shape (r,).
+        plateau: shape (r,).
+        source: number of the record, shape (r,).
+        time: in the series, s, shape (r,).
+    """
+
+    value: Array
+    gain: Array
+    velocity: Array
+    nuisance: Array
+    directions: Array
+    scale: Array
+    group: NDArray[np.int64]
+    plateau: NDArray[np.int64]
+    source: NDArray[np.int64]
+    time: Array
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+
+def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
+    """Return the observation equations of all blocks, whitened by the covariance of the torques' noise."""
+    motion = blocks.position, blocks.velocity, blocks.acceleration
+    friction = blocks.torque - arm.torque(*motion)
+    regressor = arm.regressor(*motion) * arm.inertial_scale()
+    elements = arm.element_matrix
+    size = np.bincount(blocks.plateau)
+    mean = np.zeros((len(size), len(elements)))
+    np.add.at(mean, blocks.plateau, blocks.velocity @ elements.T)
+    velocity = (mean / np.maximum(size, 1)[:, None])[blocks.plateau]
+    # The floor keeps the scaling finite for data without noise.
+    noise = blocks.noise + np.diag((1e-6 * np.abs(blocks.torque).max(axis=0)) ** 2 + 1e-18)
+    parts = []
+    for pattern in np.unique(blocks.sliding, axis=0):
+        combination = _unloaded(elements[~pattern])
+        if combination.shape[1] == 0:
+            continue
+        rows = np.flatnonzero((blocks.sliding == pattern).all(axis=1))
+        factor = np.linalg.cholesky(combination.T @ noise @ combination)
+        white = solve_triangular(factor, combination.T, lower=True)  # (rows of a block, n)
+        gain = white @ elements.T
+        gain[:, ~pattern] = 0.0
+        weight = np.sqrt(blocks.count[rows])
+        height, width = len(rows), len(white)
+        parts.append(
+            SlidingRows(
+                value=(weight[:, None] * (friction[rows] @ white.T)).ravel(),
+                gain=(weight[:, None, None] * gain).reshape(height * width, -1),
+                velocity=np.repeat(velocity[rows], width, axis=0),
+                nuisance=(weight[:, None, None] * (white @ regressor[rows])).reshape(height * width, -1),
+                directions=np.zeros((0, 0)),
+                scale=np.repeat(weight, width),
+                group=np.tile(np.abs(combination).argmax(axis=0), height),
+                plateau=np.repeat(blocks.plateau[rows], width),
+                source=np.repeat(blocks.source[rows], width),
+                time=np.repeat(blocks.time[rows], width),
+            )
+        )
+    joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(SlidingRows)}
+    # The directions of the inertial parameters that the equations observe.
+    _, effect, basis = np.linalg.svd(joined["nuisance"].T @ joined["nuisance"])
+    directions = basis[np.sqrt(effect) > _MIN_EFFECT_SD].T
+    joined["nuisance"] = joined["nuisance"] @ directions
+    joined["directions"] = arm.inertial_scale()[:, None] * directions
+    return SlidingRows(**joined)
+
+
+def _unloaded(stuck: Array) -> Array:
+    """Return a sparse basis of the joint torques on which no stuck element, a row of E each, acts, shape (n, k)."""
+    n = stuck.shape[1]
+    if len(stuck) == 0:
+        return np.eye(n)
+    _, upper, order = qr(stuck, pivoting=True)
+    rank = int(np.sum(np.abs(np.diag(upper)) > 1e-9))
+    combination = np.zeros((n, n - rank))
+    combination[order[:rank]] = -_back_substituted(upper[:rank, :rank], upper[:rank, rank:])
+    combination[order[rank:]] = np.eye(n - rank)
+    combination[np.abs(combination) < 1e-12] = 0.0
+    return combination
+
+
+def _back_substituted(upper: NDArray[Any], right: NDArray[Any]) -> Array:
+    """Return x of upper @ x = right, shapes (n, n) and (n, k); SciPy 1.11 refuses n = 0."""
+    return np.asarray(solve_triangular(upper, right)) if len(upper) else right
+
+
+class _Weights:
+    """A transformation of the equations to unit noise (random effects, quasi-demeaning).
+
+    Besides noise from block to block, all blocks of a plateau share an error (ripple, temperature, an arm that is not
+    quite rigid). With variances s^2 of a block and t^2 of a plateau of m blocks, the equations less the share
+    1 - s / sqrt(s^2 + m t^2) of their plateau's mean, over s, have unit noise. As the equations are scaled, t^2 grows
+    with the samples in a block. At first all of the noise is that of the samples.
+    """
+
+    def __init__(self, rows: SlidingRows) -> None:
+        self._rows = rows
+        pairs = np.column_stack([rows.plateau, rows.group])
+        _, self.first, number, self.count = np.unique(
+            pairs, axis=0, return_index=True, return_inverse=True, return_counts=True
+        )
+        self.cluster = np.asarray(number.ravel(), dtype=np.int64)  # of plateau and joint, shape (r,)
+        self.share = np.zeros(len(self.count))  # of its mean that is subtracted from each cluster
+        self.factor = np.ones(len(rows))  # of each row, 1 / s and Huber's weight
+
+    def update(self, residual: Array, leverage: Array) -> None:
+        """Find the weights by the variance components of residuals (r,), with the leverage of the clusters' means."""
+        cluster, count, rows = self.cluster, self.count, self._rows
+        mean = np.bincount(cluster, residual) / count
+        # The shared error of a plateau is a torque, and the equations of long blocks are scaled up.
+        power = np.bincount(cluster, rows.scale**2)
+        inner = residual - mean[cluster]
+        # Bessel's correction; a plateau of one block has no distance from its mean, and is left out.
+        several = count[cluster] > 1
+        apart = inner / np.sqrt(1.0 - 1.0 / np.where(several, count[cluster], np.inf))
+        group = rows.group[self.first]
+        for g in np.unique(group):
+            inside, mine = rows.group == g, group == g
+            known = apart[inside & several]
+            # Without such plateaus the noise is that of the samples, by which the equations are scaled.
+            noise = max(_robust_sd(known), 1e-9) if len(known) else 1.0
+            # The mean square of the residuals' means is (1 - leverage) (s^2 / m + t^2).
+            left = np.maximum(_MIN_RESIDUAL_LEVERAGE, 1.0 - leverage[mine])
+            excess = np.sum(count[mine] * mean[mine] ** 2) - noise**2 * np.sum(left)
+            common = max(0.0, float(excess / np.sum(power[mine] * left)))
+            self.share[mine] = 1.0 - noise / np.sqrt(noise**2 + power[mine] * common)
+            size = np.abs(inner[inside]) / noise
+            self.factor[inside] = np.sqrt(np.minimum(1.0, _HUBER_SD / np.maximum(size, 1e-12))) / noise
+
+    def _members(self, values: Array) -> csr_array:
+        return csr_array((values, (self.cluster, np.arange(len(values)))), shape=(len(self.count), len(values)))
+
+    def means(self, values: Array | csr_array) -> Array:
+        """Return the clusters' means of columns, shape (r, k), scaled to unit noise, shape (c, k)."""
+        scale = (1.0 - self.share) / np.sqrt(self.count)
+        return np.asarray(scale[:, None] * (self._members(self.factor) @ values))
+
+    def operator(self) -> csr_array:
+        """Return the matrix of the transformation, shape (r, r)."""
+        ones = np.ones(len(self.cluster))
+        members = self._members(ones)
+        less = _diagonal(ones) - members.T @ _diagonal(self.share / self.count) @ members
+        return csr_array(_diagonal(self.factor) @ less)
+
+    def design_effect(self, residual: Array) -> Array:
+        """Return Kish's design effect of plateaus at one speed, whatever their pose and direction, on each row (r,).
+
+        Ripple depends on the speed and changes its sign with it, so the errors of plateaus at one speed are correlated.
+        The variance of an estimate is that with independent plateaus, times the sum of S^2 over the speeds over the sum
+        of s^2 over the plateaus, with the residual s of a plateau along its motion, and the sum S of s at one speed.
+        """
+        rows = self._rows
+        group, source = rows.group[self.first], rows.source[self.first]
+        velocity = rows.velocity[self.first, group]
+        along = np.sign(velocity) * self.means(residual[:, None])[:, 0]
+        with np.errstate(divide="ignore"):
+            level = np.round(np.log(np.abs(velocity)) / _SPEED_CLASS_WIDTH)
+        factor = np.ones(len(rows))
+        for g in np.unique(group):
+            mine = np.flatnonzero((group == g) & (velocity != 0.0))
+            number = np.unique(np.column_stack([source[mine], level[mine]]), axis=0, return_inverse=True)[1].ravel()
+            power = float(np.sum(along[mine] ** 2))
+            if power > 0.0:
+                together = float(np.sum(np.bincount(number, along[mine]) ** 2))
+                factor[rows.group == g] = max(1.0, together / power)
+        return factor
+
+
+def _diagonal(values: Array) -> csr_array:
+    """Return a diagonal matrix; scipy.sparse.diags_array and eye_array are younger than SciPy 1.11."""
+    place = np.arange(len(values))
+    return csr_array((values, (place, place)), shape=(len(values), len(values)))
+
+
+def _robust_sd(values: Array) -> float:
+    """Return the standard deviation about 0 without outliers, which are found by the median absolute deviation."""
+    robust = 1.4826 * float(np.median(np.abs(values)))
+    good = np.abs(values) <= _HUBER_SD * robust
+    # A normal distribution truncated at 3 standard deviations keeps 0.9867 of its standard deviation.
+    return float(np.sqrt(np.mean(values[good] ** 2))) / 0.9867 if robust > 0.0 else 0.0
 
 
 def torque(velocity: Array, parameters: Array) -> Array:
@@ -92,42 +307,93 @@ class CurveFit:
         covariance: of the elements' parameters, shape (8 n_el, 8 n_el); 0 where fixed.
         at_bound: free parameters that lie on a bound, shape (n_el, 8).
         residual: of the equations, shape (r,).
-        weights: of the equations.
+        noise: standard deviation of each row over the one that it was scaled by, shape (r,).
+        common: intraclass correlation: share of the variance of a plateau's mean that its blocks share, shape (r,).
         design_effect: Kish's factor on the variance because plateaus at one speed err together, shape (r,).
+        misfits: whether each element's curve fits, and how much wider that makes the variances.
+        drifts: of each element's friction over the series.
     """
 
     def __init__(self, rows: SlidingRows, free: Mask) -> None:
         self.rows, self.free = rows, free
-        # A friction torque for each plateau and element that slides in it.
+        # A friction torque for each plateau and element that slides in it; c of them.
         at, element = np.nonzero(rows.gain)
         keys, number = np.unique(rows.plateau[at] * len(free) + element, return_inverse=True)
         self._velocity = np.bincount(number, rows.velocity[at, element]) / np.bincount(number)
         self._columns = [np.flatnonzero(keys % len(free) == e) for e in range(len(free))]
-        design = csr_array((rows.gain[at, element], (at, number)), shape=(len(rows), len(keys)))
+        self._design = csr_array((rows.gain[at, element], (at, number)), shape=(len(rows), len(keys)))
         self._lower, self._upper = self._bounds()
-        self.weights = Weights.equal(rows)
-        self._form = NormalForm.of(rows, design, self.weights)
+        weights = _Weights(rows)
+        self._eliminate_nuisance(weights.operator())
         self.parameters = min((self._solved(self._start(*start)) for start in _STARTS), key=lambda pair: pair[1])[0]
         for _ in range(_REWEIGHTINGS):
-            slope = self.weights.means(design @ self._slope(self.parameters))
-            leverage = _leverage(slope, self.weights.means(rows.nuisance))
-            self.weights = self.weights.updated(rows, self._left(design), leverage)
-            self._form = NormalForm.of(rows, design, self.weights)
+            slope = weights.means(self._design @ self._slope(self.parameters))
+            leverage = _leverage(slope, weights.means(rows.nuisance))
+            weights.update(self._left(), leverage)
+            self._eliminate_nuisance(weights.operator())
             self.parameters = self._solved(self.parameters)[0]
         inside = np.minimum(self.parameters - self._lower, self._upper - self.parameters)
         self.at_bound = free & (inside < _BOUND_MARGIN)
-        self.residual = self._left(design)
-        self.nuisance = self._form.nuisance(self._torques(self.parameters))
-        slope = self._slope(self.parameters)
-        own = self._own_covariance()
-        follows, spread = self._form.back[:, 1:] @ slope, self._form.spread
-        self.nuisance_covariance = spread @ spread.T + follows @ own @ follows.T
+        self.residual = self._left()
+        self.nuisance = self._nuisance(self._torques(self.parameters))
+        slope, own = self._slope(self.parameters), self._own_covariance()
+        follows = self._back[:, 1:] @ slope
+        self.nuisance_covariance = self._spread @ self._spread.T + follows @ own @ follows.T
         self.covariance = np.zeros((free.size, free.size))
         self.covariance[np.ix_(*2 * [np.flatnonzero(free)])] = own
-        self.design_effect = speed_design_effect(rows, self.weights, self.residual)
-        residuals = Residuals.of(rows, self.weights, self.residual, design @ slope)
+        self.noise = 1.0 / weights.factor
+        self.common = 1.0 - (1.0 - weights.share[weights.cluster]) ** 2
+        self.design_effect = weights.design_effect(self.residual)
+        residuals = self._residuals(weights.operator(), self._design @ slope)
         self.misfits: list[Misfit] = misfits_of(residuals, free, own)
         self.drifts: list[Drift] = drifts_of(residuals, free)
+
+    def _eliminate_nuisance(self, operator: csr_array) -> None:
+        """Find the equations of unit noise in the friction torques f alone: root @ f = target, shapes (k, c) and (k,).
+
+        The nuisance parameters, whose prior is 0 with a standard deviation of 1, are back[:, 0] - back[:, 1:] @ f, and
+        their covariance at given torques is spread @ spread^T.
+        """
+        value, friction = operator @ self.rows.value[:, None], operator @ self._design
+        nuisance = operator @ self.rows.nuisance
+        # By an orthogonal basis (QR): normal equations in nuisance parameters as badly scaled as these would lose all
+        # digits.
+        basis, upper = np.linalg.qr(np.vstack([nuisance, np.eye(nuisance.shape[1])]))
+        basis = basis[: len(value)]
+        along = np.hstack([basis.T @ value, basis.T @ friction])
+        form = (friction.T @ friction).toarray() - along[:, 1:].T @ along[:, 1:]
+        pull = (friction.T @ value)[:, 0] - along[:, 1:].T @ along[:, 0]
+        values, vectors = np.linalg.eigh((form + form.T) / 2.0)
+        good = values > _RANK_CUTOFF * values[-1]
+        scale = np.sqrt(values[good])
+        self._root, self._target = scale[:, None] * vectors[:, good].T, (vectors[:, good].T @ pull) / scale
+        self._back, self._spread = _back_substituted(upper, along), _back_substituted(upper, np.eye(len(upper)))
+
+    def _nuisance(self, torques: Array) -> Array:
+        return np.asarray(self._back[:, 0] - self._back[:, 1:] @ torques)
+
+    def _residuals(self, operator: csr_array, slope: Array) -> Residuals:
+        """Return what the fit leaves, by the derivatives of the equations by the free parameters, shape (r, q)."""
+        rows, left = self.rows, np.asarray(operator @ self.residual)
+        number = np.asarray(np.unique(rows.plateau, return_inverse=True)[1], dtype=np.int64)
+        count = int(number.max()) + 1
+        gather = csr_array((np.ones(len(rows)), (number, np.arange(len(rows)))), shape=(count, len(rows)))
+        slides = rows.gain != 0.0
+        shared = np.maximum(np.asarray(gather @ slides.astype(np.float64)), 1.0)
+        gain = np.asarray(operator @ (np.sign(rows.velocity) * rows.gain))
+        nuisance = operator @ rows.nuisance
+        basis = np.linalg.qr(np.vstack([nuisance, np.eye(nuisance.shape[1])]))[0][: len(left)]
+        both = np.hstack([np.asarray(operator @ slope), gain])
+        both = both - basis @ (basis.T @ both)
+        return Residuals(
+            left=left,
+            slope=both[:, : slope.shape[1]],
+            gain=both[:, slope.shape[1] :],
+            plateau=number,
+            velocity=np.asarray(gather @ (rows.velocity * slides)) / shared,
+            along=np.asarray(gather @ (gain * left[:, None])) / np.sqrt(np.maximum(gather @ gain**2, 1e-300)),
+            time=np.asarray(gather @ rows.time) / np.bincount(number),
+        )
 
     @cached_property
     def exponent_score(self) -> Array:
@@ -137,12 +403,12 @@ class CurveFit:
         """
         exponent = np.zeros_like(self.free)
         exponent[:, EXPONENT] = self.free[:, VISCOUS] & ~self.free[:, EXPONENT]
-        root, parameters = self._form.root, self.parameters
+        root, parameters = self._root, self.parameters
         added = root @ self._slope(parameters, exponent)
         basis = np.linalg.qr(root @ self._slope(parameters))[0]
         # What the other parameters do not explain (Frisch, Waugh and Lovell).
         added -= basis @ (basis.T @ added)
-        residual = self._form.target - root @ self._torques(parameters)
+        residual = self._target - root @ self._torques(parameters)
         normal = np.linalg.pinv(added.T @ added, hermitian=True)
         step, deviation = normal @ (added.T @ residual), np.sqrt(np.maximum(np.diag(normal), 0.0))
         result = np.zeros(len(self.free))
@@ -170,13 +436,13 @@ class CurveFit:
             parts.append(part)
         return np.hstack(parts)
 
-    def _left(self, design: csr_array) -> Array:
+    def _left(self) -> Array:
         friction = self._torques(self.parameters)
-        return np.asarray(self.rows.value - design @ friction - self.rows.nuisance @ self._form.nuisance(friction))
+        return np.asarray(self.rows.value - self._design @ friction - self.rows.nuisance @ self._nuisance(friction))
 
     def _own_covariance(self) -> Array:
         """Return the covariance of the free parameters; huge for what is not identifiable."""
-        jacobian = np.vstack([self._form.root @ self._slope(self.parameters), self._ties()])
+        jacobian = np.vstack([self._root @ self._slope(self.parameters), self._ties()])
         scale = np.linalg.norm(jacobian, axis=0)
         scale[scale == 0.0] = 1.0
         _, values, directions = np.linalg.svd(jacobian / scale, full_matrices=False)
@@ -185,7 +451,7 @@ class CurveFit:
 
     def _solved(self, start: Array) -> tuple[Array, float]:
         """Return the solution from a start, and its cost."""
-        ties, root, target = self._ties(), self._form.root, self._form.target
+        ties, root, target = self._ties(), self._root, self._target
         fixed = start.copy()
         fixed[:, LINEAR][~self.free[:, LINEAR]] = 0.0
 
@@ -213,8 +479,8 @@ class CurveFit:
         start[:, OMEGA_S + 1] = np.log(delta)
         start[self.free[:, EXPONENT], EXPONENT] = np.log(_ALPHA_START)
         linear = self.free & (np.arange(SIZE) < LINEAR.stop)
-        matrix = self._form.root @ self._slope(start, linear)
-        start[linear] = lsq_linear(matrix, self._form.target, (0.0, np.inf)).x
+        matrix = self._root @ self._slope(start, linear)
+        start[linear] = lsq_linear(matrix, self._target, (0.0, np.inf)).x
         return start
 
     def _bounds(self) -> tuple[Array, Array]:
@@ -238,7 +504,7 @@ class CurveFit:
         coupled = [e for e in range(joints, len(self.free)) if self.free[e, 0]]
         ties = np.zeros((len(coupled), int(self.free.sum())))
         for row, e in zip(ties, coupled, strict=True):
-            scale = _TIE_WEIGHT * float(np.linalg.norm(self._form.root[:, self._columns[e]]))
+            scale = _TIE_WEIGHT * float(np.linalg.norm(self._root[:, self._columns[e]]))
             row[column[e, 0]], row[column[e, 1]] = scale, -scale
         return ties
 

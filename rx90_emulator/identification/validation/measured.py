@@ -31,9 +31,9 @@ from rx90_emulator.identification.excitation.filtering import (
     low_pass_taps,
 )
 from rx90_emulator.identification.excitation.problem import SlidingState, element_states
-from rx90_emulator.identification.layout import JOINT_STATES, BagLayout, arm_layout, recorded_topic, with_signals
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
+from rx90_emulator.identification.robot import JOINT_STATES, BagLayout, arm_layout, recorded_topic, with_signals
 from rx90_emulator.identification.validation.options import MeasuredTolerances
 from rx90_emulator.identification.validation.setpoints import SetPoints, path_setpoints, recorded_setpoints, run_along
 from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest

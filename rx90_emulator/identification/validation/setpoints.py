@@ -18,7 +18,7 @@ from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_controller.trajectory import JointLimits
 from rx90_emulator.identification.excitation.filtering import FilteredRun
-from rx90_emulator.identification.layout import BagLayout, topic_names
+from rx90_emulator.identification.robot import BagLayout, topic_names
 from rx90_emulator.loop.closed_loop import run_setpoints
 from rx90_emulator.loop.result import FastSeries, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup

@@ -24,8 +24,8 @@ from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES, SAMPLED
-from rx90_emulator.identification.layout import BagLayout, arm_layout, with_signals
 from rx90_emulator.identification.options import MeasuredLayout
+from rx90_emulator.identification.robot import BagLayout, arm_layout, with_signals
 from rx90_emulator.view.bags.track import Track
 
 _FRICTION, _REFERENCE = "friction_states", "reference"

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hinge_arm import Hinge, make_hinge
 
 from benchmarks.synthetic_sweeps import Noise, Program, drive_torque, measured, random_friction
 from rx90_common.base.errors import DONE
@@ -66,3 +67,9 @@ def identified(series: Path) -> tuple[Path, str]:
         code = run("rx90_identify", [str(series), "--output", str(output)])
     assert code == DONE, said.getvalue()
     return output, said.getvalue()
+
+
+@pytest.fixture(scope="session")
+def hinge(tmp_path_factory: pytest.TempPathFactory) -> Hinge:
+    """Return the joint with its files."""
+    return make_hinge(tmp_path_factory.mktemp("hinge"))

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from benchmarks.friction_mass import led
-from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_emulator.identification.arm import RigidArm
@@ -23,7 +22,7 @@ from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.presliding import kinds as kinds_module
 from rx90_emulator.identification.presliding.bristle_motion import JointGroup, KindFamily, KindMotion, MovedGroup
 from rx90_emulator.identification.presliding.fit import PreslidingFit
-from rx90_emulator.identification.presliding.group_fit import KindFit
+from rx90_emulator.identification.presliding.group_fit import GroupFit
 from rx90_emulator.identification.presliding.kinds import (
     KindChoice,
     KindTrial,
@@ -98,8 +97,8 @@ def test_each_kind_is_told_from_the_others(bristles: BristlesPart | None, kind: 
     (best,) = choice.possible
     assert choice.best is best
     assert choice.margin == min(trial.behind for trial in choice.trials if trial is not best) > 3.0
-    assert best.fit.c0 == pytest.approx(1e5, rel=0.05)
-    assert best.fit.c1 == pytest.approx(100.0, rel=0.2)
+    assert best.estimates["c0"].value == pytest.approx(1e5, rel=0.05)
+    assert best.estimates["c1"].value == pytest.approx(100.0, rel=0.2)
     truth = {"c0": 1e5, "c1": 100.0} | ({} if bristles is None else numbers_of(bristles))
     for name, estimate in best.estimates.items():
         if name == "bristles.attraction":
@@ -162,14 +161,13 @@ def test_blocks_that_slip_beyond_the_motion_are_not_told(
     hinge: RigidArm, monkeypatch: pytest.MonkeyPatch, softer: float, told: bool
 ) -> None:
     """A block that slips after several times the travel leaves LuGre's bristles: what it gives there is a guess."""
-    fit = KindFit(FAMILIES[2], 1e5, np.array([-softer, 0.0]), 100.0, 0.0, 25.0)
-    seen = (np.zeros(2), np.zeros(2))
-    others = KindTrial(replace(fit, family=FAMILIES[0]), seen, {}, 0.1, 9.0)
-    choice = KindChoice((KindTrial(fit, seen, {}, 0.01, 0.0), others), np.array([0.0, 4e-4]))
+    seen, reach = (np.zeros(2), np.zeros(2)), 0.5 * (1.0 + np.exp(softer)) * 25.0 / 1e5
+    bristles = FAMILIES[2].bristles(np.array([-softer, 0.0]), 25.0)
+    others = KindTrial(FAMILIES[0], None, seen, {}, 0.1, 9.0)
+    trials = (KindTrial(FAMILIES[2], bristles, seen, {}, 0.01, 0.0, 0.0, reach), others)
+    choice = KindChoice(trials, np.array([0.0, 4e-4]))
     monkeypatch.setattr(kinds_module, "choose_kinds_of", lambda *_: [choice])
     (kind,) = choose_kinds(presliding((1.1, 0.8, 0.5), 0.2), hinge)
-    reach = 0.5 * (1.0 + np.exp(softer)) * 25.0 / 1e5
-    assert fit.reach == pytest.approx(reach)
     assert (kind.decision, kind.bristles is None) == (("Maxwell slip", False) if told else ("cannot tell", True))
     if not told:
         assert f"a block would slip only after {1e3 * reach:.2g} mrad" in kind.text
@@ -182,12 +180,6 @@ def test_two_motions_are_not_compared(hinge: RigidArm) -> None:
         (kind,) = choose_kinds(fit, hinge, seen.append)
         assert kind.text == f"not compared: {count} micro-oscillations; 3 or more tell kinds apart"
         assert len(seen) == kind_steps(hinge)
-
-
-def test_too_few_motions_are_refused() -> None:
-    """Two motions leave nothing to predict."""
-    with pytest.raises(IdentificationError, match="2 micro-motions of 1 element; accepted: 3 or more"):
-        chosen(None, (0.5, 0.4))
 
 
 WRIST = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
@@ -238,12 +230,12 @@ def test_elements_that_share_joints_are_told_each() -> None:
     assert len(seen) == steps_of(2, FAMILIES) == 9 + 6
     assert [one.kind for one in choices] == ["Maxwell slip", "elasto-plastic"]
     for choice, kind in zip(choices, kinds, strict=True):
-        fit = choice.best.fit
-        assert fit.c0 == pytest.approx(1e5, rel=0.1)
-        assert fit.c1 == pytest.approx(100.0, rel=0.3)
+        estimates = choice.best.estimates
+        assert estimates["c0"].value == pytest.approx(1e5, rel=0.1)
+        assert estimates["c1"].value == pytest.approx(100.0, rel=0.3)
         for name, value in ({} if kind is None else numbers_of(kind)).items():
             if name != "bristles.attraction":
-                assert choice.best.estimates[name].value == pytest.approx(value, abs=0.12), name
+                assert estimates[name].value == pytest.approx(value, abs=0.12), name
         measured, fitted = choice.best.seen
         assert np.std(measured - fitted) < 0.1 * np.std(measured)
 
@@ -257,11 +249,20 @@ def test_elements_of_a_wrist_that_hardly_moves_are_not_told() -> None:
 def test_deviations_of_few_motions_hold_what_they_say() -> None:
     """For a mean of four values, whose jackknife is its standard error, 1.96 deviations are Student's interval."""
     values = 1e5 + 1e4 * np.array([0.3, -0.9, 1.4, 0.1])
-    whole = KindFit(FAMILIES[0], float(values.mean()), np.zeros(0), 100.0, 0.0, 25.0)
-    without = [replace(whole, c0=float(np.delete(values, k).mean())) for k in range(4)]
+    whole = {"c0": float(values.mean()), "c1": 100.0}
+    without = [{"c0": float(np.delete(values, k).mean()), "c1": 100.0} for k in range(4)]
     half = stats.t.interval(0.95, 3, scale=stats.sem(values))[1]
     low, high = jackknife_estimates(whole, without, {"c0": 0.0, "c1": 0.01})["c0"].bounds
     assert (high - low) / 2.0 == pytest.approx(half, rel=1e-3)
+
+
+def test_the_reach_is_that_of_the_block_that_slips_last() -> None:
+    """A block with half of the torque and a share s of the stiffness slips after 0.5 / s of the Coulomb torque / c0."""
+    motions = [KindMotion.of(motion, np.eye(1), [ELEMENT]) for motion in micro_motions(BLOCKS, (1.1,), 0.0)]
+    fit = GroupFit.of([FAMILIES[2]], motions, np.array([0.9e5]))
+    numbers = fit.numbers(0)
+    slips = [numbers[f"bristles.share[{k}]"] / numbers[f"bristles.stiffness[{k}]"] for k in range(2)]
+    assert fit.reach(0) == pytest.approx(max(slips) * 25.0 / numbers["c0"], rel=1e-12)
 
 
 def test_blocks_stand_in_the_order_in_which_they_slip() -> None:

@@ -14,8 +14,8 @@ from rx90_common.bags.writing import write_joint_states
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import PlanOptions, make_plan
-from rx90_emulator.identification.layout import arm_layout
 from rx90_emulator.identification.records import JointRecord, read_record
+from rx90_emulator.identification.robot import arm_layout
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
@@ -68,7 +68,7 @@ def test_the_engines_friction_comes_back_from_its_bags(shipped: Setup, arm: Rigi
     """Motor-side bags of the closed loop give the friction file's sliding parameters of the wrist."""
     layout = arm_layout("motor_states", shipped.robot.joint_names, own_gear=lambda: shipped.drives.gear)
     records = [read_record(bag, layout, rate=1000.0) for bag in bags]
-    fit = identify_sliding(records, arm, ["joint_5", "joint_6", "joint_5_6"])
+    fit = identify_sliding(records, arm)
     for e in (4, 5, 6):
         element = shipped.friction.elements[e]
         for name, found in fit.estimates[e].parameters.items():

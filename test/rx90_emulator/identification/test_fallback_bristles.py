@@ -7,10 +7,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 import yaml
-from foreign_arms import Curve, Program, drive_torque, urdf_text, write, write_fallback
+from foreign_arms import write_fallback
+from hinge_arm import Hinge
 from schema_faults import schema_faults
 
 from rx90_common.base.errors import DONE
@@ -24,18 +24,9 @@ from rx90_emulator.identification.identify import identify_records
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.robot import RecordedRobot
 
-CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)
 BLOCKS = {"kind": "maxwell_slip", "stiffness": [0.61234567, 0.38765433], "share": [0.25, 0.75], "attraction": 5000.0}
 ELASTIC = {"kind": "elasto_plastic", "break_away": 0.4512345678}
 PARTS = (MaxwellSlip((0.61234567, 0.38765433), (0.25, 0.75), 5000.0), ElastoPlastic(0.4512345678))
-
-
-@pytest.fixture(scope="module")
-def urdf(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the description of an arm of one joint."""
-    path = tmp_path_factory.mktemp("hinge") / "arm.urdf"
-    path.write_text(urdf_text(["hinge"], ["0 1 0"], [2.0]), encoding="utf-8")
-    return path
 
 
 def fallback(path: Path, bristles: dict[str, Any]) -> Path:
@@ -47,15 +38,11 @@ def fallback(path: Path, bristles: dict[str, Any]) -> Path:
 
 
 def test_a_joint_without_micro_oscillations_takes_c0_and_bristles(
-    urdf: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    hinge: Hinge, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Sweeps alone leave c0 and block of the fallback, to the last digit, marked as assumed, on page and terminal."""
-    model = pin.buildModelFromXML(urdf.read_text(encoding="utf-8"))
-    motion = Program([[1.0]], [[0.2]], np.geomspace(0.02, 1.0, 6).tolist(), 100.0).motion()
-    torque = drive_torque(model, np.eye(1), [CURVE], motion, 100.0)
-    bag = write(tmp_path / "bag", "/joint_states", ["hinge"], 100.0, (*motion, torque))
     given, file = fallback(tmp_path / "given.yaml", BLOCKS), tmp_path / "friction.yaml"
-    words = ["--sliding", str(bag), "--urdf", str(urdf), "--fallback", str(given), "--output", str(file)]
+    words = ["--sliding", str(hinge.bag), "--urdf", str(hinge.urdf), "--fallback", str(given), "--output", str(file)]
     assert run("rx90_identify", words) == DONE
     content = yaml.safe_load(file.read_text(encoding="utf-8"))
     element = content["elements"]["hinge"]
@@ -91,7 +78,7 @@ TOLD = SimpleNamespace(decided=True, bristles=PARTS[1], sources=())
     ids=["c0 open", "c0 known", "both open", "kind open", "LuGre told", "all told", "kind told"],
 )
 def test_bristles_go_with_c0_unless_they_are_told(
-    urdf: Path,
+    hinge: Hinge,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     known: bool,
@@ -99,7 +86,7 @@ def test_bristles_go_with_c0_unless_they_are_told(
     expected: BristlesPart | None,
 ) -> None:
     """The fallback's block comes with its c0; a c0 of LuGre's fit stays LuGre's, and a kind that is told stays."""
-    options = RobotOptions(urdf=str(urdf), fallback=str(fallback(tmp_path / "given.yaml", BLOCKS)))
+    options = RobotOptions(urdf=str(hinge.urdf), fallback=str(fallback(tmp_path / "given.yaml", BLOCKS)))
     robot = RecordedRobot.load(options)
     c0 = ParameterEstimate(2e4, 1e2) if known else ParameterEstimate.unknown("too small")
     cycles = ElementEstimate("hinge", {"c0": c0, "c1": c0}, np.eye(2), ())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,8 +40,8 @@ def test_the_transform_s_length_is_the_next_fast_one_below() -> None:
         assert next_fast_len(length, real=True) == length <= longest < next_fast_len(length + 1, real=True)
 
 
-def micro_records(setup: Setup, groups: Sequence[str], noise: float, *seeds: int) -> list[list[JointRecord]]:
-    """Run presliding experiments once and return records for each seed; noise in parts of the rig's."""
+def oscillated(setup: Setup, groups: Sequence[str]) -> list[Any]:
+    """Run presliding experiments of groups on the engine."""
     heavy = not set(groups) <= set(WRIST)
     options = PlanOptions(
         groups=tuple(groups),
@@ -48,9 +49,13 @@ def micro_records(setup: Setup, groups: Sequence[str], noise: float, *seeds: int
         presliding_cycles=(2e-3,) * 3,
         tone_amplitudes=(2.4e-4, 1.2e-4, 5e-5) if heavy else (5e-5, 1.6e-5, 6e-6),
     )
-    runs = run_presliding(setup, options)
+    return run_presliding(setup, options)
+
+
+def measured(setup: Setup, runs: Sequence[Any], noise: float, seed: int = 0) -> list[JointRecord]:
+    """Return the records of runs with encoders and torque noise, in parts of the rig's."""
     level = Noise(noise * Noise.torque)
-    return [[recorded(setup, run, np.random.default_rng((seed, 1)), level) for run in runs] for seed in seeds]
+    return [recorded(setup, run, np.random.default_rng((seed, 1)), level) for run in runs]
 
 
 def random_set(setup: Setup, seed: int) -> Setup:
@@ -70,29 +75,43 @@ def fitted(
 def test_known_bristles_come_out(shipped: Setup, noise: float, seed: int) -> None:
     """From quantised encoders and noisy torques c0 comes back within 5 % and c1 within 15 %, joints 2 to 4."""
     setup = random_set(shipped, seed)
-    (records,) = micro_records(setup, ["joint_2", "joint_3", "joint_4"], noise, seed)
-    fit = fitted(setup, records)
+    fit = fitted(setup, measured(setup, oscillated(setup, ["joint_2", "joint_3", "joint_4"]), noise, seed))
     for outcome in outcomes(fit.estimates[1:4], setup.friction.elements[1:4]):
         assert abs(outcome.error) < {"c0": 0.05, "c1": 0.15}[outcome.parameter], outcome
 
 
 @pytest.mark.parametrize("seed", [4, 5])
 def test_bristles_of_the_wrist_separate(shipped: Setup, seed: int) -> None:
-    """The elements of joints 5, 6 and 5+6 come back apart, also where 6 and 5+6 are so weak that they break away."""
+    """The elements of joints 5, 6 and 5+6 come back apart, also where 6 and 5+6 are so weak that they break away.
+
+    Twenty times the rig's noise leaves every parameter not identifiable or within four deviations.
+    """
     setup = random_set(shipped, seed)
-    (records,) = micro_records(setup, WRIST, 0.25, seed)
-    fit = fitted(setup, records)
-    for outcome in outcomes(fit.estimates[4:], setup.friction.elements[4:]):
+    runs = oscillated(setup, WRIST)
+    quiet, loud = (
+        outcomes(fitted(setup, measured(setup, runs, noise, seed)).estimates[4:], setup.friction.elements[4:])
+        for noise in (0.25, 20.0)
+    )
+    for outcome in quiet:
         assert abs(outcome.error) < {"c0": 0.05, "c1": 0.15}[outcome.parameter], outcome
         assert abs(outcome.score) < 4.0, outcome
+    assert any(not outcome.identifiable for outcome in loud)
+    assert all(abs(outcome.score) < 4.0 for outcome in loud if outcome.identifiable), loud
 
 
-def test_intervals_hold_the_truth(shipped: Setup) -> None:
+@pytest.fixture(scope="module")
+def fourth(shipped: Setup) -> tuple[Setup, list[Any]]:
+    """Return a set of friction and what joint 4 did with it on the engine."""
+    setup = random_set(shipped, 3)
+    return setup, oscillated(setup, ["joint_4"])
+
+
+def test_intervals_hold_the_truth(fourth: tuple[Setup, list[Any]]) -> None:
     """Of 20 intervals from ten draws of the rig's noise, 16 or more hold the truth, and errors share no sign."""
-    setup = random_set(shipped, 2)
+    setup, runs = fourth
     found = []
-    for records in micro_records(setup, ["joint_4"], 1.0, *range(10)):
-        fit = fitted(setup, records)
+    for seed in range(10):
+        fit = fitted(setup, measured(setup, runs, 1.0, seed))
         found += outcomes(fit.estimates[3:4], setup.friction.elements[3:4])
     scores = np.array([outcome.score for outcome in found])
     assert np.sum(np.abs(scores) < 1.96) >= 16, scores
@@ -102,52 +121,26 @@ def test_intervals_hold_the_truth(shipped: Setup) -> None:
         assert np.std(own) > 0.3, own  # deviations are not too large either
 
 
-def test_too_much_noise_gives_no_wrong_number(shipped: Setup) -> None:
-    """Twenty times the rig's noise leaves every parameter of the wrist not identifiable or within four deviations."""
-    setup = random_set(shipped, 6)
-    (records,) = micro_records(setup, WRIST, 20.0, 6)
+def test_a_fit_without_noise(fourth: tuple[Setup, list[Any]]) -> None:
+    """The simulated friction torque follows the measured one, joints at rest get a reason, known sliding is surer.
+
+    A sliding regime with ten times the usual deviations leaves c0 and c1 as they are and makes them less certain.
+    """
+    setup, runs = fourth
+    records = measured(setup, runs, 0.0)
     fit = fitted(setup, records)
-    found = outcomes(fit.estimates[4:], setup.friction.elements[4:])
-    assert any(not outcome.identifiable for outcome in found)
-    assert all(abs(outcome.score) < 4.0 for outcome in found if outcome.identifiable), found
-
-
-def test_errors_of_the_sliding_regime_widen_the_deviations(shipped: Setup) -> None:
-    """A sliding regime with ten times the usual deviations leaves c0 and c1 as they are and makes them less certain."""
-    (records,) = micro_records(shipped, ["joint_4"], 0.0, 0)
-    spreads = [100.0 * sliding_covariance(element) for element in shipped.friction.elements]
-    known = fitted(shipped, records).estimates[3].parameters
-    assumed = fitted(shipped, records, spreads).estimates[3].parameters
-    for name in ("c0", "c1"):
-        assert assumed[name].value == known[name].value
-        assert assumed[name].deviation > 1.2 * known[name].deviation
-
-
-def test_loops_of_measurement_and_simulation_agree(shipped: Setup) -> None:
-    """Without torque noise the simulated friction torque follows the measured one within 7 % of its size."""
-    (records,) = micro_records(shipped, ["joint_1"], 0.0, 0)
-    fit = fitted(shipped, records)
-    (loop,) = (loop for loop in fit.loops if loop.joint == "joint_1")
+    (loop,) = fit.loops
+    assert loop.joint == "joint_4"
     assert np.std(loop.torque - loop.simulated_torque) < 0.07 * np.std(loop.torque)
-
-
-def test_an_element_without_micro_motion_is_not_identifiable(shipped: Setup) -> None:
-    """Joints that did not oscillate get no number but a reason."""
-    (records,) = micro_records(shipped, ["joint_4"], 0.0, 0)
-    fit = fitted(shipped, records)
-    first, fourth = fit.estimates[0].parameters["c0"], fit.estimates[3].parameters["c0"]
-    assert fourth.identifiable
+    first = fit.estimates[0].parameters["c0"]
     assert not first.identifiable
     assert np.isnan(first.value)
     assert "micro-oscillation" in first.reason
-
-
-@pytest.fixture(scope="module")
-def fourth(shipped: Setup) -> tuple[Setup, JointRecord]:
-    """Return a set of friction and a record of joint 4 at half the rig's noise."""
-    setup = random_set(shipped, 3)
-    ((record,),) = micro_records(setup, ["joint_4"], 0.5, 3)
-    return setup, record
+    spreads = [100.0 * sliding_covariance(element) for element in setup.friction.elements]
+    known, assumed = (one.estimates[3].parameters for one in (fit, fitted(setup, records, spreads)))
+    for name in ("c0", "c1"):
+        assert assumed[name].value == known[name].value
+        assert assumed[name].deviation > 1.2 * known[name].deviation
 
 
 def without_rows(record: JointRecord, lost: NDArray[np.bool_]) -> JointRecord:
@@ -178,11 +171,11 @@ def with_spikes(record: JointRecord) -> JointRecord:
 
 @pytest.mark.parametrize("corrupt", [few_missing, with_gaps, with_spikes])
 def test_corrupted_records_give_the_same_bristles(
-    fourth: tuple[Setup, JointRecord], corrupt: Callable[[JointRecord], JointRecord]
+    fourth: tuple[Setup, list[Any]], corrupt: Callable[[JointRecord], JointRecord]
 ) -> None:
     """Missing messages, gaps and spikes leave c0 within 5 % and c1 within 15 %."""
-    setup, record = fourth
-    fit = fitted(setup, [corrupt(record)])
+    setup, runs = fourth
+    fit = fitted(setup, [corrupt(record) for record in measured(setup, runs, 0.5, 3)])
     for outcome in outcomes(fit.estimates[FOURTH:][:1], setup.friction.elements[FOURTH:][:1]):
         assert abs(outcome.error) < {"c0": 0.05, "c1": 0.15}[outcome.parameter], outcome
 
@@ -195,24 +188,24 @@ def heavier(arm: RigidArm) -> RigidArm:
     return replace(arm, model=model, rotor=2.0 * arm.rotor)
 
 
-def test_a_wrong_inertia_gives_a_reason(fourth: tuple[Setup, JointRecord]) -> None:
-    """Inertias wrong by a factor of 2 give no number, and the joint's name in the reason."""
-    setup, record = fourth
-    arm = heavier(RigidArm.from_setup(setup))
-    fit = identify_presliding([record], arm, setup.friction.elements, 0.0, None, setup.rates.period)
-    for estimate in fit.estimates[FOURTH].parameters.values():
-        assert "the inertia at joint_4 would be" in estimate.reason
-
-
-@pytest.mark.parametrize("delay", [5e-3, -5e-3])
-def test_a_wrong_delay_of_the_torque_gives_a_reason(fourth: tuple[Setup, JointRecord], delay: float) -> None:
-    """A torque stamped 5 ms early or late gives no number, and a reason that names the delay."""
-    setup, record = fourth
-    arm = RigidArm.from_setup(setup)
-    fit = identify_presliding([record], arm, setup.friction.elements, delay, None, setup.rates.period)
+@pytest.mark.parametrize(
+    ("change", "delay", "reason"),
+    [
+        (heavier, 0.0, "the inertia at joint_4 would be"),
+        (lambda arm: arm, 5e-3, "delay"),
+        (lambda arm: arm, -5e-3, "delay"),
+    ],
+)
+def test_a_wrong_inertia_or_delay_gives_a_reason(
+    fourth: tuple[Setup, list[Any]], change: Callable[[RigidArm], RigidArm], delay: float, reason: str
+) -> None:
+    """Inertias wrong by a factor of 2, and a torque stamped 5 ms early or late, give no number, and the reason."""
+    setup, runs = fourth
+    arm, records = change(RigidArm.from_setup(setup)), measured(setup, runs, 0.5, 3)
+    fit = identify_presliding(records, arm, setup.friction.elements, delay, None, setup.rates.period)
     for estimate in fit.estimates[FOURTH].parameters.values():
         assert not estimate.identifiable
-        assert "delay" in estimate.reason
+        assert reason in estimate.reason
 
 
 def test_a_joint_that_slides_gives_a_reason(shipped: Setup) -> None:
@@ -237,8 +230,7 @@ def test_an_unknown_payload_gives_no_wrong_bristles(shipped: Setup, tmp_path: Pa
     tool["inertial"]["inertia"] = [0.01226, 0.01264, 0.00601, 0.00047, -0.00117, 0.00078]
     file.write_text(yaml.safe_dump(tool), encoding="utf-8")
     loaded = Setup.load(RobotFiles(tool=file))
-    (records,) = micro_records(loaded, WRIST, 0.5, 0)
-    fit = fitted(shipped, records)
+    fit = fitted(shipped, measured(loaded, oscillated(loaded, WRIST), 0.5))
     found = outcomes(fit.estimates[4:], shipped.friction.elements[4:])
     assert not all(outcome.identifiable for outcome in found)
     for outcome in found:
@@ -246,21 +238,18 @@ def test_an_unknown_payload_gives_no_wrong_bristles(shipped: Setup, tmp_path: Pa
             assert abs(outcome.error) < {"c0": 0.05, "c1": 0.15}[outcome.parameter], outcome
 
 
-def test_no_reversal_is_refused(shipped: Setup) -> None:
-    """A record without small reversals is refused with its name and what is accepted."""
-    time = np.arange(4000) / 1000.0
+@pytest.mark.parametrize(
+    ("rate", "message"),
+    [
+        (1000.0, "bag: no velocity reversals small enough"),
+        (100.0, "bag: 100 samples per second; accepted: 500"),
+    ],
+)
+def test_a_record_that_tells_nothing_is_refused(shipped: Setup, rate: float, message: str) -> None:
+    """A record without small reversals, and a slow one, are refused with the name and what is accepted."""
     still = np.zeros((4000, 6))
-    record = JointRecord(shipped.robot.joint_names, time, still, still, still, Path("still"), "0")
-    with pytest.raises(IdentificationError, match=r"still: no velocity reversals small enough"):
-        identify_presliding([record], RigidArm.from_setup(shipped), shipped.friction.elements)
-
-
-def test_a_slow_record_is_refused(shipped: Setup) -> None:
-    """A record of 100 samples per second is refused with its rate."""
-    time = np.arange(400) / 100.0
-    still = np.zeros((400, 6))
-    record = JointRecord(shipped.robot.joint_names, time, still, still, still, Path("slow"), "0")
-    with pytest.raises(IdentificationError, match=r"slow: 100 samples per second; accepted: 500"):
+    record = JointRecord(shipped.robot.joint_names, np.arange(4000) / rate, still, still, still, Path("bag"), "0")
+    with pytest.raises(IdentificationError, match=message):
         identify_presliding([record], RigidArm.from_setup(shipped), shipped.friction.elements)
 
 

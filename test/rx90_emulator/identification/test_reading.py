@@ -16,9 +16,9 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError, IdentificationError
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.layout import BagLayout, arm_layout
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.identification.records import read_record
+from rx90_emulator.identification.robot import BagLayout, arm_layout
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.result import write_bag
 from rx90_emulator.loop.setup import Setup

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from foreign_arms import Curve, Program, drive_torque, urdf_text
+from hinge_arm import RATE, Hinge
 
 import rx90_emulator as rx
 from rx90_common.bags.reading import read_joint_states
@@ -21,8 +21,7 @@ from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.bags.recording import open_recording
 
-CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)
-RATE, GEAR, CONSTANT, ZERO = 100.0, -50.0, 0.08, 0.3
+GEAR, CONSTANT, ZERO = -50.0, 0.08, 0.3
 Columns = dict[str, Any]
 
 
@@ -55,42 +54,35 @@ def write_map(path: Path, **content: object) -> Path:
     return path
 
 
-class Hinge:
-    """A joint's URDF, friction, a bag of a run of it, and its motor's columns in a laboratory's units."""
+@dataclass
+class Motor:
+    """A joint's URDF, friction and bag, and its motor's columns in a laboratory's units."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.urdf = folder, folder / "arm.urdf"
-        self.urdf.write_text(urdf_text(["hinge"], ["0 1 0"], [2.0]), encoding="utf-8")
-        model = pin.buildModelFromXML(self.urdf.read_text(encoding="utf-8"))
-        q, v = Program([[1.0]], [[0.2]], np.geomspace(0.05, 1.0, 6).tolist(), RATE).motion()
-        torque = drive_torque(model, np.eye(1), [CURVE], (q, v), RATE)
-        self.bag = folder / "run"
-        stamps = np.arange(len(q)) * round(1e9 / RATE)
-        rx.write_joint_states(self.bag, [rx.JointSeries("/joint_states", ("hinge",), stamps, q, v, torque)])
-        self.columns: Columns = {
-            "t": np.arange(len(q)) * (1000.0 / RATE),
-            "q": np.rad2deg((q[:, 0] + ZERO) * GEAR),
-            "dq": v[:, 0] * GEAR * 30.0 / np.pi,
-            "i": 1000.0 * torque[:, 0] / GEAR / CONSTANT,
-        }
-        elements = {"hinge": rx.FrictionElement(**vars(CURVE), c0=1e5, c1=0.0)}
-        (folder / "friction.yaml").write_text(rx.FrictionFile(elements).text(), encoding="utf-8")
-        self.friction = str(folder / "friction.yaml")
+    urdf: Path
+    bag: Path
+    friction: str
+    columns: Columns
 
 
 @pytest.fixture(scope="module")
-def hinge(tmp_path_factory: pytest.TempPathFactory) -> Hinge:
-    """Return a joint that swings there and back at six speeds."""
-    return Hinge(tmp_path_factory.mktemp("hinge"))
+def motor(hinge: Hinge, tmp_path_factory: pytest.TempPathFactory) -> Motor:
+    """Return the motor of the joint that swings there and back."""
+    columns: Columns = {
+        "t": 5000.0 + np.arange(len(hinge.position)) * (1000.0 / RATE),
+        "q": np.rad2deg((hinge.position[:, 0] + ZERO) * GEAR),
+        "dq": hinge.velocity[:, 0] * GEAR * 30.0 / np.pi,
+        "i": 1000.0 * hinge.torque[:, 0] / GEAR / CONSTANT,
+    }
+    return Motor(hinge.urdf, hinge.bag, str(hinge.friction(tmp_path_factory.mktemp("f") / "friction.yaml")), columns)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
-def test_friction_against_a_table_is_that_against_a_bag(hinge: Hinge, tmp_path: Path, suffix: str) -> None:
+def test_friction_against_a_table_is_that_against_a_bag(motor: Motor, tmp_path: Path, suffix: str) -> None:
     """A motor's degrees, rpm and mA with gear, torque constant and zero in the map beside are the joint's states."""
-    table = write_table(tmp_path / f"log{suffix}", hinge.columns)
+    table = write_table(tmp_path / f"log{suffix}", motor.columns)
     write_map(tmp_path / "log.yaml")
     bag, found = (
-        rx.check_friction(hinge.friction, [log], rx.RobotOptions(urdf=hinge.urdf))[0] for log in (hinge.bag, table)
+        rx.check_friction(motor.friction, [log], rx.RobotOptions(urdf=motor.urdf))[0] for log in (motor.bag, table)
     )
     assert found.passed
     np.testing.assert_allclose(found.torque.recorded, bag.torque.recorded, atol=1e-9)
@@ -100,12 +92,12 @@ def test_friction_against_a_table_is_that_against_a_bag(hinge: Hinge, tmp_path: 
 
 
 def test_one_map_serves_many_tables_and_says_what_the_options_say(
-    hinge: Hinge, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    motor: Motor, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`--signals` names a map for all tables; gear, constant and zero may stand in it, or be options, not both."""
-    table, whole = write_table(tmp_path / "log.csv", hinge.columns), write_map(tmp_path / "arm_map.yaml")
+    table, whole = write_table(tmp_path / "log.csv", motor.columns), write_map(tmp_path / "arm_map.yaml")
     bare = write_map(tmp_path / "bare.yaml", gear=None, torque_constant=None, zero=None)
-    words = ["--urdf", str(hinge.urdf), "--friction", hinge.friction, "--validation", str(table), "--signals"]
+    words = ["--urdf", str(motor.urdf), "--friction", motor.friction, "--validation", str(table), "--signals"]
     options = ["--gear", str(GEAR), "--torque-constant", str(CONSTANT), "--zero", str(ZERO)]
     said = []
     for more in ([str(whole)], [str(bare), *options]):
@@ -116,12 +108,12 @@ def test_one_map_serves_many_tables_and_says_what_the_options_say(
     assert "--gear beside gear in " in capsys.readouterr().err
 
 
-def test_a_map_says_what_a_bag_holds(hinge: Hinge, tmp_path: Path) -> None:
+def test_a_map_says_what_a_bag_holds(motor: Motor, tmp_path: Path) -> None:
     """A map without columns stands for the options of a bag: zeros are subtracted, wrong ones show."""
     shifted = write_map(tmp_path / "map.yaml", time=None, position=None, velocity=None, effort=None, gear=None,
                         torque_constant=None, zero=[0.4])  # fmt: skip
     plain, same, by_map = (
-        rx.check_friction(hinge.friction, [hinge.bag], rx.RobotOptions(urdf=hinge.urdf, **options))[0]
+        rx.check_friction(motor.friction, [motor.bag], rx.RobotOptions(urdf=motor.urdf, **options))[0]
         for options in ({}, {"zero": [0.4]}, {"signals": shifted})
     )
     np.testing.assert_array_equal(by_map.torque.predicted, same.torque.predicted)
@@ -165,31 +157,22 @@ def test_view_and_plot_show_a_table(shipped: Setup, tmp_path: Path, capsys: pyte
 @pytest.mark.parametrize(
     ("suffix", "change", "said"),
     [
-        (".csv", {"velocity": {"columns": ["speed"], "unit": "rpm"}}, "no column 'speed'; there are t, q, dq, i"),
         (".parquet", {"velocity": {"columns": ["speed"], "unit": "rpm"}}, "no column 'speed'; there are t, q, dq, i"),
         (".npz", {"velocity": {"columns": [9], "unit": "rpm"}}, "no column 9; there are t, q, dq, i"),
         (".npz", {"time": {"column": "i", "unit": "s"}}, "accepted: 0 to 2147483648 s"),
         (".csv", {"gear": [1, 2]}, "--gear: 2 values; accepted: 1 for 1 joints"),
         (".csv", {"gear": [0]}, "gear[0] is 0.0; accepted"),
-        (".csv", {"time": None}, "time and rate: none is there; accepted: one of them"),
-        (".csv", {"names": None}, "names is missing"),
-        (
-            ".csv",
-            {"time": None, "position": None, "velocity": None, "effort": None},
-            "names no columns of ",
-        ),
-        (".csv", {"topics": {"joint_states": {"names": ["a"], "position": {"columns": ["q"], "unit": "rad"}}}},
-         "topics has joint_states, too, which stands twice"),
+        (".csv", {"time": None, "position": None, "velocity": None, "effort": None}, "names no columns of "),
         (".parquet", {"effort": {"columns": ["i"], "unit": "mA", "file": 2}}, ": 1 log; accepted: 2, those that"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_one_line(
-    hinge: Hinge, tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str, change: dict[str, Any], said: str
+    motor: Motor, tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str, change: dict[str, Any], said: str
 ) -> None:
     """A map and a table that do not fit each other are refused with the value and what is accepted."""
-    table = write_table(tmp_path / f"log{suffix}", hinge.columns)
+    table = write_table(tmp_path / f"log{suffix}", motor.columns)
     write_map(tmp_path / "log.yaml", **change)
-    words = ["--urdf", str(hinge.urdf), "--friction", hinge.friction, "--validation", str(table)]
+    words = ["--urdf", str(motor.urdf), "--friction", motor.friction, "--validation", str(table)]
     assert run("rx90_identify", words) == REFUSED
     err = capsys.readouterr().err
     assert said in err
@@ -197,10 +180,10 @@ def test_what_does_not_fit_is_one_line(
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
-def test_damaged_tables_are_one_line(hinge: Hinge, tmp_path: Path, suffix: str) -> None:
+def test_damaged_tables_are_one_line(motor: Motor, tmp_path: Path, suffix: str) -> None:
     """Cut off or foreign files, absurd numbers and NaN are refused; nothing is left out in silence."""
     write_map(tmp_path / "log.yaml")
-    spoilt = hinge.columns | {"q": hinge.columns["q"].copy()}
+    spoilt = motor.columns | {"q": motor.columns["q"].copy()}
     spoilt["q"][7] = np.nan
     table = write_table(tmp_path / f"log{suffix}", spoilt)
     with pytest.raises(rx.Rx90Error, match=r"1 corrupt row, line \d+ .*column q is '?nan'?.*accepted: whole rows"):
@@ -211,10 +194,10 @@ def test_damaged_tables_are_one_line(hinge: Hinge, tmp_path: Path, suffix: str) 
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".npz"])
-def test_flipped_bits_are_refused_or_change_nothing(hinge: Hinge, tmp_path: Path, suffix: str) -> None:
+def test_flipped_bits_are_refused_or_change_nothing(motor: Motor, tmp_path: Path, suffix: str) -> None:
     """Wherever a bit is flipped in a file with checksums, the same numbers are read, or it is refused in one line."""
     write_map(tmp_path / "log.yaml")
-    columns = {name: values[:50] for name, values in hinge.columns.items()}
+    columns = {name: values[:50] for name, values in motor.columns.items()}
     table = tmp_path / f"log{suffix}"
     if suffix == ".npz":
         np.savez_compressed(table, **columns)
@@ -237,10 +220,10 @@ def test_flipped_bits_are_refused_or_change_nothing(hinge: Hinge, tmp_path: Path
     assert refused > 75
 
 
-def test_tables_of_two_arms_are_refused(hinge: Hinge, tmp_path: Path) -> None:
+def test_tables_of_two_arms_are_refused(motor: Motor, tmp_path: Path) -> None:
     """Maps beside tables that say different things of the arm are refused."""
-    tables = [write_table(tmp_path / f"{name}.csv", hinge.columns) for name in "ab"]
+    tables = [write_table(tmp_path / f"{name}.csv", motor.columns) for name in "ab"]
     write_map(tmp_path / "a.yaml")
     write_map(tmp_path / "b.yaml", gear=[GEAR + 1.0])
     with pytest.raises(ConfigError, match=r"b\.yaml says other things of the arm than .*a\.yaml"):
-        rx.check_friction(hinge.friction, tables, rx.RobotOptions(urdf=hinge.urdf))
+        rx.check_friction(motor.friction, tables, rx.RobotOptions(urdf=motor.urdf))

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.agreement import agreement
 from rx90_common.base.errors import SupervisionError
 from rx90_controller.lines.task import LineTask, load_task
-from rx90_emulator.identification.layout import arm_layout
+from rx90_emulator.identification.robot import arm_layout
 from rx90_emulator.loop.line import plan_line, run_line
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.model import prepare_perturbation as prepare

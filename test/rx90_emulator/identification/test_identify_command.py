@@ -1,0 +1,264 @@
+"""`rx90_identify` on a single joint: what a user does wrong, a friction file that is checked, interrupts."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from foreign_arms import urdf_text, write
+from hinge_arm import CURVE, RATE, Hinge
+
+import rx90_emulator as rx
+from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO, OutputError
+from rx90_common.process.files import write_all
+from rx90_emulator.cli.frame import run
+from rx90_emulator.identification import identify as identify_bags
+from rx90_emulator.identification import job as identify_job
+
+Change = Callable[[Hinge, Path], list[object]]
+
+
+def options(*words: object) -> Change:
+    """Return options beside those of the good bag."""
+    return lambda hinge, _: ["--sliding", hinge.bag, *words]
+
+
+def sliding(rows: Any = slice(None), header: bool = True, **changed: Callable[[Hinge], Any]) -> Change:
+    """Return the option of a bag of some rows, with some fields changed."""
+
+    def make(hinge: Hinge, folder: Path) -> list[object]:
+        fields = {name: getattr(hinge, name) for name in ("position", "velocity", "torque")}
+        fields |= {name: change(hinge) for name, change in changed.items()}
+        values = tuple(value[rows] for value in fields.values())
+        return ["--sliding", write(folder / "bag", "/joint_states", ["hinge"], RATE, values, header=header)]  # type: ignore[arg-type]
+
+    return make
+
+
+def urdf(old: str, new: str) -> Change:
+    """Return the option of a URDF with other text."""
+
+    def make(hinge: Hinge, folder: Path) -> list[object]:
+        file = folder / "bad.urdf"
+        file.write_text(hinge.urdf.read_text().replace(old, new), encoding="utf-8")
+        return ["--sliding", hinge.bag, "--urdf", file]
+
+    return make
+
+
+def existing(option: str, name: str) -> Change:
+    """Return the option of a file that is there."""
+    return lambda hinge, folder: ["--sliding", hinge.bag, option, filled(folder / name, "mine")]
+
+
+def filled(path: Path, text: str = "") -> Path:
+    """Write a file, or with no text make a folder."""
+    if text:
+        path.write_text(text, encoding="utf-8")
+    else:
+        path.mkdir()
+    return path
+
+
+def cut_off(hinge: Hinge, folder: Path) -> list[object]:
+    """Return the option of a bag whose storage file ends in the middle."""
+    copy = Path(shutil.copytree(hinge.bag, folder / "cut"))
+    (file,) = copy.glob("*.mcap")
+    os.truncate(file, file.stat().st_size // 2)
+    return ["--sliding", copy]
+
+
+def mimicking(hinge: Hinge, folder: Path) -> list[object]:
+    """Return the option of a URDF in which a second joint mimics the first."""
+    head, tail = urdf_text(["hinge", "jaw"], ["0 1 0", "0 1 0"], [2.0, 1.0]).rsplit("</joint>", 1)
+    return ["--sliding", hinge.bag, "--urdf", filled(folder / "m.urdf", f'{head}<mimic joint="hinge"/></joint>{tail}')]
+
+
+REFUSED_CASES = {
+    "slow": (lambda h, _: ["--sliding", h.bag, "--presliding", h.bag], "100 samples per second; accepted: 500 or more"),
+    "no_presliding": (options("--fallback", "none"), "no bag with micro-oscillations, .*, or --fallback FILE"),
+    "rest": (sliding(slice(0, 20)), "no stretch of constant velocity; accepted"),
+    "driven": (sliding(torque=lambda h: -h.torque), "hinge: the torque does not oppose the motion"),
+    "motor_angles": (
+        sliding(position=lambda h: 1e3 * h.position, velocity=lambda h: 1e3 * h.velocity),
+        r"hinge moves through \d+ rad, in its URDF through 6 rad at most; accepted: .*--gear",
+    ),
+    "unstamped": (sliding(header=False), "every stamp is 0.0* s; accepted: .*--record-time"),
+    "other_fallback": (options("--fallback", "robots/rx90b/friction.yaml"), "elements.hinge is missing; accepted"),
+    "nowhere": (lambda _, f: ["--sliding", f / "nowhere"], "nowhere: no such bag"),
+    "folder": (lambda _, f: ["--sliding", filled(f / "plain")], "plain"),
+    "cut_off": (cut_off, "cut: .* is cut off"),
+    "twice": (lambda h, _: ["--sliding", h.bag, h.bag], "run: given twice for --sliding"),
+    "both": (lambda h, f: [f, "--sliding", h.bag], "accepted: a folder or single bags, not both"),
+    "none": (lambda *_: [], "no bag with sweeps"),
+    "no_series": (lambda _, f: [f], "no experiments.yaml; accepted"),
+    "checked_by_itself": (
+        lambda h, f: ["--sliding", h.bag, "--validation", shutil.copytree(h.bag, f / "copy")],
+        "copy: also used for the identification as .*run",
+    ),
+    "kinds": (options("--bristle-kinds"), "--bristle-kinds without micro-oscillations; accepted: with --presliding"),
+    "no_urdf": (options("--urdf", "nowhere.urdf"), r"nowhere.urdf: cannot be read \(No such file"),
+    "limit": (urdf("<limit", "<no"), r"\[hinge\] is of type REVOLUTE but it does not specify limits"),
+    # Pinocchio 2 hands on another text of its URDF parser than Pinocchio 4.
+    "effort_limit": (urdf("effort=", "strength="), "limit has no effort|limit: no effort"),
+    "prismatic": (urdf("revolute", "prismatic"), "'hinge' is prismatic; accepted: revolute and continuous"),
+    "fixed": (urdf("revolute", "fixed"), "no movable joint"),
+    "mimic": (mimicking, "'jaw' mimics hinge; accepted: .*--joints hinge"),
+    "gears": (options("--gear", 1, 2), "--gear: 2 values; accepted: 1 for 1 joints"),
+    "coupling": (options("--coupling", 0), r"coupling: \[\[0.0\]\]; accepted: an invertible matrix"),
+    "tool": (options("--tool", "none"), "--tool with --urdf; accepted"),
+    "fallback": (options("--fallback", "nowhere.yaml"), "nowhere.yaml"),
+    "exists": (existing("--output", "mine.yaml"), "mine.yaml exists; accepted: another name, or --force"),
+    "report_exists": (existing("--report", "mine.html"), "mine.html exists; accepted"),
+    "is_folder": (
+        lambda h, f: ["--sliding", h.bag, "--force", "--output", filled(f / "out")],
+        "out is a folder; accepted",
+    ),
+    "device": (options("--force", "--output", "/dev/full"), "/dev/full is no regular file; accepted"),
+    "no_folder": (options("--output", "nowhere/f.yaml"), "nowhere does not exist; accepted"),
+    "long": (lambda h, f: ["--sliding", h.bag, "--output", f / f"{'f' * 300}.yaml"], "File name too long"),
+    "same": (lambda h, f: ["--sliding", h.bag, "--output", f / "f.html"], "--output and --report are both"),
+    # a number that cannot be one
+    "gear": (options("--gear", "0"), "argument --gear: '0'; accepted: a finite number other than 0"),
+    "constant": (options("--torque-constant", "nan"), "argument --torque-constant: 'nan'; accepted"),
+    "infinite": (options("--coupling", "inf"), "argument --coupling: 'inf'; accepted: a finite number"),
+    "inertia": (options("--rotor-inertia", "-1"), "--rotor-inertia: '-1'; accepted: 0 or a positive number"),
+    "delay": (options("--torque-delay", "1"), "--torque-delay: '1'; accepted: s, from -0.05 to 0.05"),
+    "tolerance": (options("--torque-tolerance", "0"), "--torque-tolerance: '0'; accepted: a positive number"),
+}
+
+
+def everything(folder: Path) -> dict[Path, bytes]:
+    """Return all files below a folder."""
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("case", REFUSED_CASES)
+def test_a_mistake_is_one_line(hinge: Hinge, tmp_path: Path, capfd: pytest.CaptureFixture[str], case: str) -> None:
+    """A user's mistake is one line with what is accepted and status 2, and leaves every file as it was."""
+    change, message = REFUSED_CASES[case]
+    good = ["--urdf", hinge.urdf, "--fallback", hinge.fallback, "--output", tmp_path / "f.yaml"]
+    words = [str(word) for word in (*good, *change(hinge, tmp_path))]  # type: ignore[no-untyped-call]
+    before = everything(tmp_path)
+    assert run("rx90_identify", words) == REFUSED
+    lines = capfd.readouterr().err.replace("\r", "\n").splitlines()
+    said = [line for line in lines if line.startswith("rx90_identify: ")]
+    assert len(said) == 1, lines
+    assert re.search(message, said[0]), said[0]
+    assert everything(tmp_path) == before
+
+
+def checked(hinge: Hinge, *words: object) -> int:
+    """Run the command with the joint's URDF."""
+    return run("rx90_identify", [str(word) for word in ("--urdf", hinge.urdf, *words)])
+
+
+def test_true_friction_is_confirmed_and_false_is_not(
+    hinge: Hinge, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The arm's own friction is confirmed with 0; half as much again is not, with 1; a report is written if asked."""
+    good, bad = hinge.friction(tmp_path / "good.yaml"), hinge.friction(tmp_path / "bad.yaml", 1.5)
+    words, report = ["--friction", good, "--validation", hinge.bag], tmp_path / "page.html"
+    assert checked(hinge, *words, "--report", report) == DONE
+    assert checked(hinge, "--friction", bad, "--validation", hinge.bag) == VERDICT_NO
+    said = capsys.readouterr()
+    assert re.findall(r"validation \S+: (confirmed|NOT CONFIRMED)", said.out) == ["confirmed", "NOT CONFIRMED"]
+    assert said.err.splitlines()[-1] == f"rx90_identify: the validation does not confirm {bad}"
+    assert {file.name for file in tmp_path.iterdir()} == {"good.yaml", "bad.yaml", "page.html"}
+    page = report.read_text(encoding="utf-8")
+    for text in ("good.yaml", "<b>confirmed</b>", '<figure class="plot">'):
+        assert text in page
+    assert checked(hinge, *words, "--report", report) == REFUSED
+    assert "page.html exists; accepted: another name, or --force" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_the_difference_is_that_of_the_friction(hinge: Hinge, tmp_path: Path) -> None:
+    """The RMS difference of friction that is half too large is half its RMS, and its share that of the torque's."""
+    half = hinge.friction(tmp_path / "half.yaml", 1.5)
+    (check,) = rx.check_friction(half, [hinge.bag], rx.RobotOptions(urdf=hinge.urdf))
+    moves = np.abs(hinge.velocity[:, 0]) > 0.015
+    expected = np.sqrt(np.mean((0.5 * CURVE(hinge.velocity[moves])) ** 2))
+    assert check.rms[0] == pytest.approx(expected, rel=0.05)
+    assert check.rms_share[0] == pytest.approx(expected / np.sqrt(np.mean(hinge.torque[moves] ** 2)), rel=0.05)
+    assert not check.passed
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--friction", "good"], "no bag to hold the friction against; accepted: --validation BAG ..."),
+        (["--friction", "good", "--validation", "bag", "bag"], "given twice for --validation"),
+        (["--friction", "good", "--validation", "bag", "--output", "x.yaml"], "x.yaml with --friction; accepted"),
+        (["--friction", "good", "--validation", "bag", "--sliding", "bag"], "run with --friction; accepted"),
+        (["--friction", "good", "--validation", "bag", "--bristle-kinds"], "--bristle-kinds with --friction; accepted"),
+        (["--friction", "other", "--validation", "bag"], "elements.hinge is missing; accepted"),
+        (["--friction", "nowhere.yaml", "--validation", "bag"], "nowhere.yaml"),
+        (["--validation", "bag"], "no --output; accepted: --output FILE"),
+    ],
+)
+def test_what_cannot_be_checked_is_refused(
+    hinge: Hinge, tmp_path: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Missing or repeated bags, other uses at the same time and another arm's friction are one line and 2."""
+    files = {
+        "good": hinge.friction(tmp_path / "good.yaml"),
+        "other": hinge.friction(tmp_path / "other.yaml", element="elbow"),
+        "bag": hinge.bag,
+    }
+    assert checked(hinge, *(files.get(word, word) for word in words)) == REFUSED
+    assert message in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("place", ["read_record", "identify_records", "report_page", "write_all"])
+def test_an_interrupt_leaves_everything(
+    hinge: Hinge,
+    tmp_path: Path,
+    place: str,
+    number: signal.Signals,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Ctrl-C and SIGTERM while a bag is read, fitted, drawn or written end with one line and status 130."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # as in a process of its own
+    output = filled(tmp_path / "friction.yaml", "mine")
+
+    def interrupted(*_: Any, **__: Any) -> None:
+        os.kill(os.getpid(), number)
+
+    if place == "write_all":
+        # After the first of the two files.
+        whole = Path.write_bytes
+        monkeypatch.setattr(Path, "write_bytes", lambda *a, **k: (whole(*a, **k), interrupted()))
+    else:
+        monkeypatch.setattr(identify_job if place == "report_page" else identify_bags, place, interrupted)
+    words = ["--sliding", hinge.bag, "--fallback", hinge.fallback, "--output", output, "--force"]
+    assert checked(hinge, *words) == INTERRUPTED
+    assert capsys.readouterr().err.splitlines()[-1] == "rx90_identify: interrupted; nothing was written"
+    assert everything(tmp_path) == {output: b"mine"}
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+@pytest.fixture
+def small_files() -> Iterator[int]:
+    """Let no file grow beyond what is returned, as on a disk that is full; more than the tests' own log may need."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size := 10_000_000, before[1]))
+    yield size
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_full_disk_leaves_everything(tmp_path: Path, small_files: int) -> None:
+    """Where the second of two files does not fit, the first keeps its old content, and the line names the second."""
+    first = filled(tmp_path / "a.yaml", "mine")
+    with pytest.raises(OutputError, match=r"b\.html: cannot be written \(File too large\)"):
+        write_all({first: b"new", tmp_path / "b.html": bytes(small_files + 1)})
+    assert everything(tmp_path) == {first: b"mine"}
