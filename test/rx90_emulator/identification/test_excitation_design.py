@@ -14,13 +14,13 @@ from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
-from rx90_common.base.errors import DONE, REFUSED, IdentificationError
+from rx90_common.base.errors import DONE, REFUSED, ConfigError, IdentificationError
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation import filtering, identify, instruments
 from rx90_emulator.identification.experiments.excitation import ExcitationPlan, RunSearch, plan_excitation
 from rx90_emulator.identification.experiments.folder import read_index, write_index
-from rx90_emulator.identification.experiments.options import ExcitationOptions, Wall
+from rx90_emulator.identification.experiments.options import DECLARED, ExcitationOptions, Wall
 from rx90_emulator.identification.experiments.plan import Kind
 from rx90_emulator.identification.experiments.series import describe_excitation, run_on_engine
 from rx90_emulator.identification.experiments.workspace import Workspace
@@ -193,9 +193,7 @@ def test_an_optimised_run_tells_more_than_random_ones(shipped: Setup, kind: str,
 
 
 @pytest.mark.parametrize("kind", ["d", "condition"])
-def test_the_search_goes_by_the_right_derivative(
-    shipped: Setup, kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_search_goes_by_the_right_derivative(shipped: Setup, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The derivative of what is minimised, limits and walls exceeded, is that of differences.
 
     Without the arm's nearness to itself, which a checker tells to a micrometre alone.
@@ -350,14 +348,11 @@ def test_the_wrist_is_taken_apart(plan: ExcitationPlan) -> None:
         (["--runs", "3"], "--runs without --excitation"),
         (["--excitation", "--group", "joint_1"], "--group with --excitation"),
         (["--excitation", "--harmonics", "2"], "--excitation: harmonics is 2; accepted: an integer in [3, 50]"),
-        (["--excitation", "--share", "1.5"], "share is 1.5; accepted: "),
         (["--excitation", "--wall", "0", "0", "0", "1"], "--wall 0 0 0 1; accepted: NX NY NZ D"),
         (["--excitation", "--wall", "0", "0", "-1", "-1"], "at home tcp is -"),
         (["--excitation", "--wall", "1", "0", "0", "-1e308"], "--wall 1 0 0 -1e+308: 1e+308 m from the base"),
         (["--excitation", "--clearance", "1"], "--clearance 1.0 without --keep-above or --wall"),
         (["--excitation", "--torque-noise", "1", "2"], "--torque-noise: 2 values; accepted: 6"),
-        (["--excitation", "--torque-noise", "1e-300"], "torque-noise is 1e-300; accepted: "),
-        (["--excitation", "--quick", "--steps", "1"], "steps is 1; accepted: an integer in [2, 10000]"),
         (["--excitation", "--share", "0.05"], "even of a small one the torque of joint_3 is 1"),
     ],
 )
@@ -367,6 +362,19 @@ def test_what_does_not_fit_is_refused(words: list[str], text: str, capsys: pytes
     said = capsys.readouterr().err.strip().splitlines()
     assert text in said[-1]
     assert len(said) == 1
+
+
+@pytest.mark.parametrize("name", [name for name in DECLARED if name != "criterion"])
+def test_each_option_keeps_its_range(name: str) -> None:
+    """What is beyond the declared range of an option is refused with its name and value; its ends are not."""
+    low, high = (getattr(DECLARED[name], end) for end in ("low", "high"))
+    for value in (low - 1, high + 1):
+        with pytest.raises(ConfigError, match=rf"{name} is {value}; accepted: "):
+            ExcitationOptions(**{name: value})
+    for value in (low, high):
+        assert getattr(ExcitationOptions(**{"period": 1.0, "periods": 1, name: value}), name) == value
+    with pytest.raises(ConfigError, match="torque-noise is 1e-300; accepted: "):
+        ExcitationOptions(torque_noise=(1e-300,))
 
 
 def test_a_folder_of_excitation_runs_is_identified_as_such(

@@ -19,8 +19,8 @@ from rx90_common.base.errors import DONE
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_common.friction.parts.bristles import ElastoPlastic
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.experiments.series import run_on_engine
 from rx90_emulator.identification.experiments.plan import PlanOptions, make_plan
+from rx90_emulator.identification.experiments.series import run_on_engine
 from rx90_emulator.identification.presliding import kinds as kinds_module
 from rx90_emulator.identification.presliding.bristle_motion import FAMILIES
 from rx90_emulator.loop.setup import Setup
