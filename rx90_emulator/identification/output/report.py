@@ -49,14 +49,7 @@ def _render(template: str, date: datetime | None, **values: Any) -> str:
 def _torque_panels(
     names: Sequence[str], series: Sequence[tuple[Array, Array, Array, Array]], labels: tuple[str, str], time_label: str
 ) -> list[Panel]:
-    """Return a panel for each joint: recorded and predicted torque, and their difference where they are compared.
-
-    Args:
-        names: of the joints.
-        series: of each its time, s, and the three torques, Nm, each of shape (k,); NaN leaves a gap.
-        labels: of recorded and predicted torque.
-        time_label: below the last panel.
-    """
+    """Return a panel for each joint: time, recorded and predicted torque, and their difference, each of shape (k,)."""
     panels = []
     for name, (time, recorded, predicted, difference) in zip(names, series, strict=True):
         curves = [
