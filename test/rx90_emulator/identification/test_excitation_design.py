@@ -52,45 +52,38 @@ def motion(plan: ExcitationPlan) -> tuple[Array, Array, Array]:
     return curve(time), curve(time, nu=1), curve(time, nu=2)
 
 
-def test_a_run_keeps_ranges_speeds_and_accelerations(motion: tuple[Array, Array, Array], tx40: Setup) -> None:
-    """The whole trajectory, from home and back, keeps the limits; motor 6, which turns with joints 5 and 6, too."""
-    position, velocity, acceleration = motion
-    assert np.all(position >= tx40.robot.lower)
-    assert np.all(position <= tx40.robot.upper)
-    assert np.all(np.abs(velocity) <= 0.8 * tx40.robot.max_velocity)
-    assert np.all(np.abs(velocity[:, 4] + velocity[:, 5]) <= 0.8 * tx40.robot.max_velocity[5])
-    assert np.all(np.abs(acceleration) <= 0.8 * tx40.controller.max_acceleration)
-    # Some joint comes near to a limit: the motion is not safe by being small.
-    assert np.abs(position / tx40.robot.upper).max() > 0.7
-
-
-def test_a_run_keeps_torques_and_the_table_shows_motors(
+def test_a_run_keeps_every_limit_and_the_table_shows_motors(
     plan: ExcitationPlan, motion: tuple[Array, Array, Array], tx40: Setup
 ) -> None:
-    """Pinocchio's torque with rotors and friction of every motor keeps joints' efforts and motors' peak torques.
+    """The whole trajectory, from home and back, keeps ranges, speeds, accelerations and torques of joints and motors.
 
-    The table shows the greatest shares of the motors that turn with two joints or carry two.
+    Torques are Pinocchio's with rotors and the friction of every motor. Motor 6 turns with joints 5 and 6; the table
+    shows the greatest shares of the motors that turn with two joints or carry two.
     """
     robot, drives, controller = tx40.robot, tx40.drives, tx40.controller
+    position, velocity, acceleration = motion
     turns = np.eye(6)
     turns[5, 4] = 1.0
+    assert np.all((robot.lower <= position) & (position <= robot.upper))
+    assert np.all(np.abs(velocity) <= 0.8 * robot.max_velocity)
+    assert np.all(np.abs(velocity @ turns.T) <= 0.8 * robot.max_velocity)
+    assert np.all(np.abs(acceleration) <= 0.8 * controller.max_acceleration)
+    # Some joint comes near to a limit: the motion is not safe by being small.
+    assert np.abs(position / robot.upper).max() > 0.7
     most = np.abs(drives.gear) * drives.peak_torque
     data, shares = robot.model.createData(), []
     for q, v, a in zip(*(one[::20] for one in motion), strict=True):
         motor = turns @ v
         friction = np.sign(motor) * (controller.coulomb + controller.viscous * np.abs(motor))
-        rotors = drives.rotor_inertia * (turns @ a) + friction
-        torque = pin.rnea(robot.model, data, q, v, a) + turns.T @ rotors
+        torque = pin.rnea(robot.model, data, q, v, a) + turns.T @ (drives.rotor_inertia * (turns @ a) + friction)
         assert np.all(np.abs(torque) <= 0.8 * robot.max_effort)
-        shares.append(np.abs([turns @ v / robot.max_velocity, np.linalg.solve(turns.T, torque) / most]))
+        shares.append(np.abs([motor / robot.max_velocity, np.linalg.solve(turns.T, torque) / most]))
     greatest = np.max(shares, axis=0)
     assert greatest[1].max() <= 0.8
-    rows = {
-        line.split()[0]: line.split()[1:3] for line in describe_excitation(plan).splitlines() if "    motor_" in line
-    }
-    assert list(rows) == ["motor_5", "motor_6"]
-    for number, shown in zip((4, 5), rows.values(), strict=True):
-        assert [float(share.rstrip("%")) for share in shown] == pytest.approx(100.0 * greatest[:, number], abs=1.5)
+    lines = [line.split() for line in describe_excitation(plan).splitlines() if "    motor_" in line]
+    assert [line[0] for line in lines] == ["motor_5", "motor_6"]
+    for number, line in zip((4, 5), lines, strict=True):
+        assert [float(share.rstrip("%")) for share in line[1:3]] == pytest.approx(100.0 * greatest[:, number], abs=1.5)
 
 
 def test_every_shape_stays_away_from_table_and_wall(
@@ -126,25 +119,24 @@ def test_every_shape_stays_away_from_table_and_wall(
 def _outline(link: ET.Element) -> Array:
     """Return corners, rims and points of a link's shapes in its frame, m, shape (k, 3)."""
     found = [np.zeros((0, 3))]
-    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    turn, height = (grid.ravel() for grid in np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 49), np.linspace(-1.0, 1.0, 61)))
+    circle = np.column_stack([np.cos(turn), np.sin(turn)])
     for shape in link.findall("collision"):
         origin = shape.find("origin")
-        texts = ("0 0 0", "0 0 0") if origin is None else (origin.get("xyz", "0 0 0"), origin.get("rpy", "0 0 0"))
-        xyz, rpy = (np.array(text.split(), dtype=np.float64) for text in texts)
+        places = {} if origin is None else origin.attrib
+        xyz, rpy = (np.array(places.get(key, "0 0 0").split(), dtype=np.float64) for key in ("xyz", "rpy"))
         box, cylinder, ball = (shape.find(f"geometry/{kind}") for kind in ("box", "cylinder", "sphere"))
         if ball is not None:
-            height, turn = (grid.ravel() for grid in np.meshgrid(np.linspace(-1.0, 1.0, 61), angle))
-            ring = np.sqrt(1.0 - height**2)
-            directions = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height])
-            points = float(ball.get("radius", "")) * directions
+            points = np.column_stack([circle * np.sqrt(1.0 - height**2)[:, None], height]) * float(
+                ball.get("radius", "")
+            )
         elif box is not None:
             signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
             points = 0.5 * signs * np.array(box.get("size", "").split(), dtype=np.float64)
         else:
             assert cylinder is not None
-            radius, half = float(cylinder.get("radius", "")), 0.5 * float(cylinder.get("length", ""))
-            rim = radius * np.column_stack([np.cos(angle), np.sin(angle)])
-            points = np.vstack([np.column_stack([rim, np.full(len(rim), z)]) for z in (-half, half)])
+            rim = circle * float(cylinder.get("radius", ""))
+            points = np.column_stack([rim, 0.5 * np.sign(height) * float(cylinder.get("length", ""))])
         found.append(points @ pin.rpy.rpyToMatrix(rpy).T + xyz)
     return np.vstack(found)
 
@@ -382,17 +374,17 @@ def test_a_folder_of_excitation_runs_is_identified_as_such(
 ) -> None:
     """`rx90_identify FOLDER` takes runs and validation from the index; one of a series of sweeps names none."""
     runs = [plan.experiments[0], replace(plan.experiments[0], name="unseen", kind=Kind.VALIDATION)]
-    for one in runs:
-        (tmp_path / one.name).mkdir()
+    write_index(tmp_path, runs[1:])
+    (tmp_path / "unseen").mkdir()
+    assert "excitation" not in (tmp_path / "experiments.yaml").read_text()
+    assert read_index(tmp_path).excitation == ()
+    (tmp_path / "excitation_1").mkdir()
+    write_index(tmp_path, runs)
     seen: list[object] = []
     monkeypatch.setattr(identification_job, "run_excitation", lambda *given, **_: seen.append(given) or True)
-    write_index(tmp_path, runs)
     assert run("rx90_identify", [str(tmp_path), "--output", str(tmp_path / "out")]) == DONE
     (given,) = seen
     assert (given[0], given[2]) == ((tmp_path / "excitation_1",), (tmp_path / "unseen",))  # type: ignore[index]
-    write_index(tmp_path, runs[1:])
-    assert "excitation" not in (tmp_path / "experiments.yaml").read_text()
-    assert read_index(tmp_path).excitation == ()
 
 
 def test_a_planned_run_tells_the_inertias_that_the_engine_has(
