@@ -139,7 +139,7 @@ def test_there_is_one_plant_step_and_one_law() -> None:
 def test_what_pages_name_is_there() -> None:
     """Every module and file that a build file or a document names exists; every command that it names is installed."""
     folders = rf"(?:{'|'.join(PACKAGES)}|config|docs|firmware|launch|benchmarks|tools|test)"
-    pages = [*ROOT.glob("*.md"), *ROOT.glob("*.rst"), *(ROOT / "docs").rglob("*.md")]
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
     for file in (*pages, *(ROOT / name for name in ("setup.py", "pyproject.toml", "Makefile", ".ci/run"))):
         text = file.read_text(encoding="utf-8")
         dotted = set(re.findall(rf"(?<![\w/.])({_NAMED})", text))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import Any
 
 from rx90_common.base.errors import DONE, VERDICT_NO, IdentificationError
 from rx90_common.base.quoting import one_line
@@ -83,44 +84,86 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_arm_arguments(parser)
 
 
+_WITHOUT = "without excitation runs"
+_UNUSED = (
+    ("excitation", "folder sliding presliding friction report", "with --excitation",
+     "--validation BAG ... alone, and --output FOLDER"),
+    ("excitation", "bristle_kinds", "with excitation runs",
+     "with --presliding BAG ..., or --bristles, which tries LuGre's along such runs"),
+    ("excitation", "worst_torque_tolerance tip_tolerance", "with excitation runs",
+     "--torque-tolerance and --total-torque-tolerance"),
+    ("check sweeps", "bristles", _WITHOUT, "with --excitation BAG ..., or --bristle-kinds for micro-oscillations"),
+    ("check sweeps", "load_part payload prior total_torque_tolerance", _WITHOUT, "with --excitation BAG ..."),
+    ("check", "folder sliding presliding output bristle_kinds", "with --friction",
+     "--validation BAG ... alone, for nothing is identified or written"),
+)  # fmt: skip
+"""What a command line is for, options that do not count for it, what it is with, and what is accepted instead."""
+
+
 def main(options: argparse.Namespace) -> int:
     """Return 0 where the validation confirms the result, or there is none, else 1.
 
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
+    what = "excitation" if _holds_excitation(options) else "sweeps" if options.friction is None else "check"
+    for whats, names, how, accepted in _UNUSED:
+        given = next(filter(None, (_given(options, name) for name in names.split())), "")
+        if given and what in whats:
+            raise IdentificationError(f"{given} {how}; accepted: {accepted}")
+    if what != "check" and options.output is None:
+        other = "--output FOLDER, which the robot's files are written into"
+        asked = other if what == "excitation" else "--output FILE, the friction file to write"
+        raise IdentificationError(f"no --output; accepted: {asked}")
+    # Here, because --help must not wait for it.
+    from rx90_emulator.identification import job
+
     robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
-    what = "the result"
-    if options.excitation or _holds_excitation(options):
-        confirmed = _excitation(options, robot)
-    elif given := _for_excitation_alone(options):
-        other = ", or --bristle-kinds for micro-oscillations" if given == "--bristles" else ""
-        raise IdentificationError(f"{given} without excitation runs; accepted: with --excitation BAG ...{other}")
-    elif options.friction is not None:
-        confirmed, what = _check(options, robot), options.friction
+    limits, wider = ValidationTolerances, ExcitationTolerances
+    tolerances = limits(
+        options.torque_tolerance or limits.torque,
+        options.worst_torque_tolerance or limits.worst_torque,
+        options.tip_tolerance or limits.tip,
+    )
+    if what == "check":
+        confirmed = job.run_check(
+            options.friction, options.validation, robot, tolerances, options.report, force=options.force
+        )
+    elif what == "sweeps":
+        confirmed = job.run_identification(
+            _bags(options), robot, tolerances, options.output, options.report,
+            bristle_kinds=options.bristle_kinds, force=options.force,
+        )  # fmt: skip
     else:
-        confirmed = _identify(options, robot)
+        if options.load_part and options.payload is None:
+            raise IdentificationError("--load-part without --payload; accepted: with --payload FILE")
+        total, joint = options.total_torque_tolerance or wider.total, options.torque_tolerance or wider.joint
+        confirmed = job.run_excitation(
+            options.excitation, robot, options.validation, wider(total, joint), options.output,
+            bristles=options.bristles, payload=options.payload, load_part=options.load_part,
+            prior=options.prior, force=options.force,
+        )  # fmt: skip
     if confirmed:
         return DONE
-    print(one_line(f"rx90_identify: the validation does not confirm {what}"), file=sys.stderr)
+    whose = options.friction if what == "check" else "the result"
+    print(one_line(f"rx90_identify: the validation does not confirm {whose}"), file=sys.stderr)
     return VERDICT_NO
 
 
-def _for_excitation_alone(options: argparse.Namespace) -> str:
-    """Return the first option given, with its value, that counts for excitation runs alone; "" for none."""
-    for name in ("bristles", "load_part"):
-        if getattr(options, name):
-            return f"--{name.replace('_', '-')}"
-    given = [(name, getattr(options, name)) for name in ("payload", "prior", "total_torque_tolerance")]
-    return next((f"--{name.replace('_', '-')} {value}" for name, value in given if value is not None), "")
+def _given(options: argparse.Namespace, name: str) -> str:
+    """Return an option as it was given, with its first value; "" where it was not."""
+    value = getattr(options, name)
+    if value in (None, False, []):
+        return ""
+    option = f"--{name.replace('_', '-')} " * (name != "folder")
+    return option.strip() if value is True else f"{option}{value[0] if isinstance(value, list) else value}"
 
 
 def _holds_excitation(options: argparse.Namespace) -> bool:
-    """Return whether the folder is one of excitation runs, whose bags then are as if named."""
-    if options.folder is None or options.friction is not None:
-        return False
-    if options.sliding or options.presliding or options.validation:
-        return False  # refused where the bags are put together
+    """Return whether the bags, or those of the folder, are excitation runs; those of a folder then are as if named."""
+    single = [options.friction, *options.sliding, *options.presliding, *options.validation]
+    if options.excitation or options.folder is None or any(single):
+        return bool(options.excitation)
     from rx90_emulator.identification.experiments.folder import read_index
 
     bags = read_index(options.folder)
@@ -129,71 +172,11 @@ def _holds_excitation(options: argparse.Namespace) -> bool:
     return bool(bags.excitation)
 
 
-def _tolerances(options: argparse.Namespace) -> ValidationTolerances:
-    usual = ValidationTolerances
-    return usual(
-        options.torque_tolerance or usual.torque,
-        options.worst_torque_tolerance or usual.worst_torque,
-        options.tip_tolerance or usual.tip,
-    )
-
-
-def _excitation(options: argparse.Namespace, robot: RobotOptions) -> bool:
-    from rx90_emulator.identification.job import run_excitation
-
-    others = [options.folder, *options.sliding, *options.presliding, options.friction, options.report]
-    unused = [str(one) for one in others if one is not None]
-    if options.bristle_kinds:
-        raise IdentificationError(
-            "--bristle-kinds with excitation runs; accepted: with --presliding BAG ..., or --bristles, which tries "
-            "LuGre's along such runs"
-        )
-    for name in ("worst_torque_tolerance", "tip_tolerance"):
-        if (value := getattr(options, name)) is not None:
-            told = f"--{name.replace('_', '-')} {value} with excitation runs"
-            raise IdentificationError(f"{told}; accepted: --torque-tolerance and --total-torque-tolerance")
-    if unused:
-        raise IdentificationError(
-            f"{unused[0]} with --excitation; accepted: --validation BAG ... alone, and --output FOLDER"
-        )
-    if options.output is None:
-        raise IdentificationError("no --output; accepted: --output FOLDER, which the robot's files are written into")
-    if options.load_part and options.payload is None:
-        raise IdentificationError("--load-part without --payload; accepted: with --payload FILE")
-    joint = options.torque_tolerance or ExcitationTolerances.joint
-    tolerances = ExcitationTolerances(options.total_torque_tolerance or ExcitationTolerances.total, joint)
-    return run_excitation(
-        options.excitation, robot, options.validation, tolerances, options.output,
-        bristles=options.bristles, payload=options.payload, load_part=options.load_part,
-        prior=options.prior, force=options.force,
-    )  # fmt: skip
-
-
-def _identify(options: argparse.Namespace, robot: RobotOptions) -> bool:
-    # Here, because --help must not wait for them.
+def _bags(options: argparse.Namespace) -> Any:
+    """Return the folder, or the single bags by use."""
     from rx90_emulator.identification.experiments.folder import IdentificationBags
-    from rx90_emulator.identification.job import run_identification
 
-    if options.output is None:
-        raise IdentificationError("no --output; accepted: --output FILE, the friction file to write")
     single = [*options.sliding, *options.presliding, *options.validation]
     if options.folder is not None and single:
         raise IdentificationError(f"{options.folder} and {single[0]}; accepted: a folder or single bags, not both")
-    bags = options.folder or IdentificationBags.of(options.sliding, options.presliding, options.validation)
-    return run_identification(
-        bags, robot, _tolerances(options), options.output, options.report,
-        bristle_kinds=options.bristle_kinds, force=options.force,
-    )  # fmt: skip
-
-
-def _check(options: argparse.Namespace, robot: RobotOptions) -> bool:
-    from rx90_emulator.identification.job import run_check
-
-    others = [options.folder, *options.sliding, *options.presliding, options.output]
-    unused = ["--bristle-kinds"] * options.bristle_kinds + [str(one) for one in others if one is not None]
-    if unused:
-        raise IdentificationError(
-            f"{unused[0]} with --friction; accepted: --validation BAG ... alone, for nothing is identified or written"
-        )
-    tolerances, report = _tolerances(options), options.report
-    return run_check(options.friction, options.validation, robot, tolerances, report, force=options.force)
+    return options.folder or IdentificationBags.of(options.sliding, options.presliding, options.validation)

@@ -57,7 +57,7 @@ JointMotion: TypeAlias = tuple[Array, Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class ExcitationColumns:
-    """The columns of an arm's torque.
+    """The columns of an arm's torque that `rx90_identify --excitation` fits.
 
     Attributes:
         arm: n joints and n_el elements.
@@ -71,14 +71,6 @@ class ExcitationColumns:
     base: BaseGroups
     noise: Array
 
-    @classmethod
-    def of(cls, setup: Setup, noise: Array) -> ExcitationColumns:
-        """Return the columns that `rx90_identify --excitation` fits."""
-        arm = RigidArm.from_setup(setup)
-        springs = [name for name, k in zip(arm.names, arm.spring.tolist(), strict=True) if k]
-        standard = StandardColumns.with_springs_on(arm, springs)
-        return cls(arm, standard, BaseGroups.of(standard), noise)
-
     @property
     def names(self) -> tuple[str, ...]:
         """Return the names of p = b + 2 n_el parameters."""
@@ -86,15 +78,12 @@ class ExcitationColumns:
         return (*self.base.names, *friction)
 
     def rows(self, standard: Array, velocity: Array, smooth: float = 0.0) -> Array:
-        """Return the columns, each joint over its noise.
+        """Return the columns, each joint over its noise, shape (m, n, p).
 
         Args:
             standard: of the standard parameters, Nm per unit, shape (m, n, P).
             velocity: rad/s, shape (m, n).
             smooth: speed over which the sign changes, rad/s.
-
-        Returns:
-            Shape (m, n, p).
         """
         share, inputs = self.arm.element_matrix.T, velocity @ self.arm.element_matrix.T
         sign = np.tanh(inputs / smooth) if smooth else np.sign(inputs)
@@ -102,14 +91,8 @@ class ExcitationColumns:
         rows = np.concatenate([standard[:, :, list(self.base.leading)], *friction], axis=2)
         return np.asarray(rows / self.noise[:, None])
 
-    def information(self, motion: JointMotion, duration: float) -> Array:
-        """Return the information of `duration`, s, of a motion whose samples represent it, shape (p, p)."""
-        rows = self.rows(self.standard.torque(*motion), motion[1])
-        flat = rows.reshape(-1, rows.shape[2])
-        return np.asarray(flat.T @ flat * (ROWS * duration / len(rows)))
-
     def slopes(self, motion: JointMotion, standard: Array, by_rows: Array, by_torque: Array) -> JointMotion:
-        """Return the derivatives by the motion of a function of smoothed rows and rigid torque.
+        """Return the derivatives by the motion of a function of smoothed rows and rigid torque, each of shape (m, n).
 
         Args:
             motion: m samples.
@@ -139,7 +122,13 @@ class ExcitationColumns:
         return slopes[0], slopes[1] + (coulomb * sign_slope + viscous) @ elements, slopes[2]
 
 
-def criterion(kind: str, information: Array) -> tuple[float, Array]:
+def _information(rows: Array, duration: float) -> Array:
+    """Return what rows of a motion, shape (m, n, p), that represent a duration, s, tell, shape (p, p)."""
+    flat = rows.reshape(-1, rows.shape[2])
+    return np.asarray(flat.T @ flat * (ROWS * duration / len(rows)))
+
+
+def _criterion(kind: str, information: Array) -> tuple[float, Array]:
     """Return what is to be minimised and its derivative by the information, shape (p, p).
 
     `condition`: the logarithm of the condition number of the columns, each of length 1. `d`: the mean logarithm of the
@@ -241,10 +230,13 @@ class RunSearch:
             noise = np.array(options.torque_noise)
             if len(noise) != n:
                 raise IdentificationError(f"--torque-noise: {len(noise)} values; accepted: {n}, one per joint")
-        columns = ExcitationColumns.of(setup, noise)
-        count = len(columns.names)
+        arm = RigidArm.from_setup(setup)
+        springs = [name for name, k in zip(arm.names, arm.spring.tolist(), strict=True) if k]
+        standard = StandardColumns.with_springs_on(arm, springs)
+        columns = ExcitationColumns(arm, standard, BaseGroups.of(standard), noise)
+        nothing = np.zeros((len(columns.names), len(columns.names)))
         workspace = Workspace(setup.robot, options.walls, home)
-        return cls(setup, options, home, columns, workspace, options.share, np.zeros((count, count)))
+        return cls(setup, options, home, columns, workspace, options.share, nothing)
 
     @cached_property
     def basis(self) -> SeriesBasis:
@@ -338,8 +330,7 @@ class RunSearch:
         motion = basis.motion(coefficients)
         standard = columns.standard.torque(*motion)
         rows, factor = columns.rows(standard, motion[1], _SMOOTH), ROWS * self.duration / len(motion[0])
-        flat = rows.reshape(-1, rows.shape[2])
-        value, by_information = criterion(self.options.criterion, self.before + factor * (flat.T @ flat))
+        value, by_information = _criterion(self.options.criterion, self.before + _information(rows, self.duration))
         penalty, over, over_torque = self._penalty(motion, standard @ columns.standard.values())
         slopes = columns.slopes(motion, standard, 2.0 * factor * rows @ by_information, limit * over_torque)
         position, velocity, acceleration = (own + limit * other for own, other in zip(slopes, over, strict=True))
@@ -495,8 +486,9 @@ def plan_excitation(
         found.append(coefficients)
         if kind is Kind.EXCITATION:
             time = np.arange(round(options.period * _INFORMATION_RATE)) / _INFORMATION_RATE
-            told = search.columns.information(search.basis.at(time).motion(coefficients), search.duration)
-            search = replace(search, before=search.before + told)
+            motion = search.basis.at(time).motion(coefficients)
+            rows = search.columns.rows(search.columns.standard.torque(*motion), motion[1])
+            search = replace(search, before=search.before + _information(rows, search.duration))
     return ExcitationPlan(search, tuple(experiments), tuple(found))
 
 

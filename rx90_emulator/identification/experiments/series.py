@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -138,18 +136,15 @@ def plan_with_progress(setup: Setup, options: ExcitationOptions) -> ExcitationPl
         Rx90Error: as `plan_excitation`.
     """
     total = (options.runs + options.validation) * options.steps
-    names: list[str] = []
-    with ExitStack() as shown:
-        bars: list[tqdm[Any]] = []
+    begins = iter(range(0, total, options.steps))
+    # The bar comes with the first step: what is refused before needs none.
+    with tqdm(total=total, bar_format=_BAR, disable=None, delay=1e-9) as bar:
 
         def step(name: str) -> None:
-            if not bars:  # only now: what is refused before the first step needs no bar
-                bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, disable=None, file=sys.stderr)))
-            if name not in names:  # the search before may have needed fewer steps
-                names.append(name)
-                bars[0].set_description_str(name, refresh=False)
-                bars[0].update((len(names) - 1) * options.steps - bars[0].n)
-            bars[0].update()
+            if name != bar.desc:  # the search before may have needed fewer steps
+                bar.set_description_str(name, refresh=False)
+                bar.update(next(begins) - bar.n)
+            bar.update()
 
         return plan_excitation(setup, options, step)
 

@@ -18,7 +18,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Mark, Panel, Plot
-from rx90_emulator.identification.estimates import IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.excitation.friction.estimates import FrictionCurve
 from rx90_emulator.identification.excitation.instruments import remark
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
@@ -42,26 +42,14 @@ _ACROSS = 2  # columns of plots with a panel for each joint
 
 def _render(template: str, date: datetime | None, **values: Any) -> str:
     """Return a page; templates have the functions of `summary` and the built-in ones that they need."""
-    return render_page(
-        "rx90_emulator.identification.output", template, date=_utc(date), summary=summary, zip=zip, **values
-    )
-
-
-def _utc(date: datetime | None) -> str:
-    return (date or datetime.now(timezone.utc)).strftime("%Y-%m-%d %H:%M UTC")
+    day = (date or datetime.now(timezone.utc)).strftime("%Y-%m-%d %H:%M UTC")
+    return render_page("rx90_emulator.identification.output", template, date=day, summary=summary, zip=zip, **values)
 
 
 def _torque_panels(
     names: Sequence[str], series: Sequence[tuple[Array, Array, Array, Array]], labels: tuple[str, str], time_label: str
 ) -> list[Panel]:
-    """Return a panel for each joint: recorded and predicted torque, and their difference where they are compared.
-
-    Args:
-        names: of the joints.
-        series: of each its time, s, and the three torques, Nm, each of shape (k,); NaN leaves a gap.
-        labels: of recorded and predicted torque.
-        time_label: below the last panel.
-    """
+    """Return a panel for each joint: time, recorded and predicted torque, and their difference, each of shape (k,)."""
     panels = []
     for name, (time, recorded, predicted, difference) in zip(names, series, strict=True):
         curves = [
@@ -172,13 +160,18 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         checks=_checks(result.validations),
         friction_file=friction_file,
         curves=[_curve_plot(name, curve) for name, curve in curves],
-        trends=[_drift_plot(name, curve) for name, curve in curves],
+        trends=[Plot([Panel(
+            (Level(0.0), Dots(curve.time, np.sign(curve.velocity) * (curve.torque - curve.fitted))),
+            name, "time in the series, s", "residual, Nm",
+        )], height=1.8) for name, curve in curves],
         loops=[_loop_plot(one.joint, one.position, "friction torque, Nm",
                           {"measured": one.torque, "simulated": one.simulated_torque}) for one in loops],
         own_bristles=own_bristles,
         compared=compared,
         decisions=decisions(result.kinds),
-        numbers=[(name, *row) for name, one in named.items() if not one.given_bristles for row in _own_numbers(one)],
+        numbers=[(name, number, estimate.texts() if estimate.identifiable else (f"{one.value(number):.4g}", ""))
+                 for name, one in named.items() if not one.given_bristles
+                 for number, estimate in one.estimates.items() if number.startswith("bristles.")],
         most_motions=MOST_MOTIONS,
         most_of_bag=MOST_OF_BAG,
         distinguishable_se=DISTINGUISHABLE_SE,
@@ -208,12 +201,6 @@ def _curve_plot(name: str, curve: CurvePoints) -> Plot:
     return Plot(panels, height=2.3)
 
 
-def _drift_plot(name: str, curve: CurvePoints) -> Plot:
-    """Show residual torque along the motion against time of an element."""
-    marks = (Level(0.0), Dots(curve.time, np.sign(curve.velocity) * (curve.torque - curve.fitted)))
-    return Plot([Panel(marks, name, "time in the series, s", "residual, Nm")], height=1.8)
-
-
 def _loop_plot(name: str, position: Array, label: str, torques: Mapping[str, Array]) -> Plot:
     """Show torques against position in the middle of a micro-motion: measured, and by each model."""
     count = len(position)
@@ -224,16 +211,6 @@ def _loop_plot(name: str, position: Array, label: str, torques: Mapping[str, Arr
         for (of, torque), colour in zip(torques.items(), colours, strict=False)
     ]
     return Plot([Panel(curves, name, "position, µrad", label)], height=3.2)
-
-
-def _own_numbers(one: IdentifiedElement) -> list[tuple[str, str, str]]:
-    """Return name, value and deviation of the numbers of an element's own bristles; no deviation where assumed."""
-    found = []
-    for name, estimate in one.estimates.items():
-        if name.startswith("bristles."):
-            value, deviation = estimate.texts() if estimate.identifiable else (f"{one.value(name):.4g}", "")
-            found.append((name.removeprefix("bristles."), value, deviation))
-    return found
 
 
 def _correlation_plots(result: FrictionIdentification) -> list[Plot]:

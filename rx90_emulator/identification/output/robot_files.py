@@ -194,11 +194,11 @@ class IdentifiedRobot:
     def __post_init__(self) -> None:
         if not np.isfinite(self.inertias.parameters).all():
             raise IdentificationError("inertial parameters that are not finite; nothing is written")
-        for name, value in zip(self.arm.names, self._amounts("k")[0], strict=True):
+        for name, value in zip(self.arm.names, self.amounts("k")[0], strict=True):
             if value < 0.0:
                 raise IdentificationError(f"the spring of {name} was identified as {value:.3g} Nm; accepted: >= 0")
 
-    def _amounts(self, kind: str) -> tuple[list[float], list[str]]:
+    def amounts(self, kind: str) -> tuple[list[float], list[str]]:
         """Return the parameters of a kind at each joint, 0 where there is none, and the joints where it is in a sum."""
         amounts, shared = [0.0] * len(self.arm.names), []
         for joint, name in enumerate(self.arm.names):
@@ -212,49 +212,6 @@ class IdentifiedRobot:
     def origin(self) -> str:
         """Return the bags with the dates of recording, in words."""
         return "identified from " + listed(f"{bag.path.name} (recorded {bag.recorded})" for bag in self.sources)
-
-    def drives_content(self, path: Path) -> dict[str, Any]:
-        """Return a drives file with rotors and springs that were identified, and the values of `drives`."""
-        new = {}
-        for kind, block, key in (("Ia", "transmission", "rotor_inertia"), ("k", "spring", "torque")):
-            if any(name.startswith(f"{kind}_") for name in self.standard):
-                amounts, shared = self._amounts(kind)
-                how = f"; of {listed(shared)} only the sum with the links, divided near to what was known"
-                new[block, key] = Identified(_numbers(amounts), "identified", self.origin + how * bool(shared))
-        new |= self.drives
-        content = dict(load_yaml(path).content)
-        for block in dict.fromkeys(block for block, _ in new):
-            content[block] = marked(content[block], {key: one for (there, key), one in new.items() if there == block})
-        return content
-
-    def controller_content(self, path: Path, speed: Array) -> dict[str, Any]:
-        """Return the controller with the friction that each motor turns against, at speeds up to the nominal ones."""
-        elements = [one.element for one in self.elements]
-        turned = [[element] for element in elements[:6]]
-        turned[5].append(elements[6])
-        viscous = [viscous_sum(some, float(top)) for some, top in zip(turned, speed, strict=True)]
-        values = {
-            "coulomb_torque": [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in turned],
-            "viscous_friction": [c2 for c2, _ in viscous],
-            "viscous_exponent": [alpha for _, alpha in viscous],
-        }
-        source = "the identified friction of each joint; of joint 6 and of element 7, with which motor 6 turns as well"
-        new = {key: Identified(_numbers(some), "derived", source) for key, some in values.items()}
-        # Its model, for the feed-forward by one, is the folder's own arm: not the one that the base names.
-        content = {key: value for key, value in load_yaml(path).content.items() if key != "model"}
-        return content | {"feed_forward": marked(content["feed_forward"], new)}
-
-    def urdf_text(self, text: str) -> str:
-        """Return a URDF with the bodies that were identified."""
-        prior = self.inertias.prior
-        new: dict[str, Array | None] = dict.fromkeys(prior.dropped)
-        for body, pseudo in zip(prior.bodies, self.inertias.pseudo, strict=True):
-            inverse = np.linalg.inv(body.frame)
-            new[body.link] = inverse @ pseudo @ inverse.T
-        rotors = ", ".join(f"{value:.6g}" for value in self.inertias.rotors)
-        remark = f" The inertials of {listed(new, 100)} are {self.origin}; other comments on masses are older. "
-        remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. " if rotors else ""
-        return with_inertials(text, new, remark)
 
 
 def viscous_sum(elements: Sequence[FrictionElement], speed: float) -> tuple[float, float]:
@@ -299,20 +256,56 @@ def robot_texts(
         IdentificationError: for a body that no link can be.
         ConfigError: for a file of the base that cannot be used.
     """
+    prior, rotors = robot.inertias.prior, ", ".join(f"{value:.6g}" for value in robot.inertias.rotors)
+    bodies: dict[str, Array | None] = dict.fromkeys(prior.dropped)
+    for body, pseudo in zip(prior.bodies, robot.inertias.pseudo, strict=True):
+        inverse = np.linalg.inv(body.frame)
+        bodies[body.link] = inverse @ pseudo @ inverse.T
+    remark = f" The inertials of {listed(bodies, 100)} are {robot.origin}; other comments on masses are older. "
+    remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. " if rotors else ""
     names = robot.arm.element_names if base is None else element_names(robot.arm.names)
     texts = {
-        FILES["urdf"]: robot.urdf_text(urdf.read_text(encoding="utf-8")),
+        FILES["urdf"]: with_inertials(urdf.read_text(encoding="utf-8"), bodies, remark),
         FILES["friction"]: elements_text(names, robot.elements, robot.fallback_name, now),
     }
-    if base is not None:
-        limits = load_robot(base.urdf, base.tool).max_velocity
-        texts[FILES["drives"]] = _DRIVES_HEAD + yaml_text(robot.drives_content(base.drives))
-        texts[FILES["controller"]] = _CONTROLLER_HEAD + yaml_text(robot.controller_content(base.controller, limits))
-        for role in ("tool", "task", "poses"):
-            path: Path | None = getattr(base, role)
-            if path is not None:
-                texts[FILES[role]] = without_schema_line(path.read_text(encoding="utf-8"))
+    if base is None:
+        return texts
+    new: dict[tuple[str, str], Identified] = {}
+    for kind, block, key in (("Ia", "transmission", "rotor_inertia"), ("k", "spring", "torque")):
+        if any(name.startswith(f"{kind}_") for name in robot.standard):
+            amounts, shared = robot.amounts(kind)
+            how = f"; of {listed(shared)} only the sum with the links, divided near to what was known"
+            new[block, key] = Identified(_numbers(amounts), "identified", robot.origin + how * bool(shared))
+    new |= robot.drives
+    drives = dict(load_yaml(base.drives).content)
+    for block in dict.fromkeys(block for block, _ in new):
+        drives[block] = marked(drives[block], {key: one for (there, key), one in new.items() if there == block})
+    # Its model, for the feed-forward by one, is the folder's own arm: not the one that the base names.
+    controller = {key: value for key, value in load_yaml(base.controller).content.items() if key != "model"}
+    speed = load_robot(base.urdf, base.tool).max_velocity
+    controller["feed_forward"] = marked(controller["feed_forward"], _feed_forward(robot.elements, speed))
+    texts[FILES["drives"]] = _DRIVES_HEAD + yaml_text(drives)
+    texts[FILES["controller"]] = _CONTROLLER_HEAD + yaml_text(controller)
+    for role in ("tool", "task", "poses"):
+        path: Path | None = getattr(base, role)
+        if path is not None:
+            texts[FILES[role]] = without_schema_line(path.read_text(encoding="utf-8"))
     return texts
+
+
+def _feed_forward(identified: Sequence[IdentifiedElement], speed: Array) -> dict[str, Identified]:
+    """Return the friction that each motor turns against, at speeds up to the nominal ones."""
+    elements = [one.element for one in identified]
+    turned = [[element] for element in elements[:6]]
+    turned[5].append(elements[6])
+    viscous = [viscous_sum(some, float(top)) for some, top in zip(turned, speed, strict=True)]
+    values = {
+        "coulomb_torque": [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in turned],
+        "viscous_friction": [c2 for c2, _ in viscous],
+        "viscous_exponent": [alpha for _, alpha in viscous],
+    }
+    source = "the identified friction of each joint; of joint 6 and of element 7, with which motor 6 turns as well"
+    return {key: Identified(_numbers(some), "derived", source) for key, some in values.items()}
 
 
 def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[str, str], str]:

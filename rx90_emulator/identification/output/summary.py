@@ -23,14 +23,9 @@ from rx90_emulator.identification.validation.verdict import Criterion, largest, 
 _CONFIRMED = ("confirmed", "NOT CONFIRMED")
 
 
-def percent(value: float, digits: int = 2, nothing: str = "-") -> str:
-    """Return a share in percent; NaN, which stands for what is not compared, as `nothing`."""
-    return nothing if math.isnan(value) else f"{value:.{digits}%}"
-
-
-def number(value: float, form: str = ".3f", nothing: str = "-") -> str:
-    """Return a number in a format; NaN, which stands for what is not compared, as `nothing`."""
-    return nothing if math.isnan(value) else f"{value:{form}}"
+def _number(value: float, form: str = ".3f") -> str:
+    """Return a number in a format; a dash for NaN, which stands for what is not compared."""
+    return "-" if math.isnan(value) else f"{value:{form}}"
 
 
 def _table(head: Sequence[str], width: int, places: Sequence[int], rows: Iterable[Sequence[str]]) -> list[str]:
@@ -103,7 +98,7 @@ def check_summary(checks: Sequence[Validation]) -> str:
     lines = []
     for check in checks:
         values = zip(check.names, check.rms, check.rms_share, check.worst, check.worst_share, strict=True)
-        rows = ((name, number(a), percent(b), number(c), percent(d)) for name, a, b, c, d in values)
+        rows = ((name, _number(a), _number(b, ".2%"), _number(c), _number(d, ".2%")) for name, a, b, c, d in values)
         head = ("joint", "RMS, Nm", "of torque", "worst, Nm", "of largest")
         lines += _table(head, _width(8, check.names), (10, 11, 11, 12), rows)
         lines += [check.zeros.text] if check.zeros is not None and check.zeros.text else []
@@ -138,8 +133,9 @@ def measured_summary(result: MeasuredComparison) -> str:
     """Return set-points, filters and lag, a row for each joint, and the verdict."""
     head = "joint", "torque RMS", "of measured", "worst", "of largest", "compared", "position RMS", "worst"
     rows = [
-        (name, f"{number(result.torque_rms[k])} Nm", percent(result.torque_share[k]),
-         f"{number(result.torque_worst[k])} Nm", percent(result.worst_share[k]), f"{result.compared_share[k]:.0%}",
+        (name, f"{_number(result.torque_rms[k])} Nm", _number(result.torque_share[k], ".2%"),
+         f"{_number(result.torque_worst[k])} Nm", _number(result.worst_share[k], ".2%"),
+         f"{result.compared_share[k]:.0%}",
          f"{1e3 * result.position_rms[k]:.3f} mrad", f"{1e3 * result.position_worst[k]:.3f} mrad")
         for k, name in enumerate(result.names)
     ]  # fmt: skip
@@ -168,9 +164,9 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     runs = [*(("fitted", run) for run in result.torques), *(("unseen", one.torques) for one in result.validations)]
     fits = []
     for use, run in runs:
-        shares = [percent(v, 1) for v in (*run.share, run.total_share)]
+        shares = [_number(v, ".1%") for v in (*run.share, run.total_share)]
         fits.append([f"{use} {run.source.path.name}", *shares])
-        chi = (">1e4" if k else number(v, ".3g") for k, v in zip(run.noiseless, run.chi_square, strict=True))
+        chi = (">1e4" if k else _number(v, ".3g") for k, v in zip(run.noiseless, run.chi_square, strict=True))
         fits.append(["  chi^2 over noise", *chi])
         if run.noiseless.any():
             fits.append(["  (>1e4: next to no noise beside the difference, as in smoothed torques; tells nothing)"])
@@ -185,22 +181,15 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         *([] if result.loads is None else [result.loads.remark(names)]),
         *(f"misfit: {text}" for text in misfits(result.speeds)),
         *(f"drift: {one.text}" for one in result.trends),
-        *(excitation_verdict(check) for check in result.validations),
+        *(_excitation_verdict(check) for check in result.validations),
     ])  # fmt: skip
 
 
-def excitation_criteria(check: TorqueValidation) -> tuple[Criterion, Criterion]:
-    """Return what the verdict on an excitation run rests on: torques of all joints, and of each."""
+def _excitation_verdict(check: TorqueValidation) -> str:
     limits, run = check.tolerances, check.torques
-    return (
-        Criterion("torque RMS of all joints", run.total_share, limits.total, digits=1),
-        largest("largest", run.names, run.share, limits.joint, digits=1),
-    )
-
-
-def excitation_verdict(check: TorqueValidation) -> str:
-    """Return the verdict on a run that was not used, with what decides and its limits."""
-    return verdict(f"validation {check.torques.source.path}", check.passed, _CONFIRMED, excitation_criteria(check))
+    total = Criterion("torque RMS of all joints", run.total_share, limits.total, digits=1)
+    worst = largest("largest", run.names, run.share, limits.joint, digits=1)
+    return verdict(f"validation {run.source.path}", check.passed, _CONFIRMED, (total, worst))
 
 
 def kept_parts(result: ExcitationIdentification) -> str:

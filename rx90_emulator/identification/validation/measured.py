@@ -41,7 +41,7 @@ from rx90_emulator.loop.setup import Setup
 
 _JOINTS = 6
 _MOVABLE = ("revolute", "continuous", "prismatic", "planar", "floating")
-OTHER_ARMS = (
+_OTHER_ARMS = (
     "the closed loop simulates arms of six joints whose motor 6 turns with joints 5 and 6; for the torque of another "
     "arm: rx90_identify --friction FILE --validation BAG --urdf URDF"
 )
@@ -56,28 +56,21 @@ def simulated_setup(files: RobotFiles) -> Setup:
     for role in ("drives", "controller"):
         path: Path = getattr(files, role)
         if not path.is_file():
-            raise ConfigError(f"{path.parent}: no {FILES[role]}; {OTHER_ARMS}")
+            raise ConfigError(f"{path.parent}: no {FILES[role]}; {_OTHER_ARMS}")
     try:
         joints = [one.get("name", "") for one in ET.parse(files.urdf).iter("joint") if one.get("type") in _MOVABLE]
     except (ET.ParseError, OSError):
         return Setup.load(files)  # which names the fault
     if len(joints) != _JOINTS:
-        raise ConfigError(f"{files.urdf}: {len(joints)} movable joints; {OTHER_ARMS}")
+        raise ConfigError(f"{files.urdf}: {len(joints)} movable joints; {_OTHER_ARMS}")
     there = FrictionFile.read(files.friction).elements
     if missing := [name for name in element_names(joints) if name not in there]:
-        raise ConfigError(f"{files.friction}: no friction element {listed(missing)}; {OTHER_ARMS}")
+        raise ConfigError(f"{files.friction}: no friction element {listed(missing)}; {_OTHER_ARMS}")
     return Setup.load(files)
 
 
-def bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
-    """Return what to read of a bag.
-
-    Raises:
-        BagError: if the bag cannot be read, or is another robot's.
-        ConfigError: for a signal map that is not acceptable.
-        IdentificationError: for options of another size, a bag without states, and one whose first message names none
-            of this arm's joints or motors.
-    """
+def _bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
+    """Return what to read of a bag; refuse that of another arm, whose first message names none of its joints."""
     check_robot(bag, setup.robot.model.name)
     joints = setup.robot.joint_names
     options, mapping = with_signals(options, [bag])
@@ -85,7 +78,7 @@ def bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
     names = () if options.names is not None else _first_names(bag, topic, mapping)
     if names and not {*names} & {*joints, *MOTOR_NAMES}:
         raise IdentificationError(
-            f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or --names; {OTHER_ARMS}"
+            f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or --names; {_OTHER_ARMS}"
         )
     return arm_layout(topic, joints, options, lambda: setup.drives.gear, mapping)
 
@@ -239,24 +232,27 @@ def compare_measured(
     """
     check_type(setup=(setup, Setup))
     path = Path(bag)
-    what = bag_layout(path, setup, layout)
+    what = _bag_layout(path, setup, layout)
     progress(path.name)
     record = read_record(path, what)
     bandwidths = _bandwidths(record, setup, bandwidth)
     pieces = filter_record(record, bandwidths)
     run = max(pieces, key=lambda piece: len(piece.time))
     moves = _moves(run)
+    nothing = IdentificationError(
+        f"{path}: no joint moves, and torques at rest are not compared; accepted: a joint that slides over "
+        f"{1e3 * _MIN_TRAVEL:g} mrad or more"
+    )
     if not moves.any():
-        raise IdentificationError(
-            f"{path}: no joint moves, and torques at rest are not compared; accepted: a joint that slides over "
-            f"{1e3 * _MIN_TRAVEL:g} mrad or more"
-        )
+        raise nothing
     setpoints = recorded_setpoints(run, record.position[0], setup, what) or path_setpoints(run, setup)
     beyond = setpoints.beyond(path, setup.controller.limits(setup.robot), setup.rates.position_period)
     progress("closed loop")
     simulated = _Simulated(setup, setpoints, run)
     progress("comparison")
     rows = simulated.covered
+    if not moves[rows].any():
+        raise nothing
     time = run.time[run.rows][rows]
     measured = run.parallel(np.stack([run.position, run.torque], axis=1))[rows]
     lag = simulated.lag(time, measured[:, 0], run.velocity[run.rows][rows])

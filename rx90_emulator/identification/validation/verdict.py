@@ -104,7 +104,7 @@ def largest(
     quantity: str, names: Sequence[str], values: Array, limit: float, unit: str = "%", digits: int = 2
 ) -> Criterion:
     """Return the criterion of the joint with the largest value; NaN stands for a joint that is not compared."""
-    joint = int(np.nanargmax(values))
+    joint = int(np.argmax(np.nan_to_num(values, nan=-1.0)))
     return Criterion(quantity, float(values[joint]), limit, names[joint], unit, digits)
 
 

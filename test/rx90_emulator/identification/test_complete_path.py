@@ -17,7 +17,7 @@ from processes import Processes, open_files, wait_until
 from schema_faults import schema_faults
 
 from rx90_common.bags.reading import read_joint_states
-from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO, IdentificationError
+from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments import plan as plans
@@ -26,7 +26,7 @@ from rx90_emulator.identification.experiments.excitation import plan_excitation
 from rx90_emulator.identification.experiments.folder import read_emulated, read_index
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.options import ExcitationOptions
-from rx90_emulator.identification.experiments.plan import Experiment, Kind, PlanOptions, make_plan
+from rx90_emulator.identification.experiments.plan import Experiment, Kind
 from rx90_emulator.identification.experiments.series import run_on_engine
 from rx90_emulator.identification.identify import identify_friction
 from rx90_emulator.identification.job import write_identification
@@ -34,124 +34,85 @@ from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
 
-def test_bags_become_a_friction_file_that_loads(
-    identified: tuple[Path, str], shipped: Setup, check_report: Callable[[Path], None]
-) -> None:
-    """From bags comes a file that the simulation loads, a report, and a verdict on the bag that was not used."""
-    output, said = identified
-    assert "validation " in said
-    found = load_friction(output, shipped.robot.joint_names).elements[3]
-    truth = shipped.friction.elements[3]
-    assert abs(found.tau_c_positive / truth.tau_c_positive - 1.0) < 0.1
-    assert abs(found.c0 / truth.c0 - 1.0) < 0.05
-    assert abs(found.c1 / truth.c1 - 1.0) < 0.15
-    text = output.read_text(encoding="utf-8")
-    assert "sha256" in text
-    assert "provenance: assumed" in text  # the other joints did not move
-    check_report(output.with_suffix(".html"))
-
-
-def test_python_identifies_and_writes_what_the_command_does(
-    series: Path, identified: tuple[Path, str], tmp_path: Path
-) -> None:
-    """`identify_friction` gives the elements that the command wrote, and the same file but for its date."""
-    result = identify_friction(str(series))
-    output, _ = write_identification(result, tmp_path / "friction.yaml")
-    assert schema_faults("friction", output) == schema_faults("experiments", series / "experiments.yaml") == []
-    assert result.confirmed
-    assert [use for use, _ in result.bags] == ["sliding", "presliding", "validation"]
-    texts = [re.sub(r"20\d\d-[-+:T\d]+", "", file.read_text(encoding="utf-8")) for file in (output, identified[0])]
-    assert texts[0] == texts[1]
-    with pytest.raises(IdentificationError, match="exists; accepted: another name"):
-        write_identification(result, output)
-
-
-def test_the_sweeps_of_one_joint_leave_the_weights_of_the_others_alone(identified: tuple[Path, str]) -> None:
-    """A series for joint 4 alone is confirmed on a run of all joints to 1 % of each joint's torque."""
-    _, said = identified
-    (share,) = re.findall(r"confirmed for joint_4, .* assumed: torque RMS ([\d.]+)%", said)
-    assert float(share) < 1.0
-
-
 def test_the_runs_of_one_joint_tell_that_joint_alone(
-    tmp_path: Path, check_report: Callable[[Path], None], capsys: pytest.CaptureFixture[str]
+    series: Path, identified: tuple[Path, str], shipped: Setup, check_report: Callable[[Path], None]
 ) -> None:
-    """Neighbours that only react to joint 3 are not identified, the verdict says for what, true values stand beside."""
-    folder, output = tmp_path / "series", tmp_path / "friction.yaml"
-    arguments = ["run", "--engine", "--quick", "--group", "joint_3", "--output", str(folder)]
-    assert run("rx90_experiment", arguments) == DONE
-    assert run("rx90_identify", [str(folder), "--output", str(output)]) == DONE
-    said = capsys.readouterr().out
-    assert "confirmed for joint_3, with 54 of 63 values assumed: torque RMS" in said
-    (share,) = re.findall(r"assumed: torque RMS ([\d.]+)%", said)
+    """From bags of joint 3 come a file that the simulation loads, with its values alone, a report and a verdict.
+
+    Neighbours that only react to it, and the weights of others, are not identified; true values stand beside.
+    """
+    output, said = identified
+    found, truth = load_friction(output, shipped.robot.joint_names).elements[2], shipped.friction.elements[2]
+    assert found.tau_c_positive == pytest.approx(truth.tau_c_positive, rel=0.1)
+    (share,) = re.findall(r"confirmed for joint_3, with 54 of 63 values assumed: torque RMS ([\d.]+)%", said)
     assert float(share) < 0.3  # with c0 and c1 of joints 2, 5 and 6 from their reactions it was 0.6 %
-    parameters = yaml.safe_load(output.read_text(encoding="utf-8"))["identification"]["parameters"]
+    content = yaml.safe_load(output.read_text(encoding="utf-8"))
+    parameters = content["identification"]["parameters"]
     told = {name for name, one in parameters.items() if any("interval" in each for each in one.values())}
     assert told == {"joint_3"}
-    truth = yaml.safe_load((folder / "emulated_friction.yaml").read_text(encoding="utf-8"))["elements"]["joint_3"]
+    assert parameters["joint_4"]["c2"]["provenance"] == "assumed"
+    true = yaml.safe_load((series / "emulated_friction.yaml").read_text(encoding="utf-8"))["elements"]["joint_3"]
     for name in ("c0", "c1"):
         low, high = parameters["joint_3"][name]["interval"]
-        assert low < truth[name] < high
+        assert low < true[name] < high
     page = output.with_suffix(".html").read_text(encoding="utf-8")
     assert re.findall(r'class="fact *([a-z]*)"><b>confirmed', page) == [""]  # not green beside assumed values
-    assert page.count("nothing identified") == 1
     for value in ("18", "23", "0.05", "1", "7", "70000", "60"):
         assert f"true {value}<" in page
     check_report(output.with_suffix(".html"))
 
 
+def test_python_identifies_and_writes_what_the_command_does(
+    series: Path, identified: tuple[Path, str], shipped: Setup, tmp_path: Path
+) -> None:
+    """`identify_friction` gives the elements that the command wrote, and the same file but for its date.
+
+    A motion that no plan has confirms them; the same motion with friction that joint 3 does not have refutes them.
+    """
+    third = replace(shipped.friction.elements[2], tau_c_positive=21.0, tau_c_negative=16.5, c2=8.5)
+    elements = (*shipped.friction.elements[:2], third, *shipped.friction.elements[3:])
+    other = replace(shipped, friction=FrictionSet(shipped.friction.names, elements))
+    for name, setup in (("fresh", shipped), ("other", other)):
+        run_on_engine(setup, fresh_motion(setup), tmp_path / name)
+    bags = replace(read_index(series), validation=(tmp_path / "fresh", tmp_path / "other"))
+    result = identify_friction(bags)
+    assert [check.passed for check in result.validations] == [True, False]
+    assert not result.confirmed
+    output, _ = write_identification(result, tmp_path / "friction.yaml")
+    assert schema_faults("friction", output) == schema_faults("experiments", series / "experiments.yaml") == []
+    assert [use for use, _ in result.bags] == ["sliding", "presliding", "validation", "validation"]
+    texts = [re.sub(r"20\d\d-[-+:T\d]+", "", file.read_text(encoding="utf-8")) for file in (output, identified[0])]
+    assert texts[0] == texts[1]
+
+
+def fresh_motion(setup: Setup) -> Experiment:
+    """Return a motion that no plan has: joint 3 fast and slow with reversals, the others a little."""
+    motion = Motion(np.zeros(6))
+    for target, speed in ((0.9, 1.2), (-0.5, 0.4), (-0.2, 0.1)):
+        motion.move([0.1 * target, 0.1, target, 0.1 * target, 0.2, 0.1], np.full(6, speed), 4.0)
+        motion.rest(0.1)
+    motion.move(np.zeros(6), np.full(6, 0.5), 4.0)
+    return Experiment("fresh", Kind.VALIDATION, motion.points(setup.robot.joint_names), 4)
+
+
 def test_nothing_is_replaced_on_refusal(series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """An output that exists is refused without --force, and a refusal of the data leaves it as it was with --force."""
+    """An output that exists is refused without --force; a refusal of the data leaves it as it was with --force.
+
+    Such data are a bag that is not there, and one that is to validate what was identified from it.
+    """
     output = tmp_path / "friction.yaml"
     output.write_text("mine", encoding="utf-8")
     assert run("rx90_identify", [str(series), "--output", str(output)]) == REFUSED
     assert "exists; accepted: another name, or --force" in capsys.readouterr().err
-    bag = str(read_index(series).presliding[0])
-    arguments = ["--sliding", str(tmp_path / "nowhere"), "--presliding", bag, "--output", str(output), "--force"]
-    assert run("rx90_identify", arguments) == REFUSED
-    assert output.read_text(encoding="utf-8") == "mine"
-    assert [file.name for file in tmp_path.iterdir()] == ["friction.yaml"]
-
-
-def test_a_bag_is_not_validated_by_itself(series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A bag that was used for the identification is refused as validation."""
     bag = str(read_index(series).sliding[0])
-    arguments = ["--sliding", bag, "--validation", bag, "--output", str(tmp_path / "f.yaml")]
-    assert run("rx90_identify", arguments) == REFUSED
-    assert "also used for the identification" in capsys.readouterr().err
-
-
-def test_an_identified_wrist_is_confirmed_on_a_fresh_motion(
-    shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A motion that was not used confirms friction that the fit found, and one of another robot refutes it."""
-    fourth = replace(shipped.friction.elements[3], tau_c_positive=7.0, tau_c_negative=5.5, c2=2.6, c0=1.3e4)
-    friction = FrictionSet(
-        shipped.friction.names, (*shipped.friction.elements[:3], fourth, *shipped.friction.elements[4:])
-    )
-    truth = replace(shipped, friction=friction)
-    options = PlanOptions(speeds=8, groups=("joint_4",), presliding_cycles=(2e-3,), tone_amplitudes=(4e-5,), burst=3.0)
-    sliding, presliding, _ = make_plan(truth.robot, truth.drives, options)
-    for experiment in (sliding, presliding, fresh_motion(truth)):
-        run_on_engine(truth, experiment, tmp_path / experiment.name)
-    # The same check refuses the friction that joint 4 does not have.
-    run_on_engine(shipped, fresh_motion(shipped), tmp_path / "other")
-    bags = ["--sliding", tmp_path / sliding.name, "--presliding", tmp_path / presliding.name]
-    arguments = [*bags, "--validation", tmp_path / "fresh", tmp_path / "other", "--output", tmp_path / "friction.yaml"]
-    assert run("rx90_identify", [str(value) for value in arguments]) == VERDICT_NO
-    said = capsys.readouterr().out
-    assert f"validation {tmp_path / 'fresh'}: confirmed" in said
-    assert f"validation {tmp_path / 'other'}: NOT CONFIRMED" in said
-
-
-def fresh_motion(setup: Setup) -> Experiment:
-    """Return a motion that no plan has: joint 4 fast and slow with reversals, the others a little."""
-    motion = Motion(np.zeros(6))
-    for target, speed in ((0.9, 1.2), (-0.5, 0.4), (-0.2, 0.1)):
-        motion.move([0.1 * target, 0.1, 0.1 * target, target, 0.2, 0.1], np.full(6, speed), 4.0)
-        motion.rest(0.1)
-    motion.move(np.zeros(6), np.full(6, 0.5), 4.0)
-    return Experiment("fresh", Kind.VALIDATION, motion.points(setup.robot.joint_names), 4)
+    for words, said in (
+        (["--sliding", str(tmp_path / "nowhere")], "nowhere"),
+        (["--sliding", bag, "--validation", bag], "also used for the identification"),
+    ):
+        assert run("rx90_identify", [*words, "--output", str(output), "--force"]) == REFUSED
+        assert said in capsys.readouterr().err
+        assert output.read_text(encoding="utf-8") == "mine"
+    assert [file.name for file in tmp_path.iterdir()] == ["friction.yaml"]
 
 
 def short_series(setup: Setup) -> list[Experiment]:

@@ -14,13 +14,13 @@ from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
-from rx90_common.base.errors import DONE, REFUSED, IdentificationError
+from rx90_common.base.errors import DONE, REFUSED, ConfigError, IdentificationError
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation import filtering, identify, instruments
 from rx90_emulator.identification.experiments.excitation import ExcitationPlan, RunSearch, plan_excitation
 from rx90_emulator.identification.experiments.folder import read_index, write_index
-from rx90_emulator.identification.experiments.options import ExcitationOptions, Wall
+from rx90_emulator.identification.experiments.options import DECLARED, ExcitationOptions, Wall
 from rx90_emulator.identification.experiments.plan import Kind
 from rx90_emulator.identification.experiments.series import describe_excitation, run_on_engine
 from rx90_emulator.identification.experiments.workspace import Workspace
@@ -52,45 +52,38 @@ def motion(plan: ExcitationPlan) -> tuple[Array, Array, Array]:
     return curve(time), curve(time, nu=1), curve(time, nu=2)
 
 
-def test_a_run_keeps_ranges_speeds_and_accelerations(motion: tuple[Array, Array, Array], tx40: Setup) -> None:
-    """The whole trajectory, from home and back, keeps the limits; motor 6, which turns with joints 5 and 6, too."""
-    position, velocity, acceleration = motion
-    assert np.all(position >= tx40.robot.lower)
-    assert np.all(position <= tx40.robot.upper)
-    assert np.all(np.abs(velocity) <= 0.8 * tx40.robot.max_velocity)
-    assert np.all(np.abs(velocity[:, 4] + velocity[:, 5]) <= 0.8 * tx40.robot.max_velocity[5])
-    assert np.all(np.abs(acceleration) <= 0.8 * tx40.controller.max_acceleration)
-    # Some joint comes near to a limit: the motion is not safe by being small.
-    assert np.abs(position / tx40.robot.upper).max() > 0.7
-
-
-def test_a_run_keeps_torques_and_the_table_shows_motors(
+def test_a_run_keeps_every_limit_and_the_table_shows_motors(
     plan: ExcitationPlan, motion: tuple[Array, Array, Array], tx40: Setup
 ) -> None:
-    """Pinocchio's torque with rotors and friction of every motor keeps joints' efforts and motors' peak torques.
+    """The whole trajectory, from home and back, keeps ranges, speeds, accelerations and torques of joints and motors.
 
-    The table shows the greatest shares of the motors that turn with two joints or carry two.
+    Torques are Pinocchio's with rotors and the friction of every motor. Motor 6 turns with joints 5 and 6; the table
+    shows the greatest shares of the motors that turn with two joints or carry two.
     """
     robot, drives, controller = tx40.robot, tx40.drives, tx40.controller
+    position, velocity, acceleration = motion
     turns = np.eye(6)
     turns[5, 4] = 1.0
+    assert np.all((robot.lower <= position) & (position <= robot.upper))
+    assert np.all(np.abs(velocity) <= 0.8 * robot.max_velocity)
+    assert np.all(np.abs(velocity @ turns.T) <= 0.8 * robot.max_velocity)
+    assert np.all(np.abs(acceleration) <= 0.8 * controller.max_acceleration)
+    # Some joint comes near to a limit: the motion is not safe by being small.
+    assert np.abs(position / robot.upper).max() > 0.7
     most = np.abs(drives.gear) * drives.peak_torque
     data, shares = robot.model.createData(), []
     for q, v, a in zip(*(one[::20] for one in motion), strict=True):
         motor = turns @ v
         friction = np.sign(motor) * (controller.coulomb + controller.viscous * np.abs(motor))
-        rotors = drives.rotor_inertia * (turns @ a) + friction
-        torque = pin.rnea(robot.model, data, q, v, a) + turns.T @ rotors
+        torque = pin.rnea(robot.model, data, q, v, a) + turns.T @ (drives.rotor_inertia * (turns @ a) + friction)
         assert np.all(np.abs(torque) <= 0.8 * robot.max_effort)
-        shares.append(np.abs([turns @ v / robot.max_velocity, np.linalg.solve(turns.T, torque) / most]))
+        shares.append(np.abs([motor / robot.max_velocity, np.linalg.solve(turns.T, torque) / most]))
     greatest = np.max(shares, axis=0)
     assert greatest[1].max() <= 0.8
-    rows = {
-        line.split()[0]: line.split()[1:3] for line in describe_excitation(plan).splitlines() if "    motor_" in line
-    }
-    assert list(rows) == ["motor_5", "motor_6"]
-    for number, shown in zip((4, 5), rows.values(), strict=True):
-        assert [float(share.rstrip("%")) for share in shown] == pytest.approx(100.0 * greatest[:, number], abs=1.5)
+    lines = [line.split() for line in describe_excitation(plan).splitlines() if "    motor_" in line]
+    assert [line[0] for line in lines] == ["motor_5", "motor_6"]
+    for number, line in zip((4, 5), lines, strict=True):
+        assert [float(share.rstrip("%")) for share in line[1:3]] == pytest.approx(100.0 * greatest[:, number], abs=1.5)
 
 
 def test_every_shape_stays_away_from_table_and_wall(
@@ -126,25 +119,24 @@ def test_every_shape_stays_away_from_table_and_wall(
 def _outline(link: ET.Element) -> Array:
     """Return corners, rims and points of a link's shapes in its frame, m, shape (k, 3)."""
     found = [np.zeros((0, 3))]
-    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    turn, height = (grid.ravel() for grid in np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 49), np.linspace(-1.0, 1.0, 61)))
+    circle = np.column_stack([np.cos(turn), np.sin(turn)])
     for shape in link.findall("collision"):
         origin = shape.find("origin")
-        texts = ("0 0 0", "0 0 0") if origin is None else (origin.get("xyz", "0 0 0"), origin.get("rpy", "0 0 0"))
-        xyz, rpy = (np.array(text.split(), dtype=np.float64) for text in texts)
+        places = {} if origin is None else origin.attrib
+        xyz, rpy = (np.array(places.get(key, "0 0 0").split(), dtype=np.float64) for key in ("xyz", "rpy"))
         box, cylinder, ball = (shape.find(f"geometry/{kind}") for kind in ("box", "cylinder", "sphere"))
         if ball is not None:
-            height, turn = (grid.ravel() for grid in np.meshgrid(np.linspace(-1.0, 1.0, 61), angle))
-            ring = np.sqrt(1.0 - height**2)
-            directions = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height])
-            points = float(ball.get("radius", "")) * directions
+            points = np.column_stack([circle * np.sqrt(1.0 - height**2)[:, None], height]) * float(
+                ball.get("radius", "")
+            )
         elif box is not None:
             signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
             points = 0.5 * signs * np.array(box.get("size", "").split(), dtype=np.float64)
         else:
             assert cylinder is not None
-            radius, half = float(cylinder.get("radius", "")), 0.5 * float(cylinder.get("length", ""))
-            rim = radius * np.column_stack([np.cos(angle), np.sin(angle)])
-            points = np.vstack([np.column_stack([rim, np.full(len(rim), z)]) for z in (-half, half)])
+            rim = circle * float(cylinder.get("radius", ""))
+            points = np.column_stack([rim, 0.5 * np.sign(height) * float(cylinder.get("length", ""))])
         found.append(points @ pin.rpy.rpyToMatrix(rpy).T + xyz)
     return np.vstack(found)
 
@@ -348,14 +340,11 @@ def test_the_wrist_is_taken_apart(plan: ExcitationPlan) -> None:
         (["--runs", "3"], "--runs without --excitation"),
         (["--excitation", "--group", "joint_1"], "--group with --excitation"),
         (["--excitation", "--harmonics", "2"], "--excitation: harmonics is 2; accepted: an integer in [3, 50]"),
-        (["--excitation", "--share", "1.5"], "share is 1.5; accepted: "),
         (["--excitation", "--wall", "0", "0", "0", "1"], "--wall 0 0 0 1; accepted: NX NY NZ D"),
         (["--excitation", "--wall", "0", "0", "-1", "-1"], "at home tcp is -"),
         (["--excitation", "--wall", "1", "0", "0", "-1e308"], "--wall 1 0 0 -1e+308: 1e+308 m from the base"),
         (["--excitation", "--clearance", "1"], "--clearance 1.0 without --keep-above or --wall"),
         (["--excitation", "--torque-noise", "1", "2"], "--torque-noise: 2 values; accepted: 6"),
-        (["--excitation", "--torque-noise", "1e-300"], "torque-noise is 1e-300; accepted: "),
-        (["--excitation", "--quick", "--steps", "1"], "steps is 1; accepted: an integer in [2, 10000]"),
         (["--excitation", "--share", "0.05"], "even of a small one the torque of joint_3 is 1"),
     ],
 )
@@ -367,22 +356,35 @@ def test_what_does_not_fit_is_refused(words: list[str], text: str, capsys: pytes
     assert len(said) == 1
 
 
+@pytest.mark.parametrize("name", [name for name in DECLARED if name != "criterion"])
+def test_each_option_keeps_its_range(name: str) -> None:
+    """What is beyond the declared range of an option is refused with its name and value; its ends are not."""
+    low, high = (getattr(DECLARED[name], end) for end in ("low", "high"))
+    for value in (low - 1, high + 1):
+        with pytest.raises(ConfigError, match=rf"{name} is {value}; accepted: "):
+            ExcitationOptions(**{name: value})
+    for value in (low, high):
+        assert getattr(ExcitationOptions(**{"period": 1.0, "periods": 1, name: value}), name) == value
+    with pytest.raises(ConfigError, match="torque-noise is 1e-300; accepted: "):
+        ExcitationOptions(torque_noise=(1e-300,))
+
+
 def test_a_folder_of_excitation_runs_is_identified_as_such(
     plan: ExcitationPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`rx90_identify FOLDER` takes runs and validation from the index; one of a series of sweeps names none."""
     runs = [plan.experiments[0], replace(plan.experiments[0], name="unseen", kind=Kind.VALIDATION)]
-    for one in runs:
-        (tmp_path / one.name).mkdir()
+    write_index(tmp_path, runs[1:])
+    (tmp_path / "unseen").mkdir()
+    assert "excitation" not in (tmp_path / "experiments.yaml").read_text()
+    assert read_index(tmp_path).excitation == ()
+    (tmp_path / "excitation_1").mkdir()
+    write_index(tmp_path, runs)
     seen: list[object] = []
     monkeypatch.setattr(identification_job, "run_excitation", lambda *given, **_: seen.append(given) or True)
-    write_index(tmp_path, runs)
     assert run("rx90_identify", [str(tmp_path), "--output", str(tmp_path / "out")]) == DONE
     (given,) = seen
     assert (given[0], given[2]) == ((tmp_path / "excitation_1",), (tmp_path / "unseen",))  # type: ignore[index]
-    write_index(tmp_path, runs[1:])
-    assert "excitation" not in (tmp_path / "experiments.yaml").read_text()
-    assert read_index(tmp_path).excitation == ()
 
 
 def test_a_planned_run_tells_the_inertias_that_the_engine_has(

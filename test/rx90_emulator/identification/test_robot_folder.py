@@ -6,8 +6,9 @@ import json
 import math
 import re
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -80,17 +81,8 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> BagSource:
     return BagSource(bag, "0" * 64, 60.0, 0, 0, 1_767_225_600.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Case:
-    """The shipped robot, identified from exact base parameters and a description that is wrong.
-
-    Attributes:
-        true: the shipped robot.
-        before: the wrong one.
-        columns: of its arm, with a spring on joint 2.
-        parameters: standard parameters as identified.
-        files: of the folder that was written.
-    """
+class Case(NamedTuple):
+    """The shipped robot, a wrong description of it, and the folder that was identified from exact base parameters."""
 
     true: Setup
     before: Setup

@@ -1,7 +1,9 @@
-"""A measured bag against the closed loop along its path: `rx.compare_measured`."""
+"""A measured bag against the closed loop along its path, by `rx.compare_measured` and the command; joints at rest."""
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,11 +11,23 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from foreign_arms import urdf_text
 from scipy.signal import resample_poly
 
 import rx90_emulator as rx
-from rx90_common.base.errors import IdentificationError, TrajectoryError
+from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO, IdentificationError, TrajectoryError
+from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.cli.frame import run
+from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
+from rx90_emulator.identification.output.report import check_page
+from rx90_emulator.identification.output.summary import check_summary
+from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.validation.prediction import Validation
+from rx90_emulator.identification.validation.setpoints import path_setpoints
+from rx90_emulator.identification.validation.verdict import TorquePrediction
 from rx90_emulator.loop.setup import Setup
+
+WAY_OUT = "rx90_identify --friction FILE --validation BAG --urdf URDF"
 
 STILL = 3  # the joint that rests: joint_4
 MOVE = [k for k in range(6) if k != STILL]
@@ -180,14 +194,6 @@ def test_what_is_beyond_the_band_or_at_rest_does_not_count(measured: Measured) -
     assert wrong.torque_rms[0] == pytest.approx(5.0, rel=0.1)
 
 
-def test_a_bag_in_which_nothing_moves_is_refused(measured: Measured) -> None:
-    """An arm that holds still has no torque to compare: refused before anything is simulated."""
-    still = np.tile(np.asarray(measured.joints().position)[0], (len(measured.joints().time), 1))
-    bag = measured.write("still", measured.joints(position=still, velocity=0.0 * still))
-    with pytest.raises(IdentificationError, match="no joint moves"):
-        rx.compare_measured(bag, measured.setup, bandwidth=60.0)
-
-
 def test_a_path_beyond_the_limits_is_named(measured: Measured) -> None:
     """A position beyond the range is refused with joint, value and time; too fast an acceleration is a remark."""
     low = np.array(measured.setup.robot.lower)
@@ -234,16 +240,116 @@ def test_set_points_of_another_rate_and_zero_are_followed(measured: Measured) ->
         rx.compare_measured(bag, measured.setup, rx.MeasuredLayout(zero=zero), bandwidth=1e3)
 
 
-@pytest.mark.parametrize("said", ["have gaps", "are of different times"])
-def test_set_points_that_cannot_be_followed_are_refused(measured: Measured, said: str) -> None:
-    """A series with a hole, and one that was recorded at another time, are named."""
-    series = measured.run.series["rx90_controller/reference"]
-    fields = ("stamp_ns", "position", "velocity")
+@pytest.mark.parametrize("said", ["have gaps", "are of different times", "no joint moves"])
+def test_what_cannot_be_followed_is_refused(measured: Measured, said: str) -> None:
+    """Set-points with a hole, those that were recorded at another time, and an arm that holds still are named."""
+    series, joints = measured.run.series["rx90_controller/reference"], measured.joints()
     kept = np.r_[0:100, 120 : len(series.stamp_ns)] if said == "have gaps" else np.arange(len(series.stamp_ns))
-    parts = {name: np.asarray(getattr(series, name))[kept] for name in fields}
-    if said != "have gaps":
+    parts = {name: np.asarray(getattr(series, name))[kept] for name in ("stamp_ns", "position", "velocity")}
+    if said == "are of different times":
         parts["stamp_ns"] = parts["stamp_ns"] + 1_000_000_000_000
-    other = replace(series, **parts, effort=None)
-    bag = measured.write(said.replace(" ", "_"), measured.joints(), (other,))
-    with pytest.raises(IdentificationError, match=f"{said}"):
-        rx.compare_measured(bag, measured.setup)
+    if said == "no joint moves":
+        still = np.tile(np.asarray(joints.position)[0], (len(joints.time), 1))
+        joints = measured.joints(position=still, velocity=0.0 * still)
+    bag = measured.write(said.replace(" ", "_"), joints, (replace(series, **parts, effort=None),))
+    with pytest.raises(IdentificationError, match=said):
+        rx.compare_measured(bag, measured.setup, bandwidth=60.0)
+
+
+def test_the_verdict_is_the_exit_code(
+    measured: Measured, tmp_path: Path, capsys: pytest.CaptureFixture[str], check_report: Callable[[Path], None]
+) -> None:
+    """0 for the robot that ran, 1 for tolerances that it cannot keep; a page says so and is not replaced unasked."""
+    page = tmp_path / "page.html"
+    assert run("rx90_compare_measured", [str(measured.bag), "--report", str(page)]) == DONE
+    said = capsys.readouterr().out
+    assert ": agrees: torque RMS of all joints 0." in said
+    assert [line.split()[0] for line in said.splitlines() if line.startswith("joint_")] == [
+        f"joint_{k}" for k in range(1, 7)
+    ]
+    text = page.read_text(encoding="utf-8")
+    assert "<b>agrees</b>" in text
+    assert text.count('<figure class="plot">') == 2
+    assert run("rx90_compare_measured", [str(measured.bag), "--report", str(page)]) == REFUSED
+    assert "exists; accepted: another name, or --force" in capsys.readouterr().err
+    assert run("rx90_compare_measured", [str(measured.bag), "--position-tolerance", "1e-12"]) == VERDICT_NO
+    assert "DOES NOT AGREE" in capsys.readouterr().out
+    check_report(page)
+
+
+def test_other_arms_are_told_where_to_go(
+    measured: Measured, shipped_files: RobotFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A folder without drives, other numbers or names of joints, and a bag of others are one line with the way out."""
+    four, other = tmp_path / "four.urdf", tmp_path / "other.urdf"
+    four.write_text(urdf_text("abcd", ["0 0 1"] * 4, [1.0] * 4), encoding="utf-8")
+    other.write_text(urdf_text("abcdef", ["0 0 1"] * 6, [1.0] * 6), encoding="utf-8")
+    folder = tmp_path / "arm"
+    folder.mkdir()
+    shutil.copy(other, folder / "robot.urdf")
+    shutil.copy(shipped_files.friction, folder)
+    series = rx.read_joint_states(measured.bag, "joint_states", [f"joint_{k}" for k in range(1, 7)])
+    foreign = rx.JointSeries("/joint_states", tuple("abcdef"), series.stamp_ns, series.position, None, series.effort)
+    rx.write_joint_states(tmp_path / "foreign", [foreign])
+    for words, found in (
+        ([measured.bag, "--robot", folder], "no drives.yaml"),
+        ([measured.bag, "--urdf", four], "4 movable joints"),
+        ([measured.bag, "--urdf", other], "no friction element a, b, c, d, e, f"),
+        ([tmp_path / "foreign"], "joint_states is of a, b, c, d, e, f; accepted: joint_1,"),
+    ):
+        assert run("rx90_compare_measured", [str(word) for word in words]) == REFUSED
+        (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("rx90_compare_measured")]
+        assert found in line
+        assert WAY_OUT in line
+
+
+@pytest.mark.parametrize("rate", [67.0, 5000.0])
+def test_set_points_are_those_of_the_motion(shipped: Setup, rate: float) -> None:
+    """Position, velocity and acceleration are those of sampled sines to 1e-3, and the way there keeps the limits."""
+    time = 1e9 + np.arange(0.0, 4.0, 1.0 / rate)
+    middle, size = np.array([0.0, 0.3, 0.9, 0.4, 0.5, 0.0]), 0.3
+    phase = 2.0 * np.pi * 0.5
+    angles = phase * (time - 1e9)[:, None] + np.arange(6)
+    position = middle + size * np.sin(angles)
+    record = JointRecord(
+        shipped.robot.joint_names, time, position, np.gradient(position, time, axis=0), position, Path("bag"), "digest"
+    )
+    (run,) = filter_record(record, Bandwidths(15.0, 5.0))
+    edge = round(0.4 * rate)  # where the filter has forgotten the ends
+    exact = -size * phase**2 * np.sin(phase * (run.time - 1e9)[:, None] + np.arange(6))
+    np.testing.assert_allclose(run.acceleration[edge:-edge], exact[edge:-edge], atol=1e-2)
+    found = path_setpoints(run, shipped)
+    period = shipped.rates.position_period
+    at = found.start + np.arange(len(found.values)) * period
+    own = at >= found.begin - 0.5 * period
+    angles = phase * (at[own] - 1e9)[:, None] + np.arange(6)
+    expected = [middle + size * np.sin(angles), size * phase * np.cos(angles), -size * phase**2 * np.sin(angles)]
+    inner = slice(100, -100)
+    for k, values in enumerate(expected):
+        np.testing.assert_allclose(found.values[own, k][inner], values[inner], atol=1e-3 * phase**k)
+    assert not found.values[0, 1:].any()
+    limits = shipped.controller.limits(shipped.robot)
+    limits.check(found.values, np.arange(len(at)) * period, np.zeros(1), np.zeros(6))
+
+
+def validation(error: float) -> Validation:
+    """Return a validation in which joint_1 moves and is off by a share of its torque, and joint_2 stands still."""
+    time = np.linspace(0.0, 1.0, 101)
+    recorded = np.stack([3.0 + np.cos(time), np.full(101, 2.0)], axis=1)
+    predicted = recorded * [1.0 + error, 5.0]
+    moves = np.stack([time >= 0.0, time < 0.0], axis=1)
+    torque = TorquePrediction(time, recorded, predicted, moves)
+    nothing = np.zeros(0)
+    return Validation(("joint_1", "joint_2"), torque, nothing, nothing, rx.ValidationTolerances(), "bag")
+
+
+@pytest.mark.parametrize(("error", "confirmed"), [(0.04, True), (0.06, False)])
+def test_a_joint_at_rest_does_not_decide(error: float, confirmed: bool) -> None:
+    """What a joint gives at rest is not compared; the verdict is on the joints that move, here 5 % of the torque."""
+    check = validation(error)
+    assert check.passed is confirmed
+    assert check.rms_share[0] == pytest.approx(error, rel=1e-12)
+    assert np.isnan([check.rms[1], check.rms_share[1], check.worst[1], check.worst_share[1]]).all()
+    assert f"{100.0 * error:.2f}" in check_page([check], "friction.yaml")
+    row = next(line for line in check_summary([check]).splitlines() if line.startswith("joint_2"))
+    assert row.split() == ["joint_2", "-", "-", "-", "-"]
