@@ -224,7 +224,7 @@ def test_an_arm_that_is_held_on_its_path_may_go_elsewhere_from_there(generator: 
 
 
 def test_a_stop_joint_by_joint_begins_with_the_velocity_that_there_is(generator: TrajectoryGenerator) -> None:
-    """Slowed down, each joint needs v^2/(2 a) by its real velocity; slower, or halted, it goes on to brake as before."""
+    """Slowed down, each joint needs v^2/(2 a) by its real velocity; slower or halted meanwhile, it brakes as before."""
     generator.set_speed_scaling(0.4, 100)
     position, velocity, _ = generator.setpoints(700)[0]
     begin, end, _ = generator.stop(700, None)
