@@ -282,6 +282,12 @@ def test_what_ends_the_following_ends_the_goal() -> None:
     assert event == ("a", State.ABORTED, ResultCode.INVALID_GOAL, "the torque is off, at 0.1 s", 100)
     arm.run(600)
     assert np.all(arm.setpoints[-1][0] == HOME + 0.2)
+    arm.offer("b", message(HOME))
+    arm.run(300)
+    arm.loop.drop("the simulation is gone", halt=True)
+    arm.run(300)
+    assert arm.stopped_smoothly()
+    assert np.all(arm.setpoints[-1][0] != HOME)
 
 
 def test_a_goal_held_on_its_path_goes_on_and_succeeds() -> None:
