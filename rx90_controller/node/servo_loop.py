@@ -145,8 +145,8 @@ class ServoLoop:
             if slow:
                 end = cs7b.trajectory.ended(cs7b.position_tick)
                 if end is not None:
-                    what = "stopped" if end.stop else "trajectory ended"
-                    self._note(f"{what} at {end.tick * self._period:.3f} s; holding")
+                    what = "stopped" if end[1] else "trajectory ended"
+                    self._note(f"{what} at {end[0] * self._period:.3f} s; holding")
             cs7b.step(states.position, states.velocity, states.torque)
             self._unpublished = slow
             fault = cs7b.fault

@@ -42,13 +42,6 @@ class Progress(NamedTuple):
     last: float
 
 
-class End(NamedTuple):
-    """The position tick in which a motion has come to its end, and whether it was a stop."""
-
-    tick: int
-    stop: bool
-
-
 class TrajectoryGenerator:
     """Set-points q, dq/dt and d2q/dt2 on the ticks of the position loop.
 
@@ -117,8 +110,8 @@ class TrajectoryGenerator:
         """Return whether a trajectory runs, is held on its path, or waits for its start at position tick `tick`."""
         return (self._next or self._current).runs(tick)
 
-    def ended(self, tick: int) -> End | None:
-        """Return when a trajectory or a stop has come to its end, once for each that does.
+    def ended(self, tick: int) -> tuple[int, bool] | None:
+        """Return in which tick a motion has come to its end, and whether it was a stop, once for each that does.
 
         To be called in every position tick. A trajectory that another one has replaced has no end.
         """
@@ -127,7 +120,7 @@ class TrajectoryGenerator:
         if motion.announced or not motion.over(tick):
             return None
         motion.announced = True
-        return End(tick if motion.laws else motion.end, motion.path.stop)
+        return tick if motion.laws else motion.end, motion.path.stop
 
     def state(self, tick: float) -> Array:
         """Return the set-point of the running trajectory at a time in position ticks, whole or not, shape (3, 6).

@@ -282,6 +282,12 @@ def test_what_ends_the_following_ends_the_goal() -> None:
     assert event == ("a", State.ABORTED, ResultCode.INVALID_GOAL, "the torque is off, at 0.1 s", 100)
     arm.run(600)
     assert np.all(arm.setpoints[-1][0] == HOME + 0.2)
+    arm.offer("b", message(HOME))
+    arm.run(300)
+    arm.loop.drop("the simulation is gone", halt=True)
+    arm.run(300)
+    assert arm.stopped_smoothly()
+    assert np.all(arm.setpoints[-1][0] != HOME)
 
 
 def test_a_goal_held_on_its_path_goes_on_and_succeeds() -> None:
@@ -355,6 +361,28 @@ def test_an_acceleration_beyond_its_tolerance_is_found() -> None:
     event = arm.run(1)[0]
     assert event.code is ResultCode.PATH_TOLERANCE_VIOLATED
     assert event.text.startswith("joint_1: acceleration error 19.99 rad/s^2, accepted up to 8 rad/s^2 along")
+
+
+def test_the_first_sample_is_held_to_the_path_and_has_no_acceleration_of_its_own() -> None:
+    """Also where it is the last point; the difference to a velocity of before nobody measured is no acceleration."""
+    arm = Arm()
+    arm.off[0] = 0.02
+    arm.offer("there", message(to=HOME, seconds=0.0, path_tolerance=[tolerance("joint_1", 0.01)]))
+    assert arm.run(1)[0].code is ResultCode.PATH_TOLERANCE_VIOLATED
+    arm.off[0], arm.off_speed[0] = 0.0, 0.5
+    arm.run(10)
+    arm.offer("a", message(path_tolerance=[tolerance("joint_1", 0.0, 0.0, 8.0)]))
+    assert arm.run(10) == []
+
+
+def test_a_goal_goes_on_from_the_set_point_itself() -> None:
+    """A first point at the start that is within the tolerance makes no jump."""
+    arm, points = Arm(), two(0.0, 0.8)
+    for point in points:
+        point.positions = list(HOME + 9e-4)
+    arm.offer("a", message(points=points))
+    arm.run(1)
+    assert np.all(arm.setpoints[0][0] == HOME)
 
 
 def test_what_is_furthest_beyond_its_tolerance_is_named() -> None:

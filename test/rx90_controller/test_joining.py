@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from joint_moves import HOME, NAMES, PERIOD, ZERO
+from joint_moves import HOME, NAMES, PERIOD, ZERO, within_limits
 from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
@@ -44,13 +44,6 @@ def generator() -> TrajectoryGenerator:
     return generator
 
 
-def within_limits(setpoints: Array) -> None:
-    """See that velocities are those of the positions, and that no step of them is more than the accelerations allow."""
-    q, v = setpoints[:, 0], setpoints[:, 1]
-    assert (np.abs(np.diff(v, axis=0)) <= MOST * PERIOD * (1 + 1e-6)).all()
-    assert (np.abs(np.diff(q, axis=0) - PERIOD * (v[1:] + v[:-1]) / 2.0) <= MOST * PERIOD**2 / 4.0 * (1 + 1e-6)).all()
-
-
 def hermite(times: Sequence[float], rows: Sequence[Sequence[Array]]) -> BPoly:
     """Return the piecewise polynomial with positions and derivatives at times, by SciPy."""
     return BPoly.from_derivatives(times, np.asarray(rows))
@@ -62,7 +55,7 @@ def test_a_first_point_at_the_begin_makes_no_jump(generator: TrajectoryGenerator
     near = HOME + 0.4 + 9e-4
     generator.join(points([0.0, 0.5], [near, HOME], [ZERO, ZERO]), 1200, None, anywhere=False)
     got = generator.setpoints(1199, 700)
-    within_limits(got)
+    within_limits(got, MOST)
     curve = hermite([0.0, 0.5], [[HOME + 0.4, ZERO], [HOME, ZERO]])
     assert got[1:501, 0] == pytest.approx(curve(np.arange(500) * PERIOD), abs=1e-12)
 
@@ -85,7 +78,7 @@ def test_a_first_point_elsewhere_needs_leave(
     assert str(caught.value).startswith(words)
     assert np.all(generator.setpoints(1200, 10)[:, 0] == HOME + 0.4)
     generator.join(there, 1200, None, anywhere=True)
-    within_limits(generator.setpoints(1199, 700))
+    within_limits(generator.setpoints(1199, 700), MOST)
     assert np.all(generator.setpoints(1800)[0, 0] == HOME)
 
 
@@ -95,7 +88,7 @@ def test_points_of_the_past_are_left_out(generator: TrajectoryGenerator) -> None
     velocity = [ZERO + 0.2, ZERO + 0.3, ZERO + 0.1, ZERO]
     generator.join(points([0.1, 0.3, 0.8, 1.2], way, velocity), 400, 100, anywhere=False)
     got = generator.setpoints(399, 1500)
-    within_limits(got)
+    within_limits(got, MOST)
     before = hermite([0.0, 1.0], [[HOME, ZERO], [HOME + 0.4, ZERO]])
     rows = [[before(0.4), before(0.4, 1)], [way[2], velocity[2]], [way[3], ZERO]]
     curve = hermite([0.4, 0.9, 1.3], rows)
@@ -191,7 +184,7 @@ def test_whatever_is_asked_for_the_accelerations_are_kept(seed: int) -> None:
         else:
             got.append(generator.setpoints(tick, count))
             tick += count
-    within_limits(np.concatenate(got))
+    within_limits(np.concatenate(got), MOST)
 
 
 def test_joints_that_are_not_named_hold(generator: TrajectoryGenerator) -> None:
@@ -201,7 +194,7 @@ def test_joints_that_are_not_named_hold(generator: TrajectoryGenerator) -> None:
     target = np.array([0.3, -0.5])
     generator.join(points([1.0], [target], [np.zeros(2)], names), 500, None, anywhere=False)
     got = generator.setpoints(499, 1600)
-    within_limits(got)
+    within_limits(got, MOST)
     moving = hermite([0.0, 1.0], [[HOME, ZERO], [HOME + 0.4, ZERO]])
     position, velocity = moving(0.5), moving(0.5, 1)
     assert got[-1, 0, other] == pytest.approx((position + velocity**2 / (2.0 * MOST))[other], abs=1e-9)
@@ -219,7 +212,7 @@ def test_joints_that_are_not_named_may_follow_the_running_trajectory(generator: 
     twin.accept(points([1.0], [HOME + 0.4], [ZERO]), 0, None)
     generator.join(points([0.6], [HOME[1:2] + 0.3], [np.zeros(1)], NAMES[1:2]), 500, None, anywhere=True)
     got = generator.setpoints(500, 1000)
-    within_limits(np.concatenate([twin.setpoints(499), got]))
+    within_limits(np.concatenate([twin.setpoints(499), got]), MOST)
     rest = [0, 2, 3, 4, 5]
     assert got[:, 0, rest] == pytest.approx(twin.setpoints(500, 1000)[:, 0, rest], abs=1e-12)
     assert np.all(got[601:, 0, 1] == HOME[1] + 0.3)
@@ -234,7 +227,7 @@ def test_a_last_point_with_a_velocity_is_passed_and_braked_behind(generator: Tra
         points([0.6], [last], [velocity])
     generator.accept(points([0.6], [last], [velocity], moving_end=True), 1200, None)
     got = generator.setpoints(1199, 1500)
-    within_limits(got)
+    within_limits(got, MOST)
     assert got[601, :2] == pytest.approx(np.array([last, velocity]), abs=1e-9)
     assert got[-1, 0] == pytest.approx(last + velocity * np.abs(velocity) / (2.0 * MOST), abs=1e-9)
     assert generator.progress(1800) == pytest.approx((0.6, 0.6))

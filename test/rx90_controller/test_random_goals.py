@@ -8,12 +8,14 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+from goal_arm import LIMITS, stamp
+from joint_moves import NAMES, PERIOD
 from numpy.random import Generator
 from numpy.typing import NDArray
 
 from rx90_common.base.rates import Rates
 from rx90_controller.node.servo_loop import ServoLoop
-from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
+from rx90_controller.trajectory import TrajectoryGenerator
 from rx90_controller.trajectory.request import (
     GoalError,
     GoalOptions,
@@ -23,16 +25,7 @@ from rx90_controller.trajectory.request import (
     check_request,
 )
 
-NAMES = tuple(f"joint_{i}" for i in range(1, 7))
-LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), np.full(6, 20.0), 1e-3)
-PERIOD = 1e-3
 GOALS = 500
-
-
-def stamp(seconds: float) -> SimpleNamespace:
-    """Return a Time or Duration."""
-    sec, nanosec = divmod(round(seconds * 1e9), 10**9)
-    return SimpleNamespace(sec=sec, nanosec=nanosec)
 
 
 def random_goal(generator: Generator, now: float, options: GoalOptions) -> SimpleNamespace:

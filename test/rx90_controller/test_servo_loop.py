@@ -134,6 +134,18 @@ def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 
 
+def test_other_constants_of_the_law_count_from_a_position_tick_on(rig: Rig) -> None:
+    """Given between two of them, they wait for the next one, whose time is said."""
+    rig.loop.hold(rig.states(0))
+    rig.run(0, 9)
+    effective: list[int] = []
+    rig.loop.change_law(rig.cs7b.law.copy(), effective.append)
+    rig.run(9, 3)
+    assert effective == []
+    rig.run(12, 1)
+    assert effective == [12 * rig.period]
+
+
 def test_skipped_ticks_come_later(rig: Rig) -> None:
     """A motion goes on where it was after ticks without set-points."""
     rig.loop.hold(rig.states(0))
@@ -234,6 +246,7 @@ def test_a_goal_ends_with_what_ends_its_motion(rig: Rig) -> None:
         "following error", "accepted: after a call of ~/enable with true", "the states go on from 2 s; holding",
         "the torque is off", "the torque comes back with the next tick", "replaced by a trajectory on the topic",
     )  # fmt: skip
+    assert not any("rejected" in line for line in rig.around.lines)  # the results say it
     for told, text in zip(ends, words, strict=True):
         assert text in told[0].reason
 
@@ -408,6 +421,7 @@ def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, fiel
         rig.loop.change_law(absurd.record(shipped.robot, shipped.drives, shipped.rates), heard.append)
     torques = rig.run(8, 40)
     assert not any(torques[4:])
+    assert rig.around.published == [0, 4 * rig.period]  # torques that are no numbers are not published
     lines = [line for line in rig.around.lines if "torque nan Nm" in line]
     assert len(lines) == 1
     assert lines[0].startswith(f"joint_4: torque nan Nm at 0.002 s, by {said}; accepted: finite torques; torque off")

@@ -16,6 +16,19 @@ HOME = np.array([0.1, -0.2, 0.3, 0.0, 0.5, -0.6])
 ZERO = np.zeros(6)
 
 
+def within_limits(setpoints: Array, acceleration: Array) -> None:
+    """See that velocities are those of the positions, and that no step of them is more than the accelerations allow.
+
+    Args:
+        setpoints: of successive ticks, shape (n, 3, 6).
+        acceleration: limits, rad/s^2, shape (6,).
+    """
+    q, v = setpoints[:, 0], setpoints[:, 1]
+    most = acceleration * (1 + 1e-6)
+    assert (np.abs(np.diff(v, axis=0)) <= most * PERIOD).all()
+    assert (np.abs(np.diff(q, axis=0) - PERIOD * (v[1:] + v[:-1]) / 2.0) <= most * PERIOD**2 / 4.0).all()
+
+
 def points(
     times: Sequence[float], position: Sequence[Array], velocity: Sequence[Array] | None = None
 ) -> TrajectoryPoints:
