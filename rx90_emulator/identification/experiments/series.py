@@ -136,14 +136,15 @@ def plan_with_progress(setup: Setup, options: ExcitationOptions) -> ExcitationPl
         Rx90Error: as `plan_excitation`.
     """
     total = (options.runs + options.validation) * options.steps
-    begins = iter(range(0, total, options.steps))
+    names: list[str] = []
     # The bar comes with the first step: what is refused before needs none.
     with tqdm(total=total, bar_format=_BAR, disable=None, delay=1e-9) as bar:
 
         def step(name: str) -> None:
-            if name != bar.desc:  # the search before may have needed fewer steps
+            if name not in names:  # the search before may have needed fewer steps
+                names.append(name)
                 bar.set_description_str(name, refresh=False)
-                bar.update(next(begins) - bar.n)
+                bar.update((len(names) - 1) * options.steps - bar.n)
             bar.update()
 
         return plan_excitation(setup, options, step)
