@@ -33,9 +33,9 @@ def stribeck_decay_slopes(velocity: Array, omega_s: float, delta: float) -> tupl
 
 
 def viscous_torque(velocity: Array, c2: float, alpha: float) -> Array:
-    """Return c2 |v|^alpha sign(v), below LINEAR_SPEED the chord of it, Nm; its derivative by alpha is it times ln |v|.
+    """Return c2 |v|^alpha sign(v), below LINEAR_SPEED the chord of it, Nm, with the shape of the velocity in rad/s.
 
-    Below LINEAR_SPEED, ln LINEAR_SPEED takes the place of ln |v| there.
+    The derivative by alpha is this torque times ln max(|v|, LINEAR_SPEED).
     """
     if alpha == 1.0:
         return np.asarray(c2 * velocity)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,35 +40,51 @@ from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.sliding.fit import SlidingFit
 
 ELEMENT = FrictionElement(25.0, 25.0, 28.0, 28.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
-STEP, COUNT, INERTIA = 1e-3, 1600, 4.0
+STEP, COUNT, MASS = 1e-3, 1600, np.array([[4.0, 1.0], [1.0, 3.0]])
 FAMILIES = (KindFamily(), KindFamily(elastic=True), KindFamily(blocks=2))
+ONE, WRIST = np.eye(1), np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+"""Velocities of a joint to that of its element, and of two joints to those of three, the third turning with both."""
+BLOCKS = MaxwellSlip((0.6, 0.4), (0.25, 0.75), 5000.0)
+Array = NDArray[np.float64]
+Kinds = tuple[BristlesPart | None, ...]
 
 
-def micro_motions(bristles: BristlesPart | None, sizes: tuple[float, ...], noise: float) -> list[MicroMotion]:
-    """Return motions of three tones with amplitudes in parts of tau_c / c0, torques with noise, Nm."""
-    rng, found = np.random.default_rng(3), []
-    time = np.arange(COUNT) * STEP
-    for size in sizes:
-        waves = [(hz, rng.uniform(0.0, 2.0 * np.pi)) for hz in (3.0, 9.0, 19.0)]
-        position = size * 2.5e-4 / 3.0 * sum(np.sin(2.0 * np.pi * hz * time + phase) for hz, phase in waves)
-        velocity = np.diff(position, prepend=position[0]) / STEP
-        acceleration = np.gradient(velocity, STEP)
-        torque = led(replace(ELEMENT, bristles=bristles), velocity, STEP)[0]
-        drive = torque + INERTIA * acceleration + noise * rng.standard_normal(COUNT)
-        record = JointRecord(("joint_1",), time, *np.zeros((3, COUNT, 1)), Path("bag"), "digest")
+def micro_motions(
+    coupling: Array,
+    kinds: Kinds,
+    sizes: tuple[float, ...],
+    noise: float,
+    directions: Sequence[Sequence[float]] = ((1.0,),),
+    seed: int = 3,
+) -> list[MicroMotion]:
+    """Return motions of three tones of joints whose elements have such bristles.
+
+    Args:
+        coupling: velocities of the joints to those of the elements.
+        kinds: of the elements' bristles.
+        sizes: amplitudes in parts of tau_c / c0; at 1 an element comes near to break-away.
+        noise: of the torques, Nm.
+        directions: of the joints, each with all sizes.
+        seed: of phases and noise.
+    """
+    rng, found, joints = np.random.default_rng(seed), [], coupling.shape[1]
+    time, mass = np.arange(COUNT) * STEP, MASS[:joints, :joints]
+    elements = [replace(ELEMENT, bristles=kind) for kind in kinds]
+    for direction, size in itertools.product(directions, sizes):
+        position: Array = np.zeros((COUNT, joints))
+        for hz in (3.0, 9.0, 19.0):
+            phase = rng.uniform(0.0, 2.0 * np.pi) + 0.3 * np.arange(joints)
+            position += size * 2.5e-4 / 3.0 * np.sin(2.0 * np.pi * hz * time[:, None] + phase) * direction
+        velocity = np.diff(position, axis=0, prepend=position[:1]) / STEP
+        acceleration = np.gradient(velocity, STEP, axis=0)
+        inputs = velocity @ coupling.T
+        torques = [led(one, np.ascontiguousarray(inputs[:, n]), STEP)[0] for n, one in enumerate(elements)]
+        drive = np.column_stack(torques) @ coupling + acceleration @ mass.T
+        drive += noise * rng.standard_normal(drive.shape)
+        record = JointRecord(("a", "b")[:joints], time, *np.zeros((3, COUNT, joints)), Path("bag"), "digest")
+        group, interval = tuple(range(joints)), (0.0, COUNT * STEP)
         found.append(
-            MicroMotion(
-                joints=(0,),
-                step=STEP,
-                position=position[:, None],
-                velocity=velocity[:, None],
-                acceleration=acceleration[:, None],
-                drive=drive[:, None],
-                mass=np.array([[INERTIA]]),
-                inertia=np.array([INERTIA]),
-                record=record,
-                interval=(0.0, COUNT * STEP),
-            )
+            MicroMotion(group, STEP, position, velocity, acceleration, drive, mass, np.diag(mass), record, interval)
         )
     return found
 
@@ -75,11 +94,15 @@ def numbers_of(bristles: BristlesPart) -> dict[str, float]:
     return {f"bristles.{name}": value for name, value in bristles.numbers().items()}
 
 
-def chosen(bristles: BristlesPart | None, sizes: tuple[float, ...] = (1.1, 0.8, 0.5), noise: float = 0.2) -> KindChoice:
-    """Return what is found with these bristles."""
-    motions = [KindMotion.of(motion, np.eye(1), [ELEMENT]) for motion in micro_motions(bristles, sizes, noise)]
-    (choice,) = choose_kinds_of(motions, np.array([0.9e5]), FAMILIES)
-    return choice
+def chosen(
+    coupling: Array, kinds: Kinds, sizes: tuple[float, ...], families: Sequence[KindFamily] = FAMILIES, **more: Any
+) -> list[KindChoice]:
+    """Return what is found of elements with such bristles; further arguments are those of `choose_kinds_of`."""
+    apart = ((1.0, 0.2), (0.2, 1.0), (1.0, -0.8))
+    directions, seed = (((1.0,),), 3) if len(kinds) == 1 else (apart, 7)
+    motions = micro_motions(coupling, kinds, sizes, 0.2, directions, seed)
+    compared = [KindMotion.of(motion, coupling, [ELEMENT] * len(kinds)) for motion in motions]
+    return choose_kinds_of(compared, np.full(len(kinds), 0.9e5), families, **more)
 
 
 @pytest.mark.parametrize(
@@ -92,7 +115,7 @@ def chosen(bristles: BristlesPart | None, sizes: tuple[float, ...] = (1.1, 0.8, 
 )
 def test_each_kind_is_told_from_the_others(bristles: BristlesPart | None, kind: str) -> None:
     """Motions up to break-away tell each kind, with its stiffness, damping and own numbers."""
-    choice = chosen(bristles)
+    (choice,) = chosen(ONE, (bristles,), (1.1, 0.8, 0.5))
     assert choice.kind == kind, [(trial.family.name, trial.missed, trial.behind) for trial in choice.trials]
     (best,) = choice.possible
     assert choice.best is best
@@ -123,7 +146,7 @@ def hinge(tmp_path: Path) -> RigidArm:
 
 def presliding(sizes: tuple[float, ...], noise: float) -> PreslidingFit:
     """Return what the fit with LuGre's bristles hands on of micro-motions of one joint."""
-    motions = micro_motions(None, sizes, noise)
+    motions = micro_motions(ONE, (None,), sizes, noise)
     group = JointGroup((0,), (0,), np.ones((1, 1)))
     return PreslidingFit((), (), 0, (MovedGroup.of(group, motions, [ELEMENT], np.array([0.9e5])),))
 
@@ -182,51 +205,10 @@ def test_two_motions_are_not_compared(hinge: RigidArm) -> None:
         assert len(seen) == kind_steps(hinge)
 
 
-WRIST = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
-"""Velocities of two joints to those of three elements, the third turning with both."""
-BLOCKS = MaxwellSlip((0.6, 0.4), (0.25, 0.75), 5000.0)
-
-
-def wrist_motions(
-    coupling: NDArray[np.float64], kinds: tuple[BristlesPart | None, ...], scale: float
-) -> list[KindMotion]:
-    """Return motions of two joints, in three directions, with elements of such kinds.
-
-    Args:
-        coupling: velocities of the joints to those of the elements.
-        kinds: of the bristles.
-        scale: of the amplitudes; at 1 the elements come near to break-away.
-    """
-    rng, found = np.random.default_rng(7), []
-    time, mass = np.arange(COUNT) * STEP, np.array([[4.0, 1.0], [1.0, 3.0]])
-    elements = [replace(ELEMENT, bristles=kind) for kind in kinds]
-    for direction in ((1.0, 0.2), (0.2, 1.0), (1.0, -0.8)):
-        for size in (1.1, 0.6):
-            position: NDArray[np.float64] = np.zeros((COUNT, 2))
-            for hz in (3.0, 9.0, 19.0):
-                phase = rng.uniform(0.0, 2.0 * np.pi) + np.array([0.0, 0.3])
-                wave = np.sin(2.0 * np.pi * hz * time[:, None] + phase)
-                position += scale * size * 2.5e-4 / 3.0 * wave * direction
-            velocity = np.diff(position, axis=0, prepend=position[:1]) / STEP
-            acceleration = np.gradient(velocity, STEP, axis=0)
-            inputs = velocity @ coupling.T
-            torques = [led(one, np.ascontiguousarray(inputs[:, n]), STEP)[0] for n, one in enumerate(elements)]
-            drive = np.column_stack(torques) @ coupling + acceleration @ mass.T
-            record = JointRecord(("a", "b"), time, *np.zeros((3, COUNT, 2)), Path("bag"), "digest")
-            found.append(
-                MicroMotion((0, 1), STEP, position, velocity, acceleration,
-                            drive + 0.2 * rng.standard_normal(drive.shape), mass, np.diag(mass), record,
-                            (0.0, COUNT * STEP))
-            )  # fmt: skip
-    return [KindMotion.of(motion, coupling, [ELEMENT] * len(kinds)) for motion in found]
-
-
 def test_elements_that_share_joints_are_told_each() -> None:
     """Two elements that turn with the same joint are told with their kinds, stiffness and numbers."""
-    kinds = (BLOCKS, ElastoPlastic(0.45))
-    motions = wrist_motions(WRIST[[0, 2]], kinds, 1.0)
-    seen: list[int] = []
-    choices = choose_kinds_of(motions, np.full(2, 0.9e5), FAMILIES, lambda place, _: seen.append(place))
+    kinds, seen = (BLOCKS, ElastoPlastic(0.45)), []
+    choices = chosen(WRIST[[0, 2]], kinds, (1.1, 0.6), progress=lambda place, _: seen.append(place))
     assert len(seen) == steps_of(2, FAMILIES) == 9 + 6
     assert [one.kind for one in choices] == ["Maxwell slip", "elasto-plastic"]
     for choice, kind in zip(choices, kinds, strict=True):
@@ -242,8 +224,8 @@ def test_elements_that_share_joints_are_told_each() -> None:
 
 def test_elements_of_a_wrist_that_hardly_moves_are_not_told() -> None:
     """Motions of a twentieth of break-away, where every kind is a spring, tell no element."""
-    motions = wrist_motions(WRIST, (None, ElastoPlastic(0.45), BLOCKS), 0.05)
-    assert [one.kind for one in choose_kinds_of(motions, np.full(3, 0.9e5), FAMILIES[:2])] == [None] * 3
+    choices = chosen(WRIST, (None, ElastoPlastic(0.45), BLOCKS), (0.055, 0.03), FAMILIES[:2])
+    assert [one.kind for one in choices] == [None] * 3
 
 
 def test_deviations_of_few_motions_hold_what_they_say() -> None:
@@ -258,7 +240,7 @@ def test_deviations_of_few_motions_hold_what_they_say() -> None:
 
 def test_the_reach_is_that_of_the_block_that_slips_last() -> None:
     """A block with half of the torque and a share s of the stiffness slips after 0.5 / s of the Coulomb torque / c0."""
-    motions = [KindMotion.of(motion, np.eye(1), [ELEMENT]) for motion in micro_motions(BLOCKS, (1.1,), 0.0)]
+    motions = [KindMotion.of(motion, np.eye(1), [ELEMENT]) for motion in micro_motions(ONE, (BLOCKS,), (1.1,), 0.0)]
     fit = GroupFit.of([FAMILIES[2]], motions, np.array([0.9e5]))
     numbers = fit.numbers(0)
     slips = [numbers[f"bristles.share[{k}]"] / numbers[f"bristles.stiffness[{k}]"] for k in range(2)]
