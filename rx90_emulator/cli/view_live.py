@@ -12,9 +12,8 @@ from rx90_common.process.scheduling import be_nice
 from rx90_emulator.cli.options import CONTROLLER, node_of, whole_number
 
 if TYPE_CHECKING:
-    from rx90_emulator.view.live.record_button import RecordButton
-    from rx90_emulator.view.live.tour import Tour
     from rx90_emulator.view.page import Page
+    from rx90_emulator.view.processes import RecordButton, Tour
 
 _NICENESS = 10
 
@@ -53,11 +52,10 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
     from rx90_common.description.robot import load_robot
     from rx90_common.exchange.client_node import client_node
     from rx90_controller.lines.task import load_task
-    from rx90_emulator.view.live.live_view import LiveView
-    from rx90_emulator.view.live.source import LiveSource
+    from rx90_emulator.view.live import LiveSource, LiveView
+    from rx90_emulator.view.operator import NodeNames
     from rx90_emulator.view.page import Page
-    from rx90_emulator.view.panel.operator import NodeNames
-    from rx90_emulator.view.panel.panel import DoPanel
+    from rx90_emulator.view.panel import DoPanel
 
     files = RobotFiles.of_options(options)
     controller = node_of(options)
@@ -94,18 +92,18 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
 
 def _files_tab(page: Page, namespace: str, ros_args: Sequence[str]) -> RecordButton:
     """Add the tab with what is written, once all plots are there."""
-    from rx90_emulator.view.live.record_button import RecordButton
-    from rx90_emulator.view.plot_export import PlotExport
+    from rx90_emulator.view.plots import add_plot_export
+    from rx90_emulator.view.processes import RecordButton
 
     with page.tab("Files"):
         with page.gui.add_folder("Record a bag"):
             recording = RecordButton(page, namespace, ros_args)
         with page.gui.add_folder("Export a plot"):
-            PlotExport(page)
+            add_plot_export(page)
     return recording
 
 
 def _tour(options: argparse.Namespace, files: RobotFiles, controller: str) -> Tour:
-    from rx90_emulator.view.live.tour import Tour
+    from rx90_emulator.view.processes import Tour
 
     return Tour(DEFAULT_ROBOT if options.robot is None else options.robot, files, controller)

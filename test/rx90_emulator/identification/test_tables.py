@@ -19,7 +19,7 @@ from rx90_common.base.errors import DONE, REFUSED, ConfigError
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.model.options import MeasuredLayout
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.bags.recording import open_recording
+from rx90_emulator.view.recording import open_recording
 
 CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)
 RATE, GEAR, CONSTANT, ZERO = 100.0, -50.0, 0.08, 0.3

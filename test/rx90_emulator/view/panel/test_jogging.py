@@ -15,9 +15,9 @@ import pytest
 from rx90_controller.lines.approach import Approach
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.panel import jog_sliders
-from rx90_emulator.view.panel.jog_sliders import JogSliders, JogTarget, jog, slider_range
-from rx90_emulator.view.panel.newest import NewestOnly
+from rx90_emulator.view import panel as jog_sliders
+from rx90_emulator.view.page import NewestOnly
+from rx90_emulator.view.panel import JogSliders, JogTarget, jog, slider_range
 
 ZERO = np.zeros(6)
 

@@ -12,12 +12,10 @@ from viser import uplot
 from rx90_common.base.arrays import Array
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.report.plot import COLOURS, Curve, Panel
-from rx90_emulator.view.bags.difference import Difference
-from rx90_emulator.view.bags.recording import Recording
-from rx90_emulator.view.bags.times import since
-from rx90_emulator.view.bags.track import Track
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.plots import TIME_AXIS, extent_series, parts_of
+from rx90_emulator.view.recording import Recording
+from rx90_emulator.view.track import Difference, Track, since
 
 _ALL = "all joints"
 _SPANS = ("0.02", "0.1", "0.5", "2", "10", "60")

@@ -28,7 +28,7 @@ from rx90_common.exchange.topics import MOTOR_STATES, SAMPLED
 from rx90_emulator.identification.model.arm_layout import arm_layout, with_signals
 from rx90_emulator.identification.model.options import MeasuredLayout
 from rx90_emulator.identification.records.layout import BagLayout
-from rx90_emulator.view.bags.track import Track
+from rx90_emulator.view.track import Track
 
 _FRICTION, _REFERENCE = "friction_states", "reference"
 _SHOWN = {_FRICTION: ("effort",), _REFERENCE: ("position",)}

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from viser import GuiUplotHandle, uplot
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, Rx90Error
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import FRICTION_PARAMETERS, FRICTION_UNITS, FrictionParameter
@@ -18,11 +19,7 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.tracing import prescribed_torque
 from rx90_common.process.files import write_text
 from rx90_common.report.plot import COLOURS, GREY, Curve, Panel
-from rx90_emulator.view.changes import from_user, on_change, put
-from rx90_emulator.view.output import ExistingFileError
-from rx90_emulator.view.page import Page
-from rx90_emulator.view.panel.newest import NewestOnly
-from rx90_emulator.view.widgets import sentence
+from rx90_emulator.view.page import FileFields, NewestOnly, Page, on_change, put, sentence
 
 _INTERVAL = 0.05
 _TOP = 20.0  # Stribeck velocities, the reach of the curve
@@ -153,14 +150,14 @@ class ElementForm:
         self._verdict = page.gui.add_html("")
         self._fields = [page.gui.add_text(_label(p), "", hint=_hint(p)) for p in FRICTION_PARAMETERS]
         self._yaml = page.gui.add_markdown("")
-        self._path = page.gui.add_text("friction file", _FILE)
-        self._write = page.gui.add_button("Write the file")
-        self._start = page.gui.add_button("Start the simulation again with it")
-        self._replace = page.gui.add_button("Replace the file that is there", color="red", visible=False)
-        self._refused_name, self._wanted_start = "", False  # what "Replace" confirms
-        self._done = page.gui.add_html(
-            sentence("A simulation reads its friction when it is configured: time begins again at 0.")
+        self._files = FileFields(
+            page,
+            "friction file",
+            _FILE,
+            {"Write the file": ("", self._save), "Start the simulation again with it": ("", self._save_and_start)},
+            "A simulation reads its friction when it is configured: time begins again at 0.",
         )
+        self._write, self._start = self._files.buttons.values()
         self._drawing: NewestOnly[tuple[int, str, tuple[str, ...], float]] = NewestOnly(self._compute, _INTERVAL)
         on_change(self._element, self._chosen, page)
         on_change(self._slid_one, self._slide_another, page)
@@ -168,9 +165,6 @@ class ElementForm:
         on_change(self._way, self._give, page)
         for field in self._fields:
             on_change(field, self._give, page)
-        self._write.on_click(from_user(lambda: self._save(start=False), page))
-        self._start.on_click(from_user(lambda: self._save(start=True), page))
-        self._replace.on_click(from_user(self._confirm, page))
         self._chosen()
 
     def close(self) -> None:
@@ -186,7 +180,7 @@ class ElementForm:
 
     def tell(self, text: str, wrong: bool) -> None:
         """Say how a start of the simulation with the file has gone."""
-        self._done.content = sentence(text, wrong=wrong)
+        self._files.said.content = sentence(text, wrong=wrong)
 
     def _chosen(self) -> None:
         for field, text in zip(self._fields, typed_values(self._file.elements[self._element.value]), strict=True):
@@ -209,7 +203,7 @@ class ElementForm:
     def _give(self) -> None:
         self._verdict.content = sentence("checking ...")
         self._write.disabled = self._start.disabled = True  # the file would be of other values
-        self._replace.visible = False
+        self._files.withdraw()
         self._number += 1
         texts = tuple(field.value for field in self._fields)
         self._drawing.give((self._number, self._element.value, texts, self._way.value))
@@ -249,27 +243,14 @@ class ElementForm:
         one = FrictionFile({name: file.elements[name]}, file.provenance, file.source).text()
         self._yaml.content = f"```yaml\n{_without_comments(one)}```"
 
-    def _save(self, *, start: bool, confirmed: str = "") -> None:
-        name = self._path.value
-        self._replace.visible = False
-        try:
-            path = self._page.output.path_for(name, replace=name == confirmed)
-            write_text(path, self._result.text())
-        except ExistingFileError as error:
-            self._refused_name, self._wanted_start = name, start
-            self._replace.visible = True
-            self._done.content = sentence(str(error), wrong=True)
-        except Rx90Error as error:
-            self._done.content = sentence(str(error), wrong=True)
-        else:
-            then = "the simulation is started again ..." if start else "for the next start:"
-            self._done.content = sentence(f"written; {then} -p friction:={path}")
-            if start:
-                self._start_with(str(path))
+    def _save(self, path: Path) -> str:
+        write_text(path, self._result.text())
+        return f"written; for the next start: -p friction:={path}"
 
-    def _confirm(self) -> None:
-        if self._replace.visible:
-            self._save(start=self._wanted_start, confirmed=self._refused_name)
+    def _save_and_start(self, path: Path) -> str:
+        self._save(path)
+        self._start_with(str(path))
+        return f"written; the simulation is started again ... -p friction:={path}"
 
 
 def _hint(parameter: FrictionParameter) -> str:
