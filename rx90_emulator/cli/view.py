@@ -38,14 +38,12 @@ def main(options: argparse.Namespace) -> None:
         KeyboardInterrupt: before the page shows what it was started for; later Ctrl-C is how it ends.
     """
     of_bags = view_bags.wanted(options)
-
     with ends_within(EndLimits(*_PATIENCE, _give_up, _say_where)) as start:
-        from rx90_emulator.view.page import (
-            OutputFolder,  # with viser, before kernels are compiled for a page without it
-        )
+        import viser  # noqa: F401 - before kernels are compiled for a page that cannot be made
+
+        from rx90_emulator.view.page import OutputFolder
 
         OutputFolder(options.output)  # refused before bags are read
-
         try:
             (view_bags if of_bags else view_live).main(options, start.over)
         except KeyboardInterrupt:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from viser import GuiUplotHandle, uplot
@@ -20,6 +19,7 @@ from rx90_common.friction.tracing import prescribed_torque
 from rx90_common.process.files import write_text
 from rx90_common.report.plot import COLOURS, GREY, Curve, Panel
 from rx90_emulator.view.page import FileFields, NewestOnly, Page, on_change, put, sentence
+from rx90_emulator.view.plots import add_plot
 
 _INTERVAL = 0.05
 _TOP = 20.0  # Stribeck velocities, the reach of the curve
@@ -31,30 +31,17 @@ _LEG = 120  # steps from one reversal to the other
 _PERIOD = 2.0  # s, of the motion to and fro: so slow that what is seen is the bristle, not c1 and c2
 
 
-class StribeckCurve(NamedTuple):
-    """Velocity, rad/s, and torque after a long time at it, Nm, each of shape (n,)."""
-
-    velocity: Array
-    torque: Array
-
-
-class PreslidingLoop(NamedTuple):
-    """Torques along a motion to and fro, Nm, and the displacement of both, rad, each of shape (n,)."""
-
-    displacement: Array
-    forth: Array
-    back: Array
-
-
-def stribeck_curve(element: FrictionElement, top: float) -> StribeckCurve:
-    """Return the steady torque up to a velocity of either sign, rad/s, with more points where it is small."""
+def stribeck_curve(element: FrictionElement, top: float) -> tuple[Array, Array]:
+    """Return velocities up to `top` of either sign, rad/s, dense where it is small, and steady torque, Nm, (n,)."""
     speed = top * np.linspace(0.0, 1.0, _CURVE + 1)[1:] ** 3
     velocity = np.concatenate([-speed[::-1], [0.0], speed])
-    return StribeckCurve(velocity, element.steady_torque(velocity))
+    return velocity, np.asarray(element.steady_torque(velocity))
 
 
-def presliding_loop(element: FrictionElement, amplitude: float) -> PreslidingLoop:
-    """Return the closed loop of torque and displacement between two reversals, by the steps of the simulation.
+def presliding_loop(element: FrictionElement, amplitude: float) -> tuple[Array, Array, Array]:
+    """Return the closed loop between two reversals, by the steps of the simulation.
+
+    It is the displacement, rad, and the torques forth and back, Nm, each of shape (n,).
 
     Args:
         element: the element.
@@ -67,7 +54,7 @@ def presliding_loop(element: FrictionElement, amplitude: float) -> PreslidingLoo
     torque = prescribed_torque((element,), velocity[:, None], np.full(velocity.size, step))[:, 0]
     back, forth = torque[-2 * _LEG : -_LEG], torque[-_LEG:]
     middle = amplitude * ((np.arange(_LEG) + 0.5) * 2.0 / _LEG - 1.0)
-    return PreslidingLoop(middle, forth, back[::-1])
+    return middle, forth, back[::-1]
 
 
 def break_away(element: FrictionElement) -> float:
@@ -221,8 +208,9 @@ class ElementForm:
         top, amplitude = _TOP * before.omega_s, way * break_away(before)
         curves = [stribeck_curve(element, top) for element in (before, after)]
         loops = [presliding_loop(element, amplitude) for element in (before, after)]
-        plots = (curves[0].velocity, *(curve.torque for curve in curves)), _together(loops)
-        self._page.later(lambda: self._show(number, name, file, *plots))
+        torques = (curves[0][0], *(torque for _, torque in curves))
+        loop = (loops[0][0] * _MICRO, *(leg for _, *legs in loops for leg in legs))
+        self._page.later(lambda: self._show(number, name, file, torques, loop))
 
     def _refused(self, number: int, text: str) -> None:
         if number == self._number:
@@ -263,32 +251,16 @@ def _label(parameter: FrictionParameter) -> str:
 
 
 def _plot(page: Page, title: str, x: str, labels: Sequence[str]) -> GuiUplotHandle:
-    series = [
-        uplot.Series(label=label, stroke=GREY if label.startswith("file") else COLOURS[0], width=1.5)
-        for label in labels
-    ]
-    handle = page.gui.add_uplot(
-        tuple(np.array([-1.0, 1.0]) for _ in range(1 + len(labels))),
-        (uplot.Series(), *series),
-        title=title,
-        scales={"x": uplot.Scale(time=False)},
-        axes=(uplot.Axis(label=x, size=30, labelSize=18), uplot.Axis(size=50)),
-        legend=uplot.Legend(show=False),
-        padding=(8, 12, 0, 0),
-        height=165,
-    )
     colours = [GREY if label.startswith("file") else COLOURS[0] for label in labels]
+    pairs = list(zip(labels, colours, strict=True))
+    series = [uplot.Series(label=label, stroke=colour, width=1.5) for label, colour in pairs]
 
     def panel() -> Panel:
         along, *curves = handle.data
         return Panel([Curve(along, *rest) for rest in zip(curves, labels, colours, strict=True)], "", x, title)
 
-    page.panels[title] = panel
+    handle = add_plot(page, title, panel, (uplot.Series(), *series), x=x, height=165)
     return handle
-
-
-def _together(loops: Sequence[PreslidingLoop]) -> tuple[Array, ...]:
-    return (loops[0].displacement * _MICRO, *(leg for loop in loops for leg in (loop.forth, loop.back)))
 
 
 def _without_comments(text: str) -> str:

@@ -183,14 +183,7 @@ class LineForm:
         self._button = page.gui.add_button("Send the line", disabled=True)
         self._reason = page.gui.add_html("")
         self._drawn = [
-            page.scene.add_line_segments(
-                f"/panel/{name}",
-                np.zeros((1, 2, 3), dtype=np.float32),
-                PLANNED,
-                thickness=thickness,
-                thickness_units="screen",
-                visible=False,
-            )
+            page.add_lines(f"/panel/{name}", np.zeros((1, 2, 3)), PLANNED, thickness, visible=False)
             for name, thickness in (("line", 3.0), ("approach", 1.5))
         ]
         self._checking: NewestOnly[tuple[int, TypedLine, Array | None]] = NewestOnly(self._check, _CHECKS)

@@ -23,8 +23,10 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 import rich
 import viser
+from numpy.typing import NDArray
 from viser import GuiInputHandle
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, Rx90Error, write_error
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.description.robot import RobotModel
@@ -149,6 +151,20 @@ class Page:
         self._numbers = itertools.count()
         self._opened = False
         _furnish(self.scene)
+
+    def add_lines(
+        self,
+        name: str,
+        points: Array,
+        colors: NDArray[Any] | tuple[int, int, int],
+        thickness: float,
+        *,
+        visible: bool = True,
+    ) -> viser.LineSegmentsHandle:
+        """Add line segments to the scene, (n, 2, 3) m, as thick in pixels wherever the camera is."""
+        return self.scene.add_line_segments(
+            name, points.astype(np.float32), colors, thickness=thickness, thickness_units="screen", visible=visible
+        )
 
     def tab(self, label: str) -> AbstractContextManager[object]:
         """Add a tab to the control panel, to be filled in a `with` block."""

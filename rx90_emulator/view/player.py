@@ -304,15 +304,12 @@ class BagPlayer:
 
     def _draw_path(self, page: Page, robot: RobotModel, error: Track | None) -> None:
         """Draw where the first recording's tip has been."""
-        path = tip_path(self._recordings[0].arm, error, robot.chain, _PIECES)
-        pieces = np.stack([path.points[:-1], path.points[1:]], axis=1)
-        colors = line_colors(path.error)
+        points, error_of = tip_path(self._recordings[0].arm, error, robot.chain, _PIECES)
+        pieces = np.stack([points[:-1], points[1:]], axis=1)
+        colors = line_colors(error_of)
         there = np.isfinite(pieces).all(axis=(1, 2))
         if there.any():
-            page.scene.add_line_segments(
-                "/path", pieces[there].astype(np.float32), np.repeat(colors[there, None], 2, axis=1),
-                thickness=4.0, thickness_units="screen",
-            )  # fmt: skip
+            page.add_lines("/path", pieces[there], np.repeat(colors[there, None], 2, axis=1), 4.0)
 
     def _update(self, now: float) -> None:
         if self._before is not None:

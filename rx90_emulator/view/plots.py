@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
+import viser
 from numpy.typing import ArrayLike
 from viser import uplot
 
@@ -28,7 +29,6 @@ _WORDS = (
     "Hold a run, change something, and send the line again: both are drawn over the way, and their numbers stand here."
 )
 
-TIME_AXIS = uplot.Axis(label="time [s]", size=30, labelSize=18)
 _MIN_SAMPLES = 2  # samples that make a plot
 _PIXELS = 300  # of a loop's width and height: what is closer cannot be seen
 _NOTHING = np.array([0.0, 1.0]), np.array([np.nan, np.nan])
@@ -44,6 +44,47 @@ def ordinate(least: float, low: float | None = None) -> dict[str, uplot.Scale]:
     soft = {"min": -least if low is None else low, "max": least}
     ends = {end: {"pad": 0.1 if limit else 0.0, "soft": limit, "mode": 1} for end, limit in soft.items()}
     return {"x": uplot.Scale(time=False), "y": uplot.Scale(range=ends)}
+
+
+def add_plot(
+    page: Page,
+    title: str,
+    panel: Callable[[], Panel],
+    series: Sequence[uplot.Series],
+    *,
+    x: str = "time [s]",
+    y: uplot.Axis | None = None,
+    scales: dict[str, uplot.Scale] | None = None,
+    height: int,
+    legend: bool = False,
+    zoom: bool = True,
+) -> viser.GuiUplotHandle:
+    """Add an empty plot to the container that is being filled.
+
+    Args:
+        page: to draw in; its `panels` get the plot, for files.
+        title: with the unit of the ordinate.
+        panel: returns what is to be seen.
+        series: how its columns are drawn, the abscissa's first.
+        x: label of the abscissa, with the unit.
+        y: the ordinate's axis; by default one without a label.
+        scales: of both axes; by default as wide as the curves.
+        height: pixels.
+        legend: name the curves; a click on a name hides its curve.
+        zoom: whether a drag shows a part of it.
+    """
+    page.panels[title] = panel
+    return page.gui.add_uplot(
+        (_NOTHING[0], *[_NOTHING[1]] * (len(series) - 1)),
+        tuple(series),
+        title=title,
+        scales=scales or {"x": uplot.Scale(time=False)},
+        axes=(uplot.Axis(label=x, size=30, labelSize=18), y or uplot.Axis(size=56)),
+        legend=uplot.Legend(show=legend, live=False),
+        cursor=None if zoom else uplot.Cursor(drag=uplot.Cursor_Drag(x=False, y=False)),
+        padding=(0, 12, 0, 0),
+        height=height,
+    )
 
 
 class RollingPlot:
@@ -82,16 +123,8 @@ class RollingPlot:
         self._samples = np.full((capacity, 1 + len(self._names)), np.nan)
         self._count, self._title = 0, title
         self._shown = frozenset(range(len(self._names)))
-        page.panels[title] = self.panel
-        self._plot = page.gui.add_uplot(
-            (_NOTHING[0], *[_NOTHING[1]] * (len(self._series()) - 1)),
-            self._series(),
-            title=title,
-            scales=ordinate(least, low),
-            axes=(TIME_AXIS, uplot.Axis(size=56)),
-            legend=uplot.Legend(show=legend, live=False),
-            padding=(0, 12, 0, 0),
-            height=height,
+        self._plot = add_plot(
+            page, title, self.panel, self._series(), scales=ordinate(least, low), height=height, legend=legend
         )
 
     def choose(self, shown: Sequence[int]) -> None:
@@ -167,18 +200,17 @@ class LoopPlot:
     ) -> None:
         self._samples = np.zeros((0, 2))
         self._least, self._changed = np.array(least), False
-        page.panels[title] = lambda: Panel([Curve(*self._samples.T)], "", x, y)
         self._capacity = capacity
-        self._plot = page.gui.add_uplot(
-            _NOTHING,
+        self._plot = add_plot(
+            page,
+            title,
+            lambda: Panel([Curve(*self._samples.T)], "", x, y),
             (uplot.Series(label=x), uplot.Series(label=y, stroke=COLOURS[0], width=1.5)),
-            title=title,
+            x=x,
+            y=uplot.Axis(label=y, size=40, labelSize=18),
             scales=ordinate(least[1]),
-            axes=(uplot.Axis(label=x, size=30, labelSize=18), uplot.Axis(label=y, size=40, labelSize=18)),
-            legend=uplot.Legend(show=False),
-            cursor=uplot.Cursor(drag=uplot.Cursor_Drag(x=False, y=False)),
-            padding=(0, 12, 0, 0),
             height=height,
+            zoom=False,
         )
 
     def add(self, x: Array, y: Array) -> None:
@@ -305,20 +337,13 @@ class RunComparison:
         with page.plot_tab("Path"):
             series = uplot.Series(label="held", stroke=GREY, width=1.5, auto=False)
             newest = uplot.Series(label="newest", stroke=COLOURS[0], width=1.5, auto=False)
-            self._plot = page.gui.add_uplot(
-                (np.array([0.0, 1.0]), np.zeros(2), *[np.full(2, np.nan)] * 2),
-                (uplot.Series(label=_ALONG), extent_series(), series, newest),
-                title=_TITLE,
-                scales=ordinate(_FLAT_ERROR, 0.0),
-                axes=(uplot.Axis(label=_ALONG, size=30, labelSize=18), uplot.Axis(size=56)),
-                legend=uplot.Legend(show=False),
-                padding=(0, 12, 0, 0),
-                height=240,
-            )
+            columns = (uplot.Series(label=_ALONG), extent_series(), series, newest)
+            scales = ordinate(_FLAT_ERROR, 0.0)
+            self._plot = add_plot(page, _TITLE, self.panel, columns, x=_ALONG, scales=scales, height=240)
+            self._plot.data = (np.array([0.0, 1.0]), np.zeros(2), *[np.full(2, np.nan)] * 2)
             self._numbers = page.gui.add_html(block(_WORDS))
             self._hold = page.gui.add_button("Hold the newest run", disabled=True)
             self._release = page.gui.add_button("Let the held run go", visible=False)
-        page.panels[_TITLE] = self.panel
         self._hold.on_click(from_user(self.hold, page))
         self._release.on_click(from_user(self.release, page))
 

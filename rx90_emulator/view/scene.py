@@ -244,24 +244,13 @@ class LineScene:
     """
 
     def __init__(self, page: Page, name: str, start: Array, end: Array) -> None:
-        scene = page.scene
         ends = np.stack([start, end])[None]
-        self._line = scene.add_line_segments(
-            f"{name}/line", ends, (30, 30, 30), thickness=2.0, thickness_units="screen"
-        )
-        self._spot = scene.add_icosphere(f"{name}/spot", 0.007, _SPOT, subdivisions=2, cast_shadow=False)
-        self._trace, self._held_trace = (
-            scene.add_line_segments(
-                f"{name}/{what}",
-                ends,
-                # A colour for each end: a page that has seen one for all draws no others until it is loaded again.
-                np.full((1, 2, 3), 150, dtype=np.uint8),
-                thickness=thickness,
-                thickness_units="screen",
-                visible=False,
-            )
-            for what, thickness in (("trace", 5.0), ("held", 3.0))
-        )
+        self._line = page.add_lines(f"{name}/line", ends, (30, 30, 30), 2.0)
+        self._spot = page.scene.add_icosphere(f"{name}/spot", 0.007, _SPOT, subdivisions=2, cast_shadow=False)
+        # A colour for each end: a page that has seen one for all draws no others until it is loaded again.
+        grey = np.full((1, 2, 3), 150, dtype=np.uint8)
+        self._trace = page.add_lines(f"{name}/trace", ends, grey, 5.0, visible=False)
+        self._held_trace = page.add_lines(f"{name}/held", ends, grey, 3.0, visible=False)
         self._factor = 1.0
         self._held = np.empty((0, 3))
         self._start = self._end = np.full(3, np.nan)

@@ -223,18 +223,6 @@ def _worst(track: Track, column: int) -> Worst:
     return Worst(float(values[row]), int(track.time_ns[row]))
 
 
-class TipPath(NamedTuple):
-    """Where the tip has been.
-
-    Attributes:
-        points: (m, 3) in the order of time, m; NaN in gaps.
-        error: (m - 1,) largest path error on the way from each point to the next, m; NaN where none counts.
-    """
-
-    points: Array
-    error: Array
-
-
 def path_error_track(arm: Track, reference: Track | None, chain: RigidChain) -> Track | None:
     """Return the distance of the tip from the path of its set-points under PATH_ERROR, m; None without set-points.
 
@@ -271,12 +259,15 @@ def _directions(reference: Track, chain: RigidChain) -> tuple[Array, NDArray[np.
     return np.asarray(way[last] / np.where(length[last] > 0.0, length[last], 1.0)[:, None]), counted
 
 
-def tip_path(arm: Track, error: Track | None, chain: RigidChain, pieces: int) -> TipPath:
-    """Return the way of the tip in at most `pieces` pieces of equal time; of each the largest path error."""
+def tip_path(arm: Track, error: Track | None, chain: RigidChain, pieces: int) -> tuple[Array, Array]:
+    """Return the way of the tip, (m, 3) m, NaN in gaps, and the largest path error of each piece, (m - 1,) m or NaN.
+
+    The pieces are of equal time, `pieces` at most.
+    """
     count = max(1, min(pieces, len(arm.time_ns) - 1))
     edges = arm.begin_ns + ((arm.end_ns - arm.begin_ns) * np.arange(count + 1, dtype=np.int64)) // count
     points = tip_position(chain, arm.at("position", edges))
     if error is None:
-        return TipPath(points, np.full(count, np.nan))
+        return points, np.full(count, np.nan)
     _, values = error.envelope("position", arm.begin_ns, arm.end_ns, count)
-    return TipPath(points, np.fmax(values[0::2, 0], values[1::2, 0]))
+    return points, np.asarray(np.fmax(values[0::2, 0], values[1::2, 0]))
