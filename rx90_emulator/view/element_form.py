@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -122,9 +123,8 @@ class ElementForm:
     """
 
     def __init__(self, page: Page, file: FrictionFile, start_with: Callable[[str], None]) -> None:
-        self._page, self._file, self._start_with = page, file, start_with
+        self._file, self._start_with = file, start_with
         self._result, self._missing = file, ""
-        self._number = 0  # of the newest values
         names = list(file.elements)
         self._element = page.gui.add_dropdown("element", names)
         self._slid_one = page.gui.add_dropdown("slide", [p.name for p in FRICTION_PARAMETERS])
@@ -145,7 +145,7 @@ class ElementForm:
             "A simulation reads its friction when it is configured: time begins again at 0.",
         )
         self._write, self._start = self._files.buttons.values()
-        self._drawing: NewestOnly[tuple[int, str, tuple[str, ...], float]] = NewestOnly(self._compute, _INTERVAL)
+        self._drawing: NewestOnly[tuple[str, tuple[str, ...], float]] = NewestOnly(page, self._compute, _INTERVAL)
         on_change(self._element, self._chosen, page)
         on_change(self._slid_one, self._slide_another, page)
         on_change(self._factor, self._slid, page)
@@ -191,36 +191,28 @@ class ElementForm:
         self._verdict.content = sentence("checking ...")
         self._write.disabled = self._start.disabled = True  # the file would be of other values
         self._files.withdraw()
-        self._number += 1
         texts = tuple(field.value for field in self._fields)
-        self._drawing.give((self._number, self._element.value, texts, self._way.value))
+        self._drawing.give((self._element.value, texts, self._way.value))
 
-    def _compute(self, item: tuple[int, str, tuple[str, ...], float]) -> None:
+    def _compute(self, item: tuple[str, tuple[str, ...], float]) -> Callable[[], None]:
         """Compute on a thread of its own: the first time, kernels are compiled."""
-        number, name, texts, way = item
+        name, texts, way = item
         try:
             file = changed(self._file, name, read_values(texts))
         except ConfigError as error:
-            text = str(error)
-            self._page.later(lambda: self._refused(number, text))
-            return
+            return partial(self._refuse, str(error))
         before, after = self._file.elements[name], file.elements[name]
         top, amplitude = _TOP * before.omega_s, way * break_away(before)
         curves = [stribeck_curve(element, top) for element in (before, after)]
         loops = [presliding_loop(element, amplitude) for element in (before, after)]
         torques = (curves[0][0], *(torque for _, torque in curves))
         loop = (loops[0][0] * _MICRO, *(leg for _, *legs in loops for leg in legs))
-        self._page.later(lambda: self._show(number, name, file, torques, loop))
+        return partial(self._show, name, file, torques, loop)
 
-    def _refused(self, number: int, text: str) -> None:
-        if number == self._number:
-            self._verdict.content = sentence(text, wrong=True)
+    def _refuse(self, text: str) -> None:
+        self._verdict.content = sentence(text, wrong=True)
 
-    def _show(
-        self, number: int, name: str, file: FrictionFile, curve: tuple[Array, ...], loop: tuple[Array, ...]
-    ) -> None:
-        if number != self._number:
-            return  # of other values than those in the fields
+    def _show(self, name: str, file: FrictionFile, curve: tuple[Array, ...], loop: tuple[Array, ...]) -> None:
         self._result = file
         self._write.disabled = False
         self.follow(self._missing)

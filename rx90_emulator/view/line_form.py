@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -161,11 +162,10 @@ class LineForm:
     """
 
     def __init__(self, page: Page, checker: LineChecker, task: LineTask, send: Callable[[LinePreview], None]) -> None:
-        self._page, self._checker, self._send = page, checker, send
+        self._checker, self._send = checker, send
         self._here: Array | None = None
         self._checked_from: Array | None = None
         self._missing = ""
-        self._number = 0  # of the newest check
         self._wanted = False
         self.preview: LinePreview | None = None
         first = TypedLine.of(task)
@@ -186,7 +186,7 @@ class LineForm:
             page.add_lines(f"/panel/{name}", np.zeros((1, 2, 3)), PLANNED, thickness, visible=False)
             for name, thickness in (("line", 3.0), ("approach", 1.5))
         ]
-        self._checking: NewestOnly[tuple[int, TypedLine, Array | None]] = NewestOnly(self._check, _CHECKS)
+        self._checking: NewestOnly[tuple[TypedLine, Array | None]] = NewestOnly(page, self._check, _CHECKS)
         for field in self._fields:
             on_change(field, self._typed, page)
         self._button.on_click(from_user(self._pressed, page))
@@ -222,27 +222,24 @@ class LineForm:
         self._verdict.content = sentence("checking ...")
         self._enable()
         self._checked_from = self._here
-        self._number += 1
-        self._checking.give((self._number, TypedLine(*(field.value for field in self._fields)), self._here))
+        self._checking.give((TypedLine(*(field.value for field in self._fields)), self._here))
 
-    def _check(self, item: tuple[int, TypedLine, Array | None]) -> None:
+    def _check(self, item: tuple[TypedLine, Array | None]) -> Callable[[], None]:
         """Check on a thread of its own."""
-        number, typed, here = item
         try:
-            found: LinePreview | LineError = self._checker.preview(typed, here)
+            return partial(self._accept, self._checker.preview(*item))
         except LineError as error:
-            found = error
-        self._page.later(lambda: self._found(number, found))
+            return partial(self._refuse, str(error))
 
-    def _found(self, number: int, found: LinePreview | LineError) -> None:
-        if number != self._number:
-            return  # of other values than those in the fields, or of an arm that has moved
+    def _refuse(self, text: str) -> None:
+        self._wanted = False
+        self._verdict.content = sentence(text, wrong=True)
+        for drawn in self._drawn:
+            drawn.visible = False
+
+    def _accept(self, found: LinePreview) -> None:
         wanted, self._wanted = self._wanted, False
         line, approach = self._drawn
-        if isinstance(found, LineError):
-            self._verdict.content = sentence(str(found), wrong=True)
-            line.visible = approach.visible = False
-            return
         self.preview = found
         self._verdict.content = sentence(found.text())
         task = found.plan.task

@@ -50,17 +50,10 @@ class NodeNames:
         return cls(f"{controller[: controller.rfind('/') + 1]}{cls.simulation}", controller, tuple(ros_args))
 
 
-@dataclass(frozen=True)
-class Heard:
-    """Where what the nodes say goes; called on the operator's thread.
-
-    Attributes:
-        said: takes the name of a node, a line, and whether it is a refusal or a failure.
-        states: takes the lifecycle states of simulation and controller when one of them has changed; empty: not there.
-    """
-
-    said: Callable[[str, str, bool], None]
-    states: Callable[[str, str], None]
+Said = Callable[[str, str, bool], None]
+"""Takes the name of a node, a line, and whether it is a refusal or a failure."""
+States = Callable[[str, str], None]
+"""Takes the lifecycle states of simulation and controller; empty for a node that is not there."""
 
 
 class Operator:
@@ -68,12 +61,13 @@ class Operator:
 
     Args:
         names: of the nodes.
-        heard: takes what they say.
+        said: takes what they say, on the operator's thread.
+        states: takes their states when one has changed, likewise.
         timeout: the longest wait for an answer, s.
     """
 
-    def __init__(self, names: NodeNames, heard: Heard, timeout: float = TIMEOUT) -> None:
-        self.names, self._heard, self._timeout = names, heard, timeout
+    def __init__(self, names: NodeNames, said: Said, states: States, timeout: float = TIMEOUT) -> None:
+        self.names, self._said, self._states, self._timeout = names, said, states, timeout
         self._waiting: queue.SimpleQueue[Callable[[_NodeClients], None]] = queue.SimpleQueue()
         self._ended = threading.Event()
         self._wake: Callable[[], object] = _nothing
@@ -97,7 +91,7 @@ class Operator:
             try:
                 nodes.trajectories.offer(joints, points)
             except ExchangeError as error:
-                self._heard.said(self.names.controller, str(error), True)
+                self._said(self.names.controller, str(error), True)
             else:
                 nodes.expect_answer()
 
@@ -112,7 +106,7 @@ class Operator:
 
         def told(outcome: str | ExchangeError) -> None:
             wrong = isinstance(outcome, ExchangeError)
-            self._heard.said(node, str(outcome), wrong)
+            self._said(node, str(outcome), wrong)
             ended(f"{node} {'is not started again' if wrong else 'runs again, from time 0'}: {outcome}", wrong)
 
         def begin(nodes: _NodeClients, state: str | ExchangeError) -> None:
@@ -134,7 +128,7 @@ class Operator:
 
     def _run(self) -> None:
         with client_node("rx90_view_panel", self._timeout, lambda _line: None, self.names.ros_args) as client:
-            nodes = _NodeClients(client, self.names, self._heard)
+            nodes = _NodeClients(client, self.names, self._said, self._states)
             # The executor's own `wake` does not end a wait.
             self._wake = lambda: client.executor.create_task(_nothing)
             while not self._ended.is_set():
@@ -148,15 +142,15 @@ class Operator:
 class _NodeClients:
     """The clients of both nodes, and what is still to be answered; for the operator's thread alone."""
 
-    def __init__(self, client: ClientNode, names: NodeNames, heard: Heard) -> None:
-        self._names, self._heard, self._timeout = names, heard, client.timeout
+    def __init__(self, client: ClientNode, names: NodeNames, said: Said, states: States) -> None:
+        self._names, self._said, self._states, self._timeout = names, said, states, client.timeout
         self.calls = ServiceCalls(client)
         self.trajectories = TrajectoryClient(client, names.controller)
         self.simulation, self.controller = (
             NodeWatch(client, self.calls, name) for name in (names.simulation, names.controller)
         )
         hear_log(client, (names.simulation, names.controller), self._log_line)
-        self._told: tuple[str, str] | None = None
+        self._last_states: tuple[str, str] | None = None
         self._next_look = 0.0
         self._answer_by: float | None = None
 
@@ -169,13 +163,13 @@ class _NodeClients:
             self.simulation.look()
             self.controller.look()
         states = self.simulation.state, self.controller.state
-        if states != self._told:
-            self._told = states
-            self._heard.states(*states)
+        if states != self._last_states:
+            self._last_states = states
+            self._states(*states)
         if self._answer_by is not None and now >= self._answer_by:
             self._answer_by = None
             text = f"has said nothing of the trajectory within {self._timeout:g} s"
-            self._heard.said(self._names.controller, text, True)
+            self._said(self._names.controller, text, True)
 
     def expect_answer(self) -> None:
         """Complain if the controller logs nothing within the timeout."""
@@ -187,7 +181,7 @@ class _NodeClients:
         node = service.rpartition("/")[0]
 
         def tell(outcome: str | ExchangeError) -> None:
-            self._heard.said(node, str(outcome), isinstance(outcome, ExchangeError))
+            self._said(node, str(outcome), isinstance(outcome, ExchangeError))
 
         return tell
 
@@ -205,7 +199,7 @@ class _NodeClients:
     def _log_line(self, node: str, line: str, wrong: bool) -> None:
         if node == self._names.controller:
             self._answer_by = None
-        self._heard.said(node, line, wrong)
+        self._said(node, line, wrong)
 
 
 def _nothing() -> None:

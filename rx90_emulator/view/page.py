@@ -414,14 +414,17 @@ class NewestOnly(Generic[_Item]):
     """Hands the newest of what it is given to a function, on a thread of its own.
 
     Args:
-        work: what is done with an item; may take its time, the next one waits for it.
+        page: on whose thread `give` is called.
+        work: what is done with an item; may take its time, the next one waits for it. What it returns is called on the
+            page's thread, unless something newer was given in the meantime.
         interval: the shortest time from one call to the next, s.
     """
 
-    def __init__(self, work: Callable[[_Item], None], interval: float) -> None:
-        self._work, self._interval = work, interval
+    def __init__(self, page: Page, work: Callable[[_Item], Callable[[], None] | None], interval: float) -> None:
+        self._page, self._work, self._interval = page, work, interval
         self._changed = threading.Condition()
-        self._waiting: list[_Item] = []
+        self._waiting: list[tuple[int, _Item]] = []
+        self._given = 0
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="newest", daemon=True)
         self._thread.start()
@@ -429,7 +432,8 @@ class NewestOnly(Generic[_Item]):
     def give(self, item: _Item) -> None:
         """Have `item` worked on, in place of one that still waits; returns at once."""
         with self._changed:
-            self._waiting[:] = [item]
+            self._given += 1
+            self._waiting[:] = [(self._given, item)]
             self._changed.notify()
 
     def close(self) -> None:
@@ -440,13 +444,18 @@ class NewestOnly(Generic[_Item]):
         self._thread.join(_THREAD_END)
 
     def _run(self) -> None:
-        while (item := self._next()) is not None:
-            self._work(item[0])
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed or bool(self._waiting))
+                if self._closed:
+                    return
+                number, item = self._waiting.pop()
+            show = self._work(item)
+            if show is not None:
+                self._page.later(partial(self._show, number, show))
             with self._changed:
                 self._changed.wait_for(lambda: self._closed, self._interval)
 
-    def _next(self) -> list[_Item] | None:
-        with self._changed:
-            self._changed.wait_for(lambda: self._closed or bool(self._waiting))
-            item, self._waiting = self._waiting, []
-            return None if self._closed else item
+    def _show(self, number: int, show: Callable[[], None]) -> None:
+        if number == self._given:
+            show()

@@ -21,7 +21,7 @@ from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.view.element_form import ElementForm
 from rx90_emulator.view.line_form import LineChecker, LineForm, LinePreview
-from rx90_emulator.view.operator import Heard, NodeControls, NodeLog, NodeNames, Operator
+from rx90_emulator.view.operator import NodeControls, NodeLog, NodeNames, Operator
 from rx90_emulator.view.page import NewestOnly, Page, from_user, on_change, put
 
 _STEP = 0.1  # deg
@@ -137,7 +137,7 @@ class JogSliders:
         self._arm: JointSample | None = None
         self._target = JogTarget()
         self._sending: NewestOnly[tuple[JointSample, Array]] = NewestOnly(
-            lambda item: send(jog(item[0].position, item[0].velocity, item[1], limits, self._gentle)), _INTERVAL
+            page, lambda item: send(jog(item[0].position, item[0].velocity, item[1], limits, self._gentle)), _INTERVAL
         )
         self._sliders = []
         for joint, name in enumerate(limits.names):
@@ -222,11 +222,11 @@ class DoPanel:
         robot = load_robot(files.urdf, files.tool)
         limits = load_controller(files.controller).limits(robot)
         task = load_task(files.task) if files.task is not None else _usual_line(robot)
-        heard = Heard(
-            lambda *line: page.later(lambda: self._said(*line)), lambda *both: page.later(lambda: self._states(*both))
-        )
+        self._operator = Operator(
+            names, lambda *line: page.later(lambda: self._said(*line)),
+            lambda *both: page.later(lambda: self._nodes.states(*both)),
+        )  # fmt: skip
         self._joints = limits.names
-        self._operator = Operator(names, heard)
         gui = page.gui
         with page.tab("Move"):
             with gui.add_folder("Straight line"):
@@ -284,9 +284,6 @@ class DoPanel:
         self._log.say(node, line, wrong)
         if wrong and _REFUSED in line:
             self._sliders.forget()
-
-    def _states(self, simulation: str, controller: str) -> None:
-        self._nodes.states(simulation, controller)
 
 
 def _usual_line(robot: RobotModel) -> LineTask:

@@ -116,7 +116,7 @@ def test_the_newest_overtakes_what_waits(burst: list[int]) -> None:
         if item == burst[-1]:
             done.set()
 
-    newest: NewestOnly[int] = NewestOnly(work, 0.0)
+    newest: NewestOnly[int] = NewestOnly(SimpleNamespace(), work, 0.0)  # type: ignore[arg-type]
     newest.give(1)
     assert begun.wait(10.0)
     for item in burst:
