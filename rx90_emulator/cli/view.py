@@ -11,7 +11,6 @@ from rx90_common.process.interrupts import EndLimits, ends_within
 from rx90_common.process.threads import where_threads_are
 from rx90_emulator.cli import view_bags, view_live
 from rx90_emulator.cli.options import add_page_arguments, add_robot_arguments
-from rx90_emulator.view.output import OutputFolder
 
 _PORT = 8080
 _PATIENCE = 1.5, 20.0  # s, from Ctrl-C to the end: of a start, of a page that is shown
@@ -39,10 +38,12 @@ def main(options: argparse.Namespace) -> None:
         KeyboardInterrupt: before the page shows what it was started for; later Ctrl-C is how it ends.
     """
     of_bags = view_bags.wanted(options)
-    OutputFolder(options.output)  # refused before bags are read and kernels compiled
     with ends_within(EndLimits(*_PATIENCE, _give_up, _say_where)) as start:
         import viser  # noqa: F401 - before kernels are compiled for a page that cannot be made
 
+        from rx90_emulator.view.page import OutputFolder
+
+        OutputFolder(options.output)  # refused before bags are read
         try:
             (view_bags if of_bags else view_live).main(options, start.over)
         except KeyboardInterrupt:

@@ -64,8 +64,8 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.identification.options import MeasuredLayout
-    from rx90_emulator.view.bags.job import open_player
     from rx90_emulator.view.page import Page
+    from rx90_emulator.view.player import open_player
 
     layout = MeasuredLayout(**{name: getattr(options, name) for name in _OF_BAGS})
     page, _ = open_player(

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from contextlib import ExitStack
 
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.process.scheduling import be_nice
 from rx90_emulator.cli.options import CONTROLLER, node_of, whole_number
-
-if TYPE_CHECKING:
-    from rx90_emulator.view.live.record_button import RecordButton
-    from rx90_emulator.view.live.tour import Tour
-    from rx90_emulator.view.page import Page
 
 _NICENESS = 10
 
@@ -53,21 +48,24 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
     from rx90_common.description.robot import load_robot
     from rx90_common.exchange.client_node import client_node
     from rx90_controller.lines.task import load_task
-    from rx90_emulator.view.live.live_view import LiveView
-    from rx90_emulator.view.live.source import LiveSource
+    from rx90_emulator.view.live import LiveSource, LiveView
+    from rx90_emulator.view.operator import NodeNames
     from rx90_emulator.view.page import Page
-    from rx90_emulator.view.panel.operator import NodeNames
-    from rx90_emulator.view.panel.panel import DoPanel
+    from rx90_emulator.view.panel import DoPanel
+    from rx90_emulator.view.plots import add_plot_export
+    from rx90_emulator.view.processes import RecordButton, Tour
 
     files = RobotFiles.of_options(options)
     controller = node_of(options)
     robot = load_robot(files.urdf, files.tool)
     line = None if files.task is None else load_task(files.task)
-    tour = _tour(options, files, controller) if options.demo else None
+    shipped = DEFAULT_ROBOT if options.robot is None else options.robot
+    tour = Tour(shipped, files, controller) if options.demo else None
     page = Page("rx90_view", options.host, options.port, options.output)
-    panel: DoPanel | None = None
-    recording: RecordButton | None = None
-    try:
+    with ExitStack() as ends:
+        if tour is not None:
+            ends.callback(tour.end)
+        ends.callback(page.close)
         if tour is not None:
             tour.start()
         be_nice(max(os.getpriority(os.PRIO_PROCESS, 0), _NICENESS) if options.nice is None else options.nice)
@@ -75,37 +73,15 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
             source = LiveSource(client, robot, controller)
             view = LiveView(page, source, robot, line)
             nodes = NodeNames.beside(controller, options.ros_args)
-            panel = DoPanel(page, files, view.newest, nodes, view.lay_line)
-            recording = _files_tab(page, source.watch.namespace, options.ros_args)
+            ends.callback(DoPanel(page, files, view.newest, nodes, view.lay_line).close)
+            with page.tab("Files"):  # once all plots are there
+                with page.gui.add_folder("Record a bag"):
+                    ends.callback(RecordButton(page, source.watch.namespace, options.ros_args).close)
+                with page.gui.add_folder("Export a plot"):
+                    add_plot_export(page)
             page.announce(browser=not options.no_browser)
             if tour is None:
                 started()
             else:
                 tour.follow(page, view, started)
             page.run(check_interrupt=client.check_interrupt)
-    finally:
-        for part in (recording, panel):
-            if part is not None:
-                part.close()
-        page.close()
-        if tour is not None:
-            tour.end()
-
-
-def _files_tab(page: Page, namespace: str, ros_args: Sequence[str]) -> RecordButton:
-    """Add the tab with what is written, once all plots are there."""
-    from rx90_emulator.view.live.record_button import RecordButton
-    from rx90_emulator.view.plot_export import PlotExport
-
-    with page.tab("Files"):
-        with page.gui.add_folder("Record a bag"):
-            recording = RecordButton(page, namespace, ros_args)
-        with page.gui.add_folder("Export a plot"):
-            PlotExport(page)
-    return recording
-
-
-def _tour(options: argparse.Namespace, files: RobotFiles, controller: str) -> Tour:
-    from rx90_emulator.view.live.tour import Tour
-
-    return Tour(DEFAULT_ROBOT if options.robot is None else options.robot, files, controller)

@@ -22,7 +22,7 @@ from rx90_controller.lines.task import load_task
 from rx90_emulator.demo.analysis import SWITCHED_OFF, analyse
 from rx90_emulator.demo.report import PATH_LIMIT, RunFacts, write_report
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.announcement import OPENED, TO_OTHERS
+from rx90_emulator.view import OPENED, TO_OTHERS
 from rx90_sim.node.simulation_client import SimulationClient
 
 START_TIME = 0.25

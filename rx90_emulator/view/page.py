@@ -1,34 +1,95 @@
-"""The page: a server on this machine, tabs for parts, and the one thread on which they all work."""
+"""The page: a server on this machine, tabs for parts, the one thread on which they work, and where it writes."""
 
 from __future__ import annotations
 
 import heapq
+import html
 import ipaddress
 import itertools
 import logging
 import os
 import queue
 import socket
+import stat
 import threading
 import time
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine, Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import rich
 import viser
+from numpy.typing import NDArray
+from viser import GuiInputHandle
 
-from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError, Rx90Error, write_error
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.process.interrupts import interrupts_later
 from rx90_common.report.plot import Panel
-from rx90_emulator.view.announcement import OPENED, TO_OTHERS
+from rx90_emulator.view import OPENED, TO_OTHERS
 from rx90_emulator.view.guard import PageGuard
-from rx90_emulator.view.output import OutputFolder
+
+
+class ExistingFileError(ConfigError):
+    """A file stands under the name; a user who confirms it may have it replaced."""
+
+
+class OutputFolder:
+    """A folder, and what a user of the page may name in it.
+
+    Args:
+        folder: made where it is missing.
+
+    Raises:
+        Rx90Error: where it cannot be made, as `write_error` says.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self.folder = folder.resolve(strict=True)
+        except OSError as error:
+            raise write_error(folder, error, "a folder that exists or can be made") from error
+
+    def path_for(self, name: str, *, replace: bool = False) -> Path:
+        """Return the path of a file or bag to be written; `name` may go through folders that exist in this one.
+
+        Links are refused, and names with a part that begins with a dot: they lead out of the folder, or to files
+        that other programs obey.
+
+        Args:
+            name: as the user types it.
+            replace: the user has confirmed that a file of this name is replaced.
+
+        Raises:
+            ExistingFileError: where a file stands there, and nobody has confirmed that it goes.
+            ConfigError: for every other name that is not free, or leads elsewhere.
+        """
+        accepted = f"a new name beneath {plain(self.folder)}"
+        hidden = any(part.startswith(".") for part in name.split("/"))
+        if hidden or not name.strip() or not name.isprintable() or Path(name).is_absolute():
+            raise ConfigError(f"{quoted(name)}; accepted: {accepted}, without parts that begin with a dot")
+        path = self.folder / name
+        try:
+            if path.parent.resolve() != path.parent or not path.parent.is_dir():
+                raise ConfigError(f"{quoted(name)} leads through a link, or no folder; accepted: {accepted}")
+            there = path.lstat()
+        except FileNotFoundError:
+            return path
+        except OSError as error:
+            raise ConfigError(f"{quoted(name)}: {error.strerror}; accepted: {accepted}") from error
+        if not stat.S_ISREG(there.st_mode):
+            raise ConfigError(f"{quoted(name)} is no plain file; accepted: {accepted}")
+        if not replace:
+            raise ExistingFileError(f"{plain(path)} exists; accepted: {accepted}")
+        return path
+
 
 _LONGEST_WAIT = 0.05  # s, without a look for Ctrl-C
 _LESS_OFTEN = 3
@@ -90,6 +151,20 @@ class Page:
         self._numbers = itertools.count()
         self._opened = False
         _furnish(self.scene)
+
+    def add_lines(
+        self,
+        name: str,
+        points: Array,
+        colors: NDArray[Any] | tuple[int, int, int],
+        thickness: float,
+        *,
+        visible: bool = True,
+    ) -> viser.LineSegmentsHandle:
+        """Add line segments to the scene, (n, 2, 3) m, as thick in pixels wherever the camera is."""
+        return self.scene.add_line_segments(
+            name, points.astype(np.float32), colors, thickness=thickness, thickness_units="screen", visible=visible
+        )
 
     def tab(self, label: str) -> AbstractContextManager[object]:
         """Add a tab to the control panel, to be filled in a `with` block."""
@@ -230,3 +305,157 @@ def _taken(host: str, port: int, reason: str) -> ConfigError:
     return ConfigError(
         f"{host} port {port}: {reason}; accepted: --port with a free one, or 0 for any, and an address of this machine"
     )
+
+
+_Value = TypeVar("_Value")
+
+
+def put(field: GuiInputHandle[_Value], value: _Value) -> None:
+    """Show a value in a field."""
+    field.value = value  # type: ignore[misc]  # viser's setter does not stand beside its getter
+
+
+def from_user(callback: Callable[[], None], page: Page) -> Callable[[object], Coroutine[Any, Any, None]]:
+    """Return a callback of viser's that has `callback` called on the page's thread, for what a user does alone.
+
+    It is a coroutine, because viser calls those in the order of what was done; functions it calls on many threads.
+    """
+
+    async def take(event: object) -> None:
+        if getattr(event, "client_id", None) is not None:
+            page.later(callback)
+
+    return take
+
+
+def on_change(field: GuiInputHandle[_Value], callback: Callable[[], None], page: Page) -> None:
+    """Have `callback` called on the page's thread after a user has changed a field, with the user's value in it.
+
+    The page may have put another value there in the meantime, while it did not know of the change: that one goes.
+    """
+    given = [field.value]  # the newest of a user
+
+    def taken() -> None:
+        put(field, given[0])
+        callback()
+
+    hand_over = from_user(taken, page)
+
+    async def take(event: object) -> None:
+        # On the thread that has just set the value, before it takes the next message.
+        if getattr(event, "client_id", None) is not None:
+            given[0] = field.value
+        await hand_over(event)
+
+    field.on_update(take)
+
+
+def block(content: str) -> str:
+    """Return HTML as the panel shows text: small, and broken where it is too wide."""
+    return f'<div style="padding:0 0.6em;font-size:0.8em;overflow-wrap:anywhere">{content}</div>'
+
+
+def sentence(text: str, *, wrong: bool = False) -> str:
+    """Return a sentence as HTML; of a refusal in red."""
+    return block(f'<div style="color:{"#c92a2a" if wrong else "inherit"}">{html.escape(text)}</div>')
+
+
+_THREAD_END = 1.0  # s
+_Item = TypeVar("_Item")
+
+
+class FileFields:
+    """A file's name, buttons that write it beneath the page's folder, and one that replaces a file that is there.
+
+    Args:
+        page: to build in, within a tab.
+        label: of the name.
+        name: at first.
+        writers: by the label of a button, what is added to the name, and what writes the file at a path and returns
+            what is said of it; may raise Rx90Error.
+        said: at first, below.
+    """
+
+    def __init__(
+        self, page: Page, label: str, name: str, writers: Mapping[str, tuple[str, Callable[[Path], str]]], said: str
+    ) -> None:
+        self._output = page.output
+        self.name = page.gui.add_text(label, name)
+        self.buttons = {words: page.gui.add_button(words) for words in writers}
+        for words, button in self.buttons.items():
+            button.on_click(from_user(partial(self._write, *writers[words]), page))
+        self.replace = page.gui.add_button("Replace the file that is there", color="red", visible=False)
+        self.replace.on_click(from_user(self._confirm, page))
+        self._confirmed: Callable[[], None] | None = None
+        self.said = page.gui.add_html(sentence(said))
+
+    def withdraw(self) -> None:
+        """Take back the offer to replace a file: what would be written is another one now."""
+        self._confirmed, self.replace.visible = None, False
+
+    def _confirm(self) -> None:
+        if self._confirmed is not None:
+            self._confirmed()
+
+    def _write(self, suffix: str, write: Callable[[Path], str], confirmed: str = "") -> None:
+        name = f"{self.name.value}{suffix}"
+        self.withdraw()
+        try:
+            said = write(self._output.path_for(name, replace=name == confirmed))
+        except Rx90Error as error:
+            if isinstance(error, ExistingFileError):
+                self._confirmed, self.replace.visible = partial(self._write, suffix, write, name), True
+            self.said.content = sentence(str(error), wrong=True)
+        else:
+            self.said.content = sentence(said)
+
+
+class NewestOnly(Generic[_Item]):
+    """Hands the newest of what it is given to a function, on a thread of its own.
+
+    Args:
+        page: on whose thread `give` is called.
+        work: what is done with an item; may take its time, the next one waits for it. What it returns is called on the
+            page's thread, unless something newer was given in the meantime.
+        interval: the shortest time from one call to the next, s.
+    """
+
+    def __init__(self, page: Page, work: Callable[[_Item], Callable[[], None] | None], interval: float) -> None:
+        self._page, self._work, self._interval = page, work, interval
+        self._changed = threading.Condition()
+        self._waiting: list[tuple[int, _Item]] = []
+        self._given = 0
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="newest", daemon=True)
+        self._thread.start()
+
+    def give(self, item: _Item) -> None:
+        """Have `item` worked on, in place of one that still waits; returns at once."""
+        with self._changed:
+            self._given += 1
+            self._waiting[:] = [(self._given, item)]
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Drop what waits, and end the thread after what it works on, which may last longer than this waits."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join(_THREAD_END)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed or bool(self._waiting))
+                if self._closed:
+                    return
+                number, item = self._waiting.pop()
+            show = self._work(item)
+            if show is not None:
+                self._page.later(partial(self._show, number, show))
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed, self._interval)
+
+    def _show(self, number: int, show: Callable[[], None]) -> None:
+        if number == self._given:
+            show()

@@ -44,7 +44,8 @@ _USUAL = (
 _MATRIX = "name => window.__viserMutable?.nodeRefFromName[name]?.matrixWorld.elements"
 # A sixtieth of a second after a frame the page would draw the next one, which in software takes a processor's time.
 # Here it makes ten frames a second at most. The first ones are drawn, which shows errors of drawing, and then one in
-# two seconds: where things are, and the plots, do not depend on it, and no test looks at the scene's pixels.
+# two seconds: where things are, and the plots, do not depend on it, and a test
+# that looks at the scene's pixels asks for every picture: most screenshots would show an empty scene.
 _SELDOM = """let picture = 0;
     window.requestAnimationFrame = draw => setTimeout(() => { picture++; draw(performance.now()); }, 100);
     window.cancelAnimationFrame = clearTimeout;
@@ -144,10 +145,11 @@ def open_page(chromium: Any) -> Iterator[Callable[..., BrowserPage]]:
     """Return a function that opens an address, with a width and height in pixels; its pages are closed afterwards."""
     opened = []
 
-    def open_(address: str, size: tuple[int, int] = _DESKTOP) -> BrowserPage:
+    def open_(address: str, size: tuple[int, int] = _DESKTOP, *, every_picture: bool = False) -> BrowserPage:
         page = chromium.new_context(viewport={"width": size[0], "height": size[1]}).new_page()
         opened.append(page)
-        page.add_init_script(_SELDOM)
+        if not every_picture:
+            page.add_init_script(_SELDOM)
         return BrowserPage(page, address)
 
     yield open_

@@ -23,7 +23,7 @@ def test_without_viser_nothing_is_read_before_the_refusal(
 ) -> None:
     """A page that cannot be made is refused with what to install, before the modules whose kernels are compiled."""
     monkeypatch.setitem(sys.modules, "viser", None)
-    for name in ("rx90_emulator.view.bags.job", "rx90_emulator.view.live.live_view", "rx90_common.description.robot"):
+    for name in ("rx90_emulator.view.player", "rx90_emulator.view.live", "rx90_common.description.robot"):
         monkeypatch.setitem(sys.modules, name, None)  # to import it would be an error of the project's own
     for words in (["bag"], ["--demo"]):
         assert run("rx90_view", words) == 3

@@ -19,7 +19,7 @@ from rx90_common.base.errors import DONE, REFUSED, ConfigError
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.bags.recording import open_recording
+from rx90_emulator.view.recording import open_recording
 
 GEAR, CONSTANT, ZERO = -50.0, 0.08, 0.3
 Columns = dict[str, Any]

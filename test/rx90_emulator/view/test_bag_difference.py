@@ -17,10 +17,9 @@ from rx90_common.base.errors import BagError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.bags.difference import difference
-from rx90_emulator.view.bags.player import difference_text, path_error_track, recording_text, tip_path
-from rx90_emulator.view.bags.recording import Recording, open_recording
-from rx90_emulator.view.bags.track import Track
+from rx90_emulator.view.player import difference_text, recording_text
+from rx90_emulator.view.recording import Recording, open_recording
+from rx90_emulator.view.track import Track, difference, path_error_track, tip_path
 
 JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
 STEP = 1_000_000
@@ -136,7 +135,7 @@ def test_path_error_is_the_distance_across_the_path(shipped: Setup, tmp_path: Pa
     ]
     write_joint_states(tmp_path / "bag", series)
     recording = opened(tmp_path / "bag", shipped)
-    found = path_error_track(recording, shipped.robot.chain)
+    found = path_error_track(recording.arm, recording.reference, shipped.robot.chain)
     assert found is not None
     error = found.values["position"][:, 0]
     lag = np.linalg.norm(tip(shipped, arm[100]) - tip(shipped, target[100]))
@@ -148,7 +147,7 @@ def test_path_error_is_the_distance_across_the_path(shipped: Setup, tmp_path: Pa
         tangent = np.cross([0.0, 0.0, 1.0], tip(shipped, target[row]))
         across = off - (off @ tangent) * tangent / (tangent @ tangent)
         assert error[row] == pytest.approx(np.linalg.norm(across), rel=5e-3)
-    path = tip_path(recording.arm, found, shipped.robot.chain, 40)
-    assert np.nanmax(path.error) == np.nanmax(error)
-    np.testing.assert_allclose(path.points[0], tip(shipped, arm[0]), atol=1e-12)
-    np.testing.assert_allclose(path.points[-1], tip(shipped, arm[-1]), atol=1e-12)
+    points, largest = tip_path(recording.arm, found, shipped.robot.chain, 40)
+    assert np.nanmax(largest) == np.nanmax(error)
+    np.testing.assert_allclose(points[0], tip(shipped, arm[0]), atol=1e-12)
+    np.testing.assert_allclose(points[-1], tip(shipped, arm[-1]), atol=1e-12)

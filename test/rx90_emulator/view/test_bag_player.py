@@ -19,10 +19,9 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view import arm
-from rx90_emulator.view.bags.job import open_player
-from rx90_emulator.view.bags.player import BagPlayer
+from rx90_emulator.view import scene
 from rx90_emulator.view.page import Page
+from rx90_emulator.view.player import BagPlayer, open_player
 
 JOINTS = [f"joint_{k}" for k in range(1, 7)]
 STEP = 2_000_000
@@ -53,7 +52,7 @@ def played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Played]:
 
     The arms' frames are there without their shapes, which take Chromium long to draw without a graphics card.
     """
-    monkeypatch.setattr(arm, "drawn_shapes", lambda _: [])
+    monkeypatch.setattr(scene, "drawn_shapes", lambda _: [])
     first, second = [], []
     for k in range(1000):
         at, q = START + k * STEP, motion(k * 2e-3)

@@ -16,9 +16,10 @@ from rx90_controller.lines.task import load_task
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.loop.line import path_accuracy
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.bags import recording as reading
-from rx90_emulator.view.bags.player import path_error_text, path_error_track
-from rx90_emulator.view.bags.recording import Recording, open_recording
+from rx90_emulator.view import recording as reading
+from rx90_emulator.view.player import path_error_text
+from rx90_emulator.view.recording import Recording, open_recording
+from rx90_emulator.view.track import path_error_track
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reference" / "reference_task"
 JOINTS = [f"joint_{k}" for k in range(1, 7)]
@@ -61,7 +62,7 @@ def test_a_bag_of_the_suite_is_read_whole(shipped: Setup, monkeypatch: pytest.Mo
 def test_the_path_error_of_a_bag_is_that_of_the_run(shipped: Setup) -> None:
     """The page's largest path error of the reference line is the one that `rx90_run` gives for the same states."""
     recording = opened(REFERENCE, shipped)
-    found = path_error_track(recording, shipped.robot.chain)
+    found = path_error_track(recording.arm, recording.reference, shipped.robot.chain)
     assert found is not None
     times = recording.arm.time_ns * 1e-9
     run = path_accuracy(shipped.robot, load_task(), times, recording.arm.values["position"])

@@ -7,8 +7,8 @@ import pytest
 from scipy.interpolate import interp1d
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_emulator.view.bags.playback import Playback
-from rx90_emulator.view.bags.track import Track
+from rx90_emulator.view.player import Playback
+from rx90_emulator.view.track import Track
 
 STEP = 1_000_000
 

@@ -12,11 +12,9 @@ from browser import BrowserPage, served
 from PIL import Image
 
 from rx90_common.report.plot import Curve, Panel
-from rx90_emulator.view.line import LineScene
-from rx90_emulator.view.live.live_view import RunComparison
 from rx90_emulator.view.page import Page
-from rx90_emulator.view.plot_export import PlotExport, table
-from rx90_emulator.view.plots import RollingPlot
+from rx90_emulator.view.plots import RollingPlot, RunComparison, add_plot_export, table
+from rx90_emulator.view.scene import LineScene
 
 START, END = np.array([0.5, 0.0, 0.2]), np.array([0.7, 0.0, 0.2])
 SHARE = np.linspace(0.0, 1.0, 401)
@@ -74,7 +72,7 @@ def test_a_plot_is_written_as_picture_and_table(
     plot = RollingPlot(page, UNITS, ["joint_1", "joint_2"], window=1.0)
     rows = np.array([[0.1 * k, np.sin(k), 1.0 / (k + 1)] for k in range(40)])
     with page.tab("Files"):
-        PlotExport(page)
+        add_plot_export(page)
     shown = open_page(page.address, (1000, 700))
 
     def press(words: str) -> None:

@@ -24,8 +24,7 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
 from rx90_emulator.view import guard
-from rx90_emulator.view.changes import on_change, put
-from rx90_emulator.view.page import Page
+from rx90_emulator.view.page import Page, on_change, put
 
 Open = Callable[..., BrowserPage]
 VISER = Subprotocol(f"viser-v{viser.__version__}")

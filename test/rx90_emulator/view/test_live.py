@@ -21,8 +21,8 @@ from short_task import SHORT_TASK
 from rx90_common.exchange.arm_watch import JointSample, Trajectory
 from rx90_common.process.children import ChildProcess
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.live import source
-from rx90_emulator.view.live.live_view import LivePlots
+from rx90_emulator.view import live as live_module
+from rx90_emulator.view.live import LivePlots
 from rx90_emulator.view.page import Page
 
 Open = Callable[..., BrowserPage]
@@ -123,8 +123,8 @@ def test_what_was_accepted_before_time_began_again_is_forgotten(
         listens_at_ticks=False,
         trajectory=Trajectory(299.0, np.array([305.0]), np.zeros((1, 6)), np.array([True])),
     )
-    monkeypatch.setattr(source, "ArmWatch", lambda *_: watch)
-    live = source.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
+    monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
+    live = live_module.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
     seen = []
     for now in range(4):
         live.take(float(now))
@@ -159,8 +159,8 @@ def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypat
     watch = SimpleNamespace(
         elements=friction, joints=joints, trajectory=None, elements_at_ticks=ticks, listens_at_ticks=True
     )
-    monkeypatch.setattr(source, "ArmWatch", lambda *_: watch)
-    live = source.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
+    monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
+    live = live_module.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
     with served(Page("test", port=0)) as page:
         made: dict[str, Any] = {}
         add = page.gui.add_uplot
@@ -175,7 +175,7 @@ def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypat
         for time in times:
             now["time"] = float(time)
             (state,) = live.take(2.0 * time)  # at half the speed of the wall clock
-            plots.add(state, 5e-5 if time > 1.0 else np.nan)
+            plots.add(state, live.elements, 5e-5 if time > 1.0 else np.nan)
             plots.add_to_loop(live.friction, at_ticks=True)
         plots.draw()
     assert live.pace(2.0 * times[-1]) == pytest.approx(0.5)

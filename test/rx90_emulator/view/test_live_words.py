@@ -13,8 +13,8 @@ from browser import BrowserPage, served
 from rx90_common.exchange.arm_watch import JointSample, NodeStatus, Trajectory
 from rx90_controller.lines.task import load_task
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.live import live_view, source
-from rx90_emulator.view.live.live_view import LiveView
+from rx90_emulator.view import live as live_module
+from rx90_emulator.view.live import LiveView
 from rx90_emulator.view.page import Page
 
 Open = Callable[..., BrowserPage]
@@ -69,10 +69,10 @@ def followed(begin: float, end: float) -> Trajectory:
 def test_each_fact_stands_in_its_row(shipped: Setup, open_page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     """Brakes, controller, pace and trajectory are the nodes' own; a warning and an error have their colours."""
     nodes = Nodes()
-    monkeypatch.setattr(source, "ArmWatch", lambda *_: nodes)
+    monkeypatch.setattr(live_module, "ArmWatch", lambda *_: nodes)
     # What is drawn in software takes time: an arm is not looked at here.
-    monkeypatch.setattr(live_view, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: np.zeros(3)))
-    live = source.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
+    monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: np.zeros(3)))
+    live = live_module.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
     page = Page("test", port=0)
     LiveView(page, live, shipped.robot, load_task())
     with served(page):

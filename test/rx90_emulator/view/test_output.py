@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rx90_common.base.errors import ConfigError
-from rx90_emulator.view.output import ExistingFileError, OutputFolder
+from rx90_emulator.view.page import ExistingFileError, OutputFolder
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from rx90_controller.lines.task import load_task
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import path_accuracy, plan_line
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.line import PathErrorMeter
+from rx90_emulator.view.scene import PathErrorMeter
 
 START, END = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
 REST = np.array([True, True])

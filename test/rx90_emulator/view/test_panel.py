@@ -19,21 +19,19 @@ from processes import Processes, wait_until
 from ros_client import JOINTS, Client, seconds
 
 from rx90_common.base.share import config_path
+from rx90_common.exchange.arm_watch import JointSample
 from rx90_common.exchange.client_node import client_node
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import TOOL_DOWN, LineTask
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.changes import put
-from rx90_emulator.view.live.source import LiveSource
-from rx90_emulator.view.page import Page
-from rx90_emulator.view.panel import element_form
-from rx90_emulator.view.panel.element_form import ElementForm
-from rx90_emulator.view.panel.newest import NewestOnly
-from rx90_emulator.view.panel.operator import NodeNames
-from rx90_emulator.view.panel.panel import DoPanel
-from rx90_emulator.view.panel.typed_line import LineChecker, LinePreview, TypedLine
-from rx90_emulator.view.state import ArmState
+from rx90_emulator.view import element_form
+from rx90_emulator.view.element_form import ElementForm
+from rx90_emulator.view.line_form import LineChecker, LinePreview, TypedLine
+from rx90_emulator.view.live import LiveSource
+from rx90_emulator.view.operator import NodeNames
+from rx90_emulator.view.page import NewestOnly, Page, put
+from rx90_emulator.view.panel import DoPanel
 
 Open = Callable[..., BrowserPage]
 START, END, SPEED = np.array([0.6, -0.05, 0.2]), np.array([0.62, 0.05, 0.19]), 0.25
@@ -53,7 +51,7 @@ def panel(processes: Processes, shipped: Setup, monkeypatch: pytest.MonkeyPatch,
     with client_node("test_view", 1.0, print) as client:
         page = Page("test", port=0)
         source = LiveSource(client, shipped.robot, "rx90_controller")
-        states: list[ArmState] = []
+        states: list[JointSample] = []
         page.every(0.05, lambda now: states.extend(source.take(now)))
         names = NodeNames.beside("/rx90_controller", ())
         parts = DoPanel(page, shipped.files, lambda: states[-1] if states else None, names, sent.append)
@@ -297,24 +295,24 @@ def test_a_file_that_is_there_is_replaced_only_when_confirmed(tmp_path: Path) ->
         path.write_text("mine")
 
     def press(button: Any, name: str) -> str:
-        put(form._path, name)
+        put(form._files.name, name)
         for callback in button._impl.update_cb:
             with suppress(StopIteration):
                 callback(SimpleNamespace(client_id=1)).send(None)
         while not page._handed_over.empty():
             page._handed_over.get()()
-        return form._done.content
+        return form._files.said.content
 
     assert "exists; accepted: a new name beneath" in press(form._start, "there.yaml")
-    assert form._replace.visible
-    assert "other.yaml exists" in press(form._replace, "other.yaml")  # another one than was refused
+    assert form._files.replace.visible
+    assert "other.yaml exists" in press(form._files.replace, "other.yaml")  # another one than was refused
     assert [path.read_text() for path in (there, other)] == ["mine"] * 2
-    assert "written" in press(form._replace, "other.yaml")
-    assert (FrictionFile.read(other), started, form._replace.visible) == (file, [str(other)], False)
+    assert "written" in press(form._files.replace, "other.yaml")
+    assert (FrictionFile.read(other), started, form._files.replace.visible) == (file, [str(other)], False)
     for name in (str(outside), "../outside.yaml"):
         assert "; accepted: a new name beneath" in press(form._write, name)
-        assert not form._replace.visible
-        press(form._replace, name)
+        assert not form._files.replace.visible
+        press(form._files.replace, name)
     assert [path.read_text() for path in (there, outside)] == ["mine"] * 2
     assert "written" in press(form._write, "new.yaml")
     assert FrictionFile.read(tmp_path / "page/new.yaml") == file

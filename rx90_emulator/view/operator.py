@@ -1,19 +1,29 @@
-"""Asks the running nodes for things, on a thread of its own: neither the page nor who reads waits for an answer."""
+"""What the page asks of running nodes, on a thread of its own, with its buttons and the lines that come back."""
 
 from __future__ import annotations
 
+import html
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+
+from viser import GuiButtonHandle
 
 from rx90_common.base.errors import ExchangeError
 from rx90_common.exchange.client_node import ClientNode, client_node
 from rx90_common.exchange.managing import NodeWatch, hear_log, parameter_request, state_request, transition_request
 from rx90_common.exchange.service_calls import Outcome, ServiceCalls, ServiceRequest
-from rx90_controller.node.trajectory_client import TrajectoryClient
+from rx90_controller.node.trajectory_client import TrajectoryClient, enable_request
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.view.page import Page, block
+from rx90_sim.node.simulation_client import pause_request, reset_request, step_request
+
+_LINES = 6
+_ACTIVE = ("active",)
+_CONFIGURED = ("active", "inactive")
 
 TIMEOUT = 5.0
 """The longest wait for an answer, s."""
@@ -40,17 +50,10 @@ class NodeNames:
         return cls(f"{controller[: controller.rfind('/') + 1]}{cls.simulation}", controller, tuple(ros_args))
 
 
-@dataclass(frozen=True)
-class Heard:
-    """Where what the nodes say goes; called on the operator's thread.
-
-    Attributes:
-        said: takes the name of a node, a line, and whether it is a refusal or a failure.
-        states: takes the lifecycle states of simulation and controller when one of them has changed; empty: not there.
-    """
-
-    said: Callable[[str, str, bool], None]
-    states: Callable[[str, str], None]
+Said = Callable[[str, str, bool], None]
+"""Takes the name of a node, a line, and whether it is a refusal or a failure."""
+States = Callable[[str, str], None]
+"""Takes the lifecycle states of simulation and controller; empty for a node that is not there."""
 
 
 class Operator:
@@ -58,12 +61,13 @@ class Operator:
 
     Args:
         names: of the nodes.
-        heard: takes what they say.
+        said: takes what they say, on the operator's thread.
+        states: takes their states when one has changed, likewise.
         timeout: the longest wait for an answer, s.
     """
 
-    def __init__(self, names: NodeNames, heard: Heard, timeout: float = TIMEOUT) -> None:
-        self.names, self._heard, self._timeout = names, heard, timeout
+    def __init__(self, names: NodeNames, said: Said, states: States, timeout: float = TIMEOUT) -> None:
+        self.names, self._said, self._states, self._timeout = names, said, states, timeout
         self._waiting: queue.SimpleQueue[Callable[[_NodeClients], None]] = queue.SimpleQueue()
         self._ended = threading.Event()
         self._wake: Callable[[], object] = _nothing
@@ -87,7 +91,7 @@ class Operator:
             try:
                 nodes.trajectories.offer(joints, points)
             except ExchangeError as error:
-                self._heard.said(self.names.controller, str(error), True)
+                self._said(self.names.controller, str(error), True)
             else:
                 nodes.expect_answer()
 
@@ -102,7 +106,7 @@ class Operator:
 
         def told(outcome: str | ExchangeError) -> None:
             wrong = isinstance(outcome, ExchangeError)
-            self._heard.said(node, str(outcome), wrong)
+            self._said(node, str(outcome), wrong)
             ended(f"{node} {'is not started again' if wrong else 'runs again, from time 0'}: {outcome}", wrong)
 
         def begin(nodes: _NodeClients, state: str | ExchangeError) -> None:
@@ -124,7 +128,7 @@ class Operator:
 
     def _run(self) -> None:
         with client_node("rx90_view_panel", self._timeout, lambda _line: None, self.names.ros_args) as client:
-            nodes = _NodeClients(client, self.names, self._heard)
+            nodes = _NodeClients(client, self.names, self._said, self._states)
             # The executor's own `wake` does not end a wait.
             self._wake = lambda: client.executor.create_task(_nothing)
             while not self._ended.is_set():
@@ -138,15 +142,15 @@ class Operator:
 class _NodeClients:
     """The clients of both nodes, and what is still to be answered; for the operator's thread alone."""
 
-    def __init__(self, client: ClientNode, names: NodeNames, heard: Heard) -> None:
-        self._names, self._heard, self._timeout = names, heard, client.timeout
+    def __init__(self, client: ClientNode, names: NodeNames, said: Said, states: States) -> None:
+        self._names, self._said, self._states, self._timeout = names, said, states, client.timeout
         self.calls = ServiceCalls(client)
         self.trajectories = TrajectoryClient(client, names.controller)
         self.simulation, self.controller = (
             NodeWatch(client, self.calls, name) for name in (names.simulation, names.controller)
         )
         hear_log(client, (names.simulation, names.controller), self._log_line)
-        self._told: tuple[str, str] | None = None
+        self._last_states: tuple[str, str] | None = None
         self._next_look = 0.0
         self._answer_by: float | None = None
 
@@ -159,13 +163,13 @@ class _NodeClients:
             self.simulation.look()
             self.controller.look()
         states = self.simulation.state, self.controller.state
-        if states != self._told:
-            self._told = states
-            self._heard.states(*states)
+        if states != self._last_states:
+            self._last_states = states
+            self._states(*states)
         if self._answer_by is not None and now >= self._answer_by:
             self._answer_by = None
             text = f"has said nothing of the trajectory within {self._timeout:g} s"
-            self._heard.said(self._names.controller, text, True)
+            self._said(self._names.controller, text, True)
 
     def expect_answer(self) -> None:
         """Complain if the controller logs nothing within the timeout."""
@@ -177,7 +181,7 @@ class _NodeClients:
         node = service.rpartition("/")[0]
 
         def tell(outcome: str | ExchangeError) -> None:
-            self._heard.said(node, str(outcome), isinstance(outcome, ExchangeError))
+            self._said(node, str(outcome), isinstance(outcome, ExchangeError))
 
         return tell
 
@@ -195,8 +199,69 @@ class _NodeClients:
     def _log_line(self, node: str, line: str, wrong: bool) -> None:
         if node == self._names.controller:
             self._answer_by = None
-        self._heard.said(node, line, wrong)
+        self._said(node, line, wrong)
 
 
 def _nothing() -> None:
     pass
+
+
+class NodeControls:
+    """Buttons that are enabled while their node can do what they ask for; a line says why the others are not.
+
+    Args:
+        page: to build in, within a tab.
+        operator: asks the nodes.
+
+    Attributes:
+        simulation, controller: the lifecycle states; empty for a node that is not there.
+    """
+
+    def __init__(self, page: Page, operator: Operator) -> None:
+        self._page, self._operator = page, operator
+        self.simulation = self.controller = ""
+        self._buttons: list[tuple[GuiButtonHandle, bool, tuple[str, ...]]] = []
+        self._state = page.gui.add_html("")
+        node = operator.names.simulation
+        self._button("Pause", pause_request(node, paused=True), _CONFIGURED)
+        self._button("Run", pause_request(node, paused=False), _CONFIGURED)
+        self._button("Step", step_request(node), _ACTIVE)
+        self._button("Reset to time 0", reset_request(node), _CONFIGURED)
+        node = operator.names.controller
+        self._button("Torque on", enable_request(node, on=True), _ACTIVE)
+        self._button("Torque off, brakes closed", enable_request(node, on=False), _ACTIVE)
+        self.states("", "")
+
+    def states(self, simulation: str, controller: str) -> None:
+        """Take the lifecycle states."""
+        self.simulation, self.controller = simulation, controller
+        for button, of_simulation, accepted in self._buttons:
+            button.disabled = (simulation if of_simulation else controller) not in accepted
+        names = self._operator.names
+        lines = [_state_line(names.simulation, simulation), _state_line(names.controller, controller)]
+        self._state.content = block("<br>".join(lines))
+
+    def _button(self, label: str, asked: ServiceRequest, accepted: tuple[str, ...]) -> None:
+        button = self._page.gui.add_button(label)
+        button.on_click(lambda _: self._operator.ask(asked))
+        of_simulation = asked.service.startswith(f"{self._operator.names.simulation}/")
+        self._buttons.append((button, of_simulation, accepted))
+
+
+class NodeLog:
+    """The newest lines of what the nodes say and of what was refused here."""
+
+    def __init__(self, page: Page) -> None:
+        self._lines: deque[str] = deque(maxlen=_LINES)
+        self._shown = page.gui.add_html(block("nothing yet"))
+
+    def say(self, who: str, text: str, wrong: bool) -> None:
+        """Show a line."""
+        colour = "color:#c92a2a" if wrong else ""
+        self._lines.appendleft(f'<div style="{colour}"><b>{html.escape(who)}</b> {html.escape(text)}</div>')
+        self._shown.content = block("".join(self._lines))
+
+
+def _state_line(node: str, state: str) -> str:
+    said = html.escape(state) if state else f"not there: its buttons wait for <code>{html.escape(node)}</code> to start"
+    return f"<b>{html.escape(node)}</b> {said}"

@@ -1,33 +1,108 @@
-"""The part of the page that shows running nodes."""
+"""Running nodes on the page: their newest states, arm, spot and trace, plots, and what they say of themselves."""
 
 from __future__ import annotations
 
 import html
 import math
 import time
+from collections import deque
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 import viser
-from viser import uplot
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.quoting import plain
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.tip import tip_position
-from rx90_common.exchange.arm_watch import JointSample, NodeStatus, Trajectory
+from rx90_common.exchange.arm_watch import ArmWatch, JointSample, NodeStatus, Trajectory
+from rx90_common.exchange.client_node import ClientNode
 from rx90_common.exchange.topics import MAX_DISPLAY_RTF
 from rx90_common.friction.friction_set import element_names
-from rx90_common.report.plot import COLOURS, GREY, Curve, Panel
 from rx90_controller.lines.task import LineTask
-from rx90_emulator.loop.line import PathAccuracy
-from rx90_emulator.view.arm import ArmScene
-from rx90_emulator.view.changes import from_user
-from rx90_emulator.view.line import LineScene, legend_html
-from rx90_emulator.view.live.source import LiveSource
 from rx90_emulator.view.page import Page
-from rx90_emulator.view.plots import LoopPlot, RollingPlot, extent_series, ordinate
-from rx90_emulator.view.state import ArmState
-from rx90_emulator.view.widgets import block
+from rx90_emulator.view.plots import LoopPlot, RollingPlot, RunComparison
+from rx90_emulator.view.scene import ArmScene, LineScene, legend_html
+
+_STALE = 2.5  # s; the samples of a simulation come again four times a second while time stands still
+_PACE_WINDOW = 2.0  # s
+
+
+class LiveSource:
+    """The newest state of the arm of running nodes, which may come and go.
+
+    Args:
+        client: whose node listens; nothing waits for it.
+        robot: the arm that is expected.
+        controller: name of the controller node, relative or absolute; the arm is in its namespace.
+
+    Attributes:
+        watch: what the nodes publish beside the arm's state.
+        elements: the newest state of the friction elements: deflection, velocity, torque; None where it is not known.
+        friction: their samples that came with the newest states; at ticks, if it listens there.
+
+    Raises:
+        ConfigError: if that cannot be a node's name.
+    """
+
+    def __init__(self, client: ClientNode, robot: RobotModel, controller: str) -> None:
+        self._robot = str(robot.model.name)
+        self.watch = ArmWatch(client.node, controller, robot.joint_names, element_names(robot.joint_names))
+        self.friction: list[JointSample] = []
+        self.elements: JointSample | None = None
+        self._heard: float | None = None
+        self._time = 0.0  # simulated, of the newest state
+        self._times: deque[tuple[float, float]] = deque()  # steady clock, simulated
+
+    def take(self, now: float) -> list[JointSample]:
+        """Return the states that came since the last call.
+
+        Of several runs they are those of the last one alone; `now` is the steady clock's time, s.
+        """
+        friction, joints = self.watch.elements(), self.watch.joints()
+        self.friction = self.watch.elements_at_ticks() if self.watch.listens_at_ticks else friction
+        if friction:
+            self.elements = friction[-1]
+        if not joints:
+            return []
+        if self._heard is not None and now - self._heard > _STALE:
+            self.elements = None  # of a simulation that has gone
+        self._heard = now
+        times = [self._time, *(sample.time for sample in joints)]
+        back = max((k for k in range(len(joints)) if times[k + 1] < times[k]), default=None)
+        if back is not None:  # another simulation, or reset: nothing that was accepted before is followed
+            joints = joints[back:]
+            self._times.clear()
+            self.watch.trajectory = None
+        self._time = joints[-1].time
+        self._times.append((now, self._time))
+        return joints
+
+    def problem(self, now: float) -> str:
+        """Return why there is nothing to be seen, as a sentence for the user; empty if there is."""
+        theirs = self.watch.robot
+        if self.watch.publishers and theirs not in {None, self._robot}:
+            return f"The simulation's robot is {plain(theirs)}, this page shows {self._robot}: start it with --robot"
+        if self._heard is not None and now - self._heard <= _STALE:
+            return ""
+        if self.watch.problem:
+            return f"Another robot? {self.watch.problem}"
+        if self._heard is None:
+            return f"Waiting for a simulation: nothing on {self.watch.topic} yet"
+        return f"The simulation has gone: nothing on {self.watch.topic} any more; waiting for the next one"
+
+    def pace(self, now: float) -> float:
+        """Return simulated time per time of the wall clock over the last seconds."""
+        while self._times and self._times[0][0] < now - _PACE_WINDOW:
+            self._times.popleft()
+        if len(self._times) < 2:
+            return 0.0
+        (began, first), (ended, last) = self._times[0], self._times[-1]
+        return (last - first) / (ended - began)
+
+    def node(self, key: str) -> NodeStatus | None:
+        """Return what the node says of itself whose values have `key`; None if there is no such node."""
+        return next((status for status in self.watch.diagnostics.values() if key in status.values), None)
+
 
 _POSE_PERIOD = 1.0 / 30.0  # s
 _PLOT_PERIOD = 0.2
@@ -42,114 +117,6 @@ _FIRST_SHOWN = 3  # joints; all seven at once are hard to tell apart
 _GAPS = 5  # in 10 s; more are drawn across
 _MISSING = 0.01  # s; a line across so many ticks would be none of friction
 _NONE = "none"
-_PLACES = 300  # along the line, about one for each pixel
-_LEAST = 0.01  # mm
-_TITLE = "path error along the line [mm]"
-_ALONG = "along the line [mm]"
-_WORDS = (
-    "Hold a run, change something, and send the line again: both are drawn over the way, and their numbers stand here."
-)
-
-
-class RunComparison:
-    """A plot of the path error over the way, two numbers of each run, and the trace that is held.
-
-    Args:
-        page: to build in.
-    """
-
-    def __init__(self, page: Page) -> None:
-        self._newest: PathAccuracy | None = None
-        self._held: PathAccuracy | None = None
-        self._line: LineScene | None = None
-        self._drawn: tuple[object, ...] = ()
-        with page.plot_tab("Path"):
-            series = uplot.Series(label="held", stroke=GREY, width=1.5, auto=False)
-            newest = uplot.Series(label="newest", stroke=COLOURS[0], width=1.5, auto=False)
-            self._plot = page.gui.add_uplot(
-                (np.array([0.0, 1.0]), np.zeros(2), *[np.full(2, np.nan)] * 2),
-                (uplot.Series(label=_ALONG), extent_series(), series, newest),
-                title=_TITLE,
-                scales=ordinate(_LEAST, 0.0),
-                axes=(uplot.Axis(label=_ALONG, size=30, labelSize=18), uplot.Axis(size=56)),
-                legend=uplot.Legend(show=False),
-                padding=(0, 12, 0, 0),
-                height=240,
-            )
-            self._numbers = page.gui.add_html(block(_WORDS))
-            self._hold = page.gui.add_button("Hold the newest run", disabled=True)
-            self._release = page.gui.add_button("Let the held run go", visible=False)
-        page.panels[_TITLE] = self.panel
-        self._hold.on_click(from_user(self.hold, page))
-        self._release.on_click(from_user(self.release, page))
-
-    def hold(self) -> None:
-        """Keep the newest run, and its trace."""
-        self._held = self._newest
-        if self._line is not None:
-            self._line.hold()
-        self._release.visible = self._held is not None
-
-    def release(self) -> None:
-        """Forget the run that is held."""
-        self._held, self._release.visible = None, False
-        if self._line is not None:
-            self._line.release()
-
-    def draw(self, line: LineScene) -> None:
-        """Draw the newest run along a line beside the one that is held, if anything has changed."""
-        if self._held is not None and not line.holds:
-            self.release()  # of another line
-        self._line, self._newest = line, line.meter.run
-        times = np.empty(0) if self._newest is None else self._newest.times[[0, -1]]
-        shown = (self._held, *times.tolist(), line.meter)
-        if shown == self._drawn:
-            return
-        self._drawn = shown
-        self._hold.disabled = self._newest is None
-        runs = [run for run in (self._held, self._newest) if run is not None]
-        length = max((float(run.along.max()) for run in runs), default=1.0)
-        way = np.linspace(0.0, length * 1e3, _PLACES)
-        curves = [_over(way, run) for run in (self._held, self._newest)]
-        extent = np.zeros(_PLACES)
-        extent[0] = max((run.worst * 1e3 for run in runs), default=0.0)
-        self._plot.data = (way, extent, *curves)
-        self._numbers.content = block(_comparison(self._held, self._newest) if runs else _WORDS)
-
-    def panel(self) -> Panel:
-        """Return both runs, sample by sample, as a plot for a file."""
-        both = (("held", self._held, GREY), ("newest", self._newest, COLOURS[0]))
-        curves = [
-            Curve(run.along * 1e3, run.perpendicular * 1e3, name, colour)
-            for name, run, colour in both
-            if run is not None
-        ]
-        return Panel(curves, "", _ALONG, "path error [mm]", from_zero=True)
-
-
-def _over(way: Array, run: PathAccuracy | None) -> Array:
-    """Return the largest path error at each place of the way, mm; NaN where the run has not come to, or is none."""
-    if run is None:
-        return np.full(len(way), np.nan)
-    place = np.clip(np.rint(run.along * 1e3 / way[-1] * (len(way) - 1)).astype(np.int64), 0, len(way) - 1)
-    largest = np.full(len(way), np.nan)
-    np.fmax.at(largest, place, run.perpendicular * 1e3)
-    known = np.isfinite(largest)
-    return np.asarray(np.interp(way, way[known], largest[known], right=np.nan))
-
-
-def _comparison(held: PathAccuracy | None, newest: PathAccuracy | None) -> str:
-    rows = []
-    for name, run in (("held", held), ("newest", newest)):
-        if run is not None:
-            at = float(run.along[np.argmax(run.perpendicular)])
-            rows.append((name, f"{run.worst * 1e3:.4f}", f"{at * 1e3:.0f}", f"{run.rms * 1e3:.4f}"))
-    if held is not None and newest is not None:
-        rows.append(("newest / held", f"{newest.worst / held.worst:.3f}", "", f"{newest.rms / held.rms:.3f}"))
-    head = "".join(f"<th>{word}</th>" for word in ("path error", "largest, mm", "at, mm", "RMS, mm"))
-    cells = ("".join(f"<td>{word}</td>" for word in row) for row in rows)
-    lines = "".join(f"<tr>{row}</tr>" for row in cells)
-    return f'<table style="width:100%;text-align:left"><tr>{head}</tr>{lines}</table>'
 
 
 class LivePlots:
@@ -205,17 +172,17 @@ class LivePlots:
             box.on_update(lambda _: self._page.later(choose))
         choose()
 
-    def add(self, state: ArmState, error: float) -> None:
-        """Add a state, and the path error of the spot, m, NaN where none counts."""
+    def add(self, state: JointSample, elements: JointSample | None, error: float) -> None:
+        """Add a state, that of the friction elements, and the path error of the spot, m, NaN where none counts."""
         if state.time == self._time:
             return  # it stands still
         self._time = state.time
         self._velocity.add(state.time, state.velocity)
-        self._torque.add(state.time, state.torque)
+        self._torque.add(state.time, state.effort)
         self._error.add(state.time, [error * 1e3])
-        if state.friction is not None:
-            self._friction.add(state.time, state.friction.torque)
-            self._deflection.add(state.time, state.friction.deflection * 1e6)
+        if elements is not None:
+            self._friction.add(state.time, elements.effort)
+            self._deflection.add(state.time, elements.position * 1e6)
 
     def add_to_loop(self, samples: Sequence[JointSample], *, at_ticks: bool) -> None:
         """Add what came of the friction elements; where ticks are missing the loop begins anew."""
@@ -238,7 +205,7 @@ class LivePlots:
             plot.draw()
 
 
-def status_html(source: LiveSource, state: ArmState | None, error: str, now: float) -> str:
+def status_html(source: LiveSource, state: JointSample | None, error: str, now: float) -> str:
     """Return a table: what is connected, time and pace, brakes, controller, trajectory, path error.
 
     Args:
@@ -291,7 +258,7 @@ def _colored(text: str, level: int) -> str:
     return f'<span style="color:{color};font-weight:600">{html.escape(text)}</span>'
 
 
-def _trajectory(source: LiveSource, state: ArmState) -> str:
+def _trajectory(source: LiveSource, state: JointSample) -> str:
     span = source.watch.trajectory
     if span is None or state.time > span.end:
         return "none"
@@ -317,7 +284,7 @@ class LiveView:
         self._page, self._source = page, source
         self._chain = robot.chain
         self._followed: Trajectory | None = None
-        self.state: ArmState | None = None
+        self.state: JointSample | None = None
         self.arm = ArmScene(page, "/arm", robot)
         self._line = None if line is None else LineScene(page, "/reference", np.array(line.start), np.array(line.end))
         self._plots = LivePlots(page, robot)
@@ -353,7 +320,7 @@ class LiveView:
         self._line.place(start, end)
         self._followed = None
 
-    def newest(self) -> ArmState | None:
+    def newest(self) -> JointSample | None:
         """Return the newest state; None where there is none, or its simulation has gone."""
         return None if self._source.problem(time.monotonic()) else self.state
 
@@ -376,7 +343,7 @@ class LiveView:
             tips = tip_position(self._chain, np.array([state.position for state in states]))
             error = self._line.add(np.array([state.time for state in states]), tips)
         self.state = newest
-        self._plots.add(newest, error)
+        self._plots.add(newest, self._source.elements, error)
         self._plots.add_to_loop(self._source.friction, at_ticks=self._source.watch.listens_at_ticks)
 
     def _follow(self, line: LineScene) -> None:

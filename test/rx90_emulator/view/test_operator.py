@@ -18,8 +18,8 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.node.trajectory_client import enable_request
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.panel.element_form import changed
-from rx90_emulator.view.panel.operator import Heard, NodeNames, Operator
+from rx90_emulator.view.element_form import changed
+from rx90_emulator.view.operator import NodeNames, Operator
 from rx90_sim.node.simulation_client import pause_request, reset_request, step_request
 
 REST = np.zeros((1, 6))
@@ -33,7 +33,7 @@ class Listener:
         self.states = ("", "")
         self.listens = threading.Event()
         self.listens.set()
-        self.operator = Operator(names, Heard(self._note, self._take), timeout)
+        self.operator = Operator(names, self._note, self._take, timeout)
 
     def _note(self, *line: str | bool) -> None:
         self.said.append(line)  # type: ignore[arg-type]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 from viser import GuiUplotHandle, uplot
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, Rx90Error
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import FRICTION_PARAMETERS, FRICTION_UNITS, FrictionParameter
@@ -18,11 +19,8 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.tracing import prescribed_torque
 from rx90_common.process.files import write_text
 from rx90_common.report.plot import COLOURS, GREY, Curve, Panel
-from rx90_emulator.view.changes import from_user, on_change, put
-from rx90_emulator.view.output import ExistingFileError
-from rx90_emulator.view.page import Page
-from rx90_emulator.view.panel.newest import NewestOnly
-from rx90_emulator.view.widgets import sentence
+from rx90_emulator.view.page import FileFields, NewestOnly, Page, on_change, put, sentence
+from rx90_emulator.view.plots import add_plot
 
 _INTERVAL = 0.05
 _TOP = 20.0  # Stribeck velocities, the reach of the curve
@@ -34,30 +32,17 @@ _LEG = 120  # steps from one reversal to the other
 _PERIOD = 2.0  # s, of the motion to and fro: so slow that what is seen is the bristle, not c1 and c2
 
 
-class StribeckCurve(NamedTuple):
-    """Velocity, rad/s, and torque after a long time at it, Nm, each of shape (n,)."""
-
-    velocity: Array
-    torque: Array
-
-
-class PreslidingLoop(NamedTuple):
-    """Torques along a motion to and fro, Nm, and the displacement of both, rad, each of shape (n,)."""
-
-    displacement: Array
-    forth: Array
-    back: Array
-
-
-def stribeck_curve(element: FrictionElement, top: float) -> StribeckCurve:
-    """Return the steady torque up to a velocity of either sign, rad/s, with more points where it is small."""
+def stribeck_curve(element: FrictionElement, top: float) -> tuple[Array, Array]:
+    """Return velocities up to `top` of either sign, rad/s, dense where it is small, and steady torque, Nm, (n,)."""
     speed = top * np.linspace(0.0, 1.0, _CURVE + 1)[1:] ** 3
     velocity = np.concatenate([-speed[::-1], [0.0], speed])
-    return StribeckCurve(velocity, element.steady_torque(velocity))
+    return velocity, np.asarray(element.steady_torque(velocity))
 
 
-def presliding_loop(element: FrictionElement, amplitude: float) -> PreslidingLoop:
-    """Return the closed loop of torque and displacement between two reversals, by the steps of the simulation.
+def presliding_loop(element: FrictionElement, amplitude: float) -> tuple[Array, Array, Array]:
+    """Return the closed loop between two reversals, by the steps of the simulation.
+
+    It is the displacement, rad, and the torques forth and back, Nm, each of shape (n,).
 
     Args:
         element: the element.
@@ -70,7 +55,7 @@ def presliding_loop(element: FrictionElement, amplitude: float) -> PreslidingLoo
     torque = prescribed_torque((element,), velocity[:, None], np.full(velocity.size, step))[:, 0]
     back, forth = torque[-2 * _LEG : -_LEG], torque[-_LEG:]
     middle = amplitude * ((np.arange(_LEG) + 0.5) * 2.0 / _LEG - 1.0)
-    return PreslidingLoop(middle, forth, back[::-1])
+    return middle, forth, back[::-1]
 
 
 def break_away(element: FrictionElement) -> float:
@@ -138,9 +123,8 @@ class ElementForm:
     """
 
     def __init__(self, page: Page, file: FrictionFile, start_with: Callable[[str], None]) -> None:
-        self._page, self._file, self._start_with = page, file, start_with
+        self._file, self._start_with = file, start_with
         self._result, self._missing = file, ""
-        self._number = 0  # of the newest values
         names = list(file.elements)
         self._element = page.gui.add_dropdown("element", names)
         self._slid_one = page.gui.add_dropdown("slide", [p.name for p in FRICTION_PARAMETERS])
@@ -153,24 +137,21 @@ class ElementForm:
         self._verdict = page.gui.add_html("")
         self._fields = [page.gui.add_text(_label(p), "", hint=_hint(p)) for p in FRICTION_PARAMETERS]
         self._yaml = page.gui.add_markdown("")
-        self._path = page.gui.add_text("friction file", _FILE)
-        self._write = page.gui.add_button("Write the file")
-        self._start = page.gui.add_button("Start the simulation again with it")
-        self._replace = page.gui.add_button("Replace the file that is there", color="red", visible=False)
-        self._refused_name, self._wanted_start = "", False  # what "Replace" confirms
-        self._done = page.gui.add_html(
-            sentence("A simulation reads its friction when it is configured: time begins again at 0.")
+        self._files = FileFields(
+            page,
+            "friction file",
+            _FILE,
+            {"Write the file": ("", self._save), "Start the simulation again with it": ("", self._save_and_start)},
+            "A simulation reads its friction when it is configured: time begins again at 0.",
         )
-        self._drawing: NewestOnly[tuple[int, str, tuple[str, ...], float]] = NewestOnly(self._compute, _INTERVAL)
+        self._write, self._start = self._files.buttons.values()
+        self._drawing: NewestOnly[tuple[str, tuple[str, ...], float]] = NewestOnly(page, self._compute, _INTERVAL)
         on_change(self._element, self._chosen, page)
         on_change(self._slid_one, self._slide_another, page)
         on_change(self._factor, self._slid, page)
         on_change(self._way, self._give, page)
         for field in self._fields:
             on_change(field, self._give, page)
-        self._write.on_click(from_user(lambda: self._save(start=False), page))
-        self._start.on_click(from_user(lambda: self._save(start=True), page))
-        self._replace.on_click(from_user(self._confirm, page))
         self._chosen()
 
     def close(self) -> None:
@@ -186,7 +167,7 @@ class ElementForm:
 
     def tell(self, text: str, wrong: bool) -> None:
         """Say how a start of the simulation with the file has gone."""
-        self._done.content = sentence(text, wrong=wrong)
+        self._files.said.content = sentence(text, wrong=wrong)
 
     def _chosen(self) -> None:
         for field, text in zip(self._fields, typed_values(self._file.elements[self._element.value]), strict=True):
@@ -209,36 +190,29 @@ class ElementForm:
     def _give(self) -> None:
         self._verdict.content = sentence("checking ...")
         self._write.disabled = self._start.disabled = True  # the file would be of other values
-        self._replace.visible = False
-        self._number += 1
+        self._files.withdraw()
         texts = tuple(field.value for field in self._fields)
-        self._drawing.give((self._number, self._element.value, texts, self._way.value))
+        self._drawing.give((self._element.value, texts, self._way.value))
 
-    def _compute(self, item: tuple[int, str, tuple[str, ...], float]) -> None:
+    def _compute(self, item: tuple[str, tuple[str, ...], float]) -> Callable[[], None]:
         """Compute on a thread of its own: the first time, kernels are compiled."""
-        number, name, texts, way = item
+        name, texts, way = item
         try:
             file = changed(self._file, name, read_values(texts))
         except ConfigError as error:
-            text = str(error)
-            self._page.later(lambda: self._refused(number, text))
-            return
+            return partial(self._refuse, str(error))
         before, after = self._file.elements[name], file.elements[name]
         top, amplitude = _TOP * before.omega_s, way * break_away(before)
         curves = [stribeck_curve(element, top) for element in (before, after)]
         loops = [presliding_loop(element, amplitude) for element in (before, after)]
-        plots = (curves[0].velocity, *(curve.torque for curve in curves)), _together(loops)
-        self._page.later(lambda: self._show(number, name, file, *plots))
+        torques = (curves[0][0], *(torque for _, torque in curves))
+        loop = (loops[0][0] * _MICRO, *(leg for _, *legs in loops for leg in legs))
+        return partial(self._show, name, file, torques, loop)
 
-    def _refused(self, number: int, text: str) -> None:
-        if number == self._number:
-            self._verdict.content = sentence(text, wrong=True)
+    def _refuse(self, text: str) -> None:
+        self._verdict.content = sentence(text, wrong=True)
 
-    def _show(
-        self, number: int, name: str, file: FrictionFile, curve: tuple[Array, ...], loop: tuple[Array, ...]
-    ) -> None:
-        if number != self._number:
-            return  # of other values than those in the fields
+    def _show(self, name: str, file: FrictionFile, curve: tuple[Array, ...], loop: tuple[Array, ...]) -> None:
         self._result = file
         self._write.disabled = False
         self.follow(self._missing)
@@ -249,27 +223,14 @@ class ElementForm:
         one = FrictionFile({name: file.elements[name]}, file.provenance, file.source).text()
         self._yaml.content = f"```yaml\n{_without_comments(one)}```"
 
-    def _save(self, *, start: bool, confirmed: str = "") -> None:
-        name = self._path.value
-        self._replace.visible = False
-        try:
-            path = self._page.output.path_for(name, replace=name == confirmed)
-            write_text(path, self._result.text())
-        except ExistingFileError as error:
-            self._refused_name, self._wanted_start = name, start
-            self._replace.visible = True
-            self._done.content = sentence(str(error), wrong=True)
-        except Rx90Error as error:
-            self._done.content = sentence(str(error), wrong=True)
-        else:
-            then = "the simulation is started again ..." if start else "for the next start:"
-            self._done.content = sentence(f"written; {then} -p friction:={path}")
-            if start:
-                self._start_with(str(path))
+    def _save(self, path: Path) -> str:
+        write_text(path, self._result.text())
+        return f"written; for the next start: -p friction:={path}"
 
-    def _confirm(self) -> None:
-        if self._replace.visible:
-            self._save(start=self._wanted_start, confirmed=self._refused_name)
+    def _save_and_start(self, path: Path) -> str:
+        self._save(path)
+        self._start_with(str(path))
+        return f"written; the simulation is started again ... -p friction:={path}"
 
 
 def _hint(parameter: FrictionParameter) -> str:
@@ -282,32 +243,16 @@ def _label(parameter: FrictionParameter) -> str:
 
 
 def _plot(page: Page, title: str, x: str, labels: Sequence[str]) -> GuiUplotHandle:
-    series = [
-        uplot.Series(label=label, stroke=GREY if label.startswith("file") else COLOURS[0], width=1.5)
-        for label in labels
-    ]
-    handle = page.gui.add_uplot(
-        tuple(np.array([-1.0, 1.0]) for _ in range(1 + len(labels))),
-        (uplot.Series(), *series),
-        title=title,
-        scales={"x": uplot.Scale(time=False)},
-        axes=(uplot.Axis(label=x, size=30, labelSize=18), uplot.Axis(size=50)),
-        legend=uplot.Legend(show=False),
-        padding=(8, 12, 0, 0),
-        height=165,
-    )
     colours = [GREY if label.startswith("file") else COLOURS[0] for label in labels]
+    pairs = list(zip(labels, colours, strict=True))
+    series = [uplot.Series(label=label, stroke=colour, width=1.5) for label, colour in pairs]
 
     def panel() -> Panel:
         along, *curves = handle.data
         return Panel([Curve(along, *rest) for rest in zip(curves, labels, colours, strict=True)], "", x, title)
 
-    page.panels[title] = panel
+    handle = add_plot(page, title, panel, (uplot.Series(), *series), x=x, height=165)
     return handle
-
-
-def _together(loops: Sequence[PreslidingLoop]) -> tuple[Array, ...]:
-    return (loops[0].displacement * _MICRO, *(leg for loop in loops for leg in (loop.forth, loop.back)))
 
 
 def _without_comments(text: str) -> str:

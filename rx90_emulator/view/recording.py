@@ -26,7 +26,7 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES, SAMPLED
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.identification.robot import BagLayout, arm_layout, with_signals
-from rx90_emulator.view.bags.track import Track
+from rx90_emulator.view.track import Track
 
 _FRICTION, _REFERENCE = "friction_states", "reference"
 _SHOWN = {_FRICTION: ("effort",), _REFERENCE: ("position",)}
@@ -220,9 +220,8 @@ def open_recording(path: Path, robot: RobotModel, files: RobotFiles, options: Me
             if shown is not None:
                 wanted = robot.joint_names if name == _REFERENCE else None
                 collectors[shown] = SeriesCollector(bag, shown, fields, wanted, layout.record_time)
-        changes = _read(bag, collectors)
+        changes, series = _read(bag, collectors)
         notes = [*bag.notes]
-        series = {topic: _series(path, collector) for topic, collector in collectors.items()}
         kind = " of ".join(part for part in (bag.storage, bag.compression) if part)
     states = series.pop(arm)
     if states is None or states.position is None:
@@ -251,8 +250,10 @@ def _beside(arm: BagTopic, topics: Sequence[BagTopic], name: str) -> BagTopic | 
     return min(found, key=lambda topic: topic.name.count("/")) if found else None
 
 
-def _read(bag: BagReader, collectors: dict[BagTopic, SeriesCollector]) -> list[ParameterChange]:
-    """Hand each message to its collector; return the changes of parameters."""
+def _read(
+    bag: BagReader, collectors: dict[BagTopic, SeriesCollector]
+) -> tuple[list[ParameterChange], dict[BagTopic, JointSeries | None]]:
+    """Hand each message to its collector; return the changes of parameters, and the series of each topic."""
     telling = [topic for topic in bag.topics if tells_changes(topic.name, topic.msgtype)]
     changes: list[ParameterChange] = []
     total = sum(topic.count for topic in (*collectors, *telling))
@@ -267,21 +268,10 @@ def _read(bag: BagReader, collectors: dict[BagTopic, SeriesCollector]) -> list[P
                     collector.add(log_ns, data)
                 if number % _STEP == 0:
                     bar.update(_STEP)
+        return changes, {topic: collector.series() for topic, collector in collectors.items()}
     except BagError as error:
-        raise _of_bag(bag.path, error) from error
-    return changes
-
-
-def _series(path: Path, collector: SeriesCollector) -> JointSeries | None:
-    try:
-        return collector.series()
-    except BagError as error:
-        raise _of_bag(path, error) from error
-
-
-def _of_bag(path: Path, error: BagError) -> BagError:
-    text, name = str(error), plain(path)
-    return error if text.startswith(name) else BagError(f"{name}: {text}")
+        text, name = str(error), plain(bag.path)
+        raise error if text.startswith(name) else BagError(f"{name}: {text}") from error
 
 
 def _on_joint_side(series: JointSeries, layout: BagLayout) -> JointSeries:

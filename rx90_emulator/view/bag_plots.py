@@ -12,12 +12,10 @@ from viser import uplot
 from rx90_common.base.arrays import Array
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.report.plot import COLOURS, Curve, Panel
-from rx90_emulator.view.bags.difference import Difference
-from rx90_emulator.view.bags.recording import Recording
-from rx90_emulator.view.bags.times import since
-from rx90_emulator.view.bags.track import Track
 from rx90_emulator.view.page import Page
-from rx90_emulator.view.plots import TIME_AXIS, extent_series, parts_of
+from rx90_emulator.view.plots import add_plot, extent_series, parts_of
+from rx90_emulator.view.recording import Recording
+from rx90_emulator.view.track import Difference, Track, since
 
 _ALL = "all joints"
 _SPANS = ("0.02", "0.1", "0.5", "2", "10", "60")
@@ -77,21 +75,11 @@ class CurvesPlot:
     ) -> None:
         self._curves, self._origin, self._least = tuple(curves), origin_ns, least
         self._title = title
-        page.panels[title] = self.panel
         self._chosen = [True] * len(self._curves)
         self._parts = min(_MOST_PARTS, 1 + max(len(curve.track.gaps()) for curve in self._curves))
         self._span = (0, 0)
         self._points: tuple[Array, list[Array]] = (np.zeros(0), [])
-        self._plot = page.gui.add_uplot(
-            tuple(np.zeros(2) for _ in range(3 + self._parts * len(self._curves))),
-            self._series(),
-            title=title,
-            scales={"x": uplot.Scale(time=False)},
-            axes=(TIME_AXIS, uplot.Axis(size=56)),
-            legend=uplot.Legend(show=False),
-            padding=(0, 12, 0, 0),
-            height=height,
-        )
+        self._plot = add_plot(page, title, self.panel, self._series(), height=height)
 
     def choose(self, wanted: Callable[[str], bool]) -> None:
         """Show those curves alone whose label `wanted` holds for; all, where it holds for none."""

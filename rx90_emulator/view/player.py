@@ -2,32 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from time import monotonic
-from typing import NamedTuple
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array
-from rx90_common.base.quoting import plain
+from rx90_common.bags.recorded import time_shift
+from rx90_common.base.quoting import one_line, plain
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.description.chain import RigidChain
-from rx90_common.description.robot import RobotModel
-from rx90_common.description.tip import tip_position
-from rx90_controller.lines.task import SETTLING
-from rx90_emulator.view.arm import ArmScene
-from rx90_emulator.view.bags.bag_plots import BagPlots
-from rx90_emulator.view.bags.difference import Difference
-from rx90_emulator.view.bags.playback import Playback
-from rx90_emulator.view.bags.recording import Recording
-from rx90_emulator.view.bags.times import seconds, since
-from rx90_emulator.view.bags.track import Track, blocks
-from rx90_emulator.view.changes import from_user, on_change, put
-from rx90_emulator.view.line import legend_html, line_colors
-from rx90_emulator.view.page import Page
-from rx90_emulator.view.plot_export import PlotExport
+from rx90_common.description.robot import RobotModel, load_robot
+from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.identification.options import MeasuredLayout
+from rx90_emulator.view.bag_plots import BagPlots
+from rx90_emulator.view.page import Page, from_user, on_change, put
+from rx90_emulator.view.plots import add_plot_export
+from rx90_emulator.view.recording import Recording, open_recording
+from rx90_emulator.view.scene import ArmScene, legend_html, line_colors
+from rx90_emulator.view.track import Difference, Track, difference, path_error_track, seconds, since, tip_path
+
+SLOWEST, FASTEST = 0.01, 10.0
+
+
+@dataclass
+class Playback:
+    """A time between the beginning and the end of what is played.
+
+    Attributes:
+        end: s; the beginning is 0.
+        time: s.
+        speed: recorded seconds for each second of the wall clock.
+        playing: whether time runs.
+        loop: whether it begins again at its end.
+    """
+
+    end: float
+    time: float = 0.0
+    speed: float = 1.0
+    playing: bool = False
+    loop: bool = False
+
+    def seek(self, time: float) -> None:
+        """Go to a time; before the beginning or after the end to these."""
+        self.time = min(max(time, 0.0), self.end)
+
+    def play(self) -> None:
+        """Let time run; from the beginning, where it is at the end."""
+        if self.time >= self.end:
+            self.time = 0.0
+        self.playing = True
+
+    def advance(self, elapsed: float) -> None:
+        """Let `elapsed` s of the wall clock go by; at the end time stops, or begins again."""
+        if not self.playing:
+            return
+        time = self.time + self.speed * elapsed
+        if time < self.end:
+            self.time = time
+        elif self.loop and self.end > 0.0:
+            self.time = time % self.end
+        else:
+            self.time, self.playing = self.end, False
+
 
 _POSE_PERIOD = 1.0 / 30.0  # s
 _AROUND_PERIOD = 0.15
@@ -40,68 +79,6 @@ _HOLDS_STILL = 0.4  # s after the slider was moved by hand, in which it is not m
 _MOST_MARKS = 12
 _MOST_CHANGES = 30
 _MOST_GAPS = 5
-_AT_REST = 1e-4  # m/s, of the set-points: below it they have no direction of their own
-PATH_ERROR = "path error"
-
-
-class TipPath(NamedTuple):
-    """Where the tip has been.
-
-    Attributes:
-        points: (m, 3) in the order of time, m; NaN in gaps.
-        error: (m - 1,) largest path error on the way from each point to the next, m; NaN where none counts.
-    """
-
-    points: Array
-    error: Array
-
-
-def path_error_track(recording: Recording, chain: RigidChain) -> Track | None:
-    """Return the distance of the tip from the path of its set-points under PATH_ERROR, m; None without set-points.
-
-    It is the distance from the set-point of the same time, without its part along the path, which is the lag. It counts
-    as `LineTask.counted` says of a line: while the set-points move and until the arm has settled, where their path has
-    the direction of their last motion. Elsewhere it is NaN.
-    """
-    arm, reference = recording.arm, recording.reference
-    if reference is None:
-        return None
-    direction, counted = _directions(reference, chain)
-    error = np.empty((len(arm.time_ns), 1))
-    for rows in blocks(len(arm.time_ns)):
-        time_ns = arm.time_ns[rows]
-        target = tip_position(chain, reference.at("position", time_ns))
-        off = tip_position(chain, arm.values["position"][rows]) - target
-        place = np.searchsorted(reference.time_ns, time_ns, side="right") - 1
-        across = off - np.sum(off * direction[place], axis=1)[:, None] * direction[place]
-        error[rows, 0] = np.where(counted[place] & (place >= 0), np.linalg.norm(across, axis=1), np.nan)
-    return Track((PATH_ERROR,), arm.time_ns, {"position": error}, arm.gap_ns)
-
-
-def _directions(reference: Track, chain: RigidChain) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the direction of the path at each set-point, shape (n, 3), and whether its path error counts, (n,)."""
-    count = len(reference.time_ns)
-    tips = np.empty((count, 3))
-    for rows in blocks(count):
-        tips[rows] = tip_position(chain, reference.values["position"][rows])
-    way = np.diff(tips, axis=0, append=tips[-1:])
-    length = np.linalg.norm(way, axis=1)
-    moving = length > _AT_REST * np.diff(reference.time_ns, append=reference.time_ns[-1] + 1) / NANOSECONDS
-    last = np.maximum.accumulate(np.where(moving, np.arange(count), -1))
-    ended = reference.time_ns[np.minimum(last + 1, count - 1)]
-    counted = (last >= 0) & (reference.time_ns - ended <= SETTLING * NANOSECONDS)
-    return np.asarray(way[last] / np.where(length[last] > 0.0, length[last], 1.0)[:, None]), counted
-
-
-def tip_path(arm: Track, error: Track | None, chain: RigidChain, pieces: int) -> TipPath:
-    """Return the way of the tip in at most `pieces` pieces of equal time; of each the largest path error."""
-    count = max(1, min(pieces, len(arm.time_ns) - 1))
-    edges = arm.begin_ns + ((arm.end_ns - arm.begin_ns) * np.arange(count + 1, dtype=np.int64)) // count
-    points = tip_position(chain, arm.at("position", edges))
-    if error is None:
-        return TipPath(points, np.full(count, np.nan))
-    _, values = error.envelope("position", arm.begin_ns, arm.end_ns, count)
-    return TipPath(points, np.fmax(values[0::2, 0], values[1::2, 0]))
 
 
 def recording_text(recording: Recording, robot: str, origin_ns: int) -> str:
@@ -275,7 +252,7 @@ class BagPlayer:
         if len(recordings) > 1:
             self.arms.append(ArmScene(page, "/ghost", robot, ghost=_GHOST))
         page.look_at_arm(robot)
-        errors = [path_error_track(recording, robot.chain) for recording in recordings]
+        errors = [path_error_track(recording.arm, recording.reference, robot.chain) for recording in recordings]
         self._draw_path(page, robot, errors[0])
         with page.tab("Bag"):
             self._add_controls(page)
@@ -296,7 +273,7 @@ class BagPlayer:
         known = [error for error in errors if error is not None]
         self._plots = BagPlots(page, recordings, difference, known, (begin, end))
         with page.tab("Files"):
-            PlotExport(page)
+            add_plot_export(page)
         self._shown: float | None = None
         self._hidden = False  # the ghost
         self._before: float | None = None
@@ -327,15 +304,12 @@ class BagPlayer:
 
     def _draw_path(self, page: Page, robot: RobotModel, error: Track | None) -> None:
         """Draw where the first recording's tip has been."""
-        path = tip_path(self._recordings[0].arm, error, robot.chain, _PIECES)
-        pieces = np.stack([path.points[:-1], path.points[1:]], axis=1)
-        colors = line_colors(path.error)
+        points, error_of = tip_path(self._recordings[0].arm, error, robot.chain, _PIECES)
+        pieces = np.stack([points[:-1], points[1:]], axis=1)
+        colors = line_colors(error_of)
         there = np.isfinite(pieces).all(axis=(1, 2))
         if there.any():
-            page.scene.add_line_segments(
-                "/path", pieces[there].astype(np.float32), np.repeat(colors[there, None], 2, axis=1),
-                thickness=4.0, thickness_units="screen",
-            )  # fmt: skip
+            page.add_lines("/path", pieces[there], np.repeat(colors[there, None], 2, axis=1), 4.0)
 
     def _update(self, now: float) -> None:
         if self._before is not None:
@@ -361,3 +335,37 @@ class BagPlayer:
             apart = float(self._difference.tip.at("position", stamp)[0, 0])
             lines.append(f"tips {1e3 * apart:.4g} mm apart" if np.isfinite(apart) else "no difference at this time")
         self._status.content = "; ".join(lines)
+
+
+def open_player(
+    make_page: Callable[[], Page], paths: Sequence[Path], files: RobotFiles, layout: MeasuredLayout, align: int | str
+) -> tuple[Page, BagPlayer]:
+    """Read one bag or two, and only then make the page and show them.
+
+    Args:
+        make_page: called once the bags are read.
+        paths: of the bags.
+        files: of the robot that they are of.
+        layout: what their messages hold where it is not as here.
+        align: what the stamps of the second are moved by, as in `Scope`.
+
+    Raises:
+        Rx90Error: for bags that cannot be read or do not fit together, robot files and pages that cannot be.
+    """
+    robot = load_robot(files.urdf, files.tool)
+    recordings = [open_recording(path, robot, files, layout) for path in paths]
+    for path, recording in zip(paths, recordings, strict=True):
+        for note in recording.notes:
+            print(one_line(f"{path}: {note}"), file=sys.stderr)
+    found, shift = None, 0
+    if len(recordings) > 1:
+        shift = time_shift(align, *recordings)
+        recordings[1] = recordings[1].moved(shift)
+        first, second = recordings
+        found = difference(first.arm, second.arm, robot.chain, (first.path, second.path))
+    page = make_page()
+    try:
+        return page, BagPlayer(page, robot, recordings, found, shift)
+    except BaseException:
+        page.close()
+        raise

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -18,6 +19,11 @@ from rx90_controller.lines.plan import Approach, ApproachedLine, LinePlan, appro
 from rx90_controller.lines.task import LineTask
 from rx90_controller.trajectory import JointLimits
 from rx90_controller.trajectory.spline import interpolate
+from rx90_emulator.view.page import NewestOnly, Page, from_user, on_change, sentence
+from rx90_emulator.view.scene import PLANNED
+
+_CHECKS = 0.1  # s from one check to the next while somebody types
+_STANDS, _ELSEWHERE = 1e-4, 1e-2  # rad, from one look to the next; from where it was checked
 
 _DRAWN = 60  # points of the approach
 _LARGEST = 1e6  # of what is typed, in its unit; far beyond any arm, and far from what overflows
@@ -142,3 +148,113 @@ def _numbers(what: str, text: str, count: int, unit: str) -> tuple[float, ...]:
     if not finite:
         raise LineError(f"{what} is {quoted(text)}; accepted: {accepted}, {unit}")
     return values
+
+
+class LineForm:
+    """Fields for start, end, speed, acceleration and tool; a line that says what comes of them; a button to send it.
+
+    Args:
+        page: to build in, within a tab.
+        checker: checks.
+        task: what stands in the fields at first.
+        send: takes a line that was checked, when the button is pressed.
+    """
+
+    def __init__(self, page: Page, checker: LineChecker, task: LineTask, send: Callable[[LinePreview], None]) -> None:
+        self._checker, self._send = checker, send
+        self._here: Array | None = None
+        self._checked_from: Array | None = None
+        self._missing = ""
+        self._wanted = False
+        self.preview: LinePreview | None = None
+        first = TypedLine.of(task)
+        self._fields = [
+            page.gui.add_text(label, text)
+            for label, text in (
+                ("start, m", first.start),
+                ("end, m", first.end),
+                ("speed, m/s", first.speed),
+                ("acceleration, m/s²", first.acceleration),
+                ("tool rpy, deg", first.tool_rpy),
+            )
+        ]
+        self._verdict = page.gui.add_html("")
+        self._button = page.gui.add_button("Send the line", disabled=True)
+        self._reason = page.gui.add_html("")
+        self._drawn = [
+            page.add_lines(f"/panel/{name}", np.zeros((1, 2, 3)), PLANNED, thickness, visible=False)
+            for name, thickness in (("line", 3.0), ("approach", 1.5))
+        ]
+        self._checking: NewestOnly[tuple[TypedLine, Array | None]] = NewestOnly(page, self._check, _CHECKS)
+        for field in self._fields:
+            on_change(field, self._typed, page)
+        self._button.on_click(from_user(self._pressed, page))
+        self._typed()
+
+    def close(self) -> None:
+        """End the thread that checks."""
+        self._checking.close()
+
+    def follow(self, here: Array | None, missing: str) -> None:
+        """Take where the arm is, rad, shape (6,), None for unknown, and what is missing to send a line, if anything.
+
+        Where the arm has come to rest elsewhere, the approach is another one.
+        """
+        stands = here is not None and self._here is not None and np.abs(here - self._here).max() < _STANDS
+        self._here, self._missing = here, missing
+        before = self._checked_from
+        if stands and here is not None and (before is None or np.abs(here - before).max() > _ELSEWHERE):
+            self._give()
+        self._enable()
+
+    def _typed(self) -> None:
+        self._wanted = False
+        self._give()
+
+    def _pressed(self) -> None:
+        # The arm may have moved since the line was checked.
+        self._wanted = True
+        self._give()
+
+    def _give(self) -> None:
+        self.preview = None
+        self._verdict.content = sentence("checking ...")
+        self._enable()
+        self._checked_from = self._here
+        self._checking.give((TypedLine(*(field.value for field in self._fields)), self._here))
+
+    def _check(self, item: tuple[TypedLine, Array | None]) -> Callable[[], None]:
+        """Check on a thread of its own."""
+        try:
+            return partial(self._accept, self._checker.preview(*item))
+        except LineError as error:
+            return partial(self._refuse, str(error))
+
+    def _refuse(self, text: str) -> None:
+        self._wanted = False
+        self._verdict.content = sentence(text, wrong=True)
+        for drawn in self._drawn:
+            drawn.visible = False
+
+    def _accept(self, found: LinePreview) -> None:
+        wanted, self._wanted = self._wanted, False
+        line, approach = self._drawn
+        self.preview = found
+        self._verdict.content = sentence(found.text())
+        task = found.plan.task
+        line.points = np.array([[task.start, task.end]], dtype=np.float32)
+        line.visible, approach.visible = True, len(found.approach) > 0
+        if len(found.approach):
+            way = found.approach.astype(np.float32)
+            approach.points = np.stack([way[:-1], way[1:]], axis=1)
+        if wanted and not self._missing:
+            self._send(found)
+        self._enable()
+
+    def _enable(self) -> None:
+        disabled = self.preview is None or bool(self._missing)
+        if self._button.disabled != disabled:
+            self._button.disabled = disabled
+        reason = sentence(f"cannot be sent: {self._missing}") if self._missing else ""
+        if self._reason.content != reason:
+            self._reason.content = reason

@@ -13,7 +13,7 @@ from rx90_common.base.errors import LineError
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryGenerator
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.panel.typed_line import LineChecker, TypedLine
+from rx90_emulator.view.line_form import LineChecker, TypedLine
 
 TYPED = TypedLine("0.6 -0.1 0.2", "0.6, 0.1, 0.2", "0.25", "2", "0 180 0")
 

@@ -15,7 +15,7 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import FRICTION_PARAMETERS
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.panel.element_form import (
+from rx90_emulator.view.element_form import (
     break_away,
     changed,
     presliding_loop,

@@ -15,9 +15,9 @@ import pytest
 from rx90_controller.lines.plan import Approach
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.panel import jog_sliders
-from rx90_emulator.view.panel.jog_sliders import JogSliders, JogTarget, jog, slider_range
-from rx90_emulator.view.panel.newest import NewestOnly
+from rx90_emulator.view import panel as jog_sliders
+from rx90_emulator.view.page import NewestOnly
+from rx90_emulator.view.panel import JogSliders, JogTarget, jog, slider_range
 
 ZERO = np.zeros(6)
 
@@ -116,7 +116,7 @@ def test_the_newest_overtakes_what_waits(burst: list[int]) -> None:
         if item == burst[-1]:
             done.set()
 
-    newest: NewestOnly[int] = NewestOnly(work, 0.0)
+    newest: NewestOnly[int] = NewestOnly(SimpleNamespace(), work, 0.0)  # type: ignore[arg-type]
     newest.give(1)
     assert begun.wait(10.0)
     for item in burst:
