@@ -19,11 +19,10 @@ from rx90_common.base.errors import ConfigError, ExchangeError, MessageError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.endpoints import ManualCallbackGroup, never_called
 from rx90_common.exchange.ros_start import reason
-from rx90_common.exchange.subscribing import ManualCallbackGroup, never_called
-from rx90_common.exchange.time_mode import TimeMode
-from rx90_common.exchange.topics import SAMPLED, TIME_MODE, TRAJECTORY_ACCEPTED
+from rx90_common.exchange.topics import SAMPLED, TIME_MODE, TRAJECTORY_ACCEPTED, TimeMode
 
 _NODES = 20  # that may all speak at once
 _SAMPLES = 100  # in a second

@@ -17,8 +17,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.rates import NANOSECONDS, Rates
-from rx90_common.exchange.message_times import ros_time
-from rx90_common.exchange.qos import REQUEST_QOS
+from rx90_common.exchange.endpoints import REQUEST_QOS, ros_time
 from rx90_controller.goals.execution import Feedback, Outcome, Phase
 from rx90_controller.goals.request import GoalError, ResultCode, TrajectoryRequest, check_goal
 from rx90_controller.node.servo_loop import ServoLoop

@@ -9,11 +9,10 @@ from rclpy.publisher import Publisher
 
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange import node_tools
-from rx90_common.exchange.channel import Channel
+from rx90_common.exchange.channel import Channel, Ends, MakeChannel
 from rx90_common.exchange.lifecycle import ManagedNode, started
-from rx90_common.exchange.node_tools import declare_rates
-from rx90_common.exchange.tick_channel import Ends, MakeChannel
-from rx90_common.exchange.time_mode import TimeMode
+from rx90_common.exchange.parameters import declare_rates
+from rx90_common.exchange.topics import TimeMode
 from rx90_controller.node.control import FILE_PARAMETERS, Control, declare_decimation, declare_horizon
 from rx90_controller.node.parameters import forget_law_parameters
 

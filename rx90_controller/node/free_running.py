@@ -13,10 +13,9 @@ from collections.abc import Callable
 
 from rx90_common.base.errors import MessageError
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.exchange.channel import TickChannel
 from rx90_common.exchange.motor_messages import MotorMessages, MotorStates, ServoLoops
-from rx90_common.exchange.pacing import Pacer
-from rx90_common.exchange.throttle import ThrottledLog
-from rx90_common.exchange.tick_channel import TickChannel
+from rx90_common.exchange.pacing import Pacer, ThrottledLog
 
 _LAG = 0.005  # s; up to here missed ticks are computed one by one, beyond it time is skipped
 _PHASE_ADVANCE = 0.02  # of a period: by so much it wakes earlier each time, until it is there before the states

@@ -7,12 +7,11 @@ import time
 from collections.abc import Callable
 
 from rx90_common.base.errors import ExchangeError
+from rx90_common.exchange.channel import TickChannel
 from rx90_common.exchange.lockstep import LockstepController
 from rx90_common.exchange.motor_messages import MotorMessages, ServoLoops
 from rx90_common.exchange.pacing import Pacer
-from rx90_common.exchange.tick_channel import TickChannel
-from rx90_common.exchange.time_mode import TimeMode
-from rx90_common.exchange.topics import FREE_RUNNING, LOCK_STEP
+from rx90_common.exchange.topics import FREE_RUNNING, LOCK_STEP, TimeMode
 from rx90_controller.node.free_running import FreeRunningController
 
 _WAIT_SLICE = 0.1

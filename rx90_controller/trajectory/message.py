@@ -11,7 +11,7 @@ from rx90_common.bags.topics import POINT_FIELDS
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
-from rx90_common.exchange.cdr_reader import CdrReader
+from rx90_common.exchange.cdr import CdrReader
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.points import check_joints
 

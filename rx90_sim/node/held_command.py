@@ -10,8 +10,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import cdr_stamp_ns
-from rx90_common.exchange.throttle import ThrottledLog
-from rx90_common.exchange.tick_channel import TickChannel
+from rx90_common.exchange.channel import TickChannel
+from rx90_common.exchange.pacing import ThrottledLog
 
 MOST_AGE = 3
 """Ticks from the states that a command answers to the last that it is applied in: docs/explanation/free_running.md."""

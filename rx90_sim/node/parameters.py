@@ -12,7 +12,7 @@ from rx90_common.base.rates import Rates
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.node_tools import declare, declare_rates
+from rx90_common.exchange.parameters import declare, declare_rates
 from rx90_common.exchange.topics import LOCK_STEP, SEED, TEMPERATURE_RATE, TIME_MODES
 from rx90_common.friction import load_friction
 from rx90_common.friction.parts.scatter import LARGEST_SEED

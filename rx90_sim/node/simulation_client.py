@@ -7,8 +7,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
-from rx90_common.exchange.client_node import ClientNode
-from rx90_common.exchange.service_calls import ServiceRequest, spoken
+from rx90_common.exchange.client_node import ClientNode, ServiceRequest, spoken
 
 _NAME = "rx90_sim"
 

@@ -13,7 +13,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import LineError
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.service_calls import ServiceRequest
+from rx90_common.exchange.client_node import ServiceRequest
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.law.parameters import load_controller
 from rx90_controller.lines.task import TOOL_DOWN, USUAL_ACCELERATION, USUAL_SPEED, LineTask, load_task

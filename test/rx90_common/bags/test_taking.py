@@ -13,8 +13,8 @@ from ros_client import own_node
 from sensor_msgs.msg import JointState
 
 from rx90_common.bags.recorder.stream import Stream, Streams
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
-from rx90_common.exchange.qos import TICK_QOS
+from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.endpoints import TICK_QOS
 
 
 @pytest.fixture

@@ -13,8 +13,8 @@ from ros_client import Client, seconds
 from sensor_msgs.msg import JointState
 
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
-from rx90_common.exchange.qos import TICK_QOS
+from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.endpoints import TICK_QOS
 from rx90_common.exchange.topics import MOTOR_NAMES
 
 MODES = ("real_time_factor:=1.0", "time_mode:=free_running")

@@ -13,9 +13,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from rx90_common.base.rates import NANOSECONDS, Rates
-from rx90_common.exchange.qos import LATCHED_QOS, TICK_QOS
-from rx90_common.exchange.time_mode import TimeMode
-from rx90_common.exchange.topics import FREE_RUNNING, MOTOR_NAMES
+from rx90_common.exchange.endpoints import LATCHED_QOS, TICK_QOS
+from rx90_common.exchange.topics import FREE_RUNNING, MOTOR_NAMES, TimeMode
 
 
 @pytest.mark.ros

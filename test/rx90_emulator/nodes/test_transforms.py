@@ -15,7 +15,7 @@ from ros_client import Client, seconds
 
 from rx90_common.base.errors import ConfigError
 from rx90_emulator.loop.setup import Setup
-from rx90_sim.node.transforms import Transforms
+from rx90_sim.node.publications import Transforms
 
 START = [0.4, -0.6, 1.2, 3.5, -0.9, -4.0]
 FIXED = {"base_link_inertia", "flange", "tool0", "tool", "tcp"}
