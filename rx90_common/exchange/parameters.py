@@ -84,10 +84,12 @@ def declare(
         try:
             node.declare_parameter(name, default, descriptor)
         except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-            value = None if given is None else given.value
-            raise ConfigError(f"parameter {name} is {quoted(value)}; accepted: {accepted}") from error
-    held: Any = node.get_parameter(name).value
-    return held.tolist() if isinstance(held, array) else held  # type: ignore[no-any-return]  # rclpy's lists are arrays
+            shown = quoted(None if given is None else given.value)
+            raise ConfigError(f"parameter {name} is {shown}; accepted: {accepted}") from error
+    value: Any = node.get_parameter(name).value
+    if isinstance(value, array):  # as rclpy has lists that were set
+        value = value.tolist()
+    return value  # type: ignore[no-any-return]
 
 
 def declare_rates(node: Node) -> Rates:

@@ -159,34 +159,6 @@ class RunControl:
             return self._changed.wait_for(lambda: done() or self.stopped, timeout) and not self.stopped
 
 
-class Heartbeat:
-    """Repeats what was published last for as long as the tick stays the same; for the thread that ticks.
-
-    Latching would not do: only subscribers that ask for it get it, and those would get as many old samples as the
-    queue of a recorder is deep.
-
-    Args:
-        repeat: publishes the newest samples again, to the bit.
-        clock: the steady clock, s.
-    """
-
-    def __init__(self, repeat: Callable[[], None], clock: Callable[[], float] = time.monotonic) -> None:
-        self._repeat, self._clock = repeat, clock
-        self._tick: int | None = None
-        self._due = 0.0
-
-    def beat(self, tick: int) -> None:
-        """Repeat the samples if that is due; called again and again while tick `tick` does not end."""
-        now = self._clock()
-        if tick != self._tick:
-            self._tick = tick
-        elif now >= self._due:
-            self._repeat()
-        else:
-            return
-        self._due = now + _HEARTBEAT_PERIOD
-
-
 class Ticks:
     """Runs the plant tick by tick, in lock-step or in free-running time, on a thread of its own; held at first.
 
@@ -223,7 +195,7 @@ class Ticks:
         self._publications = Publications(node, robot, plant, parameters)
         self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
         self._channel = make_channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
-        self._heartbeat = Heartbeat(self._publications.repeat)
+        self._waiting_tick, self._heartbeat_due = -1, 0.0  # the tick that does not end; s of the steady clock
         self._publishers = (*self._publications.publishers, self._channel.publisher)
         self._published_tick = -1
         self._encode_states = JointStateCodec(MOTOR_NAMES).encoder(*plant.motor_states())
@@ -280,7 +252,7 @@ class Ticks:
                 if advance():
                     self.control.step_done()
             else:
-                self._heartbeat.beat(self._plant.tick)
+                self._beat()
             moving = turn is Turn.STEP
         wait_until_received(self._publishers)
 
@@ -301,8 +273,21 @@ class Ticks:
 
     def _interrupted(self) -> bool:
         """Return whether the exchange should come back; asked now and then while there is no command."""
-        self._heartbeat.beat(self._plant.tick)
+        self._beat()
         return self.control.interrupting()
+
+    def _beat(self) -> None:
+        """Repeat what was published last, to the bit, now and then while the tick stays the same.
+
+        Latching would not do: only subscribers that ask for it get it, and those would get as many old samples as the
+        queue of a recorder is deep.
+        """
+        now, tick = time.monotonic(), self._plant.tick
+        if tick == self._waiting_tick:
+            if now < self._heartbeat_due:
+                return
+            self._publications.repeat()
+        self._waiting_tick, self._heartbeat_due = tick, now + _HEARTBEAT_PERIOD
 
     def _step_free_running(self) -> bool:
         plant = self._plant
