@@ -101,11 +101,11 @@ def add_cogging(plant: Any, state: Any, angle: Array, velocity: Array, torque: A
     motors, cogging = state.cogging, plant.cogging
     to_motor(plant.gear, angle, motors.angle)
     to_motor(plant.gear, velocity, motors.speed)
-    turned, half = load(motors.angle, 6), 0.5 * step * load(motors.speed, 6)
-    total = 0.0 * turned
+    position, half = load(motors.angle, 6), 0.5 * step * load(motors.speed, 6)
+    total = 0.0 * position
     for k in range(cogging.terms):
         harmonic = cogging.harmonic[k]
-        sine, cosine = sine_cosine(harmonic * turned)
+        sine, cosine = sine_cosine(harmonic * position)
         wave = load(cogging.cosine[k], 6) * cosine - load(cogging.sine[k], 6) * sine
         total = total + wave * _mean_of_wave(harmonic * half)
     store(motors.torque, total)

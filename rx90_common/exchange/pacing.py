@@ -70,7 +70,7 @@ class Pacer:
         self._period, self._clock, self._sleep = period, clock, sleep
         self._next_factor = check_factor(factor)
         self._use_factor()
-        self._counts, self._taken = PaceCounts(), clock()
+        self._counts, self._counted_since = PaceCounts(), clock()
 
     def _use_factor(self) -> None:
         self.factor = self._next_factor
@@ -119,7 +119,7 @@ class Pacer:
         """Return the counts since the last call and begin new ones."""
         counts, self._counts = self._counts, PaceCounts()
         now = self._clock()
-        counts.seconds, self._taken = now - self._taken, now
+        counts.seconds, self._counted_since = now - self._counted_since, now
         return counts
 
 

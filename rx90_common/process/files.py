@@ -19,7 +19,7 @@ from rx90_common.process.interrupts import interrupts_later
 _LONGEST_PREFIX = 50  # characters of a name, which may take four bytes each
 _MARK = ".rx90-"
 _RANDOM = "?" * 8  # of `mkdtemp`
-_READER_GONE = 141  # as a shell tells the end by SIGPIPE
+_READER_GONE = 141  # as a shell reports the end by SIGPIPE
 
 
 @contextmanager
