@@ -406,7 +406,8 @@ class JointStateCodec:
         if len(raw) == layout.size:
             stamp_ns = _read_frame(raw, *layout.reading)
             if stamp_ns != _NO_MATCH:
-                return stamp_ns, *layout.views
+                position, velocity, effort = layout.views  # faster than `*layout.views`
+                return stamp_ns, position, velocity, effort
         # A message of any layout; the next one is expected to have the same set of arrays.
         stamp_ns, arrays = _parse_joint_state(raw, self.names)
         self._expected = layout = self._layout(arrays)
