@@ -35,9 +35,9 @@ def publish(seconds: float) -> None:
     import rclpy  # only in the process that publishes
     from sensor_msgs.msg import JointState
 
-    from rx90_common.exchange.environment import prepare
-    from rx90_common.exchange.joint_state_cdr import JointStateCodec
-    from rx90_common.exchange.qos import STATE_QOS, TICK_QOS
+    from rx90_common.exchange.cdr import JointStateCodec
+    from rx90_common.exchange.endpoints import STATE_QOS, TICK_QOS
+    from rx90_common.exchange.ros_start import prepare
 
     prepare()
     rclpy.init()

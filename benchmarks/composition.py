@@ -20,7 +20,7 @@ from rx90_common.bags.tables import comparison_text
 from rx90_common.base.errors import ExchangeError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.client_node import client_node
-from rx90_common.exchange.environment import prepare
+from rx90_common.exchange.ros_start import prepare
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 from rx90_controller.lines.plan import LinePlan
 from rx90_controller.lines.task import load_task

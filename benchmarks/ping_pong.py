@@ -21,7 +21,7 @@ import numpy as np
 
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import Rates
-from rx90_common.exchange.environment import prepare
+from rx90_common.exchange.ros_start import prepare
 from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
 
 PERIOD_NS = Rates().period_ns
@@ -104,10 +104,10 @@ def _ask(exchanges: int, rounds: int) -> PingPong:
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import try_shutdown
 
+    from rx90_common.exchange.cdr import JointStateCodec
     from rx90_common.exchange.channel import Channel
-    from rx90_common.exchange.joint_state_cdr import JointStateCodec
+    from rx90_common.exchange.endpoints import TICK_QOS
     from rx90_common.exchange.lockstep import LockstepSimulation
-    from rx90_common.exchange.qos import TICK_QOS
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -173,11 +173,11 @@ def _answer(end, parent: int) -> None:  # type: ignore[no-untyped-def]  # an Eve
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import try_shutdown
 
+    from rx90_common.exchange.cdr import JointStateCodec
     from rx90_common.exchange.channel import Channel
-    from rx90_common.exchange.joint_state_cdr import JointStateCodec
+    from rx90_common.exchange.endpoints import TICK_QOS
     from rx90_common.exchange.lockstep import LockstepController
     from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
-    from rx90_common.exchange.qos import TICK_QOS
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("ping_pong_controller")

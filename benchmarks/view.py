@@ -31,7 +31,7 @@ import numpy as np
 from benchmarks.report import merge, print_table
 from rx90_common.base.errors import ExchangeError
 from rx90_common.exchange.client_node import client_node
-from rx90_common.exchange.environment import prepare
+from rx90_common.exchange.ros_start import prepare
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 from rx90_common.process.interrupts import terminations_as_interrupts
 

@@ -11,7 +11,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from rx90_common.base.share import SHIPPED_RIG
-from rx90_common.process.exit_code import end_with
+from rx90_common.process.interrupts import end_with
 
 ARGUMENTS = (
     ("namespace", "", "of the node"),

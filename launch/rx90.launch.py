@@ -15,7 +15,7 @@ from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, MODEL_FILES, RobotFiles
-from rx90_common.process.exit_code import end_with
+from rx90_common.process.interrupts import end_with
 
 PARAMETERS = Path(__file__).with_name("rx90_parameters.yaml")
 ARGUMENTS = (

@@ -1,16 +1,191 @@
-"""What a drive measures, for one motor or for lanes of them: the position in counts and the observed velocity.
+"""The drives in compiled code: cogging of the motors, heat of the windings, errors of current sensors, resolvers.
 
-The sensor is a resolver with a tracking converter. Such a converter rounds the position to its counts, but its velocity
-is the analog signal inside the tracking loop (Analog Devices, data sheet of the AD2S83: it replaces a tachogenerator),
-so counts do not appear in it. A velocity made from counts would jump by 1.8 mrad/s for one count of joint 1 or 2, which
-the velocity loop answers with 10 Nm.
+**Cogging.** torque = sum of a_k cos(h_k angle + p_k) is the slope of an energy. What acts over a step is the mean along
+the way of the motor, the difference of that energy over the way: each wave's torque at the middle of the way times
+sin(h way / 2) / (h way / 2). So no energy is gained or lost where a step covers much of a wave, and a wave that passes
+in less than two steps is not aliased into a slow one.
+
+**Windings.** C dT/dt = R I^2 (1 + a (T - T_r)) - (T - T_a) / R_th is linear in T where the current I is held, as it is
+for a tick, and is advanced exactly. From `derating` on the peak current falls linearly and is 0 at `limit`: servo
+amplifiers fold their current back before they give up, so that a motor that is too warm still brakes; what the arm then
+cannot follow, the controller's supervision switches off.
+
+**Current sensors.** reported = resolution round((i + offset + noise) / resolution). The current loop regulates what is
+reported, not the current i. The control law's loop of first order, whose current is the one without errors, then leaves
+a current that is off by e, which follows the error through the loop's lag:
+
+    i = i_without - e,   e(t + T) = e + (1 - exp(-2 pi bandwidth T)) (reported - i - e)
+
+as equating both loops gives, tick by tick. So an offset does not show in the mean of what a drive reports: it is a
+torque that the drive does not know of.
+
+**Resolvers** have a tracking converter. It rounds the position to its counts, but its velocity is the analog signal
+inside the tracking loop (Analog Devices, data sheet of the AD2S83: it replaces a tachogenerator), so counts do not
+appear in it. A velocity made from counts would jump by 1.8 mrad/s for one count of joint 1 or 2, which the velocity
+loop answers with 10 Nm.
 """
 
 from __future__ import annotations
 
-from rx90_common.kernels.compiled import inlined
+import math
+from typing import Any
+
+import numpy as np
+
+from rx90_common.base.arrays import Array, Record
+from rx90_common.description.cogging import MOST_TERMS, Cogging
+from rx90_common.description.current_sensor import CurrentSensor
+from rx90_common.description.winding import Windings
+from rx90_common.description.wrist import to_motor
+from rx90_common.friction.bristle import decay
+from rx90_common.kernels.compiled import inlined, kernel
+from rx90_common.kernels.elementary import sine_cosine
+from rx90_common.kernels.elementary_arrays import exponential_less_one_of, sines_cosines
 from rx90_common.kernels.lane_bits import WHOLE
-from rx90_common.kernels.lanes import Lanes, Number
+from rx90_common.kernels.lanes import Lanes, Number, absolute, fma, load, select, store
+from rx90_common.kernels.random_numbers import GOLDEN, mixed, nearly_normal
+
+_SMALL = 1e-2  # rad; below it the series of sin(x) / x is exact to rounding, and 0 is not divided by
+_STREAM = np.uint64(1 << 32)  # the sequences of the sensors begin away from those of the friction
+
+COGGING_DTYPE = np.dtype(
+    [
+        ("terms", np.int64),
+        ("harmonic", np.float64, MOST_TERMS),
+        ("cosine", np.float64, (MOST_TERMS, 6)),  # Nm, joint side
+        ("sine", np.float64, (MOST_TERMS, 6)),
+    ],
+    align=True,
+)
+"""Constants: torque = cosine cos(h angle) - sine sin(h angle)."""
+
+COGGING_STATE_DTYPE = np.dtype(
+    [("angle", np.float64, 6), ("speed", np.float64, 6), ("torque", np.float64, 6)],  # of the motors; joint side, Nm
+    align=True,
+)
+"""Workspace."""
+
+
+def fill_cogging(record: Any, cogging: Cogging, gear: Array) -> None:
+    """Write the constants, with torques as seen through the gears."""
+    terms = len(cogging.harmonic)
+    record["terms"] = terms
+    record["harmonic"][:terms] = cogging.harmonic
+    if terms:
+        sine, cosine = sines_cosines(cogging.phase)
+        record["cosine"][:terms] = gear * cogging.amplitude * cosine
+        record["sine"][:terms] = gear * cogging.amplitude * sine
+
+
+@inlined
+def _mean_of_wave(half: Lanes) -> Lanes:
+    """Return sin(half) / half, the mean of a wave over its value in the middle of a way of 2 half, rad."""
+    small = absolute(half) < _SMALL
+    sine, _ = sine_cosine(half)
+    square = half * half
+    return select(small, fma(square, fma(square, 1.0 / 120.0, -1.0 / 6.0), 1.0), sine / half)
+
+
+@kernel
+def add_cogging(plant: Any, state: Any, angle: Array, velocity: Array, torque: Array, step: float) -> None:
+    """Add the mean cogging over a step to torques of the six joints.
+
+    Args:
+        plant: constants, PLANT_DTYPE.
+        state: state, STATE_DTYPE.
+        angle: of the joints as the motors have them, rad, in the middle of the step, shape (6,).
+        velocity: the same, rad/s; mean over the step.
+        torque: Nm, shape (6,).
+        step: s.
+    """
+    motors, cogging = state.cogging, plant.cogging
+    to_motor(plant.gear, angle, motors.angle)
+    to_motor(plant.gear, velocity, motors.speed)
+    position, half = load(motors.angle, 6), 0.5 * step * load(motors.speed, 6)
+    total = 0.0 * position
+    for k in range(cogging.terms):
+        harmonic = cogging.harmonic[k]
+        sine, cosine = sine_cosine(harmonic * position)
+        wave = load(cogging.cosine[k], 6) * cosine - load(cogging.sine[k], 6) * sine
+        total = total + wave * _mean_of_wave(harmonic * half)
+    store(motors.torque, total)
+    for i in range(6):
+        torque[i] += motors.torque[i]
+    torque[4] += motors.torque[5]  # motor 6 turns with joints 5 and 6
+
+
+WINDING_DTYPE = np.dtype(
+    [
+        ("used", np.int64),
+        ("heat", np.float64, 6),  # of the square of the torque at the reference temperature, K/s / Nm^2
+        ("coefficient", np.float64),
+        ("reference", np.float64),
+        ("cooling", np.float64, 6),  # 1/s
+        ("ambient", np.float64),
+        ("initial", np.float64),
+        ("limit", np.float64),
+        ("slope", np.float64),  # share of the peak current for each degree below the limit
+    ],
+    align=True,
+)
+"""Constants, motor side."""
+
+
+def fill_windings(record: Any, windings: Windings, torque_constant: Array) -> None:
+    """Write the constants."""
+    record["used"], record["initial"] = windings.used, windings.initial
+    if windings.used:
+        record["heat"] = windings.resistance / (windings.heat_capacity * torque_constant * torque_constant)
+        record["cooling"] = 1.0 / (windings.heat_capacity * windings.thermal_resistance)
+        record["slope"] = 1.0 / (windings.limit - windings.derating)
+        for name in ("coefficient", "reference", "ambient", "limit"):
+            record[name] = getattr(windings, name)
+
+
+@kernel
+def current_share(winding: Any, temperature: float) -> float:
+    """Return the share of its peak current that an amplifier gives a winding of a temperature, degrees Celsius."""
+    share: float = winding.slope * (winding.limit - temperature)
+    return min(1.0, max(0.0, share))
+
+
+@inlined
+def relative_resistance(winding: Any, temperature: Lanes) -> Lanes:
+    """Return the resistance of windings at their temperatures, degrees Celsius, over that at the reference."""
+    resistance: Lanes = 1.0 + winding.coefficient * (temperature - winding.reference)
+    return resistance
+
+
+@kernel
+def warm_windings(winding: Any, torque: Array, temperature: Array, duration: float) -> None:
+    """Advance the temperatures, degrees Celsius, shape (6,), over a time, s, of constant torques, Nm, shape (6,)."""
+    pushed, before = load(torque, 6), load(temperature, 6)
+    heat = load(winding.heat, 6) * pushed * pushed
+    cooling = load(winding.cooling, 6)
+    rate = heat * relative_resistance(winding, before) - cooling * (before - winding.ambient)
+    mean, _ = decay(duration * (cooling - heat * winding.coefficient))
+    store(temperature, before + duration * rate * mean)
+
+
+def current_shares(plant: Record, temperature: Array) -> Array:
+    """Return the share of its peak current that each amplifier gives its winding, 1 where it is not too warm.
+
+    Args:
+        plant: constants, shape (1,), PLANT_DTYPE.
+        temperature: of the windings, degrees Celsius, shape (6,).
+    """
+    winding = plant["winding"][0]
+    return np.array([current_share(winding, float(one)) if winding["used"] else 1.0 for one in temperature])
+
+
+def warm_motors(plant: Record, temperature: Array) -> str:
+    """Return in words which amplifiers give less than their peak current; '' if none; arguments as above."""
+    pairs = enumerate(zip(temperature, current_shares(plant, temperature), strict=True), 1)
+    return ", ".join(
+        f"motor_{k} at {warm:.1f} °C has {math.floor(100.0 * share)} % of its peak current"
+        for k, (warm, share) in pairs
+        if share < 1.0
+    )
 
 
 @inlined
@@ -19,6 +194,70 @@ def whole_steps(value: Number, step: Number) -> Number:
     # Adding and subtracting a number whose last bit is worth 1 rounds to a whole number, half to even.
     whole = (value / step + WHOLE) - WHOLE
     return whole * step
+
+
+SENSOR_DTYPE = np.dtype(
+    [
+        ("used", np.int64),
+        ("seed", np.uint64),
+        ("offset", np.float64, 6),
+        ("noise", np.float64, 6),
+        ("resolution", np.float64, 6),
+        ("gain", np.float64),  # of the current loop, for a tick
+        ("torque_constant", np.float64, 6),
+    ],
+    align=True,
+)
+"""Constants, A."""
+
+SENSOR_STATE_DTYPE = np.dtype(
+    [
+        ("counter", np.uint64, 6),
+        ("error", np.float64, 6),  # by how much the current is less than without errors, A
+        ("torque", np.float64, 6),  # reported, motor side, Nm
+    ],
+    align=True,
+)
+
+
+def fill_sensor(record: Any, sensor: CurrentSensor, torque_constant: Array, period: float, seed: int) -> None:
+    """Write the constants for a tick of `period`, s."""
+    record["used"] = sensor.used
+    if sensor.used:
+        record["seed"], record["torque_constant"] = seed, torque_constant
+        record["gain"] = -exponential_less_one_of(-2.0 * math.pi * sensor.bandwidth * period)
+        for name in ("offset", "noise", "resolution"):
+            record[name] = getattr(sensor, name)
+
+
+@kernel
+def reset_sensors(sensor: Any, state: Any) -> None:
+    """Begin without a current, with random numbers that are always the same for a seed."""
+    for i in range(6):
+        state.counter[i] = mixed(sensor.seed + mixed(_STREAM + np.uint64(i)))
+        state.error[i] = 0.0
+        _measure(sensor, state, i, 0.0)
+
+
+@kernel
+def sense_currents(sensor: Any, state: Any, torque: Array, powered: bool) -> None:
+    """Take the errors off motor torques, Nm, shape (6,), and write what is reported of them."""
+    for i in range(6):
+        if powered:
+            torque[i] -= sensor.torque_constant[i] * state.error[i]
+        current = torque[i] / sensor.torque_constant[i]
+        reported = _measure(sensor, state, i, current)
+        state.error[i] += sensor.gain * (reported - current - state.error[i])
+
+
+@kernel
+def _measure(sensor: Any, state: Any, motor: int, current: float) -> float:
+    state.counter[motor] += GOLDEN
+    shown: float = current + sensor.offset[motor] + sensor.noise[motor] * nearly_normal(mixed(state.counter[motor]))
+    if sensor.resolution[motor] > 0.0:
+        shown = whole_steps(shown, sensor.resolution[motor])
+    state.torque[motor] = sensor.torque_constant[motor] * shown
+    return shown
 
 
 @inlined

@@ -1,4 +1,4 @@
-"""Joint friction in a step of the plant: the seven elements, closed brakes, and the torque that the joints transmit.
+"""What acts in the joints in a step of the plant: the seven friction elements, closed brakes, end stops.
 
 Elements with parts go through `_parted_friction`, those without through the same instructions as if there were no
 parts.
@@ -24,7 +24,7 @@ from rx90_common.friction.parts.step import parts_energy, parts_step, parts_torq
 from rx90_common.friction.parts.temperature import add_work, advance_temperatures
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, load, store
-from rx90_sim.winding import relative_resistance
+from rx90_sim.drives import relative_resistance
 
 
 @kernel
@@ -156,3 +156,15 @@ def _warm_joints(plant: Any, state: Any) -> None:
     heating = relative_resistance(plant.winding, load(state.temperature, 6)) * motor * motor
     stored = parts_energy(plant.friction, plant.parts, state.parts, load(state.z, 7), 7)
     advance_temperatures(plant.parts.temperature, state.parts.temperature, stored, of_motors(heating), plant.period, 7)
+
+
+@kernel
+def add_stops(plant: Any, state: Any) -> None:
+    """Add to `state.rhs` what the stops push: a spring and damper beyond the limits that only push back."""
+    for i in range(6):
+        q, push = state.q_mid[i], 0.0
+        if q > plant.upper[i]:
+            push = min(0.0, plant.stop_stiffness[i] * (plant.upper[i] - q) - plant.stop_damping[i] * state.v_mid[i])
+        elif q < plant.lower[i]:
+            push = max(0.0, plant.stop_stiffness[i] * (plant.lower[i] - q) - plant.stop_damping[i] * state.v_mid[i])
+        state.rhs[i] += push

@@ -21,14 +21,22 @@ from rx90_common.friction.arm_elements import fill_arm_parts
 from rx90_common.friction.compiled_elements import element_arrays, elements_dtype
 from rx90_common.friction.parts.record import parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.scatter import check_seed
+from rx90_common.friction.parts.temperature import follow_temperatures
+from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.elementary_arrays import exponential_of
-from rx90_sim.cogging import COGGING_DTYPE, COGGING_STATE_DTYPE, fill_cogging
-from rx90_sim.current_sensor import SENSOR_DTYPE, SENSOR_STATE_DTYPE, fill_sensor
-from rx90_sim.joint_temperatures import JointTemperatures
+from rx90_sim.drives import (
+    COGGING_DTYPE,
+    COGGING_STATE_DTYPE,
+    SENSOR_DTYPE,
+    SENSOR_STATE_DTYPE,
+    WINDING_DTYPE,
+    fill_cogging,
+    fill_sensor,
+    fill_windings,
+)
+from rx90_sim.elastic_gears import TRANSMISSION_DTYPE, TRANSMISSION_STATE_DTYPE
 from rx90_sim.plant_step import friction_states, plant_reset, plant_step
 from rx90_sim.plant_steps import MOST_STEPS, plant_steps
-from rx90_sim.transmission import TRANSMISSION_DTYPE, TRANSMISSION_STATE_DTYPE
-from rx90_sim.winding import WINDING_DTYPE, fill_windings
 
 _NO_COMMAND = np.zeros(6)
 _MOST_CORRECTIONS = 50
@@ -335,3 +343,51 @@ class Plant:
         _, velocity, torque = self._friction_states
         friction_states(self.constants, self.state, velocity, torque)
         return self._friction_states
+
+
+class JointTemperatures:
+    """Views of a plant's state.
+
+    Args:
+        friction: the seven elements.
+        constants: of the plant, shape (1,), PLANT_DTYPE.
+        state: of the plant, shape (1,), STATE_DTYPE.
+
+    Attributes:
+        elements: places of the elements that have a temperature in `FrictionSet.names`.
+        now: degrees Celsius, shape (7,); 0 for the other elements.
+        heat: of friction and motors since the last reset, J, shape (7,).
+    """
+
+    def __init__(self, friction: FrictionSet, constants: np.ndarray[Any, Any], state: np.ndarray[Any, Any]) -> None:
+        self._friction, self._constants, self._state = friction, constants, state
+        self.elements = tuple(i for i, element in enumerate(friction.elements) if element.temperature is not None)
+        warmth = state["parts"]["temperature"]
+        self.now: Array = warmth["temperature"][0]
+        self.heat: Array = warmth["heat"][0]
+
+    def set(self, temperatures: ArrayLike) -> None:
+        """Make the joints so warm, degrees Celsius, shape (7,); those without a temperature take none."""
+        wanted = np.broadcast_to(np.asarray(temperatures, dtype=np.float64), ELEMENT_COUNT)
+        for i in self.elements:
+            self.now[i] = wanted[i]
+        _follow(self._constants, self._state)
+
+    def beyond_law(self) -> str:
+        """Return in words which joints are warmer than the law of their friction holds; '' if none is."""
+        return beyond_law(self._friction, self.now)
+
+
+def beyond_law(friction: FrictionSet, temperatures: Array) -> str:
+    """Return the same for any temperatures of the seven elements, degrees Celsius."""
+    return ", ".join(
+        f"{name} at {now:.1f} °C keeps the friction of {part.highest:g} °C, the highest of its law"
+        for name, element, now in zip(friction.names, friction.elements, temperatures, strict=True)
+        if (part := element.temperature) is not None and now > part.highest
+    )
+
+
+@kernel
+def _follow(plants: Record, states: Record) -> None:
+    """Give the elements the friction of their temperatures."""
+    follow_temperatures(plants[0].parts.temperature, states[0].parts.temperature, 7)

@@ -3,7 +3,7 @@
 Second order with a single evaluation of the arm and of the friction in a step: both are evaluated at the
 midpoint of the step, which the last step's mean acceleration and the jump of the drive torque predict. The
 bristles are advanced exactly for the midpoint velocity, so their rate, far above the tick rate at full joint
-speed, sets no limit to the step. With elastic gears another step takes its place (rx90_sim.elastic_step).
+speed, sets no limit to the step. With elastic gears another step takes its place (rx90_sim.elastic_gears).
 """
 
 from __future__ import annotations
@@ -20,13 +20,24 @@ from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
 from rx90_common.friction.arm_elements import element_inputs
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
-from rx90_sim.cogging import add_cogging
-from rx90_sim.current_sensor import reset_sensors, sense_currents
-from rx90_sim.drives import observe, whole_steps
-from rx90_sim.elastic_step import add_twists, elastic_reset, elastic_substep, hang_links, on_motor_side
-from rx90_sim.end_stops import add_stops
-from rx90_sim.joint_friction import add_friction, advance_loads, advance_parts, friction_now, reset_friction
-from rx90_sim.winding import current_share, warm_windings
+from rx90_sim.drives import (
+    add_cogging,
+    current_share,
+    observe,
+    reset_sensors,
+    sense_currents,
+    warm_windings,
+    whole_steps,
+)
+from rx90_sim.elastic_gears import add_twists, elastic_reset, elastic_substep, hang_links, on_motor_side
+from rx90_sim.joint_friction import (
+    add_friction,
+    add_stops,
+    advance_loads,
+    advance_parts,
+    friction_now,
+    reset_friction,
+)
 
 # Compiled code reads records through 1-element arrays: those pass the boundary from Python fastest.
 

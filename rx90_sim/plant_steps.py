@@ -73,14 +73,14 @@ class _Rows(NamedTuple):
 
     Attributes:
         names: of stiffness and damping of each, for messages.
-        told: the damping that such a name means, Nm s/rad.
+        named_damping: what the name of the damping stands for, Nm s/rad.
         stiffness: Nm/rad.
         damping: the least at rest, Nm s/rad.
         most_damping: the most up to full speed, Nm s/rad.
     """
 
     names: Sequence[tuple[str, str]]
-    told: Array
+    named_damping: Array
     stiffness: Array
     damping: Array
     most_damping: Array
@@ -267,14 +267,14 @@ def _refusal(
     over, row = load.largest / load.most, load.row
     damping = load.cover == 0.0
     name = rows.names[row][damping]
-    size, unit = (rows.told, "Nm s/rad") if damping else (rows.stiffness, "Nm/rad")
+    size, unit = (rows.named_damping, "Nm s/rad") if damping else (rows.stiffness, "Nm/rad")
     slope = " at its steepest" * name.endswith("c2")
     steps = "1 plant step in a tick bears" if most == 1 else f"{most} plant steps in a tick bear"
     accepted = [f"up to about {size[row] / over:.3g}"]
     if load.cover and loads[-2].largest <= loads[-2].most:
         accepted.append(f"{rows.names[row][1]} from about {rows.stiffness[row] * step / load.cover:.3g}")
     if needed is not None:
-        accepted.append(f"substeps {needed}" + (f", more than the {most} taken unasked" if asked is None else ""))
+        accepted.append(f"substeps {needed}" + (f", more than the {most} used without asking" if asked is None else ""))
     return (
         f"{name} is {size[row]:.6g} {unit}{slope}, {over:.3g} times what {steps} on {1.0 / gram[row, row]:.3g} kg m^2; "
         f"accepted: {', or '.join(accepted)}"

@@ -78,7 +78,7 @@ def shipped_files() -> RobotFiles:
 @pytest.fixture(scope="session")
 def needs_action() -> None:
     """Skip where control_msgs is not built, which a compiler is needed for; fail where ACTION_REQUIRED is set."""
-    from rx90_common.exchange.control_messages import missing_control_msgs
+    from rx90_common.exchange.ros_start import missing_control_msgs
 
     if line := missing_control_msgs():
         (pytest.fail if os.environ.get("ACTION_REQUIRED") else pytest.skip)(line)

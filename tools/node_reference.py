@@ -51,7 +51,7 @@ def describe_nodes() -> list[NodeReference]:
     """Start simulation, controller and rig, and return what each has."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
-    from rx90_common.exchange.environment import prepare
+    from rx90_common.exchange.ros_start import prepare
 
     prepare()
     import rclpy
@@ -72,7 +72,7 @@ def describe_nodes() -> list[NodeReference]:
 
 
 def _describe(node: Any) -> NodeReference:
-    from rx90_common.exchange.parameter_changes import OF_ROS
+    from rx90_common.exchange.parameters import OF_ROS
 
     names = [name for name in node._parameters if name not in OF_ROS]
     return NodeReference(

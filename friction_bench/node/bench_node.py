@@ -25,11 +25,10 @@ from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import SHIPPED_RIG, resolve_config
-from rx90_common.exchange.message_times import ros_time
-from rx90_common.exchange.node_tools import Diagnostics, declare
+from rx90_common.exchange.endpoints import REQUEST_QOS, publish, ros_time
+from rx90_common.exchange.node_tools import Diagnostics
 from rx90_common.exchange.node_tools import spin as spin_node
-from rx90_common.exchange.qos import REQUEST_QOS
-from rx90_common.exchange.qos_overrides import publish
+from rx90_common.exchange.parameters import declare
 
 JOINT = "rig_motor"
 EMULATED = "emulated"

@@ -13,7 +13,7 @@ from rx90_common.base.errors import ExchangeError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.cdr import JointStateCodec
 
 Int64Array = NDArray[np.int64]
 Bytes = NDArray[np.uint8]

@@ -16,7 +16,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import ENCAPSULATION, LITTLE_ENDIAN, STAMP_BYTES, cdr_stamps_ns, message_time_ns
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.cdr import JointStateCodec
 
 Deserialize = Callable[[bytes], Any]
 

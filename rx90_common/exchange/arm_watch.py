@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import takewhile
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,11 +20,10 @@ from rx90_common.base.errors import ConfigError, ExchangeError, MessageError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.endpoints import ManualCallbackGroup, never_called
 from rx90_common.exchange.ros_start import reason
-from rx90_common.exchange.subscribing import ManualCallbackGroup, never_called
-from rx90_common.exchange.time_mode import TimeMode
-from rx90_common.exchange.topics import SAMPLED, TIME_MODE, TRAJECTORY_ACCEPTED
+from rx90_common.exchange.topics import SAMPLED, TIME_MODE, TRAJECTORY_ACCEPTED, TimeMode
 
 _NODES = 20  # that may all speak at once
 _SAMPLES = 100  # in a second
@@ -43,6 +43,9 @@ class Newest:
         raw: take the bytes as they are.
         latched: also what was published before; then reliable.
         depth: how many are kept.
+
+    Attributes:
+        topic: resolved name of the topic.
     """
 
     def __init__(
@@ -53,16 +56,11 @@ class Newest:
             reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
-        self._node = node
-        self._kind, self._raw, self._depth = kind, raw, depth
+        self._node, self._kind, self._raw, self._depth = node, kind, raw, depth
         self._subscription = node.create_subscription(
             kind, topic, never_called, profile, raw=raw, callback_group=ManualCallbackGroup()
         )
-
-    @property
-    def topic(self) -> str:
-        """Return the resolved name of the topic."""
-        return str(self._subscription.topic_name)
+        self.topic = str(self._subscription.topic_name)
 
     @property
     def publishers(self) -> int:
@@ -75,13 +73,8 @@ class Newest:
 
     def take_all(self) -> list[Any]:
         """Return the messages that came since the last call, as far as they were kept, the newest last."""
-        messages = []
-        for _ in range(self._depth):
-            taken = self._subscription.handle.take_message(self._kind, self._raw)
-            if taken is None:
-                break
-            messages.append(taken[0])
-        return messages
+        taken = (self._subscription.handle.take_message(self._kind, self._raw) for _ in range(self._depth))
+        return [one[0] for one in takewhile(lambda one: one is not None, taken)]
 
     def take(self) -> Any:
         """Return the newest message that came since the last call, None if none did."""
@@ -169,9 +162,11 @@ class ArmWatch:
         self.diagnostics: dict[str, NodeStatus] = {}
 
     def _listen(self, space: str) -> tuple[Newest, Newest]:
-        topics = (f"{space}/joint_states", f"{space}/friction_states")
-        joints, elements = (Newest(self._node, JointState, topic, raw=True, depth=_SAMPLES) for topic in topics)
-        return joints, elements
+        joints, elements = f"{space}/joint_states", f"{space}/friction_states"
+        return (
+            Newest(self._node, JointState, joints, raw=True, depth=_SAMPLES),
+            Newest(self._node, JointState, elements, raw=True, depth=_SAMPLES),
+        )
 
     def at_ticks(self, *, wanted: bool) -> None:
         """Listen to the friction elements at every tick of the position loop, or no more; see `elements_at_ticks`."""
@@ -186,15 +181,6 @@ class ArmWatch:
     def listens_at_ticks(self) -> bool:
         """Return whether `at_ticks` has it listen."""
         return self._ticks is not None
-
-    def _choose(self) -> None:
-        """Listen to the topics for those who look on where there are any: they cost the simulation a tenth."""
-        sampled = f"{self.namespace}/{SAMPLED}"
-        space = sampled if self._node.count_publishers(f"{sampled}/joint_states") else self.namespace
-        if self.topic != f"{space}/joint_states":
-            self._joints.close()
-            self._elements.close()
-            self._joints, self._elements = self._listen(space)
 
     @property
     def topic(self) -> str:
@@ -239,22 +225,25 @@ class ArmWatch:
 
     def look_around(self) -> None:
         """Bring robot and diagnostics up to date; a few times a second is enough."""
-        self._choose()
-        for message in self._diagnostics.take_all():
-            for status in message.status:
-                self._note(status)
+        # The topics for viewers, where there are any: the others cost the simulation a tenth.
+        sampled = f"{self.namespace}/{SAMPLED}"
+        space = sampled if self._node.count_publishers(f"{sampled}/joint_states") else self.namespace
+        if self.topic != f"{space}/joint_states":
+            self._joints.close()
+            self._elements.close()
+            self._joints, self._elements = self._listen(space)
+        for status in (status for message in self._diagnostics.take_all() for status in message.status):
+            of, _, name = f"/{status.name}".rpartition("/")
+            if of == self.namespace:
+                level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
+                values = {pair.key: pair.value for pair in status.values}
+                self.diagnostics[name] = NodeStatus(level, status.message, values)
         mode = self._mode.take()
         if mode is not None:
             try:
                 self.robot = TimeMode.parse(mode.data).robot
             except MessageError as error:
                 self.problem = str(error)
-
-    def _note(self, status: Any) -> None:
-        space, _, name = f"/{status.name}".rpartition("/")
-        if space == self.namespace:
-            level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
-            self.diagnostics[name] = NodeStatus(level, status.message, {pair.key: pair.value for pair in status.values})
 
 
 def _trajectory(message: JointTrajectory, joints: Sequence[str]) -> Trajectory | None:

@@ -1,4 +1,7 @@
-"""The node of a program that asks the running nodes for something: messages and answers come in while it waits."""
+"""The node of a program that asks the running nodes for something: messages and answers come in while it waits.
+
+Services are also called without waiting: what becomes of a call is handed to its caller, at the latest after a timeout.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,20 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import rclpy
+from lifecycle_msgs.msg import Transition, TransitionEvent
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.msg import Log
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.task import Future
 
 from rx90_common.base.errors import ConfigError, ExchangeError
 from rx90_common.exchange.ros_start import start_ros
@@ -20,6 +31,7 @@ from rx90_common.process.interrupts import interrupts_later
 
 POLL = 0.05
 """The longest time without a look for Ctrl-C, s."""
+_EVENTS, _LINES = 10, 100  # messages kept
 
 
 @dataclass(frozen=True)
@@ -97,3 +109,189 @@ def client_node(
                 node.destroy_node()
         finally:
             context.try_shutdown()
+
+
+class ServiceRequest(NamedTuple):
+    """What is asked of a service.
+
+    Attributes:
+        kind: type of the service.
+        service: its name.
+        request: of that type.
+        read: returns what an answer says; raises ExchangeError for one that is a refusal.
+    """
+
+    kind: Any
+    service: str
+    request: Any
+    read: Callable[[Any], str]
+
+
+Outcome = Callable[["str | ExchangeError"], None]
+"""Takes what an answer says, or why there is none, or none that is a yes."""
+
+
+class _Open(NamedTuple):
+    asked: ServiceRequest
+    caller: Client
+    answer: Future
+    deadline: float
+    then: Outcome
+
+
+class ServiceCalls:
+    """Calls of services that go on while `ClientNode.spin` is called; `look` is to be called as often.
+
+    Args:
+        client: the node; its timeout is the longest wait for an answer.
+    """
+
+    def __init__(self, client: ClientNode) -> None:
+        self._client = client
+        self._callers: dict[str, Client] = {}
+        self._open: list[_Open] = []
+
+    def there(self, asked: ServiceRequest) -> bool:
+        """Return whether somebody serves what is asked."""
+        return bool(self._caller(asked).service_is_ready())
+
+    def ask(self, asked: ServiceRequest, then: Outcome) -> None:
+        """Call a service; `then` gets what it says."""
+        caller = self._caller(asked)
+        if not caller.service_is_ready():
+            then(ExchangeError(f"there is no service {caller.srv_name}; accepted: while its node runs"))
+            return
+        deadline = time.monotonic() + self._client.timeout
+        self._open.append(_Open(asked, caller, caller.call_async(asked.request), deadline, then))
+
+    def look(self) -> None:
+        """Hand over the answers that have come, and say of the calls that are too old that none has."""
+        now = time.monotonic()
+        ended = [call for call in self._open if call.answer.done() or now >= call.deadline]
+        self._open = [call for call in self._open if call not in ended]
+        for call in ended:
+            outcome: str | ExchangeError
+            try:
+                if not call.answer.done():
+                    call.caller.remove_pending_request(call.answer)
+                    raise ExchangeError(f"no answer of {call.caller.srv_name} within {self._client.timeout:g} s")
+                outcome = call.asked.read(call.answer.result())
+            except ExchangeError as error:
+                outcome = error
+            call.then(outcome)
+
+    def _caller(self, asked: ServiceRequest) -> Client:
+        if asked.service not in self._callers:
+            self._callers[asked.service] = self._client.node.create_client(asked.kind, asked.service)
+        return self._callers[asked.service]
+
+
+def spoken(service: str) -> Callable[[Any], str]:
+    """Return what reads an answer with `success` and `message`."""
+
+    def read(answer: Any) -> str:
+        if not answer.success:
+            raise ExchangeError(f"{service}: {answer.message}")
+        return str(answer.message)
+
+    return read
+
+
+def state_request(node: str) -> ServiceRequest:
+    """Return the question for the state of a managed node; the answer is its label."""
+    return ServiceRequest(
+        GetState, f"{node}/get_state", GetState.Request(), lambda answer: str(answer.current_state.label)
+    )
+
+
+def transition_request(node: str, label: str) -> ServiceRequest:
+    """Return the request for a transition of a managed node, by its label."""
+    service = f"{node}/change_state"
+
+    def read(answer: Any) -> str:
+        if not answer.success:
+            raise ExchangeError(f"{service}: {label} was refused; the node's log says why")
+        return f"{label}: done"
+
+    return ServiceRequest(ChangeState, service, ChangeState.Request(transition=Transition(label=label)), read)
+
+
+def parameter_request(node: str, name: str, value: Any) -> ServiceRequest:
+    """Return the request to set a parameter of a node."""
+    service = f"{node}/set_parameters"
+
+    def read(answer: Any) -> str:
+        refused = [result.reason for result in answer.results if not result.successful]
+        if refused:
+            raise ExchangeError(f"{service}: {refused[0]}")
+        return f"{name}: set"
+
+    given = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+    return ServiceRequest(SetParameters, service, given, read)
+
+
+def text_parameter(client: ClientNode, node: str, name: str) -> str:
+    """Return a parameter of a node that is a text; empty where there is no such node, or parameter.
+
+    Raises:
+        ExchangeError: if the node does not answer within the client's timeout.
+    """
+    service = client.node.resolve_service_name(f"{node}/get_parameters")
+    if service not in dict(client.node.get_service_names_and_types()):
+        return ""
+    (found,) = client.call(GetParameters, service, GetParameters.Request(names=[name])).values
+    return str(found.string_value)
+
+
+class NodeWatch:
+    """Follows the state of a managed node.
+
+    Args:
+        client: the node to do it with.
+        calls: of services.
+        node: name of the managed node.
+
+    Attributes:
+        state: its label; empty while the node is not there, or has not answered.
+    """
+
+    def __init__(self, client: ClientNode, calls: ServiceCalls, node: str) -> None:
+        self._calls, self._asked = calls, state_request(node)
+        self.state = ""
+        self._asking = False
+        client.node.create_subscription(TransitionEvent, f"{node}/transition_event", self._take, _EVENTS)
+
+    def look(self) -> None:
+        """Ask a node that has come for its state, and see whether it has gone; to be called now and then."""
+        if not self._calls.there(self._asked):
+            self.state = ""
+        elif not self.state and not self._asking:
+            self._asking = True
+            self._calls.ask(self._asked, self._answered)
+
+    def _answered(self, outcome: str | ExchangeError) -> None:
+        self._asking = False
+        if not isinstance(outcome, ExchangeError):
+            self.state = outcome
+
+    def _take(self, event: TransitionEvent) -> None:
+        self.state = str(event.goal_state.label)
+
+
+def hear_log(client: ClientNode, nodes: Sequence[str], heard: Callable[[str, str, bool], None]) -> None:
+    """Call `heard` with each line that one of some nodes logs from now on.
+
+    Args:
+        client: the node to hear with.
+        nodes: their names, relative to its namespace or absolute.
+        heard: takes the name as it is in `nodes`, the line, and whether that is a warning or an error; within
+            `ClientNode.spin`.
+    """
+    # A log bears the absolute name without the first slash, and with dots for the others.
+    names = {client.node.resolve_topic_name(name).strip("/").replace("/", "."): name for name in nodes}
+
+    def take(line: Log) -> None:
+        if line.name in names:
+            heard(names[line.name], str(line.msg), line.level >= LoggingSeverity.WARN)
+
+    client.node.create_subscription(Log, "/rosout", take, _LINES)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple, Protocol, TypeVar
+from functools import partial
+from typing import Any, Protocol, TypeVar
 
 from lifecycle_msgs.msg import State
 from rcl_interfaces.msg import SetParametersResult
@@ -15,22 +16,30 @@ from rclpy.parameter import Parameter
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.node_tools import (
-    TickingNode,
+from rx90_common.exchange.node_tools import TickingNode
+from rx90_common.exchange.parameters import (
+    ParameterChanges,
     declare,
     declare_robot_files,
-    declared_instead,
     refuse_unknown_parameters,
+    unknown_parameter,
 )
-from rx90_common.exchange.parameter_changes import ParameterChanges
 from rx90_common.exchange.ros_start import reason
 
-_ABOUT = "configure and activate the node when it starts; else that is left to its lifecycle services"
+_ENTITIES = {  # what a configured node may have made, and what destroys it
+    "publishers": "destroy_publisher",
+    "subscriptions": "destroy_subscription",
+    "clients": "destroy_client",
+    "services": "destroy_service",
+    "timers": "destroy_timer",
+    "guards": "destroy_guard_condition",
+}
 
 
 def declare_autostart(node: Node) -> bool:
     """Declare and return whether a managed node is active at once."""
-    return declare(node, "autostart", True, _ABOUT, read_only=True)
+    about = "configure and activate the node when it starts; else that is left to its lifecycle services"
+    return declare(node, "autostart", True, about, read_only=True)
 
 
 class Managed(TickingNode, Protocol):
@@ -80,9 +89,9 @@ class ManagedNode(LifecycleNode):
         self.autostart = declare_autostart(self)
         self.starting = False
         self.error: Exception | None = None
-        self._before: _Entities | None = None
+        self._before: dict[str, set[Any]] = {}
         service = self._service_change_state
-        service.callback = self._answering(service.callback)
+        service.callback = partial(self._change_state, service.callback)
 
     @property
     def configured(self) -> bool:
@@ -90,43 +99,26 @@ class ManagedNode(LifecycleNode):
         return bool(self._state_machine.current_state[0] != State.PRIMARY_STATE_UNCONFIGURED)
 
     def declare_robot_files(self, *names: str) -> RobotFiles:
-        """Declare what `node_tools.declare_robot_files` does; with another robot come its files, but for named ones.
+        """Declare what `parameters.declare_robot_files` does; with another robot come its files, but for named ones.
 
         Raises:
             ConfigError: for a robot or a file that is not there.
         """
-
-        def files(robot: Any) -> dict[str, str]:
-            before, now = (RobotFiles.named(text) for text in (self.get_parameter("robot").value, robot))
-            own = [name for name in names if self.get_parameter(name).value == before.text(name)]
-            return {name: now.text(name) for name in own}
-
         chosen = declare_robot_files(self, *names)
-        self.changes.lead("robot", files)
+        self.changes.follow_robot(*names)
         return chosen
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters, all or none; one that there is not is refused with those that there are."""
-        for name in (each.name for each in parameter_list if not self.has_parameter(each.name)):
-            reason = (
-                f"parameter {plain(name)} is unknown to {self.get_name()}; accepted: {declared_instead(self, name)}"
-            )
-            return SetParametersResult(successful=False, reason=reason)
+        for parameter in parameter_list:
+            if not self.has_parameter(parameter.name):
+                return SetParametersResult(successful=False, reason=unknown_parameter(self, parameter.name))
         return super().set_parameters_atomically(parameter_list)
-
-    # Transitions.
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Configure; all or nothing."""
-        self._before = _Entities.of(self)
-
-        def configure() -> None:
-            self._managed.configure()
-            if not self.starting:
-                refuse_unknown_parameters([self])
-            self.changes.tell_values()
-
-        done = self._try("configure", configure)
+        self._before = {kind: set(getattr(self, kind)) for kind in _ENTITIES}
+        done = self._try("configure", self._configure)
         if done is not TransitionCallbackReturn.SUCCESS:
             self._clean_up()
         return done
@@ -150,11 +142,18 @@ class ManagedNode(LifecycleNode):
         self.ticking.stop()  # what else there is to do at the end is not for a callback: `stop` follows
         return TransitionCallbackReturn.SUCCESS
 
+    def _configure(self) -> None:
+        self._managed.configure()
+        if not self.starting:
+            refuse_unknown_parameters([self])
+        self.changes.publish_values()
+
     def _clean_up(self) -> None:
         self._managed.cleanup()
         self.changes.forbid_all()
-        if self._before is not None:
-            self._before.restore(self)
+        for kind, kept in self._before.items():
+            for entity in set(getattr(self, kind)) - kept:
+                getattr(self, _ENTITIES[kind])(entity)
 
     def _try(self, what: str, transition: Callable[[], None]) -> TransitionCallbackReturn:
         self.error = None
@@ -168,41 +167,17 @@ class ManagedNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
-    def _answering(self, change: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        def answer(request: Any, response: Any) -> Any:
-            known = {each[0]: each[1] for each in self._state_machine.available_transitions}
-            asked = request.transition
-            # rclpy raises for one that is not possible now, and nobody would be answered.
-            if asked.label in known.values() or (not asked.label and asked.id in known):
-                return change(request, response)
-            name = plain(asked.label) if asked.label else f"transition {asked.id}"
-            state, accepted = self._state_machine.current_state[1], ", ".join(known.values())
-            self.get_logger().error(f"{name} is not possible in state {state}; accepted: {accepted}")
-            response.success = False
-            return response
-
-        return answer
-
-
-class _Entities(NamedTuple):
-    """What a node has, to destroy later what it did not have."""
-
-    publishers: list[Any]
-    subscriptions: list[Any]
-    clients: list[Any]
-    services: list[Any]
-    timers: list[Any]
-    guards: list[Any]
-
-    @classmethod
-    def of(cls, node: Node) -> _Entities:
-        return cls(*(list(getattr(node, kind)) for kind in cls._fields))
-
-    def restore(self, node: Node) -> None:
-        for kind, kept in zip(self._fields, self, strict=True):
-            destroy = getattr(node, f"destroy_{'guard_condition' if kind == 'guards' else kind[:-1]}")
-            for entity in set(getattr(node, kind)).difference(kept):
-                destroy(entity)
+    def _change_state(self, change: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+        known = {each[0]: each[1] for each in self._state_machine.available_transitions}
+        asked = request.transition
+        # rclpy raises for one that is not possible now, and nobody would be answered.
+        if asked.label in known.values() or (not asked.label and asked.id in known):
+            return change(request, response)
+        name = plain(asked.label) if asked.label else f"transition {asked.id}"
+        state, accepted = self._state_machine.current_state[1], ", ".join(known.values())
+        self.get_logger().error(f"{name} is not possible in state {state}; accepted: {accepted}")
+        response.success = False
+        return response
 
 
 def started(members: Iterable[_Member]) -> list[_Member]:
@@ -234,12 +209,18 @@ class TickThread:
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._run: Callable[[], None] | None = None
-        self._end: Callable[[], None] | None = None
+        self._end: Callable[[], None] = lambda: None
         self._busy = self._stopped = False
 
     def loop(self) -> None:
         """Run what there is to run, again and again; return after `stop`, or when a run has ended by itself."""
-        while (run := self._next()) is not None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._stopped or self._run is not None)
+                run = self._run
+                if self._stopped or run is None:
+                    return
+                self._busy = True
             try:
                 run()
             finally:
@@ -250,12 +231,6 @@ class TickThread:
             if by_itself:
                 return
 
-    def _next(self) -> Callable[[], None] | None:
-        with self._changed:
-            self._changed.wait_for(lambda: self._stopped or self._run is not None)
-            self._busy = not self._stopped
-            return None if self._stopped else self._run
-
     def begin(self, run: Callable[[], None], end: Callable[[], None]) -> None:
         """Have `run` run; `end`, callable from every thread, makes it return soon."""
         with self._changed:
@@ -265,9 +240,8 @@ class TickThread:
     def finish(self) -> None:
         """End what runs, and wait until it has ended."""
         with self._changed:
-            end, self._run, self._end = self._end, None, None
-        if end is not None:
-            end()
+            end, self._run, self._end = self._end, None, lambda: None
+        end()
         with self._changed:
             self._changed.wait_for(lambda: not self._busy)
 
@@ -277,5 +251,4 @@ class TickThread:
             self._stopped = True
             end = self._end
             self._changed.notify_all()
-        if end is not None:
-            end()
+        end()

@@ -10,84 +10,60 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from itertools import permutations
 
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.exchange.channel import Matches
-from rx90_common.exchange.publisher_lock import lock_publisher
+from rx90_common.exchange.channel import Matches, lock_publisher
 
 _LOOK = 1.0  # s between two looks at the graph
 _LOOKS = 8  # that others must be seen in a row: a process that was killed stays in the graph for 5 s
 
 
 class LocalChannel:
-    """One end, with the interface of `Channel`; made by `LocalLink.end`.
+    """One end, a `TickChannel`; made by `LocalLink.end`, with the arguments of `Channel`.
 
-    Attributes:
-        subscribe_topic: resolved name of the topic that is received.
-        answering: 0, because the other end does not subscribe; see `TickChannel`.
+    The other end does not subscribe: `answering` is 0.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        publish_topic: str,
-        subscribe_topic: str,
-        qos: QoSProfile,
-        on_close: Callable[[LocalChannel], None],
-    ) -> None:
-        self._node, self._on_close = node, on_close
+    def __init__(self, link: LocalLink, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> None:
+        self._link, self._node = link, node
         self.answering = 0
         self._lock = lock_publisher(node.context.get_domain_id(), node.resolve_topic_name(publish_topic))
-        self._publisher = node.create_publisher(JointState, publish_topic, qos)
+        self.publisher = node.create_publisher(JointState, publish_topic, qos)
         self.subscribe_topic = node.resolve_topic_name(subscribe_topic)
         # Looked up once, as in `Channel`.
-        self._publish_raw = self._publisher.handle.publish_raw
-        self._listeners = self._publisher.handle.get_subscription_count
+        self._publish_raw = self.publisher.handle.publish_raw
+        self._listeners = self.publisher.handle.get_subscription_count
         self._inbox: deque[bytes] = deque(maxlen=qos.depth)
         self._arrived = threading.Event()
         self._waiting = self._woken = False
         self._peer: LocalChannel | None = None
-        self._serve: Callable[[], None] | None = None
+        self._serve = link.serve if publish_topic == link.served else None
         self._others_seen = 0
         self._timer = node.create_timer(_LOOK, self.look_for_others)
 
-    @property
-    def publisher(self) -> Publisher:
-        """The publisher, to look at what it is matched with and what has been acknowledged."""
-        return self._publisher
-
-    def connect(self, peer: LocalChannel) -> None:
-        """Send to `peer` from now on.
+    def connect(self, peer: LocalChannel | None) -> None:
+        """Send to `peer` from now on; without one, forget what nobody will answer.
 
         Raises:
             ConfigError: if it receives another topic.
         """
-        if self._publisher.topic_name != peer.subscribe_topic:
+        if peer is None:
+            self._inbox.clear()
+        elif self.publisher.topic_name != peer.subscribe_topic:
             raise ConfigError(
-                f"{self._node.get_name()} publishes {self._publisher.topic_name}, {peer._node.get_name()} receives "
+                f"{self._node.get_name()} publishes {self.publisher.topic_name}, {peer._node.get_name()} receives "
                 f"{peer.subscribe_topic}; accepted: the same topic, with remaps and namespaces alike for both nodes"
             )
         self._peer = peer
 
-    def part(self) -> None:
-        """Send to nobody, and forget what nobody will answer."""
-        self._peer = None
-        self._inbox.clear()
-
     def close(self) -> None:
         """Let another end take this one's place, once nobody calls the others any more."""
         self._lock.close()
-        self._on_close(self)
-
-    def serve_with(self, serve: Callable[[], None]) -> None:
-        """Let `serve` answer, on the thread that receives, when there is nothing to receive."""
-        self._serve = serve
+        self._link.remove(self)
 
     def publish(self, raw: bytes) -> None:
         """Hand a serialised JointState over, and publish it if somebody listens."""
@@ -106,17 +82,14 @@ class LocalChannel:
         if not inbox and self._serve is not None:
             self._serve()
         if not inbox and timeout_s > 0.0:
-            self._wait(timeout_s)
+            deadline = time.monotonic() + timeout_s
+            # In this order: what comes in between is found, or announced.
+            self._waiting = True
+            # The announcement of a message that was taken before may come now: it ends no wait.
+            while not inbox and not self._woken and self._arrived.wait(deadline - time.monotonic()):
+                self._arrived.clear()
+            self._waiting = self._woken = False
         return inbox.popleft() if inbox else None
-
-    def _wait(self, timeout_s: float) -> None:
-        deadline = time.monotonic() + timeout_s
-        # In this order: what comes in between is found, or announced.
-        self._waiting = True
-        # The announcement of a message that was taken before may come now: it ends no wait.
-        while not self._inbox and not self._woken and self._arrived.wait(deadline - time.monotonic()):
-            self._arrived.clear()
-        self._waiting = self._woken = False
 
     def wake(self) -> None:
         """Make the current or the next `receive` that waits return at once; callable from every thread."""
@@ -140,12 +113,17 @@ class LocalChannel:
 
 
 class LocalLink:
-    """Two ends that are connected while both are there."""
+    """Two ends that are connected while both are there.
+
+    Attributes:
+        served: topic whose publishing end lets `serve` answer, on its own thread, when there is nothing to receive.
+        serve: to receive and publish at the other end; looked at when an end is made.
+    """
 
     def __init__(self) -> None:
+        self.served = ""
+        self.serve: Callable[[], None] | None = None
         self._ends: list[LocalChannel] = []
-        self._served = ""
-        self._serve: Callable[[], None] | None = None
 
     def end(self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> LocalChannel:
         """Make an end, as the constructor of `Channel` does.
@@ -154,26 +132,19 @@ class LocalLink:
             ExchangeError: if another process on this machine publishes `publish_topic`.
             ConfigError: if the two ends do not fit each other.
         """
-        channel = LocalChannel(node, publish_topic, subscribe_topic, qos, self._part)
+        channel = LocalChannel(self, node, publish_topic, subscribe_topic, qos)
         self._ends.append(channel)
-        if publish_topic == self._served and self._serve is not None:
-            channel.serve_with(self._serve)
         try:
-            for one, other in permutations(self._ends, 2):
-                one.connect(other)
+            if len(self._ends) == 2:
+                for one, other in (self._ends, self._ends[::-1]):
+                    one.connect(other)
         except ConfigError:
             channel.close()
             raise
         return channel
 
-    def _part(self, closed: LocalChannel) -> None:
+    def remove(self, closed: LocalChannel) -> None:
+        """Part the ends: one of them is closed."""
         self._ends.remove(closed)
         for left in (*self._ends, closed):
-            left.part()
-
-    def serve_with(self, topic: str, serve: Callable[[], None]) -> None:
-        """Let `serve` run on the thread of the end that publishes `topic` when that one waits, from its making on.
-
-        It is to receive and publish at the other end.
-        """
-        self._served, self._serve = topic, serve
+            left.connect(None)

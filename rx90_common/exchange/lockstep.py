@@ -5,7 +5,7 @@ outstanding, so whoever was away can be brought back by sending that one message
 set of matched endpoints changes, and once a second as long as somebody is there. A controller that sees the same states
 again sends the same bytes again. Both are idempotent.
 
-Of two simulations or two controllers on the same topics the second is refused when it starts (see publisher_lock.py).
+Of two simulations or two controllers on the same topics the second is refused when it starts (`lock_publisher`).
 Where that does not reach, they are recognised by what they send, and time stands still until one of them is left.
 """
 
@@ -14,13 +14,12 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
 
 from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import cdr_stamp_ns
+from rx90_common.exchange.channel import TickChannel
 from rx90_common.exchange.motor_messages import MotorMessages, ServoLoops
-from rx90_common.exchange.tick_channel import TickChannel
 
 _SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at
 _PATIENCE = 1.0  # s of silence before it is announced and, with a peer there, the message is sent again
@@ -34,8 +33,7 @@ class _Wait:
     """Announces a wait once, whatever it waits for in between, and its end once, by `over` and the time."""
 
     def __init__(self, announce: Callable[[str], None], over: str) -> None:
-        self._announce = announce
-        self._over = over
+        self._announce, self._over = announce, over
         self._announced = False
 
     def begin(self, text: str) -> None:
@@ -58,7 +56,6 @@ class LockstepSimulation:
 
     def __init__(self, channel: TickChannel, announce: Callable[[str], None]) -> None:
         self._channel = channel
-        self._announce = announce
         self._wait = _Wait(announce, "the controller answers: time runs on from")
         self._accepted = b""
         self._conflicts = 0
@@ -70,7 +67,7 @@ class LockstepSimulation:
         stamp_ns: int,
         state: bytes,
         interrupted: Callable[[], bool],
-        meanwhile: Callable[[], None] | None = None,
+        meanwhile: Callable[[], None] = lambda: None,
     ) -> bytes | None:
         """Publish the states stamped `stamp_ns` and return the command with that stamp, None if interrupted.
 
@@ -78,21 +75,17 @@ class LockstepSimulation:
         `interrupted` is asked 20 times a second and after each `Channel.wake`, and only while there is no command.
         """
         self._channel.publish(state)
-        if meanwhile is not None:
-            meanwhile()
+        meanwhile()
         raw = self._channel.receive(_SLICE)
         if raw is None or cdr_stamp_ns(raw) != stamp_ns or self._two_controllers:
-            return self._exchange_slowly(stamp_ns, state, raw, interrupted)
+            return self.again(stamp_ns, state, interrupted, raw)
         self._accepted = raw
         return raw
 
-    def again(self, stamp_ns: int, state: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Return another command for the tick of the last `exchange`, whose command could not be used."""
-        return self._exchange_slowly(stamp_ns, state, None, interrupted)
-
-    def _exchange_slowly(
-        self, stamp_ns: int, state: bytes, raw: bytes | None, interrupted: Callable[[], bool]
+    def again(
+        self, stamp_ns: int, state: bytes, interrupted: Callable[[], bool], raw: bytes | None = None
     ) -> bytes | None:
+        """Return another command for the tick of the last `exchange`, whose command `raw` could not be used."""
         channel = self._channel
         matches = channel.matches()
         began = sent = looked = time.monotonic()
@@ -144,13 +137,6 @@ class LockstepSimulation:
             )
 
 
-class _Jump(NamedTuple):
-    """A discontinuity of the states' stamps: its time on the steady clock in s, and its size in ns."""
-
-    at: float
-    size: int
-
-
 class LockstepController:
     """The controller's side; owned by the thread that ticks.
 
@@ -174,7 +160,7 @@ class LockstepController:
         self._state: bytes | None = None  # as received; an empty message must not pass for a repetition
         self._command = b""
         self._heard = time.monotonic()
-        self._jumps: deque[_Jump] = deque(maxlen=_JUMPS)
+        self._jumps: deque[tuple[float, int]] = deque(maxlen=_JUMPS)  # of the stamps: when, s of the clock; size, ns
         self._jumped = 0  # by how much the last states jumped, ns
         self._two_simulations = False
 
@@ -188,8 +174,12 @@ class LockstepController:
         if raw is None:
             self.announce_silence()
             return
-        if self._two_simulations and not self._alone_again():
-            return
+        if self._two_simulations:
+            if self._channel.matches().publishers > 1:
+                return
+            self._two_simulations = False
+            self._stamp = self._state = None
+            self._jumps.clear()
         if raw != self._state:
             try:
                 states = self._messages.decode(raw)
@@ -226,21 +216,13 @@ class LockstepController:
                 "ns, the same base_rate in both nodes"
             )
         self._jumped = size
-        self._jumps.append(_Jump(now, size))
-        backward = [jump for jump in self._jumps if jump.size < 0 and now - jump.at < _JUMP_WINDOW]
-        if len(backward) >= _BACKWARD_JUMPS and self._channel.matches().publishers > 1:
+        self._jumps.append((now, size))
+        backward = sum(size < 0 and now - at < _JUMP_WINDOW for at, size in self._jumps)
+        if backward >= _BACKWARD_JUMPS and self._channel.matches().publishers > 1:
             self._two_simulations = True
             self._wait.begin(
                 f"two simulations publish on {self._channel.subscribe_topic}: no commands until one is left"
             )
-
-    def _alone_again(self) -> bool:
-        if self._channel.matches().publishers > 1:
-            return False
-        self._two_simulations = False
-        self._stamp = self._state = None
-        self._jumps.clear()
-        return True
 
     def announce_silence(self) -> None:
         """Say that there is no simulation, if there has been none for a while."""

@@ -8,8 +8,8 @@ from typing import NamedTuple, Protocol
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.rates import Rates
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
-from rx90_common.exchange.throttle import ThrottledLog
+from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.pacing import ThrottledLog
 
 
 class MotorStates(NamedTuple):

@@ -1,4 +1,4 @@
-"""Keep ticks in step with the wall clock."""
+"""What follows the wall clock: the pace of ticks, and log lines that may come thousands of times a second."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import one_line
 
 _FORGIVEN = 0.1  # s behind that are caught up; more than that is given up, so that a stall is no burst of ticks
+_LINE_PERIOD = 5.0  # s
 
 
-def check_factor(factor: float) -> None:
-    """Refuse a factor that no pacer keeps.
+def check_factor(factor: float) -> float:
+    """Return a factor that a pacer can keep.
 
     Raises:
         ConfigError: with what is accepted.
@@ -20,6 +22,7 @@ def check_factor(factor: float) -> None:
     # Not slower, because a sleep cannot be interrupted and a tick would take seconds.
     if not (factor == 0.0 or 0.001 <= factor <= 1000.0):
         raise ConfigError(f"real_time_factor is {factor}; accepted: a number in [0.001, 1000], or 0 for no pacing")
+    return factor
 
 
 @dataclass
@@ -64,14 +67,15 @@ class Pacer:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        check_factor(factor)
-        self._period = period
-        self.factor = self._next_factor = factor
-        self._step = period / factor if factor else 0.0
-        self._clock, self._sleep = clock, sleep
+        self._period, self._clock, self._sleep = period, clock, sleep
+        self._next_factor = check_factor(factor)
+        self._use_factor()
+        self._counts, self._counted_since = PaceCounts(), clock()
+
+    def _use_factor(self) -> None:
+        self.factor = self._next_factor
+        self._step = self._period / self.factor if self.factor else 0.0
         self.restart()
-        self._counts = PaceCounts()
-        self._taken = clock()
 
     def restart(self) -> None:
         """Begin a new grid now: after a pause nothing is caught up."""
@@ -84,8 +88,7 @@ class Pacer:
         Raises:
             ConfigError: as `check_factor`.
         """
-        check_factor(factor)
-        self._next_factor = factor
+        self._next_factor = check_factor(factor)
 
     def shift(self, seconds: float) -> None:
         """Move the grid, to a later time or, below 0, an earlier one."""
@@ -94,9 +97,7 @@ class Pacer:
     def wait(self) -> None:
         """Wait until the next tick is due."""
         if self._next_factor != self.factor:
-            self.factor = self._next_factor
-            self._step = self._period / self.factor if self.factor else 0.0
-            self.restart()
+            self._use_factor()
         counts = self._counts
         now = self._clock()
         if self._step:
@@ -118,5 +119,32 @@ class Pacer:
         """Return the counts since the last call and begin new ones."""
         counts, self._counts = self._counts, PaceCounts()
         now = self._clock()
-        counts.seconds, self._taken = now - self._taken, now
+        counts.seconds, self._counted_since = now - self._counted_since, now
         return counts
+
+
+class ThrottledLog:
+    """Prints a line at once, and the next one of its kind after five seconds, with the count of those in between.
+
+    Lines of one kind are counted together, so that a number in the text does not make a new line of it. Each is printed
+    as `one_line` has it.
+
+    Args:
+        announce: prints a line.
+        clock: the steady clock, s.
+    """
+
+    def __init__(self, announce: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+        self._announce, self._clock = announce, clock
+        self._due: dict[str, float] = {}
+        self._suppressed: dict[str, int] = {}
+
+    def say(self, kind: str, text: str) -> None:
+        """Print `text`, if the last line of this kind was printed at least five seconds ago."""
+        now = self._clock()
+        if now < self._due.get(kind, now):
+            self._suppressed[kind] = self._suppressed.get(kind, 0) + 1
+            return
+        self._due[kind] = now + _LINE_PERIOD
+        suppressed = self._suppressed.pop(kind, 0)
+        self._announce(one_line(text) + (f" (and {suppressed} times before)" if suppressed else ""))

@@ -1,19 +1,62 @@
-"""Start rclpy; what ROS refuses is one line for the user."""
+"""Start ROS: the environment of its middleware, rclpy itself, and whether control_msgs is there.
+
+Nothing of ROS is imported before it is asked for.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import os
 from collections.abc import Sequence
-
-import rclpy
-from rclpy.context import Context
-from rclpy.impl.logging_severity import LoggingSeverity
-from rclpy.logging import set_logger_level
-from rclpy.signals import SignalHandlerOptions
+from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.requirements import missing_module
+from rx90_common.base.share import config_path
 
+if TYPE_CHECKING:
+    from rclpy.context import Context
+
+_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"  # Jazzy's Fast DDS 2.14 does not read FASTDDS_DEFAULT_PROFILES_FILE
+_LAST_DOMAIN = 232  # the ports of higher ones do not exist
+_FAST_DDS = "rmw_fastrtps_cpp"
+_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _REASON = 400  # characters; ROS explains at length where a name is wrong
+
+
+def prepare() -> None:
+    """Set the environment of Fast DDS; every process of the suite calls this before `rclpy.init`.
+
+    - UDP instead of shared memory: a killed process leaves no segments behind whose remains the next start reports
+      as errors. With the range LOCALHOST rmw_fastrtps adds shared memory whatever FASTDDS_BUILTIN_TRANSPORTS says;
+      there a profile with UDP on 127.0.0.1 alone takes the place of the range, with the same reach.
+    - Profiles whose reasons stand in config/dds/profiles.xml.
+
+    Another middleware, profiles of the user's own, and static peers are left as they are.
+
+    Raises:
+        ConfigError: for a domain or a middleware that cannot be, which ROS itself would end the process for.
+    """
+    domain = os.environ.get("ROS_DOMAIN_ID", "")
+    if domain and not (domain.isascii() and domain.isdecimal() and int(domain) <= _LAST_DOMAIN):
+        raise ConfigError(f"ROS_DOMAIN_ID is {quoted(domain)}; accepted: a whole number from 0 to {_LAST_DOMAIN}")
+    middleware = os.environ.get("RMW_IMPLEMENTATION") or _FAST_DDS
+    if middleware != _FAST_DDS:
+        try:
+            ctypes.CDLL(f"lib{middleware}.so")
+        except OSError:
+            raise ConfigError(
+                f"RMW_IMPLEMENTATION is {quoted(middleware)}, which is not installed here; accepted: {_FAST_DDS}, or "
+                "unset it"
+            ) from None
+    elif _PROFILES not in os.environ:
+        if os.environ.get(_RANGE, "").upper() == "LOCALHOST" and not os.environ.get("ROS_STATIC_PEERS"):
+            os.environ[_RANGE] = "SYSTEM_DEFAULT"  # or rmw_fastrtps would add its own transports to the profile's
+            os.environ[_PROFILES] = str(config_path("dds/localhost.xml"))
+        else:
+            os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+            os.environ[_PROFILES] = str(config_path("dds/profiles.xml"))
 
 
 def start_ros(args: Sequence[str], context: Context | None = None) -> None:
@@ -22,12 +65,19 @@ def start_ros(args: Sequence[str], context: Context | None = None) -> None:
     Raises:
         ConfigError: if it refuses the arguments or the environment.
     """
+    import rclpy
+    from rclpy.impl.logging_severity import LoggingSeverity
+    from rclpy.logging import set_logger_level
+    from rclpy.signals import SignalHandlerOptions
+
     # rcl would print a refusal itself, beside the line that the error becomes.
     set_logger_level("rcl", LoggingSeverity.FATAL)
     try:
         rclpy.init(args=list(args), context=context, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
-        raise _refused(args, error) from error
+        if not args:
+            raise ConfigError(f"ROS does not start: {reason(error)}") from error
+        raise ConfigError(f"ROS arguments {plain(' '.join(args))}: refused ({reason(error)})") from error
     set_logger_level("rcl", LoggingSeverity.UNSET)
 
 
@@ -36,7 +86,17 @@ def reason(error: Exception) -> str:
     return plain(" ".join(str(error).split(", at /")[0].split()), _REASON)
 
 
-def _refused(args: Sequence[str], error: Exception) -> ConfigError:
-    if not args:
-        return ConfigError(f"ROS does not start: {reason(error)}")
-    return ConfigError(f"ROS arguments {plain(' '.join(args))}: refused ({reason(error)})")
+def missing_control_msgs() -> str | None:
+    """Return None where control_msgs can be used; else in one line what is missing and how to get it.
+
+    Without it a controller runs with its topics and services, and without the action. Where nothing is there it costs a
+    search for the folder; what it imports otherwise is what the action needs.
+    """
+    try:
+        from control_msgs import control_msgs_s__rosidl_typesupport_c  # noqa: F401
+        from control_msgs.action import FollowJointTrajectory  # noqa: F401
+        from control_msgs.msg import JointTrajectoryControllerState, SpeedScalingFactor  # noqa: F401
+        from control_msgs.srv import QueryTrajectoryState  # noqa: F401
+    except ImportError as error:
+        return missing_module(error) or str(error)
+    return None

@@ -1,8 +1,13 @@
-"""What both nodes must agree on: the names of topics, motors and time modes."""
+"""What both nodes must agree on: names of topics and motors, how time is kept, rates and robot."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
+
+from rx90_common.base.errors import ConfigError, ExchangeError, MessageError
+from rx90_common.base.quoting import quoted
+from rx90_common.base.rates import Rates
 
 MOTOR_NAMES: Final = tuple(f"motor_{i}" for i in range(1, 7))
 MOTOR_STATES: Final = "motor_states"
@@ -18,9 +23,9 @@ PARAMETERS: Final = "parameters"
 TEMPERATURES: Final = "temperatures"
 """Of the simulation: how warm the joints are, and the windings of the motors."""
 SEED: Final = "seed"
-"""Parameter of the simulation, which its topic PARAMETERS tells: of all that is random in the arm."""
+"""Parameter of the simulation, which its topic PARAMETERS publishes: of all that is random in the arm."""
 TEMPERATURE_RATE: Final = "temperature_rate"
-"""Parameter of the simulation, which its topic PARAMETERS tells: of TEMPERATURES, Hz."""
+"""Parameter of the simulation, which its topic PARAMETERS publishes: of TEMPERATURES, Hz."""
 REFERENCE_ACCELERATION: Final = "reference_acceleration"
 COMMANDED_CURRENT: Final = "commanded_current"
 MOTOR_CURRENT: Final = "motor_current"
@@ -29,13 +34,70 @@ DETAILS: Final = (REFERENCE_ACCELERATION, COMMANDED_CURRENT, MOTOR_CURRENT)
 DETAIL_DECIMATION: Final = 10
 """Ticks of the position loop for each message of these."""
 SAMPLED: Final = "sampled"
-"""Namespace of the topics on which the simulation publishes its states for those who look on."""
+"""Namespace of the topics on which the simulation publishes its states for viewers."""
 SAMPLED_RATE: Final = 100
 """Of these, Hz of simulated time."""
 MAX_DISPLAY_RTF: Final = 1.2
-"""Simulated s in one of the wall clock above which those who look on are shown less: nobody paces what is faster."""
+"""Simulated s in one of the wall clock above which viewers are shown fewer samples."""
 TIME_MODE: Final = "time_mode"
 """Latched by the simulation: how time is kept; the controller follows it."""
 LOCK_STEP: Final = "lock_step"
 FREE_RUNNING: Final = "free_running"
 TIME_MODES: Final = (LOCK_STEP, FREE_RUNNING)
+
+
+@dataclass(frozen=True)
+class TimeMode:
+    """What the simulation latches on TIME_MODE: how time is kept, and the rates and the robot that both nodes share.
+
+    Attributes:
+        mode: one of TIME_MODES.
+        rates: of the simulation.
+        robot: name of its robot; None where the text says none.
+    """
+
+    mode: str
+    rates: Rates
+    robot: str | None = None
+
+    @property
+    def text(self) -> str:
+        """Return the text of the message."""
+        text = f"{self.mode} base_rate={self.rates.base_hz} position_rate={self.rates.position_hz}"
+        return text if self.robot is None else f"{text} robot={self.robot}"
+
+    @classmethod
+    def parse(cls, text: str) -> TimeMode:
+        """Read the text of a message.
+
+        Raises:
+            MessageError: if it is none.
+        """
+        try:
+            about, named, robot = text.partition(" robot=")
+            mode, base, position = about.split()
+            if mode in TIME_MODES and base.startswith("base_rate=") and position.startswith("position_rate="):
+                rates = Rates(int(base.partition("=")[2]), int(position.partition("=")[2]))
+                return cls(mode, rates, robot if named else None)
+        except (ValueError, ConfigError):
+            pass
+        accepted = f"{', '.join(TIME_MODES)} with rates, as in lock_step base_rate=4000 position_rate=1000"
+        raise MessageError(f"{TIME_MODE} says {quoted(text)}; accepted: {accepted}")
+
+    def check(self, rates: Rates, robot: str) -> None:
+        """Compare the simulation's rates and robot with the controller's.
+
+        Raises:
+            ExchangeError: naming what differs first, with both values.
+        """
+        for name in ("base", "position"):
+            theirs, ours = getattr(self.rates, f"{name}_hz"), getattr(rates, f"{name}_hz")
+            if theirs != ours:
+                raise ExchangeError(
+                    f"{name}_rate is {ours} Hz here and {theirs} Hz in the simulation; accepted: the same in both nodes"
+                )
+        if self.robot not in (None, robot):
+            raise ExchangeError(
+                f"the robot is {quoted(robot)} here and {quoted(self.robot)} in the simulation; accepted: the same in "
+                "both nodes, by their parameters robot or urdf"
+            )

@@ -1,14 +1,12 @@
-"""Child processes: start them, wait for what they say, leave none behind; docs/explanation/processes.md tells why."""
+"""Child processes: start them, wait for what they say, leave none behind; see docs/explanation/processes.md."""
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 import signal
 import subprocess
 import sys
-import termios
 import threading
 import time
 from collections.abc import Sequence
@@ -23,7 +21,7 @@ from rx90_common.process.interrupts import interrupts_later
 TIMEOUT = 120.0
 """Longest wait for a line or an end, s: generous, for a loaded machine with nothing compiled yet."""
 
-_LAST_LINES_S = 10.0  # the longest wait, after the end, for what had been printed before
+_LAST_LINES_S = 3.0  # the longest wait, after the end, for what had been printed: what it started may hold the stream
 _WATCHES_STDIN = "RX90_CHILD_WATCHES_STDIN"  # in the environment of a child
 _ORPHAN_GRACE_S = 20.0  # from the interrupt of a child without a parent until it is killed
 
@@ -45,8 +43,7 @@ class ChildProcess:
     """
 
     def __init__(self, name: str, command: Sequence[str], log: Path | None = None) -> None:
-        self.name = name
-        self.log = log
+        self.name, self.log = name, log
         self._changed = threading.Condition()
         self._lines: list[str] = []
         self._looked_at = 0
@@ -116,9 +113,8 @@ class ChildProcess:
                     raise ProcessError(f"the {self.name} ended early: {self._last_line()}")
                 left = deadline - time.monotonic()
                 if left <= 0:
-                    raise ProcessError(
-                        f"the {self.name} did not say '{pattern}' within {timeout:g} s: {self._last_line()}"
-                    )
+                    said = f"did not say '{pattern}' within {timeout:g} s"
+                    raise ProcessError(f"the {self.name} {said}: {self._last_line()}")
                 self._changed.wait(min(left, 0.2))
 
     def wait(self, timeout: float = TIMEOUT) -> int:
@@ -131,22 +127,10 @@ class ChildProcess:
             code = self._process.wait(timeout)
         except subprocess.TimeoutExpired as error:
             raise ProcessError(f"the {self.name} did not end within {timeout:g} s: {self._last_line()}") from error
-        self._hear_the_rest()
+        self._reader.join(_LAST_LINES_S)
         assert self._process.stdin is not None
         self._process.stdin.close()
         return code
-
-    def _hear_the_rest(self) -> None:
-        """Wait until what it had printed is read: not for the stream's end, which what it has started may keep open."""
-        deadline = time.monotonic() + _LAST_LINES_S
-        self._reader.join(1.0)  # also for what is read, but not yet among the lines
-        while self._reader.is_alive() and self._bytes_in_the_pipe() and time.monotonic() < deadline:
-            self._reader.join(1.0)
-
-    def _bytes_in_the_pipe(self) -> int:
-        assert self._process.stdout is not None
-        count = fcntl.ioctl(self._process.stdout.fileno(), termios.FIONREAD, bytes(4))
-        return int.from_bytes(count, sys.byteorder)
 
     def expect_success(self, timeout: float = TIMEOUT) -> None:
         """Wait for the end.
@@ -176,8 +160,7 @@ class ProcessGroup:
     """
 
     def __init__(self, folder: Path | None = None, grace: float = 5.0) -> None:
-        self._folder = folder
-        self._grace = grace
+        self._folder, self._grace = folder, grace
         self._members: list[ChildProcess] = []
 
     def start(self, name: str, command: Sequence[str]) -> ChildProcess:

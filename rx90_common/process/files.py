@@ -1,21 +1,25 @@
-"""Files that appear whole: written beside their places first, then given their names."""
+"""What is written: files that appear whole, made beside their places; and standard output that cannot be written."""
 
 from __future__ import annotations
 
 import fcntl
+import io
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
-from rx90_common.base.errors import write_error
+from rx90_common.base.errors import OutputError, write_error
 from rx90_common.process.interrupts import interrupts_later
 
 _LONGEST_PREFIX = 50  # characters of a name, which may take four bytes each
 _MARK = ".rx90-"
 _RANDOM = "?" * 8  # of `mkdtemp`
+_READER_GONE = 141  # as a shell reports the end by SIGPIPE
 
 
 @contextmanager
@@ -27,13 +31,16 @@ def hidden_beside(target: Path) -> Iterator[Path]:
     Raises:
         OSError: if none can be made.
     """
-    _sweep(target.parent)
-    prefix = f".{target.name[:_LONGEST_PREFIX]}{_MARK}"
-    held = None
-    while held is None:
-        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=target.parent))
+    for left in target.parent.glob(f".*{_MARK}{_RANDOM}"):
+        with suppress(OSError):  # somebody else's
+            held = _lock(left, wait=False)
+            shutil.rmtree(left, ignore_errors=True)
+            os.close(held)
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=f".{target.name[:_LONGEST_PREFIX]}{_MARK}", dir=target.parent))
         with suppress(FileNotFoundError):  # swept between its making and its lock
-            held = _lock(folder)
+            held = _lock(folder, wait=True)
+            break
     try:
         yield folder
     finally:
@@ -41,15 +48,7 @@ def hidden_beside(target: Path) -> Iterator[Path]:
         os.close(held)
 
 
-def _sweep(parent: Path) -> None:
-    for left in parent.glob(f".*{_MARK}{_RANDOM}"):
-        with suppress(OSError):  # somebody else's
-            held = _lock(left, wait=False)
-            shutil.rmtree(left, ignore_errors=True)
-            os.close(held)
-
-
-def _lock(folder: Path, *, wait: bool = True) -> int:
+def _lock(folder: Path, *, wait: bool) -> int:
     """Return a descriptor of a folder that holds its lock; on a file system without locks, with `wait`, it holds none.
 
     Raises:
@@ -57,11 +56,8 @@ def _lock(folder: Path, *, wait: bool = True) -> int:
     """
     held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
-        try:
+        with suppress(*(OSError,) * wait):
             fcntl.flock(held, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except OSError:
-            if not wait:
-                raise
         folder.lstat()
     except OSError:
         os.close(held)
@@ -84,48 +80,29 @@ def written_beside(*files: Path) -> Iterator[list[Path]]:
         with ExitStack() as folders:
             places: list[tuple[Path, Path]] = []
             for current in files:
-                if current.exists() and not current.is_file() and not current.is_dir():
-                    places.append((current, current))
-                else:
-                    target = current.resolve()
-                    places.append((_beside(target, folders), target))
+                place = target = current.resolve()
+                if current.is_file() or current.is_dir() or not current.exists():
+                    if target.exists():
+                        with target.open("ab"):  # what may not be written may not be replaced either
+                            pass
+                    place = folders.enter_context(hidden_beside(target)) / target.name
+                places.append((place, target))
             yield [place for place, _ in places]
             # All names or none; an interrupt that comes so late has nothing left to stop.
             with suppress(KeyboardInterrupt), interrupts_later():
                 for file, (place, target) in zip(files, places, strict=True):
                     current = file
                     if place != target:
-                        _give_name(place, target)
+                        with suppress(OSError):  # there is none before, or it belongs to somebody else
+                            shutil.copymode(target, place)
+                        place.replace(target)
     except OSError as error:
         raise write_error(current, error) from error
 
 
-def _beside(target: Path, folders: ExitStack) -> Path:
-    """Return a place of the same name in a new hidden folder."""
-    if target.exists():
-        with target.open("ab"):  # what may not be written may not be replaced either
-            pass
-    return folders.enter_context(hidden_beside(target)) / target.name
-
-
-def _give_name(place: Path, target: Path) -> None:
-    with suppress(OSError):  # there is none before, or it belongs to somebody else
-        shutil.copymode(target, place)
-    place.replace(target)
-
-
 def write_text(file: Path, text: str) -> None:
-    """Write a file as UTF-8, as `write_bytes` does."""
+    """Write a file as UTF-8, as `write_all` does."""
     write_all({file: text.encode()})
-
-
-def write_bytes(file: Path, content: bytes) -> None:
-    """Write a file; where that fails an old one stays as it was, and no new one.
-
-    Raises:
-        Rx90Error: if that fails, as `write_error` says.
-    """
-    write_all({file: content})
 
 
 def write_all(contents: Mapping[Path, bytes]) -> None:
@@ -140,3 +117,37 @@ def write_all(contents: Mapping[Path, bytes]) -> None:
                 place.write_bytes(content)
             except OSError as error:
                 raise write_error(file, error) from error
+
+
+class _Output(io.FileIO):
+    """Standard output; once it has failed, the rest goes nowhere, or Python would complain again at the end."""
+
+    _failed = False
+
+    def write(self, data: Any) -> int:
+        if self._failed:
+            return len(data)
+        try:
+            return super().write(data) or 0
+        except BrokenPipeError:
+            self._failed = True
+            raise SystemExit(_READER_GONE) from None
+        except OSError as error:
+            self._failed = True
+            raise OutputError(f"standard output cannot be written: {error.strerror}") from error
+
+
+def check_output() -> None:
+    """From now on raise OutputError where standard output cannot be written, and SystemExit after a closed pipe."""
+    if sys.stdout is None:
+        # Closed by the parent: the next file that is opened would get its number.
+        os.open(os.devnull, os.O_WRONLY)
+        return
+    before = sys.stdout
+    before.flush()
+    sys.stdout = io.TextIOWrapper(
+        io.BufferedWriter(_Output(1, "wb", closefd=False)),
+        encoding=before.encoding,
+        errors=before.errors,
+        line_buffering=bool(before.line_buffering or getattr(before, "write_through", False)),  # python -u
+    )

@@ -1,53 +1,38 @@
-"""Ctrl-C and requests to end that come only where a program can take them; docs/explanation/processes.md tells why."""
+"""Ctrl-C, requests to end and exit codes, where a program can take them; see docs/explanation/processes.md."""
 
 from __future__ import annotations
 
-import _weakrefset
 import atexit
+import logging
 import os
 import signal
+import sys
 import threading
 import time
-import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from importlib.machinery import ExtensionFileLoader
 from queue import Empty, SimpleQueue
 from types import FrameType
-from typing import NamedTuple
 
 from rx90_common.base.errors import FAILED, INTERRUPTED
-from rx90_common.process.exit_code import end_with
 
 _INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_RETRY = 0.02
-_WEAK = {  # functions that are called back by a weak reference, by their files
-    "<frozen importlib._bootstrap>": {"cb"},
-    _weakrefset.__file__: {"_remove"},
-    weakref.__file__: {"remove", "__call__"},
-}
+_RETRY_S = 0.02
+_codes: list[int] = []
 
 
 def install_deferred_sigint() -> None:
-    """From now on let Ctrl-C wait while Python is where an exception gets lost or becomes another one.
+    """From now on let Ctrl-C wait while Python is in a destructor or a callback of the compiler, which lose exceptions.
 
-    That is in the compiler's callbacks, which come whenever it loads a kernel from its cache, in destructors, in
-    callbacks of weak references, as where the import system forgets the lock of a module, and while an extension module
-    initialises itself, where numpy makes an ImportError of it: likely in the first seconds.
+    The compiler calls back whenever it loads a kernel from its cache: likely in the first seconds.
     """
     signal.signal(signal.SIGINT, _interrupt_where_safe)
 
 
 def _interrupt_where_safe(_number: int, frame: FrameType | None) -> None:
     while frame is not None:
-        code = frame.f_code
-        if (
-            "llvmlite" in code.co_filename
-            or code.co_name == "__del__"
-            or code.co_name in _WEAK.get(code.co_filename, ())
-            or (code.co_name.endswith("_module") and isinstance(frame.f_locals.get("self"), ExtensionFileLoader))
-        ):
-            again = threading.Timer(_RETRY, os.kill, [os.getpid(), signal.SIGINT])
+        if "llvmlite" in frame.f_code.co_filename or frame.f_code.co_name == "__del__":
+            again = threading.Timer(_RETRY_S, os.kill, [os.getpid(), signal.SIGINT])
             again.daemon = True
             again.start()
             return
@@ -61,10 +46,9 @@ def terminations_as_interrupts() -> Iterator[None]:
 
     Handlers that the block itself sets stay. Outside the main thread nothing changes: Python takes no signals there.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    numbers = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
+    numbers: list[signal.Signals] = []
+    if threading.current_thread() is threading.main_thread():
+        numbers = [number for number in _INTERRUPTS[1:] if signal.getsignal(number) == signal.SIG_DFL]
     for number in numbers:
         signal.signal(number, _interrupt_where_safe)
     try:
@@ -145,23 +129,18 @@ def interrupts_later() -> Iterator[Callable[[], None]]:
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
-    held = False
-
-    def hold(_number: int, _frame: FrameType | None) -> None:
-        nonlocal held
-        held = True
+    held: list[int] = []
 
     def check() -> None:
-        nonlocal held
         if held:
-            held = False
+            held.clear()
             raise KeyboardInterrupt
 
     # Only what Python handles: an ignored signal stays ignored, and what ends the process at once still does. A
     # handler, not a mask or SIG_IGN, because a child would inherit those.
     before = {number: handler for number in _INTERRUPTS if callable(handler := signal.getsignal(number))}
     for number in before:
-        signal.signal(number, hold)
+        signal.signal(number, lambda number, _frame: held.append(number))
     try:
         yield check
     finally:
@@ -171,48 +150,32 @@ def interrupts_later() -> Iterator[Callable[[], None]]:
 
 
 class Start:
-    """A start that may take long, and whether it is over.
+    """Whether the start of a program is over, from when on it takes interrupts by itself."""
 
-    Attributes:
-        is_over: whether `over` was called.
-        interrupted: whether the start was asked to end.
-    """
-
-    def __init__(self) -> None:
-        self.is_over = self.interrupted = False
+    is_over = False
 
     def over(self) -> None:
-        """From now on the program takes interrupts by itself."""
+        """Say that it is."""
         self.is_over = True
 
 
-class EndLimits(NamedTuple):
-    """How long a process may take to end once it is asked to, s, and what is done when it takes longer.
-
-    Both functions are the last that is called, and must return at once.
-
-    Attributes:
-        start: while it starts.
-        end: after `Start.over`.
-        started: called before a process that was starting is ended with 130.
-        stuck: called before one that was running is ended with 3.
-    """
-
-    start: float
-    end: float
-    started: Callable[[], None]
-    stuck: Callable[[], None]
-
-
 @contextmanager
-def ends_within(limits: EndLimits) -> Iterator[Start]:
+def ends_within(
+    start_s: float, end_s: float, give_up: Callable[[], None], cut_off: Callable[[], None]
+) -> Iterator[Start]:
     """Have Ctrl-C, SIGTERM or SIGHUP end this process within a time, whatever it waits for.
 
     KeyboardInterrupt is raised as ever, and cleans up; but where kernels are compiled, or something is waited for on
     the way out, the main thread may be away for long. A thread hears of the signal at once, and waits no longer. After
     `Start.over` its time counts to the end of the process, not of the block: libraries wait for threads there, too.
+
+    Args:
+        start_s: how long an interrupted start may take to end, s.
+        end_s: how long the end may take after `Start.over`, s.
+        give_up: called before a process that was starting is ended with 130; must return at once.
+        cut_off: called before one that was running is ended with 3; must return at once.
     """
-    start = Start()
+    start, interrupted = Start(), threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield start
         return
@@ -221,16 +184,13 @@ def ends_within(limits: EndLimits) -> Iterator[Start]:
 
     def listen() -> None:
         while number := os.read(reader, 1):
-            if number[0] not in _INTERRUPTS:
-                continue
-            if start.is_over:
-                time.sleep(limits.end)
-                limits.stuck()
-                os._exit(FAILED)
-            start.interrupted = True
-            time.sleep(limits.start)
-            limits.started()
-            os._exit(INTERRUPTED)
+            if number[0] in _INTERRUPTS:
+                over = start.is_over
+                if not over:
+                    interrupted.set()
+                time.sleep(end_s if over else start_s)
+                (cut_off if over else give_up)()
+                os._exit(FAILED if over else INTERRUPTED)
         os.close(reader)
 
     threading.Thread(target=listen, name="interrupts", daemon=True).start()
@@ -238,8 +198,27 @@ def ends_within(limits: EndLimits) -> Iterator[Start]:
     try:
         yield start
     finally:
-        if start.interrupted:
+        if interrupted.is_set():
             end_with(INTERRUPTED)  # a compiler in another thread may crash when the interpreter ends in order
         else:
             signal.set_wakeup_fd(before)
             os.close(writer)  # the thread reads the end
+
+
+def end_with(code: int) -> None:
+    """Let this process end with `code`, whatever it returns in the end; for code -n, of signal n, with 128 + n.
+
+    For programs that start others, and where a library keeps the process from ending in order. The first code that is
+    not 0 counts: what ends later is what the launcher ends itself.
+    """
+    if code and not _codes:
+        _codes.append(code if code > 0 else 128 - code)
+        atexit.register(_leave)
+
+
+def _leave() -> None:
+    # At the end of the process there is no other way to another exit code; what was registered earlier is not run.
+    logging.shutdown()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(_codes[0])

@@ -1,11 +1,19 @@
-"""Where threads are: what a program says of those that do not end."""
+"""The threads of this process: where they are, which processors they run on, how much they leave to others."""
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import traceback
-from pathlib import PurePath
+from pathlib import Path, PurePath
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
+
+_MOST_CPUS = 8192  # Linux has no more
+NICEST = 19
+"""The largest niceness: what runs at it gives way to everything else."""
 
 
 def calls_of(thread: threading.Thread) -> list[traceback.FrameSummary]:
@@ -22,5 +30,57 @@ def place_of(call: traceback.FrameSummary) -> str:
 def where_threads_are() -> list[str]:
     """Return a line for each thread but the one that asks: its name, and the calls it is in, the innermost last."""
     others = (thread for thread in threading.enumerate() if thread is not threading.current_thread())
-    told = [(thread.name, calls) for thread in others if (calls := calls_of(thread))]
-    return [f"{name}: " + " > ".join(f"{place_of(one)} {one.name}" for one in calls) for name, calls in told]
+    found = [(thread.name, calls) for thread in others if (calls := calls_of(thread))]
+    return [f"{name}: " + " > ".join(f"{place_of(one)} {one.name}" for one in calls) for name, calls in found]
+
+
+def run_on(cpus: str) -> None:
+    """Let this process, with all its threads, run on these processors alone.
+
+    Args:
+        cpus: numbers and ranges, as in `0,2-3`.
+
+    Raises:
+        ConfigError: for a text that is no list, or a processor that this process may not use.
+    """
+    usable = os.sched_getaffinity(0)
+    try:
+        wanted = {number for part in cpus.split(",") for number in _numbers(part)}
+    except ValueError:
+        wanted = set()
+    if not wanted or not wanted <= usable:
+        accepted = ", ".join(map(str, sorted(usable)))
+        raise ConfigError(f"--cpus {quoted(cpus)}; accepted: numbers and ranges, as in 0,2-3, of {accepted}")
+    for thread in _threads():
+        os.sched_setaffinity(thread, wanted)
+
+
+def _numbers(part: str) -> range:
+    first, dash, last = part.partition("-")
+    numbers = range(int(first), int(last if dash else first) + 1)
+    if not 0 < len(numbers) <= _MOST_CPUS:  # a range of millions would fill the memory
+        raise ValueError(part)
+    return numbers
+
+
+def be_nice(niceness: int) -> None:
+    """Give this process, with all its threads, a niceness: 19 gives way to all others, below 0 needs permission.
+
+    Raises:
+        ConfigError: for a niceness that does not exist, or that this user may not have.
+    """
+    if not -NICEST - 1 <= niceness <= NICEST:
+        raise ConfigError(f"--nice {niceness}; accepted: a whole number from {-NICEST - 1} to {NICEST}")
+    try:
+        for thread in _threads():
+            os.setpriority(os.PRIO_PROCESS, thread, niceness)
+    except PermissionError:
+        current = os.getpriority(os.PRIO_PROCESS, 0)
+        raise ConfigError(
+            f"--nice {niceness}: not permitted to this user; accepted: from {current} to {NICEST}"
+        ) from None
+
+
+def _threads() -> list[int]:
+    """Return the ids of this process's threads; those that begin later inherit what theirs has."""
+    return [int(task.name) for task in Path("/proc/self/task").iterdir()]

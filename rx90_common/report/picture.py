@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from rx90_common.process.files import write_bytes
+from rx90_common.process.files import write_all
 from rx90_common.report.plot import (
     LINEAR_PART,
     Band,
@@ -89,7 +89,7 @@ def write_picture(plot: Plot, path: Path, title: str = "") -> None:
         drawn(plot, _MOST_POINTS, title).savefig(
             buffer, format=path.suffix[1:].lower(), dpi=_DPI, metadata=None if date is None else {date: None}
         )
-    write_bytes(path, buffer.getvalue())
+    write_all({path: buffer.getvalue()})
 
 
 def drawn(plot: Plot, most: int = _MOST_POINTS, title: str = "") -> Figure:

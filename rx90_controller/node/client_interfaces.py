@@ -27,12 +27,9 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import ENCAPSULATION, message_time_ns
-from rx90_common.exchange.cdr_body import CdrBody
-from rx90_common.exchange.message_times import ros_time
-from rx90_common.exchange.qos import LATCHED_QOS, REQUEST_QOS, STATE_QOS
-from rx90_common.exchange.qos_overrides import publish
-from rx90_common.exchange.subscribing import subscribe
-from rx90_common.exchange.throttle import ThrottledLog
+from rx90_common.exchange.cdr import CdrBody
+from rx90_common.exchange.endpoints import LATCHED_QOS, REQUEST_QOS, STATE_QOS, publish, ros_time, subscribe
+from rx90_common.exchange.pacing import ThrottledLog
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory.request import Feedback, State, TrajectoryRequest

@@ -21,21 +21,25 @@ from rx90_common.base.quoting import one_line, plain
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange import node_tools
-from rx90_common.exchange.channel import Channel
-from rx90_common.exchange.control_messages import missing_control_msgs
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange import endpoints, node_tools
+from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.channel import Channel, Ends, MakeChannel
+from rx90_common.exchange.endpoints import (
+    LATCHED_QOS,
+    REQUEST_QOS,
+    STATE_QOS,
+    TICK_QOS,
+    TRAJECTORY_QOS,
+    publish,
+    ros_time,
+    subscribe,
+)
 from rx90_common.exchange.lifecycle import ManagedNode, started
-from rx90_common.exchange.message_times import ros_time
 from rx90_common.exchange.motor_messages import MotorMessages
-from rx90_common.exchange.node_tools import Diagnostics, declare_rates
-from rx90_common.exchange.pacing import Pacer
-from rx90_common.exchange.qos import LATCHED_QOS, REQUEST_QOS, STATE_QOS, TICK_QOS, TRAJECTORY_QOS
-from rx90_common.exchange.qos_overrides import publish
-from rx90_common.exchange.subscribing import subscribe
-from rx90_common.exchange.throttle import ThrottledLog
-from rx90_common.exchange.tick_channel import Ends, MakeChannel
-from rx90_common.exchange.time_mode import TimeMode
+from rx90_common.exchange.node_tools import Diagnostics
+from rx90_common.exchange.pacing import Pacer, ThrottledLog
+from rx90_common.exchange.parameters import declare_rates
+from rx90_common.exchange.ros_start import missing_control_msgs
 from rx90_common.exchange.topics import (
     DETAILS,
     FREE_RUNNING,
@@ -44,6 +48,7 @@ from rx90_common.exchange.topics import (
     MOTOR_STATES,
     TIME_MODE,
     TRAJECTORY_ACCEPTED,
+    TimeMode,
 )
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CS7BParameters
@@ -163,11 +168,11 @@ class Control:
             ExchangeError: if the simulation's rates are not this one's.
         """
         self.serving.run()
-        node_tools.wait_until_received(self.publishers)
+        endpoints.wait_until_received(self.publishers)
 
     def wait_for_subscribers(self) -> None:
         """Wait until subscribers, also those of the commands, are matched."""
-        node_tools.wait_until_matched(self._node, self.publishers, _MATCH_ATTEMPTS)
+        endpoints.wait_until_matched(self._node, self.publishers, _MATCH_ATTEMPTS)
 
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""

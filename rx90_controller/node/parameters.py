@@ -20,8 +20,7 @@ from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
 from rx90_common.base.section import Section
 from rx90_common.exchange.lifecycle import ManagedNode
-from rx90_common.exchange.node_tools import declare
-from rx90_common.exchange.parameter_changes import ChangeGroup, Effective
+from rx90_common.exchange.parameters import ChangeGroup, Effective, declare
 from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CONTROLLER, CS7BParameters, read_controller

@@ -15,13 +15,11 @@ from collections.abc import Callable
 
 from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.exchange.channel import TickChannel
 from rx90_common.exchange.lockstep import LockstepController
 from rx90_common.exchange.motor_messages import MotorMessages, MotorStates, ServoLoops
-from rx90_common.exchange.pacing import Pacer
-from rx90_common.exchange.throttle import ThrottledLog
-from rx90_common.exchange.tick_channel import TickChannel
-from rx90_common.exchange.time_mode import TimeMode
-from rx90_common.exchange.topics import FREE_RUNNING, LOCK_STEP
+from rx90_common.exchange.pacing import Pacer, ThrottledLog
+from rx90_common.exchange.topics import FREE_RUNNING, LOCK_STEP, TimeMode
 
 _WAIT_SLICE = 0.1  # s of a wait for states; in free-running time also at rest after which it is said
 _MODE_PATIENCE = 5.0  # s with a simulation that does not say its mode

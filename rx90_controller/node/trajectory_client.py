@@ -20,11 +20,10 @@ from rx90_common.base.errors import ConfigError, ExchangeError, LineError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
-from rx90_common.exchange import node_tools
-from rx90_common.exchange.client_node import POLL, ClientNode
-from rx90_common.exchange.message_times import ros_time
+from rx90_common.exchange import endpoints
+from rx90_common.exchange.client_node import POLL, ClientNode, ServiceRequest, spoken
+from rx90_common.exchange.endpoints import ros_time
 from rx90_common.exchange.ros_start import reason
-from rx90_common.exchange.service_calls import ServiceRequest, spoken
 from rx90_controller.lines.plan import Approach, LinePlan, approached
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.points import message_content
@@ -114,7 +113,7 @@ class TrajectoryClient:
         before, since = -1, time.monotonic()
         deadline = since + self._client.timeout
         while time.monotonic() < since + _SETTLED:
-            known = node_tools.fitting_subscriptions(self._client.node, publisher)
+            known = endpoints.fitting_subscriptions(self._client.node, publisher)
             have = publisher.get_subscription_count()
             if have != before or have < known:
                 before, since = have, time.monotonic()

@@ -15,7 +15,7 @@ from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
-from rx90_common.exchange.cdr_reader import CdrReader
+from rx90_common.exchange.cdr import CdrReader
 from rx90_controller.trajectory.spline import Bounds, interpolate
 
 LONGEST = 3600.0

@@ -64,7 +64,7 @@ def compose(own: Mapping[str, Sequence[str]]) -> list[TickingNode]:
     name = simulation.node.get_fully_qualified_name()
     if name == control.node.get_fully_qualified_name():
         raise ConfigError(f"both nodes are named {name}; accepted: -r {SIMULATION}:__node:=... for one node alone")
-    link.serve_with(MOTOR_STATES, control.answer)
+    link.served, link.serve = MOTOR_STATES, control.answer
     simulation.lead(control.follow, lambda: control.publishers)
     members: list[Managed] = [simulation, control]
     return [*started(members)]

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 from rx90_common.bags.topics import SUITE_TOPICS
 from rx90_common.base.quoting import listed, plain
-from rx90_common.exchange.environment import prepare
+from rx90_common.exchange.ros_start import prepare
 from rx90_common.process.interrupts import stop_request
-from rx90_common.process.scheduling import be_nice, run_on
+from rx90_common.process.threads import be_nice, run_on
 from rx90_emulator.cli.options import new_folder, whole_number
 
 if TYPE_CHECKING:

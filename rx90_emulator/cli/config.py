@@ -141,7 +141,7 @@ def _take_ros_args(options: argparse.Namespace) -> None:
 
 def _of_nodes(options: argparse.Namespace) -> list[ShownValue]:
     # Here, because it needs ROS.
-    from rx90_common.exchange.environment import prepare
+    from rx90_common.exchange.ros_start import prepare
 
     prepare()
     from rx90_emulator.configuration.node_values import GivenParameters, node_setup

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
-from rx90_common.exchange.environment import prepare
+from rx90_common.exchange.ros_start import prepare
 from rx90_emulator.cli.options import add_page_arguments, add_robot_arguments, new_folder, page_arguments
 
 _ANY_PORT = 0  # the demonstration need not know which

@@ -19,13 +19,13 @@ from rx90_common.base.quoting import one_line, plain
 from rx90_common.base.requirements import missing_module
 from rx90_common.kernels.announcement import announce_compilation
 from rx90_common.process.children import end_with_parent
+from rx90_common.process.files import check_output
 from rx90_common.process.interrupts import (
     install_deferred_sigint,
     keep_exit_code,
     leave_when_asked,
     terminations_as_interrupts,
 )
-from rx90_common.process.output import check_output
 from rx90_emulator.cli.node import NODES
 
 EXECUTABLES = {

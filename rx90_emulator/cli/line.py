@@ -122,7 +122,7 @@ def _task(options: argparse.Namespace, files: RobotFiles) -> LineTask:
 
 
 def _send(plan: LinePlan, limits: JointLimits, options: argparse.Namespace) -> None:
-    from rx90_common.exchange.environment import prepare
+    from rx90_common.exchange.ros_start import prepare
 
     prepare()
     # Here, because planning alone needs no ROS.

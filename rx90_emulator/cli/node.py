@@ -29,7 +29,7 @@ def main(options: argparse.Namespace) -> None:
     Raises:
         Rx90Error: for parameters that are refused, or what ends the ticks.
     """
-    from rx90_common.exchange.environment import prepare
+    from rx90_common.exchange.ros_start import prepare
 
     prepare()
     import_module(options.module).spin(options.ros_args)

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from rx90_common.process.children import kill_all
-from rx90_common.process.interrupts import EndLimits, ends_within
+from rx90_common.process.interrupts import ends_within
 from rx90_common.process.threads import where_threads_are
 from rx90_emulator.cli import view_bags, view_live
 from rx90_emulator.cli.options import add_page_arguments, add_robot_arguments
@@ -38,7 +38,7 @@ def main(options: argparse.Namespace) -> None:
         KeyboardInterrupt: before the page shows what it was started for; later Ctrl-C is how it ends.
     """
     of_bags = view_bags.wanted(options)
-    with ends_within(EndLimits(*_PATIENCE, _give_up, _say_where)) as start:
+    with ends_within(*_PATIENCE, _give_up, _say_where) as start:
         import viser  # noqa: F401 - before kernels are compiled for a page that cannot be made
 
         from rx90_emulator.view.page import OutputFolder

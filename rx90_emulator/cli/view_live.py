@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
-from rx90_common.process.scheduling import be_nice
+from rx90_common.process.threads import be_nice
 from rx90_emulator.cli.options import CONTROLLER, node_of, whole_number
 
 _NICENESS = 10
@@ -38,7 +38,7 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
         Rx90Error: where the page cannot be served, the robot cannot be read, or the demonstration's nodes end.
         KeyboardInterrupt: on Ctrl-C.
     """
-    from rx90_common.exchange.environment import prepare
+    from rx90_common.exchange.ros_start import prepare
 
     if options.demo:  # before rclpy is imported: a motion that nobody else asked for stays among its own nodes
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -13,8 +13,8 @@ from rx90_common.base.entries import Entry, JsonSchema
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.quoting import listed
 from rx90_common.base.section import Section
-from rx90_common.exchange.parameter_changes import OF_ROS
-from rx90_common.exchange.qos_overrides import PREFIX
+from rx90_common.exchange.endpoints import PREFIX
+from rx90_common.exchange.parameters import OF_ROS
 from rx90_controller.node.parameters import has_no_use
 from rx90_emulator.configuration.kinds import FileKind
 from rx90_emulator.configuration.node_parameters import NODES, DeclaredParameters, declared

@@ -14,10 +14,9 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.section import Section
 from rx90_common.description.robot import load_robot
+from rx90_common.exchange.endpoints import PREFIX
 from rx90_common.exchange.lifecycle import declare_autostart
-from rx90_common.exchange.node_tools import declare_rates, declare_robot_files
-from rx90_common.exchange.parameter_changes import OF_ROS
-from rx90_common.exchange.qos_overrides import PREFIX
+from rx90_common.exchange.parameters import OF_ROS, declare_rates, declare_robot_files
 from rx90_controller.node.parameters import FILE_PARAMETERS as CONTROLLER_FILES
 from rx90_controller.node.parameters import (
     LAW_ENTRIES,

@@ -18,9 +18,9 @@ from rx90_controller.law.loops import position_loop, velocity_loop
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.result import FastSeries, MotionCommand, RunResult, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
+from rx90_sim.drives import warm_motors
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import friction_states, plant_step
-from rx90_sim.winding import warm_motors
 
 TRIPPED = -2
 """How a run ends in which the controller's supervision cuts the power."""

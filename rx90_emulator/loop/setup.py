@@ -15,8 +15,7 @@ from rx90_common.friction import FrictionSet, load_friction
 from rx90_common.friction.parts.scatter import check_seed
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CS7BParameters, load_controller
-from rx90_sim.joint_temperatures import beyond_law
-from rx90_sim.plant import Plant
+from rx90_sim.plant import Plant, beyond_law
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.http11 import Request, Response
 
 from rx90_common.base.quoting import listed, quoted
-from rx90_common.exchange.throttle import ThrottledLog
+from rx90_common.exchange.pacing import ThrottledLog
 
 MOST_CLIENTS = 16
 """Pages that are open at the same time."""

@@ -13,9 +13,18 @@ from dataclasses import dataclass
 from viser import GuiButtonHandle
 
 from rx90_common.base.errors import ExchangeError
-from rx90_common.exchange.client_node import ClientNode, client_node
-from rx90_common.exchange.managing import NodeWatch, hear_log, parameter_request, state_request, transition_request
-from rx90_common.exchange.service_calls import Outcome, ServiceCalls, ServiceRequest
+from rx90_common.exchange.client_node import (
+    ClientNode,
+    NodeWatch,
+    Outcome,
+    ServiceCalls,
+    ServiceRequest,
+    client_node,
+    hear_log,
+    parameter_request,
+    state_request,
+    transition_request,
+)
 from rx90_controller.node.trajectory_client import TrajectoryClient, enable_request
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.view.page import Page, block

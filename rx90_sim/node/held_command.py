@@ -10,8 +10,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import cdr_stamp_ns
-from rx90_common.exchange.throttle import ThrottledLog
-from rx90_common.exchange.tick_channel import TickChannel
+from rx90_common.exchange.channel import TickChannel
+from rx90_common.exchange.pacing import ThrottledLog
 
 MOST_AGE = 3
 """Ticks from the states that a command answers to the last that it is applied in: docs/explanation/free_running.md."""
@@ -20,39 +20,6 @@ _LINES_WINDOW = 10.0  # s
 _OUT_OF_TURN = 3  # commands that are not newer than the one before, within _WINDOW, that make two controllers
 _WINDOW = 5.0  # s
 _SLICE = 0.05  # s of a wait after which interruptions are looked at
-
-
-class _BrakeLines:
-    """Says when the brakes open and close, a few times in a while; what comes more often is counted."""
-
-    def __init__(self, channel: TickChannel, timeout: float, announce: Callable[[str], None]) -> None:
-        self._channel, self.timeout, self._announce = channel, timeout, announce
-        self._closed = False
-        self._changes = 0  # that have not been announced
-        self._lines: deque[float] = deque(maxlen=_LINES)
-
-    def say(self, followed: bool, heard: bool) -> None:
-        """Note whether a command is followed, and whether there has ever been one; announce a change."""
-        if followed != self._closed and not self._changes:
-            return
-        if followed == self._closed:
-            self._closed = not followed
-            self._changes += 1
-        now = time.monotonic()
-        if len(self._lines) == _LINES and now - self._lines[0] < _LINES_WINDOW:
-            return
-        self._lines.append(now)
-        changes, self._changes = self._changes, 0
-        count = f" (after {changes - 1} changes without a line)" if changes > 1 else ""
-        self._announce(self._text(followed, heard) + count)
-
-    def _text(self, followed: bool, heard: bool) -> str:
-        topic = self._channel.subscribe_topic
-        if followed:
-            return f"commands on {topic}: the brakes open"
-        if not heard:
-            return f"waiting for a controller on {topic}: the brakes hold the arm"
-        return f"no command on {topic} for {self.timeout:g} s: torque off, brakes closed"
 
 
 class HeldCommand:
@@ -85,33 +52,28 @@ class HeldCommand:
         announce: Callable[[str], None],
         interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._channel = channel
-        self._decode = decode
-        self._period_ns = period_ns
-        self._timeout, self._oldest = timeout, self._ticks(timeout)
-        self._announce = announce
-        self._interrupted = interrupted
+        self._channel, self._topic = channel, channel.subscribe_topic
+        self._decode, self._period_ns = decode, period_ns
+        self._announce, self._interrupted = announce, interrupted
         self._log = ThrottledLog(announce)
-        self._torques: Array | None = None
-        self._answered: int | None = None  # the tick whose states the command answers
-        self._followed = False
-        self._stamp = -1
+        self.wait_for(timeout)
+        self.forget()
         self._out_of_turn: deque[float] = deque(maxlen=_OUT_OF_TURN)
         self.two_controllers = False
-        self._brakes = _BrakeLines(channel, timeout, announce)
         self.missed = self.waited = 0
-
-    def _ticks(self, timeout: float) -> int:
-        return max(MOST_AGE, round(timeout * NANOSECONDS / self._period_ns))
+        self._closed = False  # the brakes, as far as changes were noted
+        self._changes = 0  # of the brakes that have not been announced
+        self._lines: deque[float] = deque(maxlen=_LINES)
 
     def wait_for(self, timeout: float) -> None:
         """Wait so long for a command, s, from the next tick on; callable from every thread."""
-        self._timeout, self._oldest = timeout, self._ticks(timeout)
-        self._brakes.timeout = timeout
+        self._timeout, self._oldest = timeout, max(MOST_AGE, round(timeout * NANOSECONDS / self._period_ns))
 
     def forget(self) -> None:
         """Drop the command, after a reset."""
-        self._torques, self._answered, self._followed = None, None, False
+        self._torques: Array | None = None
+        self._answered: int | None = None  # the tick whose states the command answers
+        self._followed = False
         self._stamp = -1
 
     def take(self, tick: int) -> Array | None:
@@ -121,10 +83,14 @@ class HeldCommand:
         elif self._answered is not None:
             self.missed += 1
         if self.two_controllers:
-            self._note_one_left()
+            if time.monotonic() - self._out_of_turn[-1] > _WINDOW:
+                self.two_controllers = False
+                self._out_of_turn.clear()
+                self._announce(f"one controller is left on {self._topic}")
         elif self._followed and self._too_old(tick):
             self._followed = self._wait(tick)
-        self._brakes.say(self._followed, self._answered is not None)
+        if self._followed == self._closed or self._changes:
+            self._announce_brakes()
         return self._torques if self._followed and not self.two_controllers else None
 
     def _too_old(self, tick: int) -> bool:
@@ -151,7 +117,7 @@ class HeldCommand:
             try:
                 found = self._use(raw, tick) or found
             except ExchangeError as error:
-                self._log.say("command", f"{self._channel.subscribe_topic}: {error}; the message is ignored")
+                self._log.say("command", f"{self._topic}: {error}; the message is ignored")
             raw = self._channel.receive(0.0)
         return found
 
@@ -183,10 +149,22 @@ class HeldCommand:
         often = len(self._out_of_turn) == _OUT_OF_TURN and now - self._out_of_turn[0] < _WINDOW
         if often and not self.two_controllers and self._channel.matches().publishers > 1:
             self.two_controllers = True
-            self._announce(f"two controllers publish on {self._channel.subscribe_topic}: no torque until one is left")
+            self._announce(f"two controllers publish on {self._topic}: no torque until one is left")
 
-    def _note_one_left(self) -> None:
-        if time.monotonic() - self._out_of_turn[-1] > _WINDOW:
-            self.two_controllers = False
-            self._out_of_turn.clear()
-            self._announce(f"one controller is left on {self._channel.subscribe_topic}")
+    def _announce_brakes(self) -> None:
+        """Say that the brakes have opened or closed, a few times in a while; what comes more often is counted."""
+        if self._followed == self._closed:
+            self._closed = not self._followed
+            self._changes += 1
+        now = time.monotonic()
+        if len(self._lines) == _LINES and now - self._lines[0] < _LINES_WINDOW:
+            return
+        self._lines.append(now)
+        changes, self._changes = self._changes, 0
+        if self._followed:
+            text = f"commands on {self._topic}: the brakes open"
+        elif self._answered is None:
+            text = f"waiting for a controller on {self._topic}: the brakes hold the arm"
+        else:
+            text = f"no command on {self._topic} for {self._timeout:g} s: torque off, brakes closed"
+        self._announce(text + (f" (after {changes - 1} changes without a line)" if changes > 1 else ""))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 from rclpy.node import Node
 
@@ -12,8 +13,8 @@ from rx90_common.base.rates import Rates
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.node_tools import declare, declare_rates
-from rx90_common.exchange.topics import LOCK_STEP, SEED, TEMPERATURE_RATE, TIME_MODES
+from rx90_common.exchange.parameters import declare, declare_rates
+from rx90_common.exchange.topics import LOCK_STEP, TEMPERATURE_RATE, TIME_MODES
 from rx90_common.friction import load_friction
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_sim.plant import Plant
@@ -23,22 +24,48 @@ FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
 """Files of the robot that the node can be given."""
 
 
+def _as(default: Any, description: str, low: float | None = None, high: float | None = None) -> dict[str, Any]:
+    """Return how a field is declared, as a parameter of its name."""
+    return {"default": default, "description": description, "low": low, "high": high}
+
+
 @dataclass(frozen=True)
 class SimulationParameters:
-    """What the node was asked for; see the descriptors in `read_parameters`."""
+    """What the node was asked for; fields other than the rates are declared here.
+
+    Raises:
+        ConfigError: naming parameter, value and what is accepted.
+    """
 
     rates: Rates
-    joint_state_rate: int
-    clock_rate: int
-    tf_rate: int
-    time_mode: str
-    real_time_factor: float
-    command_timeout: float
-    initial_position: tuple[float, ...]
-    duration: float
-    paused: bool
-    substeps: int
-    seed: int
+    joint_state_rate: int = field(metadata=_as(1000, "rate of joint_states and friction_states, Hz", 1, 20000))
+    clock_rate: int = field(metadata=_as(50, "rate of /clock, Hz", 1, 20000))
+    tf_rate: int = field(
+        metadata=_as(0, "rate of /tf, Hz; 0: neither /tf nor /tf_static, for robot_state_publisher has them", 0, 20000)
+    )
+    time_mode: str = field(
+        metadata=_as(LOCK_STEP, "lock_step: wait for the controller in every tick; free_running: wall clock")
+    )
+    real_time_factor: float = field(metadata=_as(1.0, "pace in lock_step, 0 for as fast as it goes", 0.0, 1000.0))
+    command_timeout: float = field(
+        metadata=_as(0.5, "free_running: wait for a late command before the brakes close, s", 0.0, 10.0)
+    )
+    initial_position: list[float] = field(
+        metadata=_as([0.0] * 6, "joint positions at the start and after a reset, rad")
+    )
+    duration: float = field(metadata=_as(0.0, "simulated time after which the node ends, s; 0: never", 0.0, 1e9))
+    paused: bool = field(metadata=_as(False, "begin with time standing still"))
+    substeps: int = field(
+        metadata=_as(0, "steps of the plant in a tick; 0: as many as friction, mass and gears need", 0, MOST_STEPS)
+    )
+    seed: int = field(
+        metadata=_as(
+            0,
+            "of all that is random in the arm, such as the scatter of its friction; a reset begins with it again",
+            0,
+            LARGEST_SEED,
+        )
+    )
 
     def __post_init__(self) -> None:
         if self.time_mode not in TIME_MODES:
@@ -60,44 +87,11 @@ def read_parameters(node: Node) -> SimulationParameters:
     Raises:
         ConfigError: naming parameter, value and accepted range.
     """
-    return SimulationParameters(
-        rates=replace(declare_rates(node), temperature_hz=declare(
-            node, TEMPERATURE_RATE, 1, "rate of temperatures, of joints and windings that get warm, Hz", low=1,
-            high=20000,
-        )),
-        joint_state_rate=declare(
-            node, "joint_state_rate", 1000, "rate of joint_states and friction_states, Hz", low=1, high=20000
-        ),
-        clock_rate=declare(node, "clock_rate", 50, "rate of /clock, Hz", low=1, high=20000),
-        tf_rate=declare(
-            node, "tf_rate", 0, "rate of /tf, Hz; 0: neither /tf nor /tf_static, for robot_state_publisher has them",
-            low=0, high=20000,
-        ),
-        time_mode=declare(
-            node, "time_mode", LOCK_STEP, "lock_step: wait for the controller in every tick; free_running: wall clock"
-        ),
-        real_time_factor=declare(
-            node, "real_time_factor", 1.0, "pace in lock_step, 0 for as fast as it goes", low=0.0, high=1000.0
-        ),
-        command_timeout=declare(
-            node, "command_timeout", 0.5, "free_running: wait for a late command before the brakes close, s",
-            low=0.0, high=10.0,
-        ),
-        initial_position=tuple(
-            declare(node, "initial_position", [0.0] * 6, "joint positions at the start and after a reset, rad")
-        ),
-        duration=declare(node, "duration", 0.0, "simulated time after which the node ends, s; 0: never",
-                         low=0.0, high=1e9),
-        paused=declare(node, "paused", False, "begin with time standing still"),
-        substeps=declare(
-            node, "substeps", 0, "steps of the plant in a tick; 0: as many as friction, mass and gears need", low=0,
-            high=MOST_STEPS,
-        ),
-        seed=declare(
-            node, SEED, 0, "of all that is random in the arm, such as the scatter of its friction; a reset begins "
-            "with it again", low=0, high=LARGEST_SEED,
-        ),
-    )  # fmt: skip
+    about = "rate of temperatures, of joints and windings that get warm, Hz"
+    rates = declare_rates(node)
+    rates = replace(rates, temperature_hz=declare(node, TEMPERATURE_RATE, 1, about, low=1, high=20000))
+    own: Any = {one.name: declare(node, one.name, **one.metadata) for one in fields(SimulationParameters)[1:]}
+    return SimulationParameters(rates, **own)
 
 
 def declare_step_ticks(node: Node) -> int:

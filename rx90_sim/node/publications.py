@@ -1,29 +1,36 @@
-"""What the simulation publishes beside the motor states, due by tick and stamped with simulated time."""
+"""What the simulation publishes beside the motor states, due by tick and stamped with simulated time.
+
+All of it is called by the ticking thread. What nobody listens to is not sent: a message costs the tick more than the
+plant's step.
+"""
 
 from __future__ import annotations
 
 import time
 
+import numpy as np
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Temperature
 
-from rx90_common.base.rates import NANOSECONDS, Rates, ticks_per
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
-from rx90_common.exchange.qos import CLOCK_QOS, STATE_QOS
-from rx90_common.exchange.qos_overrides import publish
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import Rates, ticks_per
+from rx90_common.base.requirements import missing_module
+from rx90_common.description.link_transforms import link_transforms
+from rx90_common.description.robot import RobotModel
+from rx90_common.exchange.cdr import JointStateCodec, TransformCodec
+from rx90_common.exchange.endpoints import CLOCK_QOS, LATCHED_QOS, STATE_QOS, publish, ros_time
 from rx90_common.exchange.topics import MAX_DISPLAY_RTF, MOTOR_NAMES, SAMPLED, SAMPLED_RATE, TEMPERATURES
 from rx90_sim.node.parameters import SimulationParameters
-from rx90_sim.node.transforms import Transforms
 from rx90_sim.plant import Plant
 
-_PERIOD = 1.0 / SAMPLED_RATE
-_SELDOM = 1.0 / 30.0  # s of wall time from one to the next, where time hurries
+_SAMPLED_PERIOD = 1.0 / SAMPLED_RATE
+_DISPLAY_PERIOD = 1.0 / 30.0  # s of wall time from one sample to the next in a run faster than MAX_DISPLAY_RTF
 
 
 class SampledStates:
-    """The same messages at SAMPLED_RATE, so that a page or a plot costs the tick a tenth; for the ticking thread.
+    """The same messages at SAMPLED_RATE, so that a page or a plot costs the tick a tenth.
 
     That is a rate of simulated time. Where a simulation runs faster than time there are 30 in a second of wall time:
     nobody sees more, and each of them keeps the simulation from its next tick.
@@ -59,9 +66,9 @@ class SampledStates:
             self._samples = (self._encode_joints(stamp), self._encode_friction(stamp))
             self._since += 1
             now = time.monotonic()
-            if now >= self._due - 0.5 * _PERIOD:  # in real time some ticks come a little early
-                hurries = self._since > 1 and self._since * _PERIOD > MAX_DISPLAY_RTF * (now - self._published)
-                self._due = max(self._due, now) + (_SELDOM if hurries else _PERIOD)
+            if now >= self._due - 0.5 * _SAMPLED_PERIOD:  # in real time some ticks come a little early
+                fast = self._since > 1 and self._since * _SAMPLED_PERIOD > MAX_DISPLAY_RTF * (now - self._published)
+                self._due = max(self._due, now) + (_DISPLAY_PERIOD if fast else _SAMPLED_PERIOD)
                 self._published, self._since = now, 0
                 self.repeat()
 
@@ -73,7 +80,7 @@ class SampledStates:
 
 
 class Temperatures:
-    """The topic `temperatures`; called by the ticking thread.
+    """The topic `temperatures`.
 
     Attributes:
         publisher: of the topic, which is there even if nothing gets warm.
@@ -99,28 +106,77 @@ class Temperatures:
         if tick % self._ticks or tick == self._sent or not self.publisher.get_subscription_count():
             return
         self._sent = tick
-        stamp = tick * self._period_ns
         for name, temperatures, i in self._values:
             message = Temperature(temperature=float(temperatures[i]))  # variance 0: exact
             message.header.frame_id = name
-            message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
+            message.header.stamp = ros_time(tick * self._period_ns)
             self.publisher.publish(message)
 
 
+class Transforms:
+    """The frames of the URDF, for where no robot_state_publisher is: fixed ones on /tf_static, the joints' on /tf.
+
+    Args:
+        node: owner of the topics.
+        robot: with its tool.
+        plant: whose joints turn the frames.
+        parameters: with the rate of /tf, which is not 0.
+
+    Attributes:
+        publisher: of /tf.
+
+    Raises:
+        ConfigError: if the rate does not divide the base rate, or tf2_msgs is not there.
+    """
+
+    def __init__(self, node: Node, robot: RobotModel, plant: Plant, parameters: SimulationParameters) -> None:
+        self._ticks = ticks_per("tf_rate", parameters.rates.base_hz, parameters.tf_rate)
+        try:
+            from tf2_msgs.msg import TFMessage  # only where it is asked for: the pip environment may be without
+        except ImportError as error:
+            missing = missing_module(error) or error
+            raise ConfigError(f"parameter tf_rate is {parameters.tf_rate}: {missing}; or 0") from error
+        self._moving, fixed = link_transforms(robot)
+        self._position = plant.joint_states()[0]
+        self._codec = TransformCodec(self._moving.links, self._moving.translation)
+        self._sample = b""  # the newest
+        self.publisher: Publisher = node.create_publisher(TFMessage, "/tf", STATE_QOS.profile)
+        self._static = node.create_publisher(TFMessage, "/tf_static", LATCHED_QOS.profile)
+        still = fixed.rotation(np.zeros(len(fixed.links)))
+        self._static.publish(TransformCodec(fixed.links, fixed.translation).encode(0, still))
+
+    def publish_due(self, tick: int, stamp: int) -> None:
+        """Publish the transforms if they are due in this tick, whose time is `stamp`, ns."""
+        if tick % self._ticks == 0:
+            self._sample = self._codec.encode(stamp, self._moving.rotation(self._position))
+            self.repeat()
+
+    def repeat(self) -> None:
+        """Publish the newest transforms, if somebody listens."""
+        if self._sample and self.publisher.get_subscription_count():
+            self.publisher.publish(self._sample)
+
+
 class Publications:
-    """The states, temperatures, /clock and, where there are any, the transforms; called by the ticking thread."""
+    """The states, temperatures, /clock and, where `tf_rate` is not 0, the transforms.
 
-    def __init__(
-        self, node: Node, plant: Plant, parameters: SimulationParameters, transforms: Transforms | None
-    ) -> None:
-        """Make the publishers.
+    Args:
+        node: owner of the topics.
+        robot: with its tool.
+        plant: whose states they are.
+        parameters: with the rates.
 
-        Raises:
-            ConfigError: if a rate does not divide the base rate.
-        """
+    Attributes:
+        publishers: of all topics but /tf_static.
+
+    Raises:
+        ConfigError: if a rate does not divide the base rate, or tf2_msgs is asked for and not there.
+    """
+
+    def __init__(self, node: Node, robot: RobotModel, plant: Plant, parameters: SimulationParameters) -> None:
         rates = parameters.rates
-        self._plant, self._transforms = plant, transforms
-        self._period_ns = rates.period_ns
+        self._plant, self._period_ns = plant, rates.period_ns
+        self._transforms = Transforms(node, robot, plant, parameters) if parameters.tf_rate else None
         self._state_ticks = ticks_per("joint_state_rate", rates.base_hz, parameters.joint_state_rate)
         self._clock_ticks = ticks_per("clock_rate", rates.base_hz, parameters.clock_rate)
         self._encode_joints = JointStateCodec(plant.joint_names).encoder(*plant.joint_states())
@@ -132,12 +188,8 @@ class Publications:
         self._temperatures = Temperatures(node, plant, rates)
         self._time = Clock()
         self._clock = publish(node, Clock, "/clock", CLOCK_QOS.profile)
-
-    @property
-    def publishers(self) -> tuple[Publisher, ...]:
-        """Return the publishers."""
         own = (self._joints, self._friction, self._temperatures.publisher, self._clock, *self._sampled.publishers)
-        return own if self._transforms is None else (*own, self._transforms.publisher)
+        self.publishers = own if self._transforms is None else (*own, self._transforms.publisher)
 
     def publish_due(self) -> None:
         """Publish what is due in the plant's current tick."""
@@ -146,7 +198,6 @@ class Publications:
         if tick % self._state_ticks == 0:
             self._joint_sample = self._encode_joints(stamp)
             self._friction_sample = b""
-            # What nobody listens to is not sent: a message costs the tick more than the plant's step.
             if self._joints.get_subscription_count():
                 self._joints.publish(self._joint_sample)
             if self._friction.get_subscription_count():
@@ -158,7 +209,7 @@ class Publications:
         if self._transforms is not None:
             self._transforms.publish_due(tick, stamp)
         if tick % self._clock_ticks == 0:
-            self._time.clock.sec, self._time.clock.nanosec = divmod(stamp, NANOSECONDS)
+            self._time.clock = ros_time(stamp)
             self._clock.publish(self._time)
 
     def repeat(self) -> None:

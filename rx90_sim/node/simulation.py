@@ -1,22 +1,38 @@
-"""The simulation node: parameters, services and lifecycle around the ticks of one plant."""
+"""The simulation node: parameters, lifecycle, services and diagnostics around the ticks of one plant."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
 from rclpy.publisher import Publisher
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
 
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import plain
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange import node_tools
-from rx90_common.exchange.channel import Channel
+from rx90_common.exchange.channel import Channel, Ends, MakeChannel
+from rx90_common.exchange.endpoints import LATCHED_QOS, REQUEST_QOS
 from rx90_common.exchange.lifecycle import ManagedNode, started
-from rx90_common.exchange.parameter_changes import ChangeGroup, Effective
-from rx90_common.exchange.tick_channel import Ends, MakeChannel
-from rx90_common.exchange.time_mode import TimeMode
-from rx90_common.exchange.topics import SEED, TEMPERATURE_RATE
-from rx90_sim.node.arm import SimulatedArm
-from rx90_sim.node.parameters import FILE_PARAMETERS, declare_step_ticks, read_parameters
+from rx90_common.exchange.node_tools import Diagnostics
+from rx90_common.exchange.node_tools import spin as spin_nodes
+from rx90_common.exchange.pacing import check_factor
+from rx90_common.exchange.parameters import ChangeGroup, Effective
+from rx90_common.exchange.topics import LOCK_STEP, MOTOR_STATES, SEED, TEMPERATURE_RATE, TIME_MODE, TimeMode
+from rx90_sim.drives import warm_motors
+from rx90_sim.node.parameters import (
+    FILE_PARAMETERS,
+    SimulationParameters,
+    build_plant,
+    declare_step_ticks,
+    read_parameters,
+)
+from rx90_sim.node.ticks import Ticks
+
+_REQUEST_TIMEOUT = 5.0  # s
 
 
 class Simulation:
@@ -37,25 +53,18 @@ class Simulation:
         self._follow: Callable[[TimeMode | None], None] = lambda _: None
         self._also_listening: Callable[[], Sequence[Publisher]] = tuple
         read_parameters(self.node)
-        self._files()
-        self._step_ticks()
-
-    def _files(self) -> RobotFiles:
-        return self.node.declare_robot_files(*FILE_PARAMETERS)
-
-    def _step_ticks(self) -> int:
-        return declare_step_ticks(self.node)
+        self.node.declare_robot_files(*FILE_PARAMETERS)
+        declare_step_ticks(self.node)
 
     def lead(self, follow: Callable[[TimeMode | None], None], publishers: Callable[[], Sequence[Publisher]]) -> None:
-        """Tell a controller in this process how time is kept, None when it is not kept any more.
+        """Have a controller in this process follow how time is kept.
 
         Args:
-            follow: is told; raises ExchangeError for rates or a robot that are not its own.
+            follow: gets it, None when it is not kept any more; raises ExchangeError for rates or a robot that are not
+                its own.
             publishers: returns those whose messages are to arrive, too, before a run that is not paced goes on.
         """
         self._follow, self._also_listening = follow, publishers
-
-    # Transitions, on the executor's thread.
 
     def configure(self) -> None:
         """Load the robot; time stands still.
@@ -63,14 +72,13 @@ class Simulation:
         Raises:
             Rx90Error: for files and parameters that are refused, and a second simulation.
         """
-        parameters = read_parameters(self.node)
-        self._arm = arm = SimulatedArm(self.node, self._files(), parameters, self._ends.make, self._step_ticks)
-        arm.ticks.listeners.ask(self._also_listening)
+        parameters, files = read_parameters(self.node), self.node.declare_robot_files(*FILE_PARAMETERS)
+        self._arm = arm = SimulatedArm(self.node, files, parameters, self._ends.make)
+        arm.ticks.listeners.others = self._also_listening
         self._allow("real_time_factor", arm.check_pace, arm.ticks.pacer.change)
         self._allow("command_timeout", float, arm.ticks.held.wait_for)
         self._allow("step_ticks", int, lambda _: None)  # looked at by each call
-        for name in (SEED, TEMPERATURE_RATE):
-            self.node.changes.tell(name)
+        self.node.changes.publish_constants(SEED, TEMPERATURE_RATE)
         self._follow(arm.time_mode)
         self.node.ticking.begin(arm.ticks.run, arm.ticks.control.stop)
 
@@ -99,8 +107,6 @@ class Simulation:
         self._arm = None
         self._ends.close()
 
-    # Its ticking thread, and the end.
-
     def tick_loop(self) -> None:
         """Run ticks until the end of the run or `stop`.
 
@@ -114,10 +120,143 @@ class Simulation:
         self.node.ticking.stop()
 
 
+class SimulatedArm:
+    """An arm at rest, at time 0, which stands still until it is activated; its topics, services and diagnostics.
+
+    Args:
+        node: owner of topics and services.
+        files: the robot's.
+        parameters: of the node.
+        make_channel: makes the exchange with the controller.
+
+    Attributes:
+        ticks: for the ticking thread.
+        time_mode: how time is kept.
+
+    Raises:
+        Rx90Error: for files and parameters that are refused, and a second simulation.
+    """
+
+    def __init__(
+        self, node: Node, files: RobotFiles, parameters: SimulationParameters, make_channel: MakeChannel
+    ) -> None:
+        self._node, self._parameters = node, parameters
+        robot, self._plant = build_plant(node, files, parameters)
+        self._warm = False
+        self._robot_name = plain(robot.model.name)
+        self.ticks = Ticks(node, robot, self._plant, parameters, make_channel)
+        self._description = node.create_publisher(String, "robot_description", LATCHED_QOS.profile)
+        self._description.publish(String(data=robot.urdf))
+        self._mode = node.create_publisher(String, TIME_MODE, LATCHED_QOS.profile)
+        self.time_mode = TimeMode(parameters.time_mode, parameters.rates, self._robot_name)
+        self._mode.publish(String(data=self.time_mode.text))
+        node.create_service(SetBool, "~/pause", self._on_pause, qos_profile=REQUEST_QOS.profile)
+        node.create_service(Trigger, "~/step", self._on_step, qos_profile=REQUEST_QOS.profile)
+        node.create_service(Trigger, "~/reset", self._on_reset, qos_profile=REQUEST_QOS.profile)
+        self._diagnostics = Diagnostics(node, self._status)
+
+    def activate(self) -> None:
+        """Let time run."""
+        node, parameters = self._node, self._parameters
+        text = f"ready: {self._robot_name}, {parameters.time_mode} at {parameters.rates.base_hz} Hz"
+        if parameters.time_mode == LOCK_STEP:
+            text += f", real_time_factor {node.get_parameter('real_time_factor').value:g}"
+        if self._plant.substeps > 1:
+            text += f", {self._plant.substeps} plant steps in a tick"
+        text += f", states on {node.resolve_topic_name(MOTOR_STATES)}"
+        if self.ticks.control.paused:
+            text += f"; paused until {node.resolve_service_name('~/pause')} is called with false"
+        node.get_logger().info(text)
+        self.ticks.control.release()
+
+    def deactivate(self) -> None:
+        """Let time stand still: a pause that no service but the lifecycle's ends."""
+        self.ticks.control.hold()
+        self._node.get_logger().info(f"inactive: time stands still at {self.ticks.time:.6g} s")
+
+    def check_pace(self, factor: float) -> float:
+        """Return a real-time factor that time can be paced to.
+
+        Raises:
+            ConfigError: if it cannot, or time is the wall clock's.
+        """
+        if self._parameters.time_mode != LOCK_STEP:
+            raise ConfigError(f"real_time_factor: time_mode is {self._parameters.time_mode}; accepted: in {LOCK_STEP}")
+        return check_factor(factor)
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if request.data:
+            self.ticks.control.pause()
+        else:
+            self.ticks.control.resume()
+        response.success = True
+        response.message = "time stands still" if request.data else "time runs"
+        if self.ticks.control.held:
+            response.message += ", once the node is active"
+        return response
+
+    def _on_step(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self.ticks.control.held:
+            response.message = "the node is inactive; accepted: in state active"
+            return response
+        ticks = declare_step_ticks(self._node)
+        return self._answer(response, self.ticks.control.step(ticks, _REQUEST_TIMEOUT), f"{ticks} ticks")
+
+    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._answer(response, self.ticks.control.reset(_REQUEST_TIMEOUT), "reset")
+
+    def _answer(self, response: Trigger.Response, done: bool, what: str) -> Trigger.Response:
+        response.success = done
+        at = f"at {self.ticks.time:.6g} s"
+        response.message = f"{what} done, {at}" if done else f"{what} not done within {_REQUEST_TIMEOUT:g} s, {at}"
+        return response
+
+    def _status(self) -> tuple[bytes, str, dict[str, str]]:
+        ticks, plant = self.ticks, self._plant
+        counts = ticks.pacer.take()
+        rate = counts.ticks / counts.seconds if counts.seconds > 0 else 0.0
+        values = {
+            "time mode": self._parameters.time_mode,
+            "simulated time, s": f"{ticks.time:.3f}",
+            "rate, Hz": f"{rate:.1f}",
+            "real-time factor": f"{rate * self._parameters.rates.period:.3f}",
+            "worst period, ms": f"{counts.worst * 1e3:.3f}",
+            "late ticks": str(counts.late),
+            "dropped ticks": str(counts.dropped),
+            "ticks without a fresh command": str(ticks.held.missed),
+            "ticks that waited for a command": str(ticks.held.waited),
+            "commands out of turn": str(ticks.lockstep.ignored),
+            "brakes": "closed" if plant.brakes_closed else "open",
+            "plant steps in a tick": str(plant.substeps),
+            "saturated ticks": " ".join(str(n) for n in plant.saturated),
+        }
+        texts = warm_motors(plant.constants, plant.winding_temperatures()), plant.temperatures.beyond_law()
+        warm = "; ".join(text for text in texts if text)
+        if plant.temperatures.elements:
+            values["joints, °C"] = " ".join(f"{plant.temperatures.now[i]:.1f}" for i in plant.temperatures.elements)
+        if plant.constants["winding"]["used"][0]:
+            values["windings, °C"] = " ".join(f"{one:.1f}" for one in plant.winding_temperatures())
+        if warm and not self._warm:
+            self._node.get_logger().warning(warm)
+        self._warm = bool(warm)
+        if ticks.control.held:
+            return DiagnosticStatus.OK, "inactive", values
+        if ticks.control.paused:
+            return DiagnosticStatus.OK, "paused", values
+        if ticks.held.two_controllers:
+            return DiagnosticStatus.ERROR, "two controllers send commands", values
+        if counts.ticks == 0:
+            return DiagnosticStatus.WARN, "waiting for the controller", values
+        if warm:
+            return DiagnosticStatus.WARN, warm, values
+        behind = counts.dropped > 0 and self._parameters.time_mode != LOCK_STEP
+        return DiagnosticStatus.WARN if behind else DiagnosticStatus.OK, "running", values
+
+
 def spin(args: Sequence[str]) -> None:
     """Run the node until it ends or is interrupted.
 
     Raises:
         Rx90Error: for parameters that are refused, or a state that diverged.
     """
-    node_tools.spin(lambda: started([Simulation()]), args)
+    spin_nodes(lambda: started([Simulation()]), args)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
-from rx90_common.exchange.client_node import ClientNode
-from rx90_common.exchange.service_calls import ServiceRequest, spoken
+from rx90_common.exchange.client_node import ClientNode, ServiceRequest, spoken
 
 _NAME = "rx90_sim"
 
@@ -46,17 +47,18 @@ class SimulationClient:
 
 def pause_request(node: str, paused: bool) -> ServiceRequest:
     """Return the request to let the time of a simulation stand still, or run."""
-    service = f"{node}/pause"
-    return ServiceRequest(SetBool, service, SetBool.Request(data=paused), spoken(service))
+    return _request(SetBool, f"{node}/pause", SetBool.Request(data=paused))
 
 
 def step_request(node: str) -> ServiceRequest:
     """Return the request to a simulation to pause, and to run as many ticks as its parameter `step_ticks` says."""
-    service = f"{node}/step"
-    return ServiceRequest(Trigger, service, Trigger.Request(), spoken(service))
+    return _request(Trigger, f"{node}/step", Trigger.Request())
 
 
 def reset_request(node: str) -> ServiceRequest:
     """Return the request to a simulation to begin again at tick 0."""
-    service = f"{node}/reset"
-    return ServiceRequest(Trigger, service, Trigger.Request(), spoken(service))
+    return _request(Trigger, f"{node}/reset", Trigger.Request())
+
+
+def _request(kind: Any, service: str, request: Any) -> ServiceRequest:
+    return ServiceRequest(kind, service, request, spoken(service))

@@ -1,74 +1,173 @@
-"""The simulation's ticks: exchange, plant step and pace, in lock-step or in free-running time."""
+"""The simulation's ticks: exchange, plant step and pace, and the requests to pause, step, reset and stop them."""
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
+from enum import Enum, auto
 
-import numpy as np
-from numpy.typing import NDArray
 from rclpy.node import Node
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange import node_tools
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
-from rx90_common.exchange.listeners import Listeners
+from rx90_common.description.robot import RobotModel
+from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.channel import MakeChannel
+from rx90_common.exchange.endpoints import TICK_QOS, Listeners, wait_until_matched, wait_until_received
 from rx90_common.exchange.lockstep import LockstepSimulation
-from rx90_common.exchange.pacing import Pacer
-from rx90_common.exchange.qos import TICK_QOS
-from rx90_common.exchange.throttle import ThrottledLog
-from rx90_common.exchange.tick_channel import MakeChannel
+from rx90_common.exchange.pacing import Pacer, ThrottledLog
 from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
 from rx90_sim.node.held_command import HeldCommand
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.publications import Publications
-from rx90_sim.node.run_control import RunControl, Turn
-from rx90_sim.node.transforms import Transforms
 from rx90_sim.plant import Plant
 
 _WAIT_SLICE = 0.1  # s
 _MATCH_ATTEMPTS = 100  # of 50 ms
-_PERIOD = 0.25  # s on the wall clock
+_HEARTBEAT_PERIOD = 0.25  # s on the wall clock
 
 
-class Heartbeat:
-    """Repeats what was published last for as long as the tick stays the same; for the thread that ticks.
+class Turn(Enum):
+    """What the ticking thread does next."""
 
-    Latching would not do: only subscribers that ask for it are told, and those would get as many old samples as the
-    queue of a recorder is deep.
+    STEP = auto()
+    RESET = auto()
+    WAIT = auto()
+    STOP = auto()
+
+
+class RunControl:
+    """Requests to the ticking thread; every request returns once it has been carried out.
+
+    The ticking thread calls `next_turn` before each tick; services call the others from their own thread.
 
     Args:
-        repeat: publishes the newest samples again, to the bit.
-        clock: the steady clock, s.
+        paused: whether time stands still at first.
+        wake: interrupts whatever the ticking thread waits for.
+        last_tick: the run ends before it; None for a run without end.
+
+    Attributes:
+        held: whether time stands still by `hold`.
+        stopped: whether the run is over.
     """
 
-    def __init__(self, repeat: Callable[[], None], clock: Callable[[], float] = time.monotonic) -> None:
-        self._repeat, self._clock = repeat, clock
-        self._tick: int | None = None
-        self._due = 0.0
+    def __init__(self, paused: bool, wake: Callable[[], None], last_tick: int | None = None) -> None:
+        self._changed = threading.Condition()
+        self._wake, self._last_tick = wake, last_tick
+        self._paused = paused
+        self.held = self.stopped = self._reset = False
+        self._steps = 0
+        self._undisturbed = not paused
 
-    def beat(self, tick: int) -> None:
-        """Repeat the samples if that is due; called again and again while tick `tick` does not end."""
-        now = self._clock()
-        if tick != self._tick:
-            self._tick = tick
-        elif now >= self._due:
-            self._repeat()
-        else:
+    @property
+    def paused(self) -> bool:
+        """Return whether time stands still on request."""
+        with self._changed:
+            return self._paused and self._steps == 0
+
+    def interrupting(self) -> bool:
+        """Return whether the ticking thread should come back from a wait: for a reset or the end."""
+        return self.stopped or self._reset
+
+    def next_turn(self, tick: int, timeout: float) -> Turn:
+        """Return what to do before tick `tick`; waits up to `timeout` seconds while paused."""
+        last = self._last_tick is not None and tick >= self._last_tick
+        # Without the lock, which costs the tick as much as the law: a request that comes now counts before the next.
+        if self._undisturbed and not last:
+            return Turn.STEP
+        with self._changed:
+            if last:
+                self.stopped = True
+                self._undisturbed = False
+                # Who waits for ticks beyond the last one waits in vain.
+                self._changed.notify_all()
+            if not self._runnable():
+                self._changed.wait(timeout)
+            if self.stopped:
+                return Turn.STOP
+            if self._reset:
+                return Turn.RESET
+            return Turn.STEP if self._runnable() else Turn.WAIT
+
+    def pause(self) -> None:
+        """Stop time before the next tick."""
+        self._request(_paused=True, _steps=0)
+
+    def resume(self) -> None:
+        """Let time run again."""
+        self._request(_paused=False)
+
+    def hold(self) -> None:
+        """Stop time before the next tick, whatever else is asked for, until `release`."""
+        self._request(held=True)
+
+    def release(self) -> None:
+        """End what `hold` began: time runs, unless it is paused."""
+        self._request(held=False)
+
+    def stop(self) -> None:
+        """End the run."""
+        self._request(stopped=True)
+
+    def step(self, ticks: int, timeout: float) -> bool:
+        """Pause, then run `ticks` ticks; return whether they were done within `timeout` seconds."""
+        self._request(_paused=True, _steps=ticks)
+        done = self._wait_until(lambda: self._steps == 0, timeout)
+        if not done:
+            # What was not done in time must not happen later, unasked.
+            self.pause()
+        return done
+
+    def reset(self, timeout: float) -> bool:
+        """Begin again at tick 0; return whether that was done within `timeout` seconds."""
+        self._request(_reset=True)
+        return self._wait_until(lambda: not self._reset, timeout)
+
+    def reset_done(self) -> None:
+        """Say that the reset that `next_turn` asked for has been carried out."""
+        self._change(_reset=False, _steps=0)
+
+    def step_done(self) -> None:
+        """Say that the tick that `next_turn` asked for has been carried out."""
+        if self._undisturbed:
             return
-        self._due = now + _PERIOD
+        with self._changed:
+            if self._steps > 0:
+                self._steps -= 1
+                if self._steps == 0:
+                    self._changed.notify_all()
+
+    def _runnable(self) -> bool:
+        return self.stopped or self._reset or not (self.held or (self._paused and self._steps == 0))
+
+    def _request(self, **state: object) -> None:
+        self._change(**state)
+        self._wake()
+
+    def _change(self, **state: object) -> None:
+        """Change attributes, and note whether ticks follow each other without anybody's asking for anything."""
+        with self._changed:
+            for name, value in state.items():
+                setattr(self, name, value)
+            self._undisturbed = not (self.held or self._paused or self._reset or self.stopped or self._steps)
+            self._changed.notify_all()
+
+    def _wait_until(self, done: Callable[[], bool], timeout: float) -> bool:
+        with self._changed:
+            return self._changed.wait_for(lambda: done() or self.stopped, timeout) and not self.stopped
 
 
 class Ticks:
-    """Runs the plant tick by tick, on a thread of its own; held at first.
+    """Runs the plant tick by tick, in lock-step or in free-running time, on a thread of its own; held at first.
 
     Args:
         node: the node whose topics are published.
+        robot: with its tool.
         plant: at rest in tick 0.
         parameters: of the node.
         make_channel: makes the exchange with the controller.
-        transforms: what publishes /tf, None for nothing.
 
     Attributes:
         control: takes requests from other threads.
@@ -76,29 +175,32 @@ class Ticks:
         listeners: who is waited for in a run that is not paced.
         held: commands in free-running time.
         lockstep: exchange in lock-step.
+
+    Raises:
+        Rx90Error: for rates that do not divide, and a second simulation.
     """
 
     def __init__(
         self,
         node: Node,
+        robot: RobotModel,
         plant: Plant,
         parameters: SimulationParameters,
         make_channel: MakeChannel,
-        transforms: Transforms | None = None,
     ) -> None:
-        self._node, self._plant, self._parameters = node, plant, parameters
+        self._node, self._plant, self._initial_position = node, plant, parameters.initial_position
         rates, log = parameters.rates, node.get_logger()
         self._period_ns = rates.period_ns
         self._lock_step = parameters.time_mode == LOCK_STEP
-        self._publications = Publications(node, plant, parameters, transforms)
+        self._publications = Publications(node, robot, plant, parameters)
         self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
         self._channel = make_channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
-        self._heartbeat = Heartbeat(self._publications.repeat)
+        self._waiting_tick, self._heartbeat_due = -1, 0.0  # the tick that does not end; s of the steady clock
         self._publishers = (*self._publications.publishers, self._channel.publisher)
         self._published_tick = -1
         self._encode_states = JointStateCodec(MOTOR_NAMES).encoder(*plant.motor_states())
         self._commands = JointStateCodec(MOTOR_NAMES)
-        self._torques: NDArray[np.float64] | None = None  # of the newest command; brakes closed for None
+        self._torques: Array | None = None  # of the newest command; brakes closed for None
         self._throttled = ThrottledLog(log.error)
         self.control = RunControl(parameters.paused, self._channel.wake, parameters.last_tick)
         self.control.hold()
@@ -143,16 +245,16 @@ class Ticks:
                 if not moving:
                     if self._plant.tick == 0:
                         stop = self.control.interrupting
-                        node_tools.wait_until_matched(self._node, self._publishers, _MATCH_ATTEMPTS, stop)
+                        wait_until_matched(self._node, self._publishers, _MATCH_ATTEMPTS, stop)
                         if stop():  # before the first state of a run that is no more
                             continue
                     self.pacer.restart()
                 if advance():
                     self.control.step_done()
             else:
-                self._heartbeat.beat(self._plant.tick)
+                self._beat()
             moving = turn is Turn.STEP
-        node_tools.wait_until_received(self._publishers)
+        wait_until_received(self._publishers)
 
     def _step_in_lock_step(self) -> bool:
         plant = self._plant
@@ -171,8 +273,21 @@ class Ticks:
 
     def _interrupted(self) -> bool:
         """Return whether the exchange should come back; asked now and then while there is no command."""
-        self._heartbeat.beat(self._plant.tick)
+        self._beat()
         return self.control.interrupting()
+
+    def _beat(self) -> None:
+        """Repeat what was published last, to the bit, now and then while the tick stays the same.
+
+        Latching would not do: only subscribers that ask for it get it, and those would get as many old samples as the
+        queue of a recorder is deep.
+        """
+        now, tick = time.monotonic(), self._plant.tick
+        if tick == self._waiting_tick:
+            if now < self._heartbeat_due:
+                return
+            self._publications.repeat()
+        self._waiting_tick, self._heartbeat_due = tick, now + _HEARTBEAT_PERIOD
 
     def _step_free_running(self) -> bool:
         plant = self._plant
@@ -198,7 +313,7 @@ class Ticks:
         return True
 
     def _reset(self) -> None:
-        self._plant.reset(self._parameters.initial_position)
+        self._plant.reset(self._initial_position)
         self._published_tick = -1
         self.held.forget()
         self.control.reset_done()

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from rx90_common.base.rates import Rates
+from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
 from rx90_common.exchange.pacing import Pacer
 from rx90_controller.node import serving

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.integrate import quad, solve_ivp
 
 from rx90_emulator.loop.setup import Setup
+from rx90_sim.elastic_gears import mean_torque
 from rx90_sim.plant import Plant
-from rx90_sim.transmission import mean_torque
 
 Array = NDArray[np.float64]
 STEP = 250e-6

@@ -7,8 +7,8 @@ import struct
 import numpy as np
 import pytest
 
+from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_sim.node import held_command
 
 CODEC = JointStateCodec(["a"])

@@ -17,9 +17,8 @@ from rx90_common.description.cogging import Cogging
 from rx90_common.description.winding import COPPER, Windings
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.loop.setup import Setup
-from rx90_sim.cogging import add_cogging
+from rx90_sim.drives import WINDING_DTYPE, add_cogging, current_shares, fill_windings, warm_motors, warm_windings
 from rx90_sim.plant import Plant
-from rx90_sim.winding import WINDING_DTYPE, current_shares, fill_windings, warm_motors, warm_windings
 
 Array = NDArray[np.float64]
 TERMS = Cogging(

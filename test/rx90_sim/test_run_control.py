@@ -7,7 +7,7 @@ import threading
 
 from processes import TIMEOUT, wait_until
 
-from rx90_sim.node.run_control import RunControl, Turn
+from rx90_sim.node.ticks import RunControl, Turn
 
 
 class Ticking:

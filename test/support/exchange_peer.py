@@ -15,7 +15,7 @@ import numpy as np
 
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.rates import Rates
-from rx90_common.exchange.environment import prepare
+from rx90_common.exchange.ros_start import prepare
 
 PERIOD_NS = 250_000
 _MODULUS = 2**31 - 1
@@ -66,11 +66,10 @@ def _wait_for_listeners(publisher: Any, count: int) -> None:
 def _simulate(ticks: int, period: float, listeners: int) -> None:
     import rclpy  # the environment is prepared first
 
+    from rx90_common.exchange.cdr import JointStateCodec
     from rx90_common.exchange.channel import Channel
-    from rx90_common.exchange.joint_state_cdr import JointStateCodec
+    from rx90_common.exchange.endpoints import TICK_QOS, wait_until_matched
     from rx90_common.exchange.lockstep import LockstepSimulation
-    from rx90_common.exchange.node_tools import wait_until_matched
-    from rx90_common.exchange.qos import TICK_QOS
     from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
 
     node = rclpy.create_node("simulation")
@@ -102,10 +101,9 @@ def _control(listeners: int) -> None:
     import rclpy
 
     from rx90_common.exchange.channel import Channel
+    from rx90_common.exchange.endpoints import TICK_QOS, wait_until_matched
     from rx90_common.exchange.lockstep import LockstepController
     from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
-    from rx90_common.exchange.node_tools import wait_until_matched
-    from rx90_common.exchange.qos import TICK_QOS
     from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
 
     node = rclpy.create_node("controller")

@@ -21,8 +21,7 @@ from rx90_common.bags.writing import BagWriter
 from rx90_common.base.errors import FAILED, BagWriteError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.ros_start import start_ros
-from rx90_common.process.exit_code import end_with
-from rx90_common.process.interrupts import StopRequest
+from rx90_common.process.interrupts import StopRequest, end_with
 from rx90_common.process.threads import calls_of, place_of
 
 READY: Final = "ready: all"

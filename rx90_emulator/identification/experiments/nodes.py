@@ -18,8 +18,7 @@ from tqdm import tqdm
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, ExchangeError
 from rx90_common.base.share import resolve_config
-from rx90_common.exchange.client_node import POLL, ClientNode, client_node
-from rx90_common.exchange.managing import text_parameter
+from rx90_common.exchange.client_node import POLL, ClientNode, client_node, text_parameter
 from rx90_common.friction.friction_file import load_friction
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.node.trajectory_client import TrajectoryClient

@@ -194,7 +194,7 @@ def record_on_nodes(
         Rx90Error: for what cannot be done; complete bags stay.
     """
     with _new_folder(folder):
-        from rx90_common.exchange.environment import prepare
+        from rx90_common.exchange.ros_start import prepare
 
         prepare()
         from rx90_emulator.identification.experiments.nodes import run_on_nodes

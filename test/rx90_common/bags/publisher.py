@@ -21,8 +21,8 @@ from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from rx90_common.exchange.environment import prepare
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.ros_start import prepare
 
 FAST = ("motor_states", "motor_commands")
 SLOW = (

@@ -217,7 +217,7 @@ import sys
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-from rx90_common.exchange.environment import prepare
+from rx90_common.exchange.ros_start import prepare
 prepare()
 rclpy.init()
 node = rclpy.create_node("controller")
@@ -378,7 +378,7 @@ def test_a_disk_that_takes_no_more_is_a_failure(tmp_path: Path, start: Start) ->
 
 STUCK = """
 import sys, threading
-from rx90_common.exchange.environment import prepare
+from rx90_common.exchange.ros_start import prepare
 prepare()
 from rx90_common.bags.recorder import recording, stream
 from rx90_emulator.cli.frame import execute

@@ -22,8 +22,8 @@ from rx90_common.bags.ordering import Arrived, TimeSource
 from rx90_common.bags.recorder import recording
 from rx90_common.bags.recorder.stream import SequenceCounter, Stream, Streams
 from rx90_common.base.errors import BagWriteError
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
-from rx90_common.exchange.qos import TICK_QOS
+from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.endpoints import TICK_QOS
 
 SENT_BEFORE = 9  # one a round: these take longer than a topic that is quiet is waited for
 LONG = 120.0

@@ -13,8 +13,8 @@ from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import Rates
 from rx90_common.base.stamps import cdr_stamp_ns
 from rx90_common.exchange import lockstep
+from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
 
 PERIOD = 250_000

@@ -232,7 +232,7 @@ def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path: Path) 
     (folder / "their_kernels.py").write_text(kernels)
     # The codec's own functions are compiled, and in the cache, when it is imported.
     program = (
-        "import rx90_common.exchange.joint_state_cdr\n"
+        "import rx90_common.exchange.cdr\n"
         f"{ANNOUNCE}"
         "import their_kernels\n"
         "print(their_kernels.first(1.0), their_kernels.second(1.0))\n"

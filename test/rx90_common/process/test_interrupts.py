@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import re
 import signal
 import subprocess
 import sys
 import time
-import weakref
 from collections.abc import Callable, Iterator
 from functools import partial
-from importlib.machinery import ExtensionFileLoader
 from pathlib import Path
-from types import FrameType, ModuleType
+from types import FrameType
 from typing import Any
 
 import pytest
@@ -59,75 +56,18 @@ class _Interrupted:
         signal.raise_signal(signal.SIGINT)
 
 
-class _Extension(ExtensionFileLoader):
-    def exec_module(self, _module: ModuleType) -> None:
-        try:
-            signal.raise_signal(signal.SIGINT)
-        except KeyboardInterrupt:  # as numpy's own extension does
-            raise ImportError from None
-
-
 def _destruct() -> None:
     thing = _Interrupted()
     del thing
 
 
-def _load_extension() -> None:
-    _Extension("name", "path").exec_module(ModuleType("name"))
-
-
-def _forget_lock() -> None:
-    # As the import system has it in a function of its own: the lock of a module is gone once the module is imported.
-    space: dict[str, Any] = {"signal": signal}
-    source = "def cb(ref): signal.raise_signal(signal.SIGINT)"
-    exec(compile(source, importlib._bootstrap._get_module_lock.__code__.co_filename, "exec"), space)  # type: ignore[attr-defined]
-    lock = _Extension("name", "path")
-    reference = weakref.ref(lock, space["cb"])
-    del lock
-    assert reference() is None
-
-
-class _Raising:
-    """Is interrupted where a container of weak references looks for it, to let it go."""
-
-    def discard(self, _item: object) -> None:
-        signal.raise_signal(signal.SIGINT)
-
-
-def _leave_weak_set() -> None:
-    things: weakref.WeakSet[_Raising] = weakref.WeakSet()
-    thing = _Raising()
-    things.add(thing)
-    references = things.data  # type: ignore[attr-defined]
-    things.data = _Raising()  # type: ignore[attr-defined]
-    del thing
-    assert references
-
-
-def _finalize() -> None:
-    thing = _Raising()
-    weakref.finalize(thing, signal.raise_signal, signal.SIGINT)
-    del thing
-
-
-def _leave_weak_dictionary() -> None:
-    things: weakref.WeakKeyDictionary[_Raising, _Interrupted] = weakref.WeakKeyDictionary()
-    thing = _Raising()
-    things[thing] = _Interrupted()
-    del thing
-
-
-@pytest.mark.parametrize(
-    "interrupted",
-    [_destruct, _load_extension, _forget_lock, _leave_weak_set, _finalize, _leave_weak_dictionary],
-)
-def test_an_interrupt_where_it_would_get_lost_comes_later(interrupted: Callable[[], None]) -> None:
-    """Exceptions of destructors and callbacks get lost, those of extensions change; it is raised in what follows."""
+def test_an_interrupt_where_it_would_get_lost_comes_later() -> None:
+    """Exceptions of destructors get lost; the interrupt is raised in what follows."""
     before = signal.getsignal(signal.SIGINT)
     install_deferred_sigint()
 
     def wait() -> None:
-        interrupted()
+        _destruct()
         deadline = time.monotonic() + 30.0
         while time.monotonic() < deadline:
             time.sleep(0.01)
@@ -142,7 +82,7 @@ def test_an_interrupt_where_it_would_get_lost_comes_later(interrupted: Callable[
 _BUSY = """
 import hashlib, os, subprocess, sys, threading, time
 from rx90_common.process.children import ChildProcess, kill_all
-from rx90_common.process.interrupts import EndLimits, ends_within
+from rx90_common.process.interrupts import ends_within
 from rx90_common.process.threads import where_threads_are
 def last():
     kill_all()
@@ -158,7 +98,7 @@ def stuck():
 def wait_for_ever(lock):
     stands_still.append(True)
     lock.acquire()
-with ends_within(EndLimits(0.1, 0.1 if "stuck" in sys.argv else 60.0, last, stuck)) as start:
+with ends_within(0.1, 0.1 if "stuck" in sys.argv else 60.0, last, stuck) as start:
     child = ChildProcess("child", ["sleep", "600"])
     if "over" in sys.argv:
         start.over()

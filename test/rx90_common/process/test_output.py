@@ -15,10 +15,6 @@ TOOLS = {
     "rx90_line": ["--from-file", "robots/rx90b/task.yaml", "--dry-run"],
     "rx90_bag": ["info", str(Path(__file__).parents[2] / "reference/reference_task")],
     "rx90_run": ["--help"],
-    "rx90_sweep": ["--help"],
-    "rx90_demo": ["--help"],
-    "friction_ramp": ["--help"],
-    "friction_rig_emulator": ["--help"],
     "rx90_sim": ["--help"],
 }
 # Stands for a tool that prints more than a buffer holds, and has something to end in order.

@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.process.scheduling import be_nice, run_on
+from rx90_common.process.threads import be_nice, run_on
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = """
 import json, os, sys, threading
 from pathlib import Path
-from rx90_common.process.scheduling import be_nice, run_on
+from rx90_common.process.threads import be_nice, run_on
 held = threading.Event()
 threading.Thread(target=held.wait, daemon=True).start()
 run_on(sys.argv[1])

@@ -17,11 +17,12 @@ import rclpy
 from rclpy.node import Node
 from rx90_common.base.errors import ConfigError
 from rx90_common.exchange import node_tools
+from rx90_common.exchange.parameters import declare
 
 class Stub:
     def __init__(self):
         self.node = Node("stub")
-        self.value = node_tools.declare(self.node, "value", 1.0, "a number", low=0.0, high=2.0)
+        self.value = declare(self.node, "value", 1.0, "a number", low=0.0, high=2.0)
         if self.value == 2.0:
             raise ConfigError("value is 2; accepted: less")
         self.running = True

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.command_delay import HOME, Loop, constant, in_turns, motion, run, spectral_radius
+from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.lockstep import LockstepController
 from rx90_common.exchange.motor_messages import MotorMessages
 from rx90_common.exchange.pacing import Pacer

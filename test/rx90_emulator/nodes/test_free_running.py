@@ -13,33 +13,21 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from rx90_common.base.rates import NANOSECONDS, Rates
-from rx90_common.exchange.qos import LATCHED_QOS, TICK_QOS
-from rx90_common.exchange.time_mode import TimeMode
-from rx90_common.exchange.topics import FREE_RUNNING, MOTOR_NAMES
+from rx90_common.exchange.endpoints import LATCHED_QOS, TICK_QOS
+from rx90_common.exchange.topics import FREE_RUNNING, MOTOR_NAMES, TimeMode
 
 
 @pytest.mark.ros
-def test_a_silent_controller_closes_the_brakes_and_a_late_one_opens_them(processes: Processes, client: Client) -> None:
-    """Time runs on without the controller; the brakes close when it is stopped and open when it goes on."""
+def test_time_runs_by_the_clock_with_pauses_and_without_a_controller(processes: Processes, client: Client) -> None:
+    """A motion rests while time stands still, and goes on where it was; without a controller the brakes close.
+
+    Time runs on without it, and the brakes open when it goes on.
+    """
     simulation = processes.start(
         "rx90_sim", "--ros-args", "-p", "time_mode:=free_running", "-p", "command_timeout:=0.05"
     )
     controller = processes.start("rx90_controller")
     joints = client.listen("joint_states")
-    simulation.wait_for("the brakes open")
-    controller.signal(signal.SIGSTOP)
-    simulation.wait_for("torque off, brakes closed")
-    stopped = seconds(joints[-1]) if joints else 0.0
-    client.spin_until(lambda: bool(joints) and seconds(joints[-1]) > stopped + 0.5, "time to run on")
-    controller.signal(signal.SIGCONT)
-    simulation.wait_for("the brakes open")
-
-
-@pytest.mark.ros
-def test_a_trajectory_goes_on_after_a_pause(processes: Processes, client: Client) -> None:
-    """While time stands still the motion rests; then the set-points go on where they were, on to the last point."""
-    processes.start("rx90_sim", "--ros-args", "-p", "time_mode:=free_running")
-    controller = processes.start("rx90_controller")
     reference = client.listen("rx90_controller/reference", depth=1)
     client.spin_until(lambda: bool(reference), "the controller to hold")
     client.send([(4.0, [0.1] * 6)])  # long enough to be paused in time on a loaded machine
@@ -55,6 +43,14 @@ def test_a_trajectory_goes_on_after_a_pause(processes: Processes, client: Client
     # Not earlier than the cubic takes from where it was: no set-point was left out.
     done = brentq(lambda share: 0.1 * share * share * (3.0 - 2.0 * share) - reached, 0.0, 1.0)
     assert seconds(reference[-1]) > resting + 4.0 * (1.0 - done) - 0.01
+
+    controller.signal(signal.SIGSTOP)
+    stopped = seconds(joints[-1])
+    client.spin_until(lambda: seconds(joints[-1]) > stopped + 0.5, "time to run on")
+    assert "torque off, brakes closed" in simulation.output
+    closed = len(simulation.lines)
+    controller.signal(signal.SIGCONT)
+    client.spin_until(lambda: any("the brakes open" in line for line in simulation.lines[closed:]), "open brakes")
 
 
 @pytest.mark.ros

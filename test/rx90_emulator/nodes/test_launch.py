@@ -14,7 +14,7 @@ from launch_stub import Action, Context, arguments, build, ending
 from rx90_common.base.share import config_path
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import DEFAULT_ROBOT, MODEL_FILES, RobotFiles
-from rx90_common.process import exit_code
+from rx90_common.process import interrupts
 
 FILE, MOVEIT = "rx90.launch.py", "moveit.launch.py"
 
@@ -126,8 +126,8 @@ def test_a_node_that_ends_ends_the_launch_with_its_code(
 ) -> None:
     """Each node's end shuts the launch down; the first code that is not 0 stays; ended by the launch, none counts."""
     left: list[int] = []
-    monkeypatch.setattr(exit_code, "_codes", left)
-    monkeypatch.setattr(exit_code.atexit, "register", lambda _: None)
+    monkeypatch.setattr(interrupts, "_codes", left)
+    monkeypatch.setattr(interrupts.atexit, "register", lambda _: None)
     made = nodes(build(monkeypatch, FILE))
     assert ending(made["rx90_sim"], 3, shutting_down=True) is None
     for node in (made["rx90_controller"], made["rx90_cell"]):

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
 from processes import Processes
+from rclpy.parameter import Parameter
+from ros_client import Client
+
+from rx90_common.base.errors import ConfigError
+from rx90_sim.node.parameters import SimulationParameters, read_parameters
+
+TASK = "robots/rx90b/task.yaml"
 
 
 def the_line(stderr: str) -> str:
@@ -21,22 +31,14 @@ def the_line(stderr: str) -> str:
     ("name", "arguments", "accepted"),
     [
         ("rx90_sim", ["joint_state_rate:=333"], ["333", "4000"]),
-        ("rx90_sim", ["time_mode:=sometimes"], ["sometimes", "lock_step"]),
-        ("rx90_sim", ["initial_position:=[0.0, 9.0, 0.0, 0.0, 0.0, 0.0]"], ["joint_2", "9"]),
-        ("rx90_sim", ["initial_position:=[0.0]"], ["initial_position", "six"]),
-        ("rx90_sim", ["real_time_factor:=-1.0"], ["real_time_factor", "-1"]),
-        ("rx90_sim", ["real_time_factor:=fast"], ["real_time_factor", "fast"]),
-        ("rx90_sim", ["initial_position:=[]"], ["initial_position is empty", "list of numbers"]),
         ("rx90_sim", ["initial_position:=[0, 9, 0, 0, 0, 0]"], ["joint_2", "9"]),
         ("rx90_sim", ["real_time_facto:=1.0"], ["real_time_facto is unknown", "real_time_factor", "step_ticks"]),
-        ("rx90_sim", ["friction:=nowhere.yaml"], ["nowhere.yaml"]),
         ("rx90_sim", ["qos_overrides./joint_states.publisher.depth:=0"], ["joint_states.publisher.depth is 0", "[1,"]),
         (
             "rx90_sim",
             ["qos_overrides./motor_states.publisher.depth:=5"],
             ["motor_states.publisher.depth is unknown", "depth, reliability, durability of /clock.publisher"],
         ),
-        ("rx90_controller", ["position_rate:=3000"], ["3000", "4000"]),
         ("rx90_controller", ["controller:=nowhere.yaml"], ["nowhere.yaml"]),
         ("rx90_controller", ["joints:=3"], ["parameter joints is 3", "joint_1, joint_2"]),
         ("rx90_cell", ["paused:=true"], ["paused is unknown to rx90_controller", "-p rx90_sim:paused:="]),
@@ -54,36 +56,58 @@ def test_a_bad_parameter_is_one_line(
     assert all(word in line for word in accepted), line
 
 
+def _values() -> Iterator[tuple[str, Any, str]]:
+    """Yield parameters of the simulation with values beyond what their declarations accept, and with what that is."""
+    for declared in fields(SimulationParameters)[1:]:
+        about = declared.metadata
+        wrong: list[Any] = ["fast" if not isinstance(about["default"], str) else 1.0, None]
+        if about["low"] is not None:
+            kind = type(about["default"])
+            wrong += [kind(about["low"] - 1), kind(about["high"] + 1 + about["high"] // 1000)]
+        accepted = "list of numbers" if isinstance(about["default"], list) else type(about["default"]).__name__
+        yield from ((declared.name, value, accepted) for value in wrong)
+    yield "time_mode", "sometimes", "lock_step, free_running"
+    yield "initial_position", [0.0], "six, rad"
+
+
+@pytest.mark.ros
+def test_what_a_declaration_does_not_accept_is_named(client: Client) -> None:
+    """A value of another type, an empty one and one out of the range are refused with parameter, value and range."""
+    for number, (name, value, accepted) in enumerate(_values()):
+        given = [Parameter(name, value=value)]
+        node = rclpy.create_node(f"node_{number}", context=client.node.context, parameter_overrides=given)
+        with pytest.raises(ConfigError) as refused:
+            read_parameters(node)
+        node.destroy_node()
+        assert str(refused.value).startswith(f"parameter {name} ")
+        assert accepted in str(refused.value)
+        assert "is empty" in str(refused.value) or isinstance(value, list) or str(value) in str(refused.value)
+
+
 @pytest.mark.ros
 @pytest.mark.parametrize(
-    ("variable", "value", "accepted"),
-    [("ROS_DOMAIN_ID", "500", "0 to 232"), ("RMW_IMPLEMENTATION", "rmw_nothing_cpp", "rmw_fastrtps_cpp")],
-)
-@pytest.mark.parametrize(
-    ("name", "arguments", "code"),
+    ("variable", "value", "accepted", "command"),
     [
-        ("rx90_sim", [], 2),
-        ("rx90_line", ["--from-file", "robots/rx90b/task.yaml"], 2),
-        ("rx90_bag", ["record", "--output", "never_made"], 2),
-        ("rx90_demo", ["--output", "never_made"], 2),
+        ("ROS_DOMAIN_ID", "500", "0 to 232", ["rx90_sim"]),
+        (
+            "RMW_IMPLEMENTATION",
+            "rmw_nothing_cpp",
+            "rmw_fastrtps_cpp",
+            ["rx90_line", "--from-file", "robots/rx90b/task.yaml"],
+        ),
+        ("ROS_DOMAIN_ID", "-1", "0 to 232", ["rx90_bag", "record", "--output", "never_made"]),
+        ("RMW_IMPLEMENTATION", "rmw_nothing_cpp", "rmw_fastrtps_cpp", ["rx90_demo", "--output", "never_made"]),
     ],
 )
 def test_an_environment_that_cannot_be_is_one_line(
-    processes: Processes,
-    monkeypatch: pytest.MonkeyPatch,
-    name: str,
-    arguments: list[str],
-    code: int,
-    variable: str,
-    value: str,
-    accepted: str,
+    processes: Processes, monkeypatch: pytest.MonkeyPatch, variable: str, value: str, accepted: str, command: list[str]
 ) -> None:
     """A DDS domain that has no ports, or a middleware that is not there, is named with what is accepted."""
     monkeypatch.setenv(variable, value)
-    done = processes.run(name, *arguments)
-    assert done.returncode == code
+    done = processes.run(*command)
+    assert done.returncode == 2
     line = the_line(done.stderr)
-    assert all(word in line for word in (name, variable, value, accepted)), line
+    assert all(word in line for word in (command[0], variable, value, accepted)), line
     assert not Path("never_made").exists()
 
 

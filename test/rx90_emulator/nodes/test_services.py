@@ -30,69 +30,54 @@ def test_step_runs_exactly_the_ticks_asked_for_and_reset_begins_again(processes:
 
 
 @pytest.mark.ros
-def test_a_disabled_controller_closes_the_brakes_and_holds_the_arm(processes: Processes, client: Client) -> None:
-    """With enable false the commands carry no torque, the drives give none and the arm does not fall."""
-    processes.start(
-        "rx90_sim",
-        *("--ros-args", "-p", "real_time_factor:=0.0", "-p", "initial_position:=[0.0, 0.8, 0.8, 0.0, 0.5, 0.0]"),
-    )
-    processes.start("rx90_controller")
-    joints, commands = client.listen("joint_states"), client.listen("motor_commands")
-    client.spin_until(lambda: bool(joints) and seconds(joints[-1]) > 0.5, "the arm to be held by its drives")
-    assert max(abs(torque) for torque in joints[-1].effort) > 10.0
-    client.enable(False)
-    client.spin_until(lambda: bool(commands) and len(commands[-1].effort) == 0, "commands without torque")
-    closed = seconds(commands[-1])
-    client.spin_until(lambda: seconds(joints[-1]) > closed + 1.0, "a second with closed brakes")
-    assert list(joints[-1].effort) == [0.0] * 6
-    # The brakes' stiffness lets the arm give by far less than a tenth of a milliradian.
-    assert joints[-1].position[1] == pytest.approx(0.8, abs=2e-4)
-    client.enable(True)
-    client.spin_until(lambda: len(commands[-1].effort) == 6, "commands with torque again")
+def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, client: Client) -> None:
+    """Refused trajectories leave the motion that runs alone; without power the brakes hold; diagnostics tell the rate.
 
-
-@pytest.mark.ros
-def test_a_refused_trajectory_leaves_the_running_motion_alone(processes: Processes, client: Client) -> None:
-    """A trajectory beyond a joint limit is refused with joint and limit; the one that runs reaches its end."""
-    processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.0")
+    The nodes run with integers where reals are asked for.
+    """
+    pose = [0.0, 0.8, 0.8, 0.0, 0.5, 0.0]
+    given = ("-p", "real_time_factor:=0", "-p", "initial_position:=[0.0, 0.8, 0.8, 0.0, 0.5, 0.0]")
+    processes.start("rx90_sim", "--ros-args", *given)
     controller = processes.start("rx90_controller")
-    reference = client.listen("rx90_controller/reference")
-    client.spin_until(lambda: bool(reference), "the controller to hold")
-    target = [0.1, 0.2, -0.1, 0.1, 0.2, 0.1]
+    joints, commands = client.listen("joint_states", depth=1), client.listen("motor_commands", depth=1)
+    reference = client.listen("rx90_controller/reference", depth=1)
+    publisher = client.node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", 1000)
+    client.spin_until(lambda: bool(reference) and publisher.get_subscription_count() > 0, "the controller to hold")
+
+    # A burst is answered one by one; what is refused leaves the running motion alone.
+    for _ in range(40):
+        publisher.publish(JointTrajectory(joint_names=["elbow"]))
+    client.spin_until(lambda: controller.output.count("trajectory rejected") == 40, "40 answers")
+    target = [0.1, 0.7, 0.7, 0.1, 0.6, 0.1]
     client.send([(2.0, list(reversed(target)))], [f"joint_{i}" for i in range(6, 0, -1)])
     controller.wait_for("trajectory accepted")
     client.send([(1.0, [0.0, 9.0, 0.0, 0.0, 0.0, 0.0])])
-    assert "joint_2" in controller.wait_for(r"trajectory rejected: .*").group()
+    assert "joint_2" in controller.wait_for(r"trajectory rejected: .*joint_2.*").group()
     begun = seconds(reference[-1])
     client.spin_until(lambda: seconds(reference[-1]) > begun + 2.5, "the end of the motion")
     assert list(reference[-1].position) == pytest.approx(target, abs=1e-12)
     assert list(reference[-1].velocity) == [0.0] * 6
+    client.send([(1.0, pose)])
+    client.spin_until(lambda: list(reference[-1].position) == pytest.approx(pose, abs=1e-12), "the way back")
 
+    # Disabled: commands without torque, drives without torque, and the arm does not fall.
+    client.spin_until(lambda: max(map(abs, joints[-1].effort)) > 10.0, "the drives to hold the arm")
+    client.enable(False)
+    client.spin_until(lambda: bool(commands) and len(commands[-1].effort) == 0, "commands without torque")
+    closed, held = seconds(commands[-1]), joints[-1].position[1]
+    client.spin_until(lambda: seconds(joints[-1]) > closed + 1.0, "a second with closed brakes")
+    assert list(joints[-1].effort) == [0.0] * 6
+    # The brakes' stiffness lets the arm give by far less than a tenth of a milliradian.
+    assert joints[-1].position[1] == pytest.approx(held, abs=2e-4)
+    client.enable(True)
+    client.spin_until(lambda: len(commands[-1].effort) == 6, "commands with torque again")
 
-@pytest.mark.ros
-def test_diagnostics_tell_the_controllers_rate_in_lock_step(processes: Processes, client: Client) -> None:
-    """The controller's rate is that of the ticks it answers, here those of the paced simulation."""
-    processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.1")
-    processes.start("rx90_controller")
+    # The controller's rate is that of the ticks it answers.
     heard = client.listen("/diagnostics", DiagnosticArray)
+    assert client.set_parameters("rx90_sim", real_time_factor=0.1) == [""]
 
     def rates() -> list[float]:
         of_controller = [m.status[0] for m in heard if m.status[0].name == "rx90_controller"]
         return [float(pair.value) for status in of_controller for pair in status.values if pair.key == "rate, Hz"]
 
     client.spin_until(lambda: any(300.0 < rate < 500.0 for rate in rates()), "a rate near 400 Hz")
-
-
-@pytest.mark.ros
-def test_a_burst_of_trajectories_is_answered_one_by_one(processes: Processes, client: Client) -> None:
-    """Each of 40 trajectories sent at once is answered; the nodes run with integers where reals are asked for."""
-    processes.start(
-        "rx90_sim", *("--ros-args", "-p", "real_time_factor:=1", "-p", "initial_position:=[0, 0, 0, 0, 0, 0]")
-    )
-    controller = processes.start("rx90_controller")
-    publisher = client.node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", 1000)
-    reference = client.listen("rx90_controller/reference", depth=1)
-    client.spin_until(lambda: bool(reference) and publisher.get_subscription_count() > 0, "the controller to hold")
-    for _ in range(40):
-        publisher.publish(JointTrajectory(joint_names=["elbow"]))
-    client.spin_until(lambda: controller.output.count("trajectory rejected") == 40, "40 answers")

@@ -15,7 +15,7 @@ from ros_client import Client, seconds
 
 from rx90_common.base.errors import ConfigError
 from rx90_emulator.loop.setup import Setup
-from rx90_sim.node.transforms import Transforms
+from rx90_sim.node.publications import Transforms
 
 START = [0.4, -0.6, 1.2, 3.5, -0.9, -4.0]
 FIXED = {"base_link_inertia", "flange", "tool0", "tool", "tcp"}
@@ -80,9 +80,9 @@ def test_without_tf2_msgs_it_is_refused_in_one_line(shipped: Setup, monkeypatch:
     monkeypatch.delenv("ROS_DISTRO", raising=False)
     needs = r"parameter tf_rate is 50: needs tf2_msgs, which is not installed; accepted: make action, .*; or 0$"
     with pytest.raises(ConfigError, match=needs):
-        Transforms.of_parameters(cast("Any", None), shipped.robot, plant, cast("Any", Asked(shipped, 50)))
+        Transforms(cast("Any", None), shipped.robot, plant, cast("Any", Asked(shipped, 50)))
     with pytest.raises(ConfigError, match=r"tf_rate.* 3000"):
-        Transforms.of_parameters(cast("Any", None), shipped.robot, plant, cast("Any", Asked(shipped, 3000)))
+        Transforms(cast("Any", None), shipped.robot, plant, cast("Any", Asked(shipped, 3000)))
 
 
 class Asked:

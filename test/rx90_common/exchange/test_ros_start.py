@@ -1,8 +1,11 @@
-"""control_msgs: what is said where it is missing, and its types between two processes over DDS."""
+"""What `prepare` sets and leaves alone; control_msgs: what is said where it is missing, and its types over DDS."""
 
 from __future__ import annotations
 
+import ctypes
+import os
 import sys
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,9 +18,103 @@ from processes import TIMEOUT, Processes
 from ros_client import own_node
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from rx90_common.exchange.control_messages import missing_control_msgs
+from rx90_common.base.errors import ConfigError
+from rx90_common.exchange.ros_start import missing_control_msgs, prepare
 
+PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PEER = Path(__file__).parents[2] / "support" / "control_msgs_peer.py"
+NAMES = (PROFILES, RANGE, "FASTDDS_BUILTIN_TRANSPORTS", "RMW_IMPLEMENTATION", "ROS_STATIC_PEERS")
+
+
+@pytest.fixture
+def environment(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """Empty the variables; whatever `prepare` sets is taken back."""
+    for name in NAMES:
+        monkeypatch.setenv(name, "")  # so that monkeypatch remembers each of them
+        monkeypatch.delenv(name)
+    return monkeypatch
+
+
+def now() -> dict[str, str]:
+    """Return the variables that are set."""
+    return {name: os.environ[name] for name in NAMES if name in os.environ}
+
+
+@pytest.mark.usefixtures("environment")
+def test_on_a_network_udp_and_the_shipped_profiles_are_chosen() -> None:
+    """Without a discovery range the range stays ROS's own, on UDP, with a profile file that exists."""
+    prepare()
+    assert set(now()) == {PROFILES, "FASTDDS_BUILTIN_TRANSPORTS"}
+    assert Path(now()[PROFILES]).name == "profiles.xml"
+    assert Path(now()[PROFILES]).is_file()
+
+
+@pytest.mark.usefixtures("environment")
+def test_localhost_is_a_profile_of_its_own() -> None:
+    """LOCALHOST, with which ROS would add shared memory, becomes a profile on 127.0.0.1, but not with static peers."""
+    os.environ[RANGE] = "localhost"
+    prepare()
+    assert now()[RANGE] == "SYSTEM_DEFAULT"
+    assert Path(now()[PROFILES]).name == "localhost.xml"
+    first = now()
+    prepare()  # as a child process does
+    assert now() == first
+    del os.environ[PROFILES]
+    own = {RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "192.0.2.7"}  # which reach further
+    os.environ.update(own)
+    prepare()
+    assert {name: now()[name] for name in own} == own
+
+
+@pytest.mark.usefixtures("environment")
+@pytest.mark.parametrize(
+    "own",
+    [
+        {PROFILES: "/my/profiles.xml", RANGE: "LOCALHOST"},
+        {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", RANGE: "LOCALHOST"},
+    ],
+)
+def test_what_the_user_has_set_stays(own: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Profiles of the user's own and another middleware are left as they are."""
+    monkeypatch.setattr(ctypes, "CDLL", lambda _name: None)  # any middleware is installed
+    os.environ.update(own)
+    prepare()
+    assert now() == own
+
+
+@pytest.mark.usefixtures("environment")
+def test_both_profiles_have_the_same_writers() -> None:
+    """The two files differ in the transport, never in how the topics of the ticks are repaired and kept."""
+    names = []
+    for range_name in ("LOCALHOST", "SUBNET"):
+        os.environ.pop(PROFILES, None)
+        os.environ[RANGE] = range_name
+        prepare()
+        tree = ET.parse(now()[PROFILES])
+        for element in tree.iter():
+            element.tail = element.text = (element.text or "").strip() or None
+        space = "{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}"
+        names.append([ET.tostring(writer) for writer in tree.iter(f"{space}data_writer")])
+    assert names[0] == names[1]
+    assert len(names[0]) == 3
+
+
+@pytest.mark.usefixtures("environment")
+@pytest.mark.parametrize(
+    ("name", "value", "accepted"),
+    [
+        ("ROS_DOMAIN_ID", "233", "0 to 232"),
+        ("ROS_DOMAIN_ID", "-1", "0 to 232"),
+        ("ROS_DOMAIN_ID", "home", "0 to 232"),
+        ("RMW_IMPLEMENTATION", "rmw_nothing_cpp", "rmw_fastrtps_cpp"),
+    ],
+)
+def test_what_cannot_be_is_refused(monkeypatch: pytest.MonkeyPatch, name: str, value: str, accepted: str) -> None:
+    """A domain without ports and a middleware that is not installed are named with what is accepted."""
+    monkeypatch.setenv(name, value)
+    with pytest.raises(ConfigError, match=f"{name} is '{value}'.*{accepted}"):
+        prepare()
 
 
 @pytest.mark.parametrize(

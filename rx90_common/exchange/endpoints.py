@@ -1,0 +1,269 @@
+"""Publishers and subscriptions of nodes: quality of service, bytes that cannot be read, waits for who listens.
+
+Depth, reliability and durability can be chosen by parameters `qos_overrides./joint_states.publisher.depth` and so on,
+as rclcpp has them. History cannot: a publisher that keeps all stops the tick, for as long as the lease of a reader that
+was killed.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any, Final, NamedTuple
+
+from builtin_interfaces.msg import Time
+from rclpy.callback_groups import CallbackGroup
+from rclpy.duration import Duration, Infinite
+from rclpy.exceptions import InvalidHandle
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import (
+    DurabilityPolicy,
+    QoSCompatibility,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
+
+from rx90_common.base.errors import ConfigError, ExchangeError
+from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.exchange.pacing import ThrottledLog
+
+PREFIX: Final = "qos_overrides."
+_MOST = 100_000  # messages
+_ACCEPTED = {
+    QoSPolicyKind.DEPTH: (range(1, _MOST + 1), f"a whole number in [1, {_MOST}]"),
+    QoSPolicyKind.RELIABILITY: (("reliable", "best_effort"), "reliable, best_effort"),
+    QoSPolicyKind.DURABILITY: (("volatile", "transient_local"), "volatile, transient_local"),
+}
+_LOOK = 0.05  # s between two looks at the graph
+_SETTLED_LOOKS = 10
+_SLICE = Duration(nanoseconds=50_000_000)
+_RECEIVED_SLICES = 40
+_SHARE = 0.75  # of the publishers' history that is sent before the next wait
+_PATIENCE = 6.0  # s; the lease of a process that was killed, in config/dds, is 5 s
+
+
+class Reliable(NamedTuple):
+    """A reliable quality of service that keeps `depth` messages, `latched` also for subscribers that come later."""
+
+    depth: int
+    latched: bool = False
+
+    @property
+    def profile(self) -> QoSProfile:
+        """Return it as rclpy has it."""
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if self.latched else DurabilityPolicy.VOLATILE
+        return QoSProfile(depth=self.depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
+
+
+# Deep enough that a recorder which does not run for a second loses nothing. KEEP_ALL would stop the tick instead, for
+# as long as the lease of a recorder that was killed.
+TICK_QOS: Final = Reliable(8000)
+STATE_QOS: Final = Reliable(2000)
+CLOCK_QOS: Final = Reliable(10)
+LATCHED_QOS: Final = Reliable(1, latched=True)
+# A burst is answered one by one, each with a line of its own; planning takes longer than sending.
+TRAJECTORY_QOS: Final = Reliable(1000)
+# ROS keeps 10 requests that wait for their turn, and drops the next ones without a word.
+REQUEST_QOS: Final = Reliable(2000)
+
+
+def ros_time(nanoseconds: int) -> Time:
+    """Return a time, ns, as a message; `rx90_common.base.stamps` reads them."""
+    seconds, rest = divmod(nanoseconds, NANOSECONDS)
+    return Time(sec=seconds, nanosec=rest)
+
+
+def _overridable(node: Node, topic: str, entity: str) -> QoSOverridingOptions:
+    """Return the options with which rclpy declares and applies the parameters of a topic's "publisher" or such."""
+    for policy, (values, accepted) in _ACCEPTED.items():
+        name = f"{PREFIX}{node.resolve_topic_name(topic)}.{entity}.{policy.name.lower()}"
+        given = node._parameter_overrides.get(name)  # rclpy's own errors name no parameter
+        if given is not None and (isinstance(given.value, bool) or given.value not in values):
+            raise ConfigError(f"parameter {plain(name)} is {quoted(given.value)}; accepted: {accepted}")
+    return QoSOverridingOptions(list(_ACCEPTED))
+
+
+def overridable_topics(node: Node) -> str:
+    """Return, for a message, what can be chosen, once the node has all its topics; of the others it is fixed."""
+    known = {known.removeprefix(PREFIX).rpartition(".")[0] for known in node._parameters if known.startswith(PREFIX)}
+    return f"{', '.join(policy.name.lower() for policy in _ACCEPTED)} of {', '.join(sorted(known))}"
+
+
+def publish(node: Node, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
+    """Make a publisher whose quality of service the node's parameters may change.
+
+    Raises:
+        ConfigError: naming parameter, value and what is accepted.
+    """
+    return node.create_publisher(kind, topic, qos, qos_overriding_options=_overridable(node, topic, "publisher"))
+
+
+def subscribe(
+    node: Node,
+    kind: Any,
+    topic: str,
+    callback: Callable[[Any], None],
+    qos: QoSProfile,
+    check: Callable[[bytes], None] | None = None,
+) -> None:
+    """Call `callback` with each message of type `kind`, on the executor's thread; what cannot be read is one line.
+
+    The bytes are taken as they are, because the middleware's own complaints name no topic and run over several lines.
+
+    Args:
+        node: the subscriber.
+        kind: class of the messages.
+        topic: relative or absolute name.
+        callback: takes a message.
+        qos: of the subscription, which the node's parameters may change.
+        check: reads the bytes before the middleware does and raises ExchangeError for what is wrong with them. For
+            types with sequences, whose lengths the middleware complains of on standard error by itself.
+
+    Raises:
+        ConfigError: as `publish`.
+    """
+
+    def take(raw: bytes) -> None:
+        try:
+            if check is not None:
+                check(raw)
+            message = deserialize_message(raw, kind)
+        except ExchangeError as error:
+            wrong = str(error)
+        except RuntimeError:  # of the middleware, whose text names a place in its source
+            wrong = f"{len(raw)} bytes are no {kind.__module__.split('.')[0]}/{kind.__name__}"
+        else:
+            callback(message)
+            return
+        log.say("bytes", f"{subscription.topic_name}: {wrong}; the message is ignored")
+
+    log = ThrottledLog(lambda text: node.get_logger().error(text))
+    overrides = _overridable(node, topic, "subscription")
+    subscription = node.create_subscription(kind, topic, take, qos, raw=True, qos_overriding_options=overrides)
+
+
+class ManualCallbackGroup(CallbackGroup):
+    """Keeps the node's executor away from a subscription whose messages somebody takes from it."""
+
+    def can_execute(self, entity: object) -> bool:  # noqa: ARG002 - the interface of CallbackGroup
+        """Say no to each message."""
+        return False
+
+    def beginning_execution(self, entity: object) -> bool:  # noqa: ARG002 - the interface of CallbackGroup
+        """Say no again, if it were asked."""
+        return False
+
+    def ending_execution(self, entity: object) -> None:
+        """Do nothing: none begins."""
+
+
+def never_called(_message: object) -> None:
+    """Stand for the callback of such a subscription."""
+
+
+def fitting_subscriptions(node: Node, publisher: Publisher) -> int:
+    """Return how many subscriptions the graph knows of that a publisher's quality of service suits."""
+    offered, fitting = publisher.qos_profile, 0
+    for info in node.get_subscriptions_info_by_topic(publisher.topic_name):
+        asked = info.qos_profile
+        # Where no times are asked for, the graph reports infinite ones, which the check would compare.
+        times = {name: getattr(asked, name) for name in ("deadline", "liveliness_lease_duration")}
+        times = {name: time for name, time in times.items() if time < Infinite}
+        profile = QoSProfile(depth=1, reliability=asked.reliability, durability=asked.durability, **times)
+        fitting += qos_check_compatible(offered, profile)[0] != QoSCompatibility.ERROR
+    return fitting
+
+
+def wait_until_matched(
+    node: Node, publishers: Sequence[Publisher], attempts: int, stop: Callable[[], bool] = lambda: False
+) -> bool:
+    """Wait until every subscription that the graph knows of is matched with our publishers; return whether it is.
+
+    A recorder that was started before then gets the first message too. The graph learns of its members one by one, so
+    it must also have stayed as it is for half a second. Who asks for another quality of service than is offered is
+    never matched, and not waited for.
+
+    Args:
+        node: the publishers' node.
+        publishers: of all topics.
+        attempts: how often to look, 50 ms apart.
+        stop: returns whether there is something else to do.
+    """
+    pause = threading.Event()
+    before: list[int] = []
+    quiet = 0
+    for _ in range(attempts):
+        if stop():
+            return False
+        known = [fitting_subscriptions(node, publisher) for publisher in publishers]
+        have = [publisher.get_subscription_count() for publisher in publishers]
+        complete = all(h >= k for h, k in zip(have, known, strict=True))
+        quiet = quiet + 1 if complete and have == before else 0
+        if quiet >= _SETTLED_LOOKS:
+            return True
+        before = have
+        pause.wait(_LOOK)
+    return False
+
+
+def wait_until_received(publishers: Sequence[Publisher]) -> None:
+    """Let the last messages reach their subscribers, a recorder for example; at most 2 s for each topic."""
+    for publisher in publishers:
+        for _ in range(_RECEIVED_SLICES):
+            if publisher.wait_for_all_acked(_SLICE):
+                break
+
+
+class Listeners:
+    """Keeps a run that is as fast as it goes from outrunning its subscribers; owned by the thread that ticks.
+
+    Publishers keep two seconds of simulated time. A run that is not paced spends them in a fraction of that, and a
+    recorder that the machine keeps waiting for so long would lose messages. So every some thousand ticks it waits until
+    what was sent has arrived.
+
+    Args:
+        publishers: whose messages are to arrive.
+        state_ticks: ticks from one message to the next of those that do not come in each.
+        interrupted: asked 20 times a second during a wait, which it ends.
+        clock: the steady clock, s.
+
+    Attributes:
+        others: returns publishers of which another thread may destroy some, whose messages are waited for, too.
+    """
+
+    def __init__(
+        self,
+        publishers: Sequence[Publisher],
+        state_ticks: int,
+        interrupted: Callable[[], bool],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._interrupted, self._clock = interrupted, clock
+        self._watched: list[tuple[Publisher, int]] = []
+        self.others: Callable[[], Sequence[Publisher]] = tuple
+        self.add(publishers)
+        self._ticks = self._left = int(_SHARE * min(TICK_QOS.depth, STATE_QOS.depth * state_ticks))
+
+    def add(self, publishers: Sequence[Publisher], answering: int = 0) -> None:
+        """Wait for the messages of these, too, if there are more subscriptions than the `answering` ones."""
+        self._watched += [(publisher, answering) for publisher in publishers]
+
+    def tick_done(self) -> None:
+        """Count a tick; wait if it is time to."""
+        self._left -= 1
+        if self._left == 0:
+            self._left = self._ticks
+            deadline = self._clock() + _PATIENCE
+            for publisher, answering in (*self._watched, *((other, 0) for other in self.others())):
+                with suppress(InvalidHandle):  # destroyed: nothing to wait for
+                    while publisher.get_subscription_count() > answering:
+                        if publisher.wait_for_all_acked(_SLICE) or self._interrupted() or self._clock() > deadline:
+                            break

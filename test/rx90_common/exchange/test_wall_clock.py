@@ -1,0 +1,231 @@
+"""The pacer, throttled lines and waits for listeners against a clock made by hand; what the simulation says of time."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rx90_common.base.errors import ConfigError, ExchangeError, MessageError
+from rx90_common.base.rates import Rates
+from rx90_common.exchange.endpoints import STATE_QOS, TICK_QOS, Listeners
+from rx90_common.exchange.pacing import Pacer, ThrottledLog
+from rx90_common.exchange.topics import TimeMode
+
+PERIOD = 0.00025
+
+
+class Clock:
+    """A clock that stands still but for sleeping, which oversleeps, and for work."""
+
+    def __init__(self, oversleep: float = 0.0) -> None:
+        self.now = 100.0
+        self.oversleep = oversleep
+        self.slept = 0
+
+    def read(self) -> float:
+        """Return the time."""
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        """Let the time pass."""
+        assert seconds > 0.0
+        self.slept += 1
+        self.now += seconds + self.oversleep
+
+
+def pacer(clock: Clock, factor: float) -> Pacer:
+    """Return a pacer of 4 kHz on this clock."""
+    return Pacer(PERIOD, factor, clock.read, clock.sleep)
+
+
+@given(st.sampled_from([0.01, 0.1, 0.5, 1.0, 3.0]), st.floats(0.0, 0.9), st.floats(0.0, 0.9))
+def test_rate_is_held_without_drift(factor: float, oversleep: float, work: float) -> None:
+    """However long sleeping and working take within a period, tick n begins within one period of n periods."""
+    step = PERIOD / factor
+    clock = Clock(oversleep * step)
+    paced = pacer(clock, factor)
+    for tick in range(200):
+        paced.wait()
+        assert -1e-9 <= clock.now - 100.0 - tick * step <= step
+        clock.now += work * step
+
+
+def test_a_delay_is_caught_up() -> None:
+    """After 20 ms of delay ticks follow without sleep until the grid is reached again, and are counted late."""
+    clock = Clock()
+    paced = pacer(clock, 1.0)
+    for _ in range(10):
+        paced.wait()
+    clock.now += 0.020
+    slept = clock.slept
+    for _ in range(80):
+        paced.wait()
+    assert clock.slept == slept
+    for _ in range(110):
+        paced.wait()
+    assert clock.now == pytest.approx(100.0 + 199 * PERIOD)
+    counts = paced.take()
+    assert (counts.ticks, counts.dropped) == (200, 0)
+    assert 75 <= counts.late <= 80
+    assert counts.worst == pytest.approx(0.020, rel=0.05)
+
+
+def test_a_long_stall_is_given_up_and_counted() -> None:
+    """After a stall of 1 s the grid begins anew instead of a burst of 4000 ticks, and those given up are counted."""
+    clock = Clock()
+    paced = pacer(clock, 1.0)
+    paced.wait()
+    clock.now += 1.0
+    paced.wait()
+    start = clock.now
+    for _ in range(4):
+        paced.wait()
+    assert clock.now - start == pytest.approx(4 * PERIOD)
+    counts = paced.take()
+    assert counts.seconds == pytest.approx(clock.now - 100.0)
+    assert counts.dropped == pytest.approx(4000, abs=2)
+    paced.wait()
+    counts = paced.take()
+    assert (counts.ticks, counts.dropped) == (1, 0)
+    assert counts.seconds == pytest.approx(clock.now - start - 4 * PERIOD, abs=PERIOD)
+
+
+def test_restart_catches_nothing_up() -> None:
+    """After a pause and `restart` the next tick is due at once and the one after it a period later."""
+    clock = Clock()
+    paced = pacer(clock, 1.0)
+    paced.wait()
+    clock.now += 0.05
+    paced.restart()
+    start = clock.now
+    for tick in range(5):
+        paced.wait()
+        assert clock.now - start == pytest.approx(tick * PERIOD)
+    assert paced.take().late == 0
+
+
+def test_factor_zero_never_sleeps() -> None:
+    """Without pacing no time is spent, and ticks are still counted."""
+    clock = Clock()
+    paced = pacer(clock, 0.0)
+    for _ in range(50):
+        paced.wait()
+        clock.now += 0.001
+    assert clock.slept == 0
+    assert paced.take().ticks == 50
+
+
+@pytest.mark.parametrize("factor", [-1.0, 0.0001, 1001.0, float("nan"), float("inf")])
+def test_impossible_factors_are_refused(factor: float) -> None:
+    """A factor that cannot be paced is refused with the value and the accepted range."""
+    with pytest.raises(ConfigError, match=r"real_time_factor is .*accepted"):
+        Pacer(PERIOD, factor)
+
+
+def test_a_kind_of_line_comes_at_once_and_then_with_a_count() -> None:
+    """Of a thousand lines within a second one is printed; five seconds later the next one tells of the others."""
+    now, said = [10.0], []
+    log = ThrottledLog(said.append, lambda: now[0])
+    for k in range(1000):
+        log.say("bad", f"bad {k}")
+        now[0] += 0.001
+    log.say("other", "other")
+    assert said == ["bad 0", "other"]
+    now[0] += 5.0
+    log.say("bad", "bad again")
+    now[0] += 5.0
+    log.say("bad", "bad once more")
+    assert said[2:] == ["bad again (and 999 times before)", "bad once more"]
+
+
+class Topic:
+    """A publisher whose messages arrive a while after somebody waits for it."""
+
+    def __init__(self, slowness: float) -> None:
+        self.slowness, self.now, self.sent, self.most = slowness, 0.0, 0, 0
+        self.arrived_at: float | None = None
+
+    def get_subscription_count(self) -> int:
+        """Return that somebody listens."""
+        return 1
+
+    def wait_for_all_acked(self, timeout: object) -> bool:
+        """Wait for the timeout, or until all has arrived."""
+        seconds = timeout.nanoseconds * 1e-9  # type: ignore[attr-defined]
+        if self.arrived_at is None:
+            self.arrived_at = self.now + self.slowness
+        self.now = min(self.now + seconds, max(self.now, self.arrived_at))
+        if self.now < self.arrived_at:
+            return False
+        self.arrived_at, self.sent = None, 0
+        return True
+
+
+@pytest.mark.parametrize(("state_ticks", "depth"), [(4, TICK_QOS.depth), (1, STATE_QOS.depth)])
+def test_no_more_is_sent_than_publishers_keep(state_ticks: int, depth: int) -> None:
+    """However slow a listener is, what it has not got is fewer messages than its publisher keeps for it."""
+    topic = Topic(slowness=3.0)
+    waiting = Listeners([topic], state_ticks, lambda: False, lambda: topic.now)
+    for _ in range(5 * depth):
+        topic.sent += 1
+        topic.most = max(topic.most, topic.sent)
+        waiting.tick_done()
+    assert depth / 2 < topic.most < depth
+    assert topic.now > 5 * 3.0
+
+
+def test_who_is_gone_or_who_interrupts_is_not_waited_for() -> None:
+    """A listener that answers never holds a run up for some seconds; no request, and nobody who answers, does."""
+    topic = Topic(slowness=1e9)
+    interrupted = False
+    waiting = Listeners([topic], 4, lambda: interrupted, lambda: topic.now)
+    for _ in range(TICK_QOS.depth):
+        waiting.tick_done()
+    assert 5.0 < topic.now < 7.0  # longer than the lease of a process that was killed
+    before = topic.now
+    answered = Listeners([], 4, lambda: False, lambda: topic.now)
+    answered.add([topic], answering=1)
+    for _ in range(TICK_QOS.depth):
+        answered.tick_done()
+    assert topic.now == before
+    interrupted = True
+    for _ in range(TICK_QOS.depth):
+        waiting.tick_done()
+    assert topic.now < before + 0.1
+
+
+def test_the_text_carries_mode_and_rates() -> None:
+    """What is written can be read, and is readable."""
+    mode = TimeMode("free_running", Rates(8000, 2000))
+    assert mode.text == "free_running base_rate=8000 position_rate=2000"
+    assert TimeMode.parse(mode.text) == mode
+    of_robot = TimeMode("free_running", Rates(8000, 2000), "my arm")
+    assert of_robot.text == f"{mode.text} robot=my arm"
+    assert TimeMode.parse(of_robot.text) == of_robot
+
+
+@pytest.mark.parametrize(
+    ("theirs", "robot", "complaint"),
+    [
+        (Rates(2000, 1000), "rx90b", "base_rate is 4000 Hz here and 2000 Hz in the simulation"),
+        (Rates(4000, 500), None, "position_rate is 1000 Hz here and 500 Hz in the simulation"),
+        (Rates(), "tx40", "the robot is 'rx90b' here and 'tx40' in the simulation; accepted: the same in both nodes"),
+    ],
+)
+def test_other_rates_and_robots_are_refused_with_both_values(theirs: Rates, robot: str | None, complaint: str) -> None:
+    """One line names the rate, or the robots, and both values; who names no robot is not asked for it."""
+    TimeMode("lock_step", Rates()).check(Rates(), "rx90b")
+    TimeMode("lock_step", Rates(), "rx90b").check(Rates(), "rx90b")
+    with pytest.raises(ExchangeError, match=complaint):
+        TimeMode("lock_step", theirs, robot).check(Rates(), "rx90b")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "lock_step", "sometimes base_rate=4000 position_rate=1000", "lock_step base_rate=x position_rate=1",
+             "lock_step base_rate=0 position_rate=1000", "lock_step position_rate=4000 base_rate=1000"]
+)  # fmt: skip
+def test_another_text_is_refused(text: str) -> None:
+    """A text that is not the simulation's is named with what is accepted."""
+    with pytest.raises(MessageError, match="accepted: lock_step, free_running"):
+        TimeMode.parse(text)
