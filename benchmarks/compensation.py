@@ -36,9 +36,9 @@ from rx90_common.report.plot import COLOURS, Curve, Level, Panel, Plot
 from rx90_controller.law.model import ModelFiles
 from rx90_controller.law.parameters import FeedForward
 from rx90_controller.lines.task import LineTask, load_task
-from rx90_emulator.loop.application import with_parameters
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import LineRun, plan_line, run_line
+from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.loop.working_day import RepeatedLine, repeat_line
 

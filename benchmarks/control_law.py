@@ -14,9 +14,9 @@ import numpy as np
 from benchmarks.report import merge, print_table
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.application import with_parameters
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import run_line
+from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.setup import Setup
 
 # A ramp that is over within rounding of zero: the sign function as written.

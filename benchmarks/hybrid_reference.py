@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import odeint
 from tqdm import tqdm
 
-from rx90_common.description.wrist import to_joint_torque
+from rx90_common.description.drives import to_joint_torque
 from rx90_common.dynamics.manipulator import mass_and_bias
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 from rx90_common.friction.curves import LINEAR_SPEED

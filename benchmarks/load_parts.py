@@ -24,8 +24,8 @@ import pinocchio as pin
 import rx90_emulator as rx
 from benchmarks.report import merge
 from rx90_common.base.arrays import Array
+from rx90_common.description.drives import element_matrix
 from rx90_common.description.rigid_torque import rigid_torque
-from rx90_common.description.wrist import element_matrix
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.arrays import Array, Record
-from rx90_common.description.wrist import to_joint, to_motor_torque
+from rx90_common.description.drives import to_joint, to_motor_torque
 from rx90_common.friction.arm_elements import add_to_joints, element_inputs
 from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.compiled_elements import element_arrays, load_elements

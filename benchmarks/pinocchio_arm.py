@@ -9,7 +9,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dposv
 
-from rx90_common.description.wrist import element_matrix
+from rx90_common.description.drives import element_matrix
 from rx90_common.friction.curves import LINEAR_SPEED
 from rx90_emulator.loop.setup import Setup
 

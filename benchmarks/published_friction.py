@@ -23,8 +23,7 @@ from rx90_common.friction import ELEMENT_COUNT
 from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.load import LoadPart
-from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
-from rx90_common.friction.parts.step import parts_step, reset_parts
+from rx90_common.friction.parts.step import fill_parts, parts_dtype, parts_state_dtype, parts_step, reset_parts
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store

@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from rx90_common.description.drives import element_matrix
 from rx90_common.description.rigid_torque import rigid_torque
-from rx90_common.description.wrist import element_matrix
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.setup import Setup

@@ -21,8 +21,7 @@ from scipy import linalg
 
 from benchmarks.hybrid_reference import Work
 from benchmarks.report import merge, print_table
-from rx90_common.description.elasticity import Elasticity
-from rx90_common.description.wrist import coupling_matrix
+from rx90_common.description.drives import Elasticity, coupling_matrix
 from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, INK, Curve, Panel, Plot
 from rx90_controller.lines.task import load_task

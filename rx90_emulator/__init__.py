@@ -89,19 +89,26 @@ if TYPE_CHECKING:
     from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured
     from rx90_emulator.identification.validation.options import MeasuredTolerances
     from rx90_emulator.identification.validation.prediction import Validation
-    from rx90_emulator.loop.application import with_parameters
-    from rx90_emulator.loop.catalogue import parameters
     from rx90_emulator.loop.closed_loop import simulate
     from rx90_emulator.loop.line import LineRun, PathAccuracy, path_accuracy, plan_line, run_line
+    from rx90_emulator.loop.parameters import parameters, with_parameters
     from rx90_emulator.loop.result import RunResult, save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup, load_setup
     from rx90_emulator.loop.trajectory_file import load_trajectory
     from rx90_emulator.loop.working_day import RepeatedLine, repeat_line
     from rx90_emulator.perturbation.model import PerturbationModel, PerturbationResult, prepare_perturbation
     from rx90_emulator.sweep.execution import read_sweep, run_sweep
-    from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
+    from rx90_emulator.sweep.plan import (
+        Block,
+        LogUniform,
+        Normal,
+        SweepBase,
+        SweepPlan,
+        SweptParameter,
+        Uniform,
+        Values,
+    )
     from rx90_emulator.sweep.plan_file import load_sweep_plan
-    from rx90_emulator.sweep.spaces import LogUniform, Normal, Uniform, Values
     from rx90_emulator.sweep.sweep import Sweep
 
 __all__ = [
@@ -225,8 +232,7 @@ _HOMES = {
     "rx90_emulator.identification.validation.measured": "compare_measured MeasuredComparison",
     "rx90_emulator.identification.validation.options": "MeasuredTolerances",
     "rx90_emulator.identification.validation.prediction": "Validation",
-    "rx90_emulator.loop.application": "with_parameters",
-    "rx90_emulator.loop.catalogue": "parameters",
+    "rx90_emulator.loop.parameters": "parameters with_parameters",
     "rx90_emulator.loop.closed_loop": "simulate",
     "rx90_emulator.loop.line": "LineRun PathAccuracy path_accuracy plan_line run_line",
     "rx90_emulator.loop.result": "RunResult save_arrays write_bag",
@@ -235,9 +241,8 @@ _HOMES = {
     "rx90_emulator.loop.working_day": "RepeatedLine repeat_line",
     "rx90_emulator.perturbation.model": "prepare_perturbation PerturbationModel PerturbationResult",
     "rx90_emulator.sweep.execution": "read_sweep run_sweep",
-    "rx90_emulator.sweep.plan": "Block SweepBase SweepPlan SweptParameter",
+    "rx90_emulator.sweep.plan": "Block LogUniform Normal SweepBase SweepPlan SweptParameter Uniform Values",
     "rx90_emulator.sweep.plan_file": "load_sweep_plan",
-    "rx90_emulator.sweep.spaces": "LogUniform Normal Uniform Values",
     "rx90_emulator.sweep.sweep": "Sweep",
 }
 """The modules that the names come from, as in the imports above, which type checkers and editors read."""

@@ -33,15 +33,11 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.arrays import Array, Record
-from rx90_common.description.cogging import MOST_TERMS, Cogging
-from rx90_common.description.current_sensor import CurrentSensor
-from rx90_common.description.winding import Windings
-from rx90_common.description.wrist import to_motor
+from rx90_common.description.drives import MOST_TERMS, Cogging, CurrentSensor, Windings, to_motor
 from rx90_common.friction.bristle import decay
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.elementary import sine_cosine
+from rx90_common.kernels.elementary import WHOLE, sine_cosine
 from rx90_common.kernels.elementary_arrays import exponential_less_one_of, sines_cosines
-from rx90_common.kernels.lane_bits import WHOLE
 from rx90_common.kernels.lanes import Lanes, Number, absolute, fma, load, select, store
 from rx90_common.kernels.random_numbers import GOLDEN, mixed, nearly_normal
 

@@ -2,7 +2,7 @@
 
 Arm, friction and end stops are evaluated once, at the predicted midpoint of the step, as in the rigid plant's step; the
 transmitted torques are implicit, so that no stiffness limits the step. With the twists t of the gears, their torques s
-and the matrix C of the wrist coupling (rx90_common.description.wrist), for a step's mean accelerations
+and the matrix C of the wrist coupling (rx90_common.description.drives), for a step's mean accelerations
 
     M a + h = C^T s - friction on the links + end stops,   B (C a + d2t/dt2) = drive torque - friction - s.
 

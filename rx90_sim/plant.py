@@ -12,15 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError, DivergenceError
 from rx90_common.base.rates import Rates
-from rx90_common.description.drives import DriveParameters
-from rx90_common.description.elasticity import LINK
+from rx90_common.description.drives import LINK, DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE, manipulator_record
 from rx90_common.friction import ELEMENT_COUNT, FrictionElement, FrictionSet
 from rx90_common.friction.arm_elements import fill_arm_parts
 from rx90_common.friction.compiled_elements import element_arrays, elements_dtype
-from rx90_common.friction.parts.record import parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.scatter import check_seed
+from rx90_common.friction.parts.step import parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.temperature import follow_temperatures
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.elementary_arrays import exponential_of

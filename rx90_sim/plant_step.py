@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Record
-from rx90_common.description.wrist import to_joint_torque, to_motor
+from rx90_common.description.drives import to_joint_torque, to_motor
 from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
 from rx90_common.friction.arm_elements import element_inputs
 from rx90_common.kernels.compiled import kernel

@@ -41,10 +41,8 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
-from rx90_common.description.drives import DriveParameters
-from rx90_common.description.elasticity import LINK
+from rx90_common.description.drives import LINK, DriveParameters, coupling_matrix, element_matrix
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.wrist import coupling_matrix, element_matrix
 from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE
 from rx90_common.dynamics.manipulator import mass_and_bias
 from rx90_common.friction import ELEMENT_COUNT, FrictionSet

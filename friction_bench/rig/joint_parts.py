@@ -11,9 +11,8 @@ from friction_bench.rig.shaft import BRISTLE_STEPS, Shaft, turn
 from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.load import advance_load
-from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.scatter import advance_scatter
-from rx90_common.friction.parts.step import parts_step, reset_parts
+from rx90_common.friction.parts.step import fill_parts, parts_dtype, parts_state_dtype, parts_step, reset_parts
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import lane, load
 

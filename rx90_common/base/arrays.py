@@ -1,5 +1,7 @@
 """Short names for types of arrays; docstrings say their shapes."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np
@@ -10,3 +12,13 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 Record = NDArray[Any]
 """Of a structured type, as compiled code reads and changes it."""
+
+
+def least_and_largest(values: Array, starts: Index) -> tuple[Array, Array]:
+    """Return the extremes of groups of rows, each shape (m, ...), NaN where a group holds nothing else.
+
+    Args:
+        values: shape (n, ...).
+        starts: first row of each group, which ends before the next one or at the end; increasing, shape (m,).
+    """
+    return np.fmin.reduceat(values, starts, axis=0), np.fmax.reduceat(values, starts, axis=0)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import platform
 import re
 from collections.abc import Iterable
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 PACKAGES = ("rx90_common", "rx90_sim", "rx90_controller", "friction_bench", "rx90_emulator")
@@ -58,3 +60,18 @@ def sources_hash(files: Iterable[Path], salt: str = "") -> str:
     for file in files:
         digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
+
+
+_PACKAGES = ("rx90_emulator", "numpy", "scipy", "numba", "pin")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the interpreter and of the libraries that decide the results."""
+    major, minor, _ = platform.python_version_tuple()
+    found = {"python": f"{major}.{minor}"}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return found

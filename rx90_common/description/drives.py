@@ -1,24 +1,306 @@
-"""Data of the six servo drives: gear, rotor, torque constant, amplifier, encoder, brake."""
+"""The drives: gears, motors, encoders, brakes, springs, and how motor 6 turns with joints 5 and 6.
+
+Elasticity, cogging, windings and current sensors are blocks of their own; what a file leaves out of them is ideal.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.declared import Declared
-from rx90_common.base.entries import Integer, Number, Numbers
+from rx90_common.base.entries import LEFT_OUT, REQUIRED, Integer, ListOf, Number, Numbers, Other, Rows, Text
 from rx90_common.base.errors import ConfigError
-from rx90_common.description.cogging import Cogging
-from rx90_common.description.current_sensor import CurrentSensor
-from rx90_common.description.elasticity import Elasticity
-from rx90_common.description.winding import Windings
-from rx90_common.description.wrist import coupled_inertia
+from rx90_common.base.quoting import counted
+from rx90_common.kernels.compiled import kernel
+
+
+@kernel
+def to_motor(gear: NDArray[np.float64], joint: NDArray[np.float64], motor: NDArray[np.float64]) -> None:
+    """Write motor positions (or velocities) for joint positions (or velocities), all shape (6,)."""
+    for i in range(5):
+        motor[i] = gear[i] * joint[i]
+    motor[5] = gear[5] * (joint[4] + joint[5])
+
+
+@kernel
+def to_joint(gear: NDArray[np.float64], motor: NDArray[np.float64], joint: NDArray[np.float64]) -> None:
+    """Write joint positions (or velocities) for motor positions (or velocities), all shape (6,)."""
+    for i in range(5):
+        joint[i] = motor[i] / gear[i]
+    joint[5] = motor[5] / gear[5] - joint[4]
+
+
+@kernel
+def to_joint_torque(gear: NDArray[np.float64], motor: NDArray[np.float64], joint: NDArray[np.float64]) -> None:
+    """Write the joint torques that motor torques make, all shape (6,), Nm."""
+    for i in range(6):
+        joint[i] = gear[i] * motor[i]
+    joint[4] += joint[5]
+
+
+@kernel
+def to_motor_torque(gear: NDArray[np.float64], joint: NDArray[np.float64], motor: NDArray[np.float64]) -> None:
+    """Write the motor torques that make joint torques, all shape (6,), Nm."""
+    for i in range(6):
+        motor[i] = joint[i] / gear[i]
+    motor[4] = (joint[4] - joint[5]) / gear[4]
+
+
+def coupling_matrix() -> NDArray[np.float64]:
+    """Return motor turns for joint turns without the gears, shape (6, 6)."""
+    coupling = np.eye(6)
+    coupling[5, 4] = 1.0
+    return coupling
+
+
+def element_matrix() -> NDArray[np.float64]:
+    """Return input velocities of the seven friction elements for joint velocities, shape (7, 6)."""
+    return np.vstack([np.eye(6), coupling_matrix()[5]])
+
+
+def coupled_inertia(rotor: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotors' share of the mass matrix, shape (6, 6), for joint-side rotor inertias, kg m^2.
+
+    Rotor 6 turns with q5 + q6, so its inertia appears in M55, M56, M65 and M66.
+    """
+    coupling = coupling_matrix()
+    return np.asarray(coupling.T @ np.diag(rotor) @ coupling)
+
+
+MOST_TERMS = 8
+"""Of the Fourier series."""
+
+_waves = ListOf(
+    "Waves in a turn of the motor, one for each row of the others.", "1",
+    item=Number("Waves in a turn.", "1", low=0.0, high=1000.0, above=True),
+    accepted="a list of numbers", least=1,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Cogging(Declared):
+    """The torque sum over k of amplitude[k] cos(harmonic[k] angle + phase[k]) on the motors, motor side.
+
+    It is the slope of an energy, so a turn neither gives nor takes any. The harmonics have shape (n,), none for no
+    cogging; amplitudes and phases (n, 6).
+
+    Raises:
+        ConfigError: for values that are not finite and series of other lengths.
+    """
+
+    name = "cogging"
+    about = "Cogging torque of the motors: a Fourier series in the motor's angle; left out: none."
+
+    harmonic: Annotated[Array, _waves, REQUIRED] = field(default_factory=lambda: np.zeros(0))
+    amplitude: Annotated[Array, Rows("Amplitudes of the six motors, motor side.", "Nm", count=6), REQUIRED] = field(
+        default_factory=lambda: np.zeros((0, 6))
+    )
+    phase: Annotated[
+        Array,
+        Rows(
+            "Phases of the cosines where the motors are at 0; 0 where they are left out.", "rad",
+            count=6, default=LEFT_OUT,
+        ),
+    ] = field(default_factory=lambda: np.zeros((0, 6)))  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        terms = len(self.harmonic)
+        if terms > MOST_TERMS:
+            raise ConfigError(f"cogging: harmonic has {counted(terms, 'number')}; accepted: up to {MOST_TERMS}")
+        for name in ("amplitude", "phase"):
+            value = getattr(self, name)
+            if np.shape(value) != (terms, 6):
+                raise ConfigError(f"cogging: {name} is {value.tolist()}; accepted: numbers of shape {(terms, 6)}")
+
+    @classmethod
+    def of_file(cls, content: Mapping[str, Any] | None, **fields: Any) -> Cogging:
+        """Return what a block of a drives file says; none for none."""
+        phases = {} if content is None else {"phase": ((0.0,) * 6,) * len(content["amplitude"])}
+        return super().of_file(content and {**phases, **content}, **fields)
+
+    @property
+    def used(self) -> bool:
+        """Return whether any motor cogs."""
+        return bool(np.any(self.amplitude))
+
+
+_amperes = partial(Numbers, unit="A", count=6)
+
+
+@dataclass(frozen=True)
+class CurrentSensor(Declared):
+    """Errors of the six current sensors; every array has shape (6,).
+
+    Raises:
+        ConfigError: for values out of range.
+    """
+
+    name = "current_sensor"
+    about = "Errors of the amplifiers' current sensors; left out: none."
+
+    offset: Annotated[Array, _amperes("What a sensor shows without a current.")] = field(
+        default_factory=lambda: np.zeros(6)
+    )
+    noise: Annotated[Array, _amperes("Standard deviation of a sample, one in each base tick.", low=0.0)] = field(
+        default_factory=lambda: np.zeros(6)
+    )
+    resolution: Annotated[Array, _amperes("Step of the converter; 0 for none.", low=0.0)] = field(
+        default_factory=lambda: np.zeros(6)
+    )
+    bandwidth: Annotated[
+        float,
+        Number("Bandwidth of the current loop, through which the errors act on the torque.", "Hz", low=0.0, above=True),
+        REQUIRED,
+    ] = 800.0
+
+    @property
+    def used(self) -> bool:
+        """Return whether any sensor has an error."""
+        return bool(np.any([self.offset, self.noise, self.resolution]))
+
+
+COPPER = 0.00393
+"""Temperature coefficient of copper's resistance at 20 degrees, 1/K (IEC 60028)."""
+_ABSOLUTE_ZERO = -273.15
+_above_0 = partial(Numbers, count=6, low=0.0, above=True)
+_cold, _isolated = Numbers("", count=6, low=0.0), _above_0("", infinite=True)
+_degrees = partial(Number, unit="°C", low=_ABSOLUTE_ZERO, high=1000.0)
+_never = Number("", low=_ABSOLUTE_ZERO, infinite=True)  # also warmer than any winding: no limit
+
+
+def _endless() -> Array:
+    return np.full(6, math.inf)
+
+
+@dataclass(frozen=True)
+class Windings(Declared):
+    """A thermal node in each motor, heated by I^2 R; the arrays have shape (6,), temperatures are in degrees Celsius.
+
+    A resistance of 0 stands for windings that stay as warm as they are. Between `derating` and `limit` the peak current
+    falls linearly.
+
+    Raises:
+        ConfigError: for values out of range.
+    """
+
+    name = "winding"
+    about = "Windings of the motors, a thermal node each; left out: they stay as warm as they are."
+
+    resistance: Annotated[Array, _above_0("Resistance at the reference temperature.", "Ohm"), _cold, REQUIRED] = field(
+        default_factory=lambda: np.zeros(6)
+    )
+    thermal_resistance: Annotated[Array, _above_0("Between winding and surroundings.", "K/W"), _isolated, REQUIRED] = (
+        field(default_factory=_endless)
+    )
+    heat_capacity: Annotated[Array, _above_0("Of the winding.", "J/K"), _isolated, REQUIRED] = field(
+        default_factory=_endless
+    )
+    ambient: Annotated[float, _degrees("Temperature of the surroundings."), REQUIRED] = 20.0
+    initial: Annotated[
+        float,
+        _degrees(
+            "Temperature of the windings at the start; as warm as the surroundings if left out.", default=LEFT_OUT
+        ),
+    ] = 20.0
+    reference: Annotated[float, _degrees("Temperature at which the resistance holds.")] = 20.0
+    coefficient: Annotated[float, Number("Rise of the resistance with temperature.", "1/K", low=0.0, high=0.1)] = COPPER
+    derating: Annotated[
+        float, _degrees("Temperature from which on the amplifier limits the current."), _never, REQUIRED
+    ] = math.inf
+    limit: Annotated[float, _degrees("Temperature at which it gives none."), _never, REQUIRED] = math.inf
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.used and not self.derating < self.limit:
+            raise ConfigError(f"winding: derating is {self.derating:g} °C; accepted: below limit = {self.limit:g} °C")
+        if self.used and not max(self.ambient, self.initial) <= self.derating:
+            warm = max(self.ambient, self.initial)
+            raise ConfigError(
+                f"winding: derating is {self.derating:g} °C; accepted: at least {warm:g} °C, as it begins"
+            )
+
+    @property
+    def used(self) -> bool:
+        """Return whether any winding gets warm."""
+        return bool(np.any(self.resistance))
+
+    @classmethod
+    def of_file(cls, content: Mapping[str, Any] | None, **fields: Any) -> Windings:
+        """Return what a block of a drives file says; cold ones for none."""
+        return super().of_file(content and {"initial": content["ambient"], **content}, **fields)
+
+
+MOTOR, LINK = "motor", "link"
+SIDES = (MOTOR, LINK)
+"""Of the elasticity, on which the friction of the joints may act."""
+
+_STIFFNESS = "6 numbers > 0, .inf for a rigid joint"
+# rad: what a tooth and its gap take up of a wheel with 12 teeth. Gears of robots have an arc minute, 0.0003 rad, common
+# planetary ones half a degree; more than this is a slip of the unit.
+_MOST_PLAY = 0.5
+
+
+def _are_stiffnesses(value: Any) -> bool:
+    if not isinstance(value, list) or len(value) != 6:
+        return False
+    return all(isinstance(number, int | float) and not isinstance(number, bool) and number > 0 for number in value)
+
+
+_rigid_or_soft = Other(
+    "Stiffness between the motor, seen through its gear, and what it moves; .inf where that is rigid.", "Nm/rad",
+    accepted=_STIFFNESS, good=_are_stiffnesses,
+    fragment={"type": "array", "minItems": 6, "maxItems": 6, "items": {"type": "number", "exclusiveMinimum": 0.0}},
+)  # fmt: skip
+_play = Numbers("Play: the way, at the joint, from one flank to the other.", "rad", count=6, low=0.0, high=_MOST_PLAY)
+
+
+@dataclass(frozen=True)
+class Elasticity(Declared):
+    """Between the motors and the links; every array has shape (6,), one value for each drive, joint side.
+
+    Drive 6 turns with joints 5 and 6 together, so its elasticity lies between motor 6 and q5 + q6. With play the
+    damping acts only where the flanks touch.
+
+    Raises:
+        ConfigError: for values out of range, and damping or play of a rigid drive.
+    """
+
+    name = "elasticity"
+    about = "Elasticity and play of the gears, joint side; left out: rigid gears."
+
+    stiffness: Annotated[Array, _rigid_or_soft, REQUIRED] = field(default_factory=lambda: np.full(6, math.inf))
+    damping: Annotated[Array, Numbers("Damping beside the stiffness.", "Nm s/rad", count=6, low=0.0)] = field(
+        default_factory=lambda: np.zeros(6)
+    )
+    backlash: Annotated[Array, _play] = field(default_factory=lambda: np.zeros(6))
+    friction_side: Annotated[
+        str, Text("The side on which the friction of the joints acts.", choices=SIDES), "friction"
+    ] = MOTOR
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("damping", "backlash"):
+            value = getattr(self, name)
+            for i in np.flatnonzero((value > 0) & np.isinf(self.stiffness)):
+                found = f"elasticity: {name}[{i}] is {value[i]:g}, stiffness[{i}] infinite"
+                raise ConfigError(f"{found}; accepted: 0 for a rigid drive")
+
+    @property
+    def elastic(self) -> Array:
+        """Return which drives are, shape (6,), bool."""
+        return np.isfinite(self.stiffness)
+
 
 _six = partial(Numbers, count=6, low=0.0)
 _positive = partial(_six, above=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +12,168 @@ import numpy as np
 import pinocchio as pin
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import LEFT_OUT, Number, Numbers
+from rx90_common.base.groups import Entries, Group
+from rx90_common.base.section import Section
 from rx90_common.description.chain import RigidChain, rigid_chain
-from rx90_common.description.tool import MOUNT_LINK, TCP_LINK, attach, load_tool
-from rx90_common.description.urdf import JOINT_COUNT, Placement, UrdfFile
+from rx90_common.description.urdf import JOINT_COUNT, Placement, UrdfFile, inertia_fault
+
+MOUNT_LINK = "tool0"
+TOOL_LINK = "tool"
+TCP_LINK = "tcp"
+_COLOR = "0.75 0.15 0.15 1"
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A cylinder along z of the mount, m."""
+
+    start: float
+    end: float
+    radius: float
+
+
+@dataclass(frozen=True)
+class Tool:
+    """A tool in the axes of link `tool0`.
+
+    Attributes:
+        mass: kg.
+        center_of_mass: m.
+        inertia: Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, kg m².
+        tcp_position: tool centre point, m.
+        tcp_rpy: its roll, pitch and yaw about fixed axes, rad.
+        visual: its shape, for display.
+        collision: its shape, for collision checks.
+    """
+
+    mass: float
+    center_of_mass: tuple[float, ...]
+    inertia: tuple[float, ...]
+    tcp_position: tuple[float, ...]
+    tcp_rpy: tuple[float, ...]
+    visual: tuple[Cylinder, ...]
+    collision: tuple[Cylinder, ...]
+
+
+def _shapes(about: str) -> Group:
+    cylinder = Numbers("A cylinder along z of tool0: from, to, radius.", "m", count=3)
+    return Group(about, keys={"cylinders": Entries("Cylinders, by names of your own.", of=cylinder)}, default=LEFT_OUT)
+
+
+TOOL = Group(
+    "A tool on the flange, in the axes of link tool0.",
+    keys={
+        "inertial": Group(
+            "The tool as a rigid body.",
+            keys={
+                "mass": Number("Mass.", "kg", low=0.0, above=True),
+                "center_of_mass": Numbers("Centre of mass.", "m", count=3),
+                "inertia": Numbers(
+                    "Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass; such as a body can have.", "kg m^2", count=6
+                ),
+            },
+        ),
+        "tcp": Group(
+            "The tool centre point.",
+            keys={
+                "position": Numbers("Where it is.", "m", count=3),
+                "rpy_degrees": Numbers(
+                    "Its roll, pitch and yaw about fixed axes.", "deg", count=3, low=-360.0, high=360.0
+                ),
+            },
+        ),
+        "visual": _shapes("The tool's shape, for display."),
+        "collision": _shapes("The tool's shape, for collision checks."),
+    },
+)
+"""What a tool file holds."""
+
+
+def load_tool(file: Path) -> Tool:
+    """Read a tool file.
+
+    Raises:
+        ConfigError: naming file, key, value and what is accepted.
+    """
+    root = load_yaml(file)
+    content = TOOL.read(root)
+    inertial, tcp = content["inertial"], content["tcp"]
+    tool = Tool(
+        mass=inertial["mass"],
+        center_of_mass=inertial["center_of_mass"],
+        inertia=inertial["inertia"],
+        tcp_position=tcp["position"],
+        tcp_rpy=tuple(math.radians(angle) for angle in tcp["rpy_degrees"]),
+        visual=_cylinders(root, content, "visual"),
+        collision=_cylinders(root, content, "collision"),
+    )
+    fault = inertia_fault(tool.inertia)
+    if fault is not None:
+        root.section("inertial").refuse("inertia", list(tool.inertia), fault)
+    return tool
+
+
+def _cylinders(root: Section, content: dict[str, Any], kind: str) -> tuple[Cylinder, ...]:
+    """Return the shapes in a block that may be left out."""
+    shapes = []
+    for name, values in content.get(kind, {"cylinders": {}})["cylinders"].items():
+        shape = Cylinder(*values)
+        if not (shape.start < shape.end and shape.radius > 0.0):
+            root.section(kind).section("cylinders").refuse(name, list(values), "from < to, and a radius > 0")
+        shapes.append(shape)
+    return tuple(shapes)
+
+
+def _text(values: tuple[float, ...]) -> str:
+    return " ".join(repr(value) for value in values)
+
+
+def _fixed_joint(robot: ET.Element, child: str, xyz: tuple[float, ...], rpy: tuple[float, ...]) -> None:
+    joint = ET.SubElement(robot, "joint", name=f"{child}_fixed", type="fixed")
+    ET.SubElement(joint, "origin", xyz=_text(xyz), rpy=_text(rpy))
+    ET.SubElement(joint, "parent", link=MOUNT_LINK)
+    ET.SubElement(joint, "child", link=child)
+
+
+def _shape(link: ET.Element, kind: str, cylinder: Cylinder) -> ET.Element:
+    """Add a cylinder to a link as its "visual" or "collision"; return that element."""
+    element = ET.SubElement(link, kind)
+    ET.SubElement(
+        element, "origin", xyz=_text((0.0, 0.0, (cylinder.start + cylinder.end) / 2.0)), rpy=_text((0.0,) * 3)
+    )
+    geometry = ET.SubElement(element, "geometry")
+    ET.SubElement(geometry, "cylinder", radius=repr(cylinder.radius), length=repr(cylinder.end - cylinder.start))
+    return element
+
+
+def attach(urdf: UrdfFile, tool: Tool) -> None:
+    """Add the links `tool` (inertia, shape) and `tcp` (frame) below `tool0`, in place.
+
+    Raises:
+        ConfigError: if the URDF has no link `tool0`, or already has a `tool` or `tcp`.
+    """
+    if not urdf.has_link(MOUNT_LINK):
+        urdf.refuse(f"link '{MOUNT_LINK}'", None, "a link of that name to carry the tool")
+    for name in (TOOL_LINK, TCP_LINK):
+        if urdf.has_link(name):
+            urdf.refuse("a link", name, "a URDF without that link, where a tool file is given")
+    zero = (0.0, 0.0, 0.0)
+    link = ET.SubElement(urdf.root, "link", name=TOOL_LINK)
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "origin", xyz=_text(tool.center_of_mass), rpy=_text(zero))
+    ET.SubElement(inertial, "mass", value=repr(tool.mass))
+    keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    ET.SubElement(inertial, "inertia", {key: repr(value) for key, value in zip(keys, tool.inertia, strict=True)})
+    for cylinder in tool.visual:
+        material = ET.SubElement(_shape(link, "visual", cylinder), "material", name="tool")
+        ET.SubElement(material, "color", rgba=_COLOR)
+    for cylinder in tool.collision:
+        _shape(link, "collision", cylinder)
+    _fixed_joint(urdf.root, TOOL_LINK, zero, zero)
+    ET.SubElement(urdf.root, "link", name=TCP_LINK)
+    _fixed_joint(urdf.root, TCP_LINK, tool.tcp_position, tool.tcp_rpy)
 
 
 @dataclass(frozen=True, eq=False)

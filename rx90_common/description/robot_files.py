@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import listed, quoted
 from rx90_common.base.share import config_path, resolve_config
@@ -135,3 +136,21 @@ class RobotFiles:
             return NO_TOOL
         shipped = config_path("")
         return path.relative_to(shipped).as_posix() if path.is_relative_to(shipped) else str(path)
+
+
+def provenance_of(files: RobotFiles) -> dict[str, list[str]]:
+    """Return for each file by its role what its blocks say, such as `motor assumed`; a URDF says it in comments.
+
+    Raises:
+        ConfigError: if a file cannot be read.
+    """
+    found: dict[str, list[str]] = {}
+    for role in MODEL_FILES:
+        path: Path | None = getattr(files, role)
+        if path is None or role == "urdf":
+            continue
+        root = load_yaml(path)
+        blocks = {name: root.section(name).provenance for name in root if root.holds_mapping(name)}
+        said = [f"{name} {provenance}" for name, provenance in blocks.items() if provenance]
+        found[role] = said or [root.provenance or "not said"]
+    return found

@@ -3,7 +3,7 @@
 It lies on the ground because plant, controller and perturbation method share it.
 """
 
+from rx90_common.dynamics.base_parameters import manipulator_record
 from rx90_common.dynamics.manipulator import BODY_DTYPE, MANIPULATOR_DTYPE
-from rx90_common.dynamics.manipulator_data import manipulator_record
 
 __all__ = ["BODY_DTYPE", "MANIPULATOR_DTYPE", "manipulator", "manipulator_record"]

@@ -9,13 +9,15 @@ axis vanishes, four second moments: 6 numbers in place of 10, and neither M(q) n
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.chain import RigidChain
+from rx90_common.description.drives import DriveParameters
 from rx90_common.description.rotations import dot, length, outer, product, rotated, transposed
+from rx90_common.dynamics.manipulator import MANIPULATOR_DTYPE
 from rx90_common.kernels.elementary_arrays import angles_of, sines_cosines
 
 _SHAPES = (6, 3), (6, 3), (6,), (6, 3), (6, 6), (3,), (3,), (3, 3)  # of a RigidChain's arrays
@@ -88,3 +90,18 @@ def _link_frames(z: Array, moment: Array) -> Array:
     xx, yy, xy = (dot(a, rotated(moment, b)) for a, b in ((x, x), (y, y), (x, y)))
     s, c = sines_cosines(0.5 * angles_of(2.0 * xy, xx - yy)[:, None])
     return np.stack([c * x + s * y, c * y - s * x, z], axis=2)
+
+
+def manipulator_record(chain: RigidChain, drives: DriveParameters) -> np.ndarray[Any, Any]:
+    """Return the constants of an arm with its rotors and springs, shape (1,), dtype MANIPULATOR_DTYPE."""
+    record = np.zeros(1, MANIPULATOR_DTYPE)
+    arm = record[0]
+    parameters = base_parameters(chain)
+    arm["frame"] = parameters.frame.transpose(2, 1, 0)
+    for name in ("next_origin", "first_moment", "second_moment"):
+        arm[name] = getattr(parameters, name).T
+    arm["first_origin"] = parameters.first_origin
+    arm["base_acceleration"] = -chain.gravity
+    arm["rotor"] = drives.rotor_matrix
+    arm["spring_torque"] = drives.spring_torque
+    return record

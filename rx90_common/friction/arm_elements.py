@@ -10,7 +10,7 @@ from typing import Any
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction.element import FrictionElement
-from rx90_common.friction.parts.record import fill_parts
+from rx90_common.friction.parts.step import fill_parts
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes, append, first, lane, load, store
 

@@ -12,8 +12,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 from matplotlib.scale import SymmetricalLogTransform
 
-from rx90_common.base.arrays import Array
-from rx90_common.base.extremes import least_and_largest
+from rx90_common.base.arrays import Array, least_and_largest
 
 # Colour-blind safe (Okabe and Ito), one for each of seven friction elements.
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")

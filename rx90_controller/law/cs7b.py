@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.rates import Rates
-from rx90_common.description.drives import DriveParameters
+from rx90_common.description.drives import DriveParameters, to_joint, to_joint_torque
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.wrist import to_joint, to_joint_torque
 from rx90_controller.law.loops import LAW_STATE_DTYPE, law_release, law_reset, position_loop, velocity_loop
 from rx90_controller.law.model import cool_model
 from rx90_controller.law.parameters import CS7BParameters

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.arrays import Array, Record
-from rx90_common.description.wrist import to_motor
+from rx90_common.description.drives import to_motor
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import signed_power
 from rx90_common.kernels.lanes import Lanes, absolute, any_lane, append, first, lane, load, select, store

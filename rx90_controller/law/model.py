@@ -41,10 +41,9 @@ from rx90_common.base.groups import Group
 from rx90_common.base.quoting import plain
 from rx90_common.base.section import Section
 from rx90_common.base.share import config_path
-from rx90_common.description.drives import DriveParameters, load_drives
+from rx90_common.description.drives import DriveParameters, load_drives, to_motor_torque
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import DESCRIPTIONS, FILES, NO_TOOL
-from rx90_common.description.wrist import to_motor_torque
 from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE, manipulator_record
 from rx90_common.dynamics.manipulator import inverse_dynamics
 from rx90_common.friction import ELEMENT_COUNT, FrictionElement, load_friction
@@ -52,8 +51,7 @@ from rx90_common.friction.arm_elements import add_to_joints, element_inputs, fil
 from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.compiled_elements import element_arrays, elements_dtype, load_elements
 from rx90_common.friction.parts.load import advance_load
-from rx90_common.friction.parts.record import parts_dtype, parts_state_dtype
-from rx90_common.friction.parts.step import parts_energy, parts_step, settle_parts
+from rx90_common.friction.parts.step import parts_dtype, parts_energy, parts_state_dtype, parts_step, settle_parts
 from rx90_common.friction.parts.temperature import (
     add_work,
     advance_temperatures,

@@ -96,7 +96,7 @@ def main(options: argparse.Namespace) -> None:
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.cli.run_hours import run_hours
-    from rx90_emulator.loop.application import with_parameters
+    from rx90_emulator.loop.parameters import with_parameters
     from rx90_emulator.loop.result import save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup
 

@@ -106,7 +106,7 @@ def _check_any_done(file: Path) -> None:
 
 
 def _info(options: argparse.Namespace) -> None:
-    from rx90_emulator.sweep.info import describe_results
+    from rx90_emulator.sweep.store import describe_results
 
     print("\n".join(describe_results(options.file)))
 

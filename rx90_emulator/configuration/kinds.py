@@ -15,7 +15,7 @@ from rx90_common.base.entries import JsonSchema, Number, Switch
 from rx90_common.base.groups import DEFINITIONS, Entries, Group
 from rx90_common.base.section import Section
 from rx90_common.description.drives import DRIVES, load_drives
-from rx90_common.description.tool import TOOL, load_tool
+from rx90_common.description.robot import TOOL, load_tool
 from rx90_common.friction.friction_file import FRICTION, FrictionFile
 from rx90_controller.law.parameters import CONTROLLER, load_controller
 from rx90_controller.lines.task import TASK, load_task

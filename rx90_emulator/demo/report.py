@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.bags.comparison import BagComparison, Verdict
-from rx90_common.description.provenance import provenance_of
-from rx90_common.description.robot_files import RobotFiles
+from rx90_common.description.robot_files import RobotFiles, provenance_of
 from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, INK, Curve, Level, Panel, Plot

@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.description.drives import coupling_matrix, element_matrix
 from rx90_common.description.rigid_torque import configurations, rigid_torque, rotor_and_spring_torque
-from rx90_common.description.wrist import coupling_matrix, element_matrix
 from rx90_common.friction.friction_set import element_names
 from rx90_emulator.loop.setup import Setup
 

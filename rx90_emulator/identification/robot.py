@@ -21,8 +21,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.share import resolve_config
+from rx90_common.description.drives import coupling_matrix
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.description.wrist import coupling_matrix
 from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import SupervisionError, check_type
-from rx90_common.description.wrist import to_joint, to_joint_torque
+from rx90_common.description.drives import to_joint, to_joint_torque
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import load, store
 from rx90_controller.law.cs7b import CS7B

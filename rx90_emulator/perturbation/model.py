@@ -13,10 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
-from rx90_common.description.drives import DriveParameters
+from rx90_common.description.drives import DriveParameters, to_motor
 from rx90_common.description.kinematics import forward, jacobian
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.wrist import to_motor
 from rx90_common.dynamics.manipulator import mass_and_bias
 from rx90_common.friction import FrictionSet
 from rx90_common.friction.friction_set import refuse_parts
@@ -24,8 +23,7 @@ from rx90_common.kernels.compiled import kernel
 from rx90_controller.law.parameters import MODEL_PARTS, CS7BParameters
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.batch import FEW, lanes_for, pack
-from rx90_emulator.perturbation.group_step import Series, Tables, run_few, run_many
+from rx90_emulator.perturbation.group_step import FEW, Series, Tables, lanes_for, pack, run_few, run_many
 from rx90_sim.plant_steps import plant_steps
 
 SPACING = 0.01

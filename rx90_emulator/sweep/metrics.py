@@ -9,8 +9,7 @@ from typing import Final
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.kinematics import path_error
-from rx90_common.description.tip import tip_position
+from rx90_common.description.kinematics import path_error, tip_position
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.perturbation.model import PerturbationResult

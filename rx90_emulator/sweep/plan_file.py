@@ -17,9 +17,21 @@ from rx90_common.base.rates import Rates
 from rx90_common.base.section import Section
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import DESCRIPTIONS, FILES, MODEL_FILES, RobotFiles
-from rx90_emulator.loop.catalogue import Value
-from rx90_emulator.sweep.plan import LARGEST_SEED, METHODS, MOST_RUNS, Block, SweepBase, SweepPlan, SweptParameter
-from rx90_emulator.sweep.spaces import Distribution, LogUniform, Normal, Uniform, Values
+from rx90_emulator.loop.parameters import Value
+from rx90_emulator.sweep.plan import (
+    LARGEST_SEED,
+    METHODS,
+    MOST_RUNS,
+    Block,
+    Distribution,
+    LogUniform,
+    Normal,
+    SweepBase,
+    SweepPlan,
+    SweptParameter,
+    Uniform,
+    Values,
+)
 
 _Thing = TypeVar("_Thing")
 _SPACES = "[v1, v2, ...], {linspace: [start, stop, count]} or {geomspace: [start, stop, count]}"

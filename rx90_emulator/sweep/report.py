@@ -18,7 +18,7 @@ from rx90_common.base.errors import SweepError
 from rx90_common.base.quoting import plain
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Curve, Dots, Level, Mark, Panel, Plot
-from rx90_emulator.loop.catalogue import SWITCH
+from rx90_emulator.loop.parameters import SWITCH
 from rx90_emulator.sweep.store import about, read_results
 
 _WORST, _RMS = "path_error_worst", "path_error_rms"

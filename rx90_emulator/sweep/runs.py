@@ -12,9 +12,8 @@ from itertools import accumulate
 import numpy as np
 
 from rx90_common.base.errors import ConfigError, SweepError
-from rx90_emulator.loop.catalogue import SWITCH, Catalogue, Leaf, Value
-from rx90_emulator.sweep.plan import Block, SweepPlan, SweptParameter
-from rx90_emulator.sweep.spaces import Values
+from rx90_emulator.loop.parameters import SWITCH, Catalogue, Leaf, Value
+from rx90_emulator.sweep.plan import Block, SweepPlan, SweptParameter, Values
 
 
 @dataclass(frozen=True)

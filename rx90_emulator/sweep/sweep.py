@@ -15,15 +15,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rx90_common.base.errors import ConfigError, FailureError, SweepError
-from rx90_common.base.sources import ROOT, sources_hash, with_imports
-from rx90_common.base.versions import versions
-from rx90_common.description.provenance import provenance_of
+from rx90_common.base.sources import ROOT, sources_hash, versions, with_imports
+from rx90_common.description.robot_files import provenance_of
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.application import apply
-from rx90_emulator.loop.catalogue import Catalogue, Leaf, Value
 from rx90_emulator.loop.closed_loop import run_commands
 from rx90_emulator.loop.line import plan_line
+from rx90_emulator.loop.parameters import Catalogue, Leaf, Value, apply
 from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.model import PerturbationModel, prepare_perturbation

@@ -12,8 +12,8 @@ import numpy as np
 import viser
 
 from rx90_common.base.quoting import plain
+from rx90_common.description.kinematics import tip_position
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.tip import tip_position
 from rx90_common.exchange.arm_watch import ArmWatch, JointSample, NodeStatus, Trajectory
 from rx90_common.exchange.client_node import ClientNode
 from rx90_common.exchange.topics import MAX_DISPLAY_RTF

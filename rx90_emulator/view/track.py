@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, least_and_largest
 from rx90_common.base.errors import BagError
-from rx90_common.base.extremes import least_and_largest
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.chain import RigidChain
-from rx90_common.description.tip import tip_position
+from rx90_common.description.kinematics import tip_position
 from rx90_controller.lines.task import SETTLING
 
 _AT_REST = 1e-4  # m/s, of the set-points: below it they have no direction of their own

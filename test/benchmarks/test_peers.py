@@ -18,7 +18,7 @@ from benchmarks.mujoco_arm import mujoco_arm
 from benchmarks.pinocchio_arm import PinocchioArm
 from benchmarks.python_law import PythonDrives, PythonLaw
 from benchmarks.report import merge
-from rx90_common.description.wrist import to_joint_torque
+from rx90_common.description.drives import to_joint_torque
 from rx90_emulator.loop.setup import Setup
 
 

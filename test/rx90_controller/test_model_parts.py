@@ -15,9 +15,8 @@ from own_model import by_model, with_friction
 from scipy.integrate import solve_ivp
 
 import rx90_emulator as rx
+from rx90_common.description.drives import Windings, coupling_matrix, element_matrix
 from rx90_common.description.rigid_torque import rigid_torque
-from rx90_common.description.winding import Windings
-from rx90_common.description.wrist import coupling_matrix, element_matrix
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_controller.law.cs7b import CS7B

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from own_model import by_model, with_friction
 from scipy.integrate import solve_ivp
 
+from rx90_common.description.drives import coupling_matrix, element_matrix
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.description.robot import load_robot
-from rx90_common.description.wrist import coupling_matrix, element_matrix
 from rx90_common.friction.tracing import prescribed_torque
 from rx90_controller.law.loops import LAW_STATE_DTYPE, law_reset, position_loop, velocity_loop
 from rx90_emulator.loop.closed_loop import run_ticks

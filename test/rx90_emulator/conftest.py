@@ -8,7 +8,7 @@ import pytest
 from short_task import SHORT_TASK
 
 from rx90_controller.lines.task import LineTask, load_task
-from rx90_emulator.loop.catalogue import Catalogue
+from rx90_emulator.loop.parameters import Catalogue
 from rx90_emulator.loop.setup import Setup
 
 

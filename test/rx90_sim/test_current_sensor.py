@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.description.current_sensor import CurrentSensor
+from rx90_common.description.drives import CurrentSensor
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.application import with_parameters
 from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.description.elasticity import LINK, MOTOR
+from rx90_common.description.drives import LINK, MOTOR
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rx90_common.description.winding import Windings
+from rx90_common.description.drives import Windings
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_emulator.loop.setup import Setup
 

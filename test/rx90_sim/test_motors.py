@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.description.cogging import Cogging
-from rx90_common.description.winding import COPPER, Windings
+from rx90_common.description.drives import COPPER, Cogging, Windings
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.drives import WINDING_DTYPE, add_cogging, current_shares, fill_windings, warm_motors, warm_windings

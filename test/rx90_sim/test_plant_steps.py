@@ -19,7 +19,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.friction import FrictionSet
 from rx90_common.friction.parts.bristles import ElastoPlastic
 from rx90_common.friction.parts.temperature import TemperaturePart
-from rx90_emulator.loop.application import with_parameters
+from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]

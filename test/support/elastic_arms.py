@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
 from benchmarks.decoupled import negligible_element
-from rx90_common.description.elasticity import MOTOR, Elasticity
+from rx90_common.description.drives import MOTOR, Elasticity
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionSet
 from rx90_emulator.loop.setup import Setup

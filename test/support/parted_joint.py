@@ -11,9 +11,15 @@ from numpy.typing import NDArray
 from rx90_common.friction import ELEMENT_COUNT, FrictionElement
 from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.parts.load import advance_load
-from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.scatter import advance_scatter
-from rx90_common.friction.parts.step import parts_energy, parts_step, reset_parts
+from rx90_common.friction.parts.step import (
+    fill_parts,
+    parts_dtype,
+    parts_energy,
+    parts_state_dtype,
+    parts_step,
+    reset_parts,
+)
 from rx90_common.friction.parts.temperature import add_work, advance_temperatures
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store

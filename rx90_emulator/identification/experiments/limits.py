@@ -7,8 +7,8 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_common.base.rates import Rates
+from rx90_common.description.drives import coupling_matrix
 from rx90_common.description.rigid_torque import rigid_torque
-from rx90_common.description.wrist import coupling_matrix
 from rx90_common.exchange.topics import MOTOR_NAMES
 from rx90_controller.trajectory import TrajectoryGenerator
 from rx90_emulator.identification.experiments.plan import Experiment

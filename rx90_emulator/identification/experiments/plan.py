@@ -19,10 +19,9 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.groups import Group
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
-from rx90_common.description.drives import DriveParameters
+from rx90_common.description.drives import DriveParameters, coupling_matrix
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.description.wrist import coupling_matrix
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.sliding.fit import LEAST_SPEEDS

@@ -21,9 +21,9 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.config import check_numbers, load_yaml, without_schema_line, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import listed, plain
+from rx90_common.description.drives import element_matrix
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_common.description.wrist import element_matrix
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.friction.friction_set import element_names

@@ -18,8 +18,8 @@ from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError, IdentificationError, check_type
 from rx90_common.base.quoting import listed
+from rx90_common.description.drives import coupling_matrix, element_matrix
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_common.description.wrist import coupling_matrix, element_matrix
 from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import element_names

@@ -11,8 +11,7 @@ import pytest
 from refusals import refusal_by
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.description.drives import load_drives
-from rx90_common.description.elasticity import LINK, MOTOR, Elasticity
+from rx90_common.description.drives import LINK, MOTOR, Elasticity, load_drives
 from rx90_common.description.robot_files import RobotFiles
 
 Edit = Callable[..., Path]

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 from refusals import refusal_by
 
-from rx90_common.description.cogging import Cogging
-from rx90_common.description.current_sensor import CurrentSensor
-from rx90_common.description.drives import load_drives
+from rx90_common.description.drives import Cogging, CurrentSensor, load_drives
 from rx90_common.description.robot_files import RobotFiles
 
 Edit = Callable[..., Path]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rx90_common.description.provenance import provenance_of
-from rx90_common.description.robot_files import RobotFiles
+from rx90_common.description.robot_files import RobotFiles, provenance_of
 
 
 def test_each_file_tells_of_its_blocks_else_of_itself(tmp_path: Path) -> None:

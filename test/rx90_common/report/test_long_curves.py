@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from report_pages import ReportCheck
 
-from rx90_common.base.extremes import least_and_largest
+from rx90_common.base.arrays import least_and_largest
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import Curve, Panel, Plot, with_fewer_points
 

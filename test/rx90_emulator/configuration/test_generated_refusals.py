@@ -20,11 +20,8 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Either, Entries, Group, Variants
 from rx90_common.base.quoting import quoted
 from rx90_common.base.section import Section
-from rx90_common.description.cogging import Cogging
-from rx90_common.description.current_sensor import CurrentSensor
-from rx90_common.description.elasticity import Elasticity
+from rx90_common.description.drives import Cogging, CurrentSensor, Elasticity, Windings
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.description.winding import Windings
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart

@@ -32,7 +32,7 @@ TOGETHER = re.compile(
     r"geomspace|is not there"
 )
 """What is refused because of several values together, or of one in a list of unlike ones: no schema says that."""
-ELSEWHERE = {"rx90_common.bags.reading", "rx90_controller.node.parameters", "rx90_common.description.provenance"}
+ELSEWHERE = {"rx90_common.bags.reading", "rx90_controller.node.parameters", "rx90_common.description.robot_files"}
 ELSEWHERE |= {"rx90_emulator.identification.output.robot_files"}
 
 

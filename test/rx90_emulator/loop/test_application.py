@@ -13,8 +13,7 @@ from pinocchio_chain import pinocchio_chain
 from rx90_common.base.errors import ConfigError, LineError, Rx90Error
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.task import LineTask
-from rx90_emulator.loop.application import apply
-from rx90_emulator.loop.catalogue import Catalogue, Leaf, Value
+from rx90_emulator.loop.parameters import Catalogue, Leaf, Value, apply
 from rx90_emulator.loop.setup import Setup
 
 

@@ -9,17 +9,12 @@ import numpy as np
 import pytest
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.description.cogging import Cogging
-from rx90_common.description.current_sensor import CurrentSensor
-from rx90_common.description.drives import DriveParameters
-from rx90_common.description.elasticity import Elasticity
-from rx90_common.description.winding import Windings
+from rx90_common.description.drives import Cogging, CurrentSensor, DriveParameters, Elasticity, Windings
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import PARTS
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_controller.lines.task import LineTask
-from rx90_emulator.loop.application import with_parameters
-from rx90_emulator.loop.catalogue import Catalogue, Leaf, parameters
+from rx90_emulator.loop.parameters import Catalogue, Leaf, parameters, with_parameters
 from rx90_emulator.loop.setup import Setup
 
 

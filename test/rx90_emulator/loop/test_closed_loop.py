@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.errors import ConfigError, DivergenceError, TrajectoryError
 from rx90_common.base.rates import Rates
-from rx90_common.description.current_sensor import CurrentSensor
-from rx90_common.description.winding import Windings
+from rx90_common.description.drives import CurrentSensor, Windings
 from rx90_controller.law.parameters import FeedForward
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate

@@ -15,9 +15,8 @@ from scipy.linalg import expm
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import ConfigError
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.application import with_parameters
-from rx90_emulator.loop.catalogue import parameters
 from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.parameters import parameters, with_parameters
 from rx90_emulator.loop.recorded_run import read_run, replay
 from rx90_emulator.loop.result import write_bag
 from rx90_emulator.loop.setup import Setup

@@ -15,7 +15,7 @@ from rx90_common.friction.parts.bristles import ElastoPlastic
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
-from rx90_emulator.loop.catalogue import Catalogue
+from rx90_emulator.loop.parameters import Catalogue
 from rx90_emulator.loop.setup import Setup
 
 PARTS = {

@@ -26,7 +26,7 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from rx90_controller.law.parameters import MODEL_PARTS
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.application import with_parameters
+from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.setup import Setup
 
 def compiled():

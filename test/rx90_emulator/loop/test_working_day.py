@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from own_model import by_model, with_friction
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.description.winding import Windings
+from rx90_common.description.drives import Windings
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.loop import working_day
-from rx90_emulator.loop.application import with_parameters
 from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.line import plan_line, run_line
+from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.result import MotionCommand
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.loop.working_day import CHANGE, Cycle, RepeatedLine, ThermalRun, repeat_line

@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.application import with_parameters
 from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]

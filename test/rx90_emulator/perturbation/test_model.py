@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 from benchmarks.agreement import agreement
 from rx90_common.base.errors import ConfigError, DivergenceError, SupervisionError, TrajectoryError
 from rx90_common.base.rates import Rates
-from rx90_common.description.cogging import Cogging
-from rx90_common.description.current_sensor import CurrentSensor
+from rx90_common.description.drives import Cogging, CurrentSensor, Windings
 from rx90_common.description.kinematics import forward
-from rx90_common.description.winding import Windings
 from rx90_common.friction import FrictionSet
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_controller.law.parameters import CS7BParameters, FeedForward

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
-from rx90_emulator.sweep.spaces import LogUniform, Uniform, Values
+from rx90_emulator.sweep.plan import Block, LogUniform, SweepBase, SweepPlan, SweptParameter, Uniform, Values
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 

@@ -21,8 +21,7 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.children import TIMEOUT
 from rx90_emulator.sweep import execution
 from rx90_emulator.sweep.execution import dask_pool, local_pool, run_sweep
-from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
-from rx90_emulator.sweep.spaces import Values
+from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter, Values
 from rx90_emulator.sweep.store import read_results, schema_of, table_of
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 

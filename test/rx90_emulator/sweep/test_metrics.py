@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rx90_common.description.kinematics import forward
-from rx90_common.description.tip import tip_position
+from rx90_common.description.kinematics import forward, tip_position
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.line import path_accuracy, run_line
 from rx90_emulator.loop.result import RunResult

@@ -12,8 +12,7 @@ from rx90_common.base.errors import REFUSED, ConfigError, FailureError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
 from rx90_emulator.sweep.metrics import DEVIATION
-from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
-from rx90_emulator.sweep.spaces import LogUniform, Values
+from rx90_emulator.sweep.plan import Block, LogUniform, SweepBase, SweepPlan, SweptParameter, Values
 from rx90_emulator.sweep.store import read_results
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 

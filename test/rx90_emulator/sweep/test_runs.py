@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from rx90_common.base.errors import ConfigError
-from rx90_emulator.loop.catalogue import Catalogue
-from rx90_emulator.sweep.plan import Block, SweepPlan, SweptParameter
+from rx90_emulator.loop.parameters import Catalogue
+from rx90_emulator.sweep.plan import Block, LogUniform, SweepPlan, SweptParameter, Uniform, Values
 from rx90_emulator.sweep.runs import RunDescription, RunList
-from rx90_emulator.sweep.spaces import LogUniform, Uniform, Values
 
 
 def parameter(path: str, *values: float, factor: bool = True) -> SweptParameter:

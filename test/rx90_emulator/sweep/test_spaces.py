@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from rx90_common.base.errors import ConfigError
-from rx90_emulator.sweep.spaces import Distribution, LogUniform, Normal, Uniform, Values
+from rx90_emulator.sweep.plan import Distribution, LogUniform, Normal, Uniform, Values
 
 SHARES = (2.0**-54, 1e-6, 0.25, 0.5, 0.9, 1.0 - 2.0**-53)
 

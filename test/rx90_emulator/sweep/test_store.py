@@ -15,8 +15,7 @@ import pytest
 
 from rx90_common.base.errors import ConfigError, SweepError
 from rx90_emulator.sweep import store
-from rx90_emulator.sweep.info import describe_results
-from rx90_emulator.sweep.store import KEY, ResultStore, parts_folder, read_results
+from rx90_emulator.sweep.store import KEY, ResultStore, describe_results, parts_folder, read_results
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rx90_common.description.tip import tip_position
+from rx90_common.description.kinematics import tip_position
 from rx90_controller.lines.plan import Approach, approached
 from rx90_controller.lines.task import load_task
 from rx90_emulator.loop.closed_loop import simulate
