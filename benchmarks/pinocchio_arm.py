@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dposv
 
 from rx90_common.description.wrist import element_matrix
-from rx90_common.friction.element import LINEAR_SPEED
+from rx90_common.friction.curves import LINEAR_SPEED
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]

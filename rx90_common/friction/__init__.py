@@ -14,6 +14,7 @@ __all__ = [
     "arm_elements",
     "bristle",
     "compiled_elements",
+    "curves",
     "element",
     "friction_file",
     "friction_set",

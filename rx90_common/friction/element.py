@@ -19,6 +19,7 @@ from rx90_common.base.entries import REQUIRED, Entry, Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Either, Group
 from rx90_common.base.section import range_text
+from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay, viscous_torque
 from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY, BristlesPart
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.part import LEAST_SPEED, FrictionPart, in_words
@@ -35,9 +36,6 @@ ALPHA_BOUNDS = (0.3, 2.0)
 Two is the drag of a turbulent fluid. Below 0.3 the slope at rest, LINEAR_SPEED^(alpha - 1) c2, comes near what a light
 wrist can bear in a tick: the part would be a Coulomb torque without bristles.
 """
-
-LINEAR_SPEED = 1e-3
-"""The speed, rad/s, below which the viscous part is linear whatever its exponent: motion this slow is presliding."""
 
 INVERSE: Final = object()
 """Stands behind the entry of a parameter of which compiled code holds the inverse."""
@@ -117,9 +115,7 @@ class FrictionElement(Declared):
         forward = v >= 0
         coulomb = np.where(forward, self.tau_c_positive, self.tau_c_negative)
         static = np.where(forward, self.tau_s_positive, self.tau_s_negative)
-        with np.errstate(over="ignore"):  # the Stribeck part is gone then
-            fading = np.exp(-((np.abs(v) / self.omega_s) ** self.delta))
-        return np.asarray(coulomb + (static - coulomb) * fading)
+        return np.asarray(coulomb + (static - coulomb) * stribeck_decay(v, self.omega_s, self.delta))
 
     def damping(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return c1(v), Nm s/rad."""
@@ -128,10 +124,7 @@ class FrictionElement(Declared):
 
     def viscous_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return c2 |v|^alpha sign(v), below LINEAR_SPEED the chord of it, Nm."""
-        v = np.asarray(velocity, dtype=np.float64)
-        if self.alpha == 1.0:
-            return np.asarray(self.c2 * v)
-        return np.asarray(self.c2 * v * np.maximum(np.abs(v), LINEAR_SPEED) ** (self.alpha - 1.0))
+        return viscous_torque(np.asarray(velocity, dtype=np.float64), self.c2, self.alpha)
 
     def viscous_slopes(self, max_velocity: float) -> tuple[float, float, float]:
         """Return the slope of the viscous part: at rest as warm and as cold as it gets, and cold at speed, Nm s/rad."""

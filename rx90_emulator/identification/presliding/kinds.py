@@ -26,7 +26,7 @@ from scipy import stats
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import counted, listed
-from rx90_common.friction.held_out import HeldOutErrors
+from rx90_common.friction.held_out import HeldOutErrors, leave_out
 from rx90_common.friction.parts.bristles import BristlesPart
 from rx90_emulator.identification.model.estimates import LARGEST_DEVIATION, PRESLIDING, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
@@ -233,13 +233,15 @@ class _Prediction:
     @classmethod
     def of(cls, whole: GroupFit) -> _Prediction:
         """Leave out one motion after the other."""
-        without = tuple(whole.without(index) for index in range(len(whole.model.motions)))
-        found = []
-        for index, (fit, motion) in enumerate(zip(without, whole.model.motions, strict=True)):
+
+        def squares(fit: GroupFit, index: int) -> Array:
+            motion = whole.model.motions[index]
             lines = np.unique(motion.line, return_inverse=True)[1]
             left = fit.left_over(motion, whole.starts_of(index))
-            found.append(np.bincount(lines, np.sum(left**2, axis=1)))
-        return cls(whole, without, np.concatenate(found))
+            return np.bincount(lines, np.sum(left**2, axis=1))
+
+        without, power = leave_out(range(len(whole.model.motions)), whole.without, squares)
+        return cls(whole, tuple(without), power)
 
     def estimates(self, place: int) -> dict[str, ParameterEstimate]:
         """Return what was fitted of an element with the deviations of the jackknife over the motions."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.friction.element import LINEAR_SPEED
+from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay_slopes, viscous_torque
 from rx90_emulator.identification.model.estimates import SLIDING, VISCOUS_EXPONENT
 
 SIZE = 8
@@ -24,11 +24,7 @@ EXPONENT = 7
 
 def basis(velocity: Array, parameters: Array) -> Array:
     """Return the derivatives by the five linear parameters, shape (m, 5); those of `parameters` do not count."""
-    forward, backward = velocity > 0.0, velocity < 0.0
-    decay = _decay(velocity, parameters[SHAPE])[0]
-    alpha = np.exp(parameters[EXPONENT])
-    viscous = velocity * np.maximum(np.abs(velocity), LINEAR_SPEED) ** (alpha - 1.0)
-    return np.column_stack([1.0 * forward, -1.0 * backward, decay * forward, -decay * backward, viscous])
+    return _basis(velocity, parameters, _decay_slopes(velocity, parameters)[0])
 
 
 def torque(velocity: Array, parameters: Array) -> Array:
@@ -38,23 +34,23 @@ def torque(velocity: Array, parameters: Array) -> Array:
 
 def torque_jacobian(velocity: Array, parameters: Array) -> Array:
     """Return the derivatives of the torque by all parameters, shape (m, 8)."""
-    decay, ratio = _decay(velocity, parameters[SHAPE])
+    decay, by_omega_s, by_delta = _decay_slopes(velocity, parameters)
     rise = np.where(velocity > 0.0, parameters[2], np.where(velocity < 0.0, -parameters[3], 0.0))
-    delta = np.exp(parameters[6])
-    slope = rise * decay * ratio * delta
-    with np.errstate(divide="ignore"):
-        logarithm = np.log(np.abs(velocity)) - parameters[5]
-    by_delta = -slope * np.where(velocity == 0.0, 0.0, logarithm)
-    linear = basis(velocity, parameters)
+    linear = _basis(velocity, parameters, decay)
     logarithm = np.log(np.maximum(np.abs(velocity), LINEAR_SPEED))
     by_alpha = np.exp(parameters[EXPONENT]) * parameters[VISCOUS] * linear[:, VISCOUS] * logarithm
-    return np.column_stack([linear, slope, by_delta, by_alpha])
+    return np.column_stack([linear, rise * by_omega_s, rise * by_delta, by_alpha])
 
 
-def _decay(velocity: Array, shape: Array) -> tuple[Array, Array]:
-    """Return exp(-x) and x = (|v| / omega_s)^delta, each shape (m,)."""
-    ratio = np.minimum((np.abs(velocity) / np.exp(shape[0])) ** np.exp(shape[1]), 700.0)
-    return np.exp(-ratio), ratio
+def _decay_slopes(velocity: Array, parameters: Array) -> tuple[Array, Array, Array]:
+    omega_s, delta = np.exp(parameters[SHAPE]).tolist()
+    return stribeck_decay_slopes(velocity, omega_s, delta)
+
+
+def _basis(velocity: Array, parameters: Array, decay: Array) -> Array:
+    forward, backward = velocity > 0.0, velocity < 0.0
+    viscous = viscous_torque(velocity, 1.0, float(np.exp(parameters[EXPONENT])))
+    return np.column_stack([1.0 * forward, -1.0 * backward, decay * forward, -decay * backward, viscous])
 
 
 def natural(parameters: Array) -> dict[str, float]:
