@@ -27,7 +27,7 @@ def main(options: argparse.Namespace) -> None:
     """
     stop = stop_request()
     from friction_bench.rig.emulated import EmulatedRig
-    from friction_bench.rig.pty_rig import PtyRig
+    from friction_bench.rig.emulated import PtyRig
     from friction_bench.rig.rig_file import load_rig
 
     if not 0 <= options.seed < 2**31:
