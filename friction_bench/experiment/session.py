@@ -178,9 +178,9 @@ def readings_series(samples: list[Sample], rig: Rig) -> list[JointSeries]:
     position = counts * rig.angle_step
     velocity = np.diff(position, prepend=position[0]) / (np.diff(ticks, prepend=ticks[0] - 1) * rig.tick)
     measured, commanded = rig.measured_torque(adc), rig.torque(dac)
-    columns = (column[:, None] for column in (position, velocity, measured))
+    state = position[:, None], velocity[:, None], measured[:, None]
     return [
-        JointSeries("/friction_bench/joint_states", ("rig_motor",), stamps, *columns),
+        JointSeries("/friction_bench/joint_states", ("rig_motor",), stamps, *state),
         JointSeries("/friction_bench/joint_commands", ("rig_motor",), stamps, effort=commanded[:, None]),
     ]
 
