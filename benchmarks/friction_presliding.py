@@ -34,8 +34,7 @@ from friction_bench.presliding.job import CampaignPlan, runs
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.native import firmware_directory
-from friction_bench.rig.plant import JointFriction
-from friction_bench.rig.rig_file import Rig, load_rig
+from friction_bench.rig.rig_file import JointFriction, Rig, load_rig
 from rx90_common.base.errors import INTERRUPTED
 from rx90_common.base.share import PRESLIDING_RIG, config_path
 from rx90_common.base.sources import sources_hash, with_imports

@@ -25,12 +25,11 @@ from tqdm import tqdm
 
 from benchmarks.quick_ramps import QuickRig
 from benchmarks.report import merge, print_table
-from friction_bench.experiment.evaluation import evaluate
-from friction_bench.experiment.identification import IntervalEstimate, RampFriction
-from friction_bench.experiment.job import plan_from, run_planned
+from friction_bench.experiment.identification import IntervalEstimate, RampFriction, evaluate
+from friction_bench.experiment.ramp import plan_from, run_planned
 from friction_bench.experiment.record import RampRecord
-from friction_bench.rig.plant import JointFriction
-from friction_bench.rig.rig_file import Rig, load_rig
+from friction_bench.rig.plant import shaft_of
+from friction_bench.rig.rig_file import JointFriction, Rig, load_rig
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.share import config_path
 from rx90_common.friction.element import FrictionElement
@@ -106,7 +105,7 @@ def measure(rig: Rig, seed: int) -> list[RampRecord]:
 def truth_of(rig: Rig, loaded: bool) -> Array:
     """Return the true f_c, f_v and J at the motor."""
     assert rig.plant is not None
-    shaft = rig.plant.shaft(loaded)
+    shaft = shaft_of(rig, loaded)
     values = np.array([shaft.coulomb, shaft.viscous, shaft.inertia])
     if loaded and isinstance(rig.plant.joint, FrictionElement):
         torque = rig.gear_ratio * rig.gear_efficiency

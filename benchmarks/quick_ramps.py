@@ -12,12 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from friction_bench.experiment.ramp import Guard
 from friction_bench.experiment.record import RampRecord
-from friction_bench.rig.plant import PlantParameters, turn_with_joint
-from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, Rig
-from friction_bench.rig.shaft import Shaft, turn
-from rx90_common.friction.compiled_elements import element_arrays
+from friction_bench.experiment.session import near_limits
+from friction_bench.rig.plant import SLICE, RigJoint, Shaft, joint_record, shaft_of, turn, turn_with_joint
+from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, PlantParameters, Rig
 from rx90_common.friction.element import FrictionElement
 from rx90_common.kernels.compiled import kernel
 
@@ -32,8 +30,8 @@ def _ramp(
     noise: Array,
     electrics: tuple[float, float, float],
     shaft: Shaft,
-    gear: tuple[float, float],
-    joint: NDArray[np.void],
+    gear: tuple[float, float, float],
+    joint: RigJoint,
     with_bristle: bool,
 ) -> tuple[Array, Array]:
     """Return angle at the beginning of each tick and motor torque of the slice before, each shape (n,)."""
@@ -47,7 +45,7 @@ def _ramp(
             wanted = torque[k] + noise[k, i] if torque[k] > 0.0 else 0.0
             motor = max(0.0, min(wanted, highest))
             if with_bristle:
-                angle, speed, bristle = turn_with_joint(angle, speed, bristle, motor, shaft, gear, joint, 1e-3)
+                angle, speed, bristle = turn_with_joint((angle, speed, bristle), motor, shaft, gear, joint, 1e-3)
             else:
                 angle, speed = turn(angle, speed, motor, shaft, 1e-3)
     return angles, motors
@@ -79,14 +77,14 @@ class QuickRig:
             self.gain * command,
             noise,
             (plant.torque_constant, plant.resistance, plant.supply),
-            plant.shaft(loaded),
-            (plant.gear_ratio, plant.gear_efficiency),
-            element_arrays((element,)),
+            shaft_of(rig, loaded),
+            (rig.gear_ratio, rig.gear_efficiency, plant.load_inertia + plant.joint_inertia),
+            joint_record(element, rig.gear_ratio, SLICE, self.seed),
             loaded and isinstance(joint, FrictionElement),
         )
         scale = rig.counts_per_revolution / math.tau
         counts = np.floor(angle * scale + self._rng.random())
-        beyond = Guard.of(rig).reached(counts)
+        beyond = near_limits(rig, counts)
         end = int(np.argmax(beyond)) if beyond.any() else ticks.size
         reading = np.maximum(0.0, motor + plant.adc_noise * self._rng.standard_normal(ticks.size))
         codes = np.minimum(CODES, np.rint(reading / rig.adc_full_scale * CODES))

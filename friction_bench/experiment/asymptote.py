@@ -18,8 +18,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from friction_bench.experiment.ramp_model import RampModel
-from friction_bench.experiment.record import RampRecord
-from friction_bench.experiment.window import first_motion, refuse_saturated_command, refuse_saturated_current
+from friction_bench.experiment.record import RampRecord, first_motion
+from friction_bench.experiment.sliding_fit import respond
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 
@@ -43,22 +43,17 @@ class RampFit:
     """The asymptote of one ramp; time counts from the zero of the commanded torque.
 
     Attributes:
-        slope: m, Nm/s.
         a, b: asymptote of the velocity, rad/s² and rad/s.
         covariance: of (a, b), shape (2, 2).
         break_away: time of break-away, s.
         window: first and last time used, s.
-        points: readings used.
     """
 
-    record: RampRecord
-    slope: float
     a: float
     b: float
     covariance: Array
     break_away: float
     window: tuple[float, float]
-    points: int
 
 
 class ShortRampError(IdentificationError):
@@ -76,30 +71,17 @@ def fit_asymptote(record: RampRecord, time_constant: float | None = None) -> Ram
         ShortRampError: too few readings after the transient.
         IdentificationError: no break-away, saturation, no straight asymptote.
     """
-    time = record.time - record.origin
-    angle = record.angle - record.angle[0]
-    refuse_saturated_command(record, time)
-    first = first_motion(record, angle)
-    refuse_saturated_current(record)
+    time, angle, first = first_motion(record)
     T, a, b = _rough(record, time, angle, float(time[first]) - record.tick)
     break_away = _break_away(time, angle, first, record.tick, a, b, time_constant)
     T = time_constant or max(T, b / a - break_away)
     angle = angle - staircase_angle(record, time, break_away, a, T)
     use = time >= break_away + SETTLED * T
     _check_length(record, int(use.sum()), float(time[-1]) - break_away - SETTLED * T, T)
-    solution = _solve(time[use], angle[use], record.angle_step, break_away, T)
-    fit = RampFit(
-        record=record,
-        slope=record.slope,
-        a=solution.a,
-        b=solution.b,
-        covariance=solution.covariance,
-        break_away=break_away,
-        window=(float(time[use][0]), float(time[-1])),
-        points=int(use.sum()),
-    )
-    _refuse_curved(fit, time[use], angle[use], T)
-    return fit
+    time, angle = time[use], angle[use]
+    a, b, covariance = _solve(time, angle, record.angle_step, break_away, T)
+    _refuse_curved(record, time, angle, break_away, T, a)
+    return RampFit(a, b, covariance, break_away, (float(time[0]), float(time[-1])))
 
 
 def _break_away(time: Array, angle: Array, first: int, tick: float, a: float, b: float, T: float | None) -> float:
@@ -126,19 +108,10 @@ def staircase_angle(record: RampRecord, time: Array, break_away: float, a: float
     The command is a staircase about the ramp. Its steps are known, so their effect on an inertia with time
     constant T is taken out instead of being counted as noise.
     """
-    extra = np.zeros_like(time)
     if record.torque is None:
-        return extra
+        return np.zeros_like(time)
     final = (record.torque - record.slope * (time + record.tick / 2)) * a / record.slope
-    angle = speed = 0.0
-    for k in range(1, time.size):
-        if time[k - 1] >= break_away:
-            step = time[k] - time[k - 1]
-            decay = math.exp(-step / T)
-            angle += final[k - 1] * step + (speed - final[k - 1]) * T * (1.0 - decay)
-            speed = final[k - 1] + (speed - final[k - 1]) * decay
-        extra[k] = angle
-    return extra
+    return respond(time, np.where(time >= break_away, final, 0.0), 0.0, T)[0]
 
 
 def _rough(record: RampRecord, time: Array, angle: Array, break_away: float) -> tuple[float, float, float]:
@@ -175,13 +148,6 @@ def _check_length(record: RampRecord, points: int, length: float, T: float) -> N
         )
 
 
-@dataclass(frozen=True)
-class _Solution:
-    a: float
-    b: float
-    covariance: Array
-
-
 def integrated_ou_covariance(time: Array, T: float) -> Array:
     """Return the covariance of an integrated Ornstein-Uhlenbeck process from rest at time 0, shape (n, n).
 
@@ -195,8 +161,10 @@ def integrated_ou_covariance(time: Array, T: float) -> Array:
     )
 
 
-def _solve(time: Array, angle: Array, step: float, break_away: float, T: float, most: int = MOST_POINTS) -> _Solution:
-    """Solve the generalised least squares problem; q by restricted maximum likelihood."""
+def _solve(
+    time: Array, angle: Array, step: float, break_away: float, T: float, most: int = MOST_POINTS
+) -> tuple[float, float, Array]:
+    """Return a, b and their covariance by generalised least squares; q by restricted maximum likelihood."""
     every = -(-time.size // most)  # decimation costs next to nothing: neighbouring angles are strongly correlated
     time, angle = time[::every], angle[::every]
     middle = float(time.mean())
@@ -230,25 +198,19 @@ def _solve(time: Array, angle: Array, step: float, break_away: float, T: float, 
     _, linear, square = back @ beta
     covariance = back @ np.linalg.inv(information) @ back.T
     to_ab = np.array([[0.0, 0.0, 2.0], [0.0, -1.0, 0.0]])
-    return _Solution(
-        a=2.0 * float(square),
-        b=-float(linear),
-        covariance=np.asarray(to_ab @ covariance @ to_ab.T),
-    )
+    return 2.0 * float(square), -float(linear), np.asarray(to_ab @ covariance @ to_ab.T)
 
 
-def _refuse_curved(fit: RampFit, time: Array, angle: Array, T: float) -> None:
+def _refuse_curved(record: RampRecord, time: Array, angle: Array, break_away: float, T: float, a: float) -> None:
     """Refuse a velocity that is no straight line: fit both halves of the window and compare their a."""
     half = time.size // 2
     if half < MIN_POINTS // 2:
         return
-    step = fit.record.angle_step
-    early = _solve(time[:half], angle[:half], step, fit.break_away, T, ROUGH_POINTS)
-    late = _solve(time[half:], angle[half:], step, fit.break_away, T, ROUGH_POINTS)
-    difference = late.a - early.a
-    error = math.sqrt(early.covariance[0, 0] + late.covariance[0, 0])
-    if abs(difference) > 5 * error and abs(difference) > CURVATURE_LIMIT * fit.a:
+    parts = (slice(half), slice(half, None))
+    early, late = (_solve(time[p], angle[p], record.angle_step, break_away, T, ROUGH_POINTS) for p in parts)
+    difference, error = late[0] - early[0], math.sqrt(early[2][0, 0] + late[2][0, 0])
+    if abs(difference) > 5 * error and abs(difference) > CURVATURE_LIMIT * a:
         raise IdentificationError(
-            f"{fit.record.label}: the velocity follows no straight asymptote, its slope goes from "
-            f"{early.a:.4g} to {late.a:.4g} rad/s²; saturation, or a transient that is not over"
+            f"{record.label}: the velocity follows no straight asymptote, its slope goes from "
+            f"{early[0]:.4g} to {late[0]:.4g} rad/s²; saturation, or a transient that is not over"
         )

@@ -77,25 +77,18 @@ def integrate_equation_3(model: RampModel, time: Array) -> Array:
     return velocity
 
 
-def multibody_joint(inertia: float, ratio: float) -> pin.Model:
-    """Return a revolute joint about z that carries `inertia`, kg m² at the motor, through gear `ratio`.
-
-    A disc on the load shaft holds half of it and the geared rotor the other half, so that both ways in which
-    a multibody program holds inertia take part.
-    """
-    model = pin.Model()
-    model.gravity = pin.Motion.Zero()
-    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "revolute")
-    spin = inertia / 2 * ratio**2
-    body = pin.Inertia(1.0, np.zeros(3), np.diag([spin / 2, spin / 2, spin]))
-    model.appendBodyToJoint(joint, body, pin.SE3.Identity())
-    model.armature = np.array([inertia / 2 * ratio**2])
-    return model
-
-
 def simulate_multibody(model: RampModel, ratio: float, time: Array, step: float = 1e-3) -> Array:
-    """Return the motor's velocity by the articulated-body algorithm with Runge-Kutta steps, rad/s."""
-    joint = multibody_joint(model.inertia, ratio)
+    """Return the motor's velocity, rad/s, of a revolute joint about z behind a gear, with Runge-Kutta steps.
+
+    A disc on the load shaft holds half of the inertia and the geared rotor the other half, so that both ways in which
+    a multibody program holds inertia take part in the articulated-body algorithm.
+    """
+    joint = pin.Model()
+    joint.gravity = pin.Motion.Zero()
+    joint.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "revolute")
+    spin = model.inertia / 2 * ratio**2
+    joint.appendBodyToJoint(1, pin.Inertia(1.0, np.zeros(3), np.diag([spin / 2, spin / 2, spin])), pin.SE3.Identity())
+    joint.armature = np.array([spin])
     data = joint.createData()
     q = np.zeros(1)
 
@@ -149,13 +142,6 @@ def compare(record: RampRecord, model: RampModel, ratio: float) -> FourWay:
     pairs = []
     for first, second in combinations(velocities, 2):
         difference = 100.0 * (velocities[first] - velocities[second]) / final
-        pairs.append(
-            Pair(
-                first,
-                second,
-                float(np.abs(difference).max()),
-                float(np.sqrt(np.mean(difference**2))),
-                SOURCE_BANDS.get(frozenset((first, second))),
-            )
-        )
+        worst, rms = float(np.abs(difference).max()), float(np.sqrt(np.mean(difference**2)))
+        pairs.append(Pair(first, second, worst, rms, SOURCE_BANDS.get(frozenset((first, second)))))
     return FourWay(time, velocities, tuple(pairs))

@@ -1,4 +1,4 @@
-"""From ramps to friction: the source's formulas, the exact fit, and their uncertainties.
+"""From ramps to friction: the source's formulas, the exact fit, their uncertainties, and the joint's own friction.
 
 By the source, for each ramp whose asymptote a t - b shows: f_v = m / a and f_c = m b / a, which is biased high by J a.
 The exact f_c = m b / a - J a needs J, which needs two slopes; it comes from all ramps in one fit (`sliding_fit`), which
@@ -15,10 +15,10 @@ import numpy as np
 from scipy import stats
 
 from friction_bench.experiment.asymptote import RampFit, ShortRampError, fit_asymptote
+from friction_bench.experiment.four_way import FourWay, compare
 from friction_bench.experiment.ramp_model import RampModel
-from friction_bench.experiment.record import RampRecord
+from friction_bench.experiment.record import RampRecord, SlidingWindow, break_away, sliding_window
 from friction_bench.experiment.sliding_fit import RampsFit, fit_sliding
-from friction_bench.experiment.window import SlidingWindow, break_away, sliding_window
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
@@ -99,11 +99,6 @@ class RampIdentification:
     unused: tuple[str, ...]
 
     @property
-    def fits(self) -> tuple[RampFit, ...]:
-        """Return the asymptotes by the source's method."""
-        return tuple(ramp.asymptote for ramp in self.ramps if ramp.asymptote is not None)
-
-    @property
     def best(self) -> RampFriction:
         """Return the exact estimate, else the source's.
 
@@ -157,38 +152,36 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
     """
     if not records:
         raise IdentificationError("no ramp to identify from")
-    windows, unused = _windows(records)
-    if len(slopes_of(window.record for window in windows)) < 2:
-        return _one_slope(records, scale_uncertainty)
-    fit = fit_sliding(windows)
-    asymptotes, bent = _asymptotes([window.record for window in windows], fit)
-    if bent:
-        unused += bent.values()
-        windows = [window for window in windows if window.record.label not in bent]
-        if len(slopes_of(window.record for window in windows)) < 2:
-            raise IdentificationError(unused[0] + _and_more(unused))
-        fit = fit_sliding(windows)
-    _refuse_unphysical(fit)
-    if bent:
-        asymptotes = [_asymptote(window.record, fit) for window in windows]
-    return _from_fit(windows, fit, asymptotes, scale_uncertainty, tuple(unused))
-
-
-def _windows(records: Sequence[RampRecord]) -> tuple[list[SlidingWindow], list[str]]:
-    """Return the windows of the ramps that can be used, and why the others cannot."""
-    windows, unused = [], []
+    windows: list[SlidingWindow] = []
+    unused: list[str] = []
     for record in records:
         try:
             windows.append(sliding_window(record))
         except IdentificationError as error:
             unused.append(str(error))
     if not windows:
-        raise IdentificationError(unused[0] + _and_more(unused))
-    return windows, unused
+        raise _no_ramp_left(unused)
+    if len(slopes_of(window.record for window in windows)) < 2:
+        return _one_slope(records, scale_uncertainty)
+    while True:
+        fit = fit_sliding(windows)
+        asymptotes, straight = [], []
+        for window in windows:
+            try:
+                asymptotes.append(_asymptote(window.record, fit))
+                straight.append(window)
+            except IdentificationError as error:
+                unused.append(str(error))
+        if len(straight) == len(windows):
+            return _from_fit(windows, fit, asymptotes, scale_uncertainty, tuple(unused))
+        windows = straight
+        if len(slopes_of(window.record for window in windows)) < 2:
+            raise _no_ramp_left(unused)
 
 
-def _and_more(reasons: Sequence[str]) -> str:
-    return f" (and {len(reasons) - 1} more ramps that cannot be used)" if len(reasons) > 1 else ""
+def _no_ramp_left(reasons: Sequence[str]) -> IdentificationError:
+    more = f" (and {len(reasons) - 1} more ramps that cannot be used)" if len(reasons) > 1 else ""
+    return IdentificationError(reasons[0] + more)
 
 
 def _one_slope(records: Sequence[RampRecord], scale: float) -> RampIdentification:
@@ -204,22 +197,8 @@ def _one_slope(records: Sequence[RampRecord], scale: float) -> RampIdentificatio
         time = time[time >= fit.window[0]]
         ramps.append(UsedRamp(record, fit.break_away, time, fit.a * time - fit.b, fit))
     if not ramps:
-        raise IdentificationError(unused[0] + _and_more(unused))
-    source = _by_source([ramp.asymptote for ramp in ramps if ramp.asymptote is not None], scale)
-    return RampIdentification(tuple(ramps), source, None, None, 1.0, None, tuple(unused))
-
-
-def _asymptotes(records: Sequence[RampRecord], fit: RampsFit) -> tuple[list[RampFit | None], dict[str, str]]:
-    """Return the asymptotes, None for a ramp that is too short or bent, and by label why a velocity is no line."""
-    found: list[RampFit | None] = []
-    reasons = {}
-    for record in records:
-        try:
-            found.append(_asymptote(record, fit))
-        except IdentificationError as error:
-            found.append(None)
-            reasons[record.label] = str(error)
-    return found, reasons
+        raise _no_ramp_left(unused)
+    return RampIdentification(tuple(ramps), _by_source(ramps, scale), None, None, 1.0, None, tuple(unused))
 
 
 def _asymptote(record: RampRecord, fit: RampsFit) -> RampFit | None:
@@ -231,15 +210,6 @@ def _asymptote(record: RampRecord, fit: RampsFit) -> RampFit | None:
         return None
 
 
-def _refuse_unphysical(fit: RampsFit) -> None:
-    _, viscous, inertia = (float(value) for value in fit.values)
-    if not (viscous > 0.0 and inertia > 0.0):
-        raise IdentificationError(
-            f"the ramps give a viscous friction of {viscous:.3g} Nm s/rad and an inertia of {inertia:.3g} kg m²; "
-            "accepted: > 0"
-        )
-
-
 def _from_fit(
     windows: Sequence[SlidingWindow],
     fit: RampsFit,
@@ -248,16 +218,20 @@ def _from_fit(
     unused: tuple[str, ...],
 ) -> RampIdentification:
     coulomb, viscous, inertia = (float(value) for value in fit.values)
+    if not (viscous > 0.0 and inertia > 0.0):
+        raise IdentificationError(
+            f"the ramps give a viscous friction of {viscous:.3g} Nm s/rad and an inertia of {inertia:.3g} kg m²; "
+            "accepted: > 0"
+        )
     ramps = []
     for window, velocity, asymptote in zip(windows, fit.velocities, of_ramps, strict=True):
         model = RampModel(coulomb, viscous, inertia, window.record.slope)
         start = break_away(window.record, model)
         ramps.append(UsedRamp(window.record, start, window.time, velocity, asymptote))
-    asymptotes = [ramp.asymptote for ramp in ramps if ramp.asymptote is not None]
     square, freedom = fit.chi_square()
     return RampIdentification(
         ramps=tuple(ramps),
-        source=_by_source(asymptotes, scale) if asymptotes else None,
+        source=_by_source(ramps, scale),
         exact=_friction(fit.values, fit.covariance, math.inf, scale),
         repeated=_by_repeats(fit, ramps, scale),
         consistency=float(stats.chi2.sf(square, freedom)),
@@ -266,27 +240,23 @@ def _from_fit(
     )
 
 
-def _by_source(fits: Sequence[RampFit], scale: float) -> RampFriction:
-    values = np.zeros((len(fits), 2))
+def _by_source(ramps: Sequence[UsedRamp], scale: float) -> RampFriction | None:
+    """Return the source's f_c = m b / a and f_v = m / a (equations 4 and 5), mean over the ramps with an asymptote."""
+    fits = [(ramp.slope, ramp.asymptote) for ramp in ramps if ramp.asymptote is not None]
+    if not fits:
+        return None
     covariance = np.zeros((2, 2))
-    for row, fit in enumerate(fits):
-        values[row] = source_formulas(fit.a, fit.b, fit.slope)
-        to_friction = fit.slope * np.array([[-fit.b / fit.a**2, 1 / fit.a], [-1 / fit.a**2, 0.0]])
+    for m, fit in fits:
+        to_friction = m * np.array([[-fit.b / fit.a**2, 1 / fit.a], [-1 / fit.a**2, 0.0]])
         covariance += to_friction @ fit.covariance @ to_friction.T / len(fits) ** 2
-    coulomb, viscous = values.mean(axis=0)
-    errors = np.sqrt(np.diag(covariance))
-    return RampFriction(
-        interval(float(coulomb), float(errors[0]), math.inf, scale),
-        interval(float(viscous), float(errors[1]), math.inf, scale),
-        None,
-        covariance,
-    )
+    values = np.array([source_formulas(fit.a, fit.b, m) for m, fit in fits]).mean(axis=0)
+    return _friction(values, covariance, math.inf, scale)
 
 
 def _friction(values: Array, covariance: Array, freedom: float, scale: float) -> RampFriction:
     errors = np.sqrt(np.diag(covariance))
     estimates = [interval(float(v), float(e), freedom, scale) for v, e in zip(values, errors, strict=True)]
-    return RampFriction(estimates[0], estimates[1], estimates[2], covariance, freedom)
+    return RampFriction(estimates[0], estimates[1], estimates[2] if len(estimates) > 2 else None, covariance, freedom)
 
 
 def _by_repeats(fit: RampsFit, ramps: Sequence[UsedRamp], scale: float) -> RampFriction | None:
@@ -328,15 +298,62 @@ def joint_friction(unloaded: RampIdentification, loaded: RampIdentification, rig
     high, low = loaded.best, unloaded.best
     values = high.coulomb.value - low.coulomb.value, high.viscous.value - low.viscous.value
     for index, (value, factor) in enumerate(zip(values, scales, strict=True)):
-        random, freedom = _difference(high, low, index)
+        variances = high.covariance[index, index], low.covariance[index, index]
+        random = math.sqrt(sum(variances))
+        shares = variances[0] ** 2 / high.freedom + variances[1] ** 2 / low.freedom
+        freedom = float(sum(variances)) ** 2 / shares if shares > 0.0 else math.inf
         motor.append(interval(value, random, freedom, rig.scale_uncertainty))
         joint.append(interval(value * factor, random * factor, freedom, relative))
     return JointFrictionEstimate(motor[0], motor[1], joint[0], joint[1])
 
 
-def _difference(loaded: RampFriction, unloaded: RampFriction, index: int) -> tuple[float, float]:
-    """Return the random error of the difference of two estimates and its degrees of freedom."""
-    variances = loaded.covariance[index, index], unloaded.covariance[index, index]
-    total = float(sum(variances))
-    shares = variances[0] ** 2 / loaded.freedom + variances[1] ** 2 / unloaded.freedom
-    return math.sqrt(total), total**2 / shares if shares > 0.0 else math.inf
+@dataclass(frozen=True)
+class RampTestResult:
+    """The result of a measurement; each part None where it was not run."""
+
+    unloaded: RampIdentification | None
+    loaded: RampIdentification | None
+    joint: JointFrictionEstimate | None
+    comparison: FourWay | None
+    failures: tuple[str, ...] = ()
+    """Why a load that was run carries no estimate, one line each."""
+
+    @property
+    def parts(self) -> list[tuple[str, RampIdentification]]:
+        """Return the identified loads by name."""
+        both = (("no-load", self.unloaded), ("loaded", self.loaded))
+        return [(name, part) for name, part in both if part is not None]
+
+
+def evaluate(records: Sequence[RampRecord], rig: Rig) -> RampTestResult:
+    """Identify friction from all ramps of a measurement, and compare one ramp with the models.
+
+    Raises:
+        IdentificationError: if no load carries an estimate.
+    """
+    parts: dict[bool, RampIdentification] = {}
+    failures = []
+    for loaded in (False, True):
+        chosen = [record for record in records if record.loaded is loaded]
+        try:
+            if chosen:
+                parts[loaded] = identify_ramps(chosen, rig.scale_uncertainty)
+        except IdentificationError as error:
+            failures.append(str(error))
+    if not parts:
+        raise IdentificationError(failures[0] if failures else "no ramp to identify from")
+    joint = joint_friction(parts[False], parts[True], rig) if len(parts) == 2 else None
+    comparison = _comparison(parts[max(parts)], rig)
+    return RampTestResult(parts.get(False), parts.get(True), joint, comparison, tuple(failures))
+
+
+def _comparison(part: RampIdentification, rig: Rig) -> FourWay | None:
+    """Compare the first ramp of the slowest slope; without an identified inertia there is no model of it."""
+    best = part.best
+    if best.inertia is None or best.inertia.value <= 0.0:
+        return None
+    slowest = slopes_of(part.ramps)[0]
+    ramp = min(part.ramps, key=lambda r: abs(r.slope - slowest))
+    release = max(ramp.break_away * ramp.slope - best.coulomb.value, 0.0)
+    model = RampModel(best.coulomb.value, best.viscous.value, best.inertia.value, ramp.slope, release)
+    return compare(ramp.record, model, rig.gear_ratio)

@@ -1,70 +1,39 @@
-"""Run ramps on a rig and keep what they measured."""
+"""Run ramps on a rig: one of them, and all of a load, planned by what the first one shows."""
 
 from __future__ import annotations
 
-import contextlib
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import replace
 
-import numpy as np
-from numpy.typing import ArrayLike
+from friction_bench.experiment.record import RampRecord, sliding_window
+from friction_bench.experiment.session import (
+    LIMITS_SHARE,
+    armed,
+    last_near_limits,
+    refuse_fault,
+    sample_columns,
+    wait_for_rest,
+)
+from friction_bench.experiment.sliding_fit import fit_sliding
+from friction_bench.protocol.messages import Command, RigError, State
+from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.rig_file import TRAVEL_UNIT, RampPlan, Rig
+from rx90_common.base.errors import IdentificationError
 
-from friction_bench.experiment.record import RampRecord
-from friction_bench.protocol.errors import RigError
-from friction_bench.protocol.messages import Command, State
-from friction_bench.rig.client import RigClient, Sample, raise_fault
-from friction_bench.rig.rig_file import TRAVEL_UNIT, Rig
-from rx90_common.bags.joint_series import JointSeries
-from rx90_common.base.arrays import Mask
-from rx90_common.base.rates import NANOSECONDS
-
-REST_TICKS = 10
-"""The shaft is at rest when it has not moved for so many ticks."""
-REST_TIMEOUT = 30.0
-
-
-def wait_for_rest(client: RigClient) -> None:
-    """Wait until the shaft stands still, for a ramp starts from rest.
-
-    Raises:
-        RigError: if it does not come to rest within REST_TIMEOUT seconds.
-    """
-    end = client.port.now() + REST_TIMEOUT
-    still: list[int] = []
-    while client.port.now() < end:
-        for sample in client.pump():
-            still = [*still[-REST_TICKS + 1 :], sample.counts]
-        if len(still) == REST_TICKS and still[0] == still[-1]:
-            return
-    raise RigError(f"the shaft does not come to rest within {REST_TIMEOUT:g} s")
-
-
-@dataclass
-class Guard:
-    """Notices, before the firmware trips, that a ramp comes near the rig's limits of travel and speed."""
-
-    travel: float
-    """Counts since arming."""
-    speed: float
-    """Counts per tick."""
-
-    SHARE: ClassVar[float] = 0.9
-    """Of the limits; the rest is for what the shaft does until a stop has arrived."""
-    SMOOTHING: ClassVar[int] = 5
-    """Ticks over which the speed is averaged."""
-
-    @classmethod
-    def of(cls, rig: Rig) -> Guard:
-        """Return the guard of a rig."""
-        travel, speed = rig.limit_codes()
-        return cls(cls.SHARE * travel * TRAVEL_UNIT, cls.SHARE * speed)
-
-    def reached(self, counts: ArrayLike) -> Mask:
-        """Tell for each reading of a ramp whether it lies beyond travel or speed, shape (n,)."""
-        values = np.asarray(counts, dtype=np.float64) - np.asarray(counts)[0]
-        before = np.concatenate((np.zeros(self.SMOOTHING), values))[: values.size]
-        return np.asarray((values > self.travel) | (values - before > self.speed * self.SMOOTHING))
+LEAST_SLIDING = 1.5
+"""Shortest time for which the shaft slides in the fastest ramp, s."""
+LEAST_CONSTANTS = 8.0
+"""The same in time constants; the longer of the two counts."""
+LONGEST_CONSTANT = 0.5
+"""The time constant, s, that is taken if the first ramp shows a longer one: a single ramp shows it poorly."""
+LEAST_RATIO = 1.8
+"""Smallest ratio of fastest to slowest slope."""
+RATIO = 2.5
+"""The ratio where the slopes are chosen here."""
+READINGS = 300
+"""Fewest readings of a sliding shaft at the fastest slope, all repeats together."""
+MOST_REPEATS = 20
 
 
 def run_ramp(
@@ -84,84 +53,101 @@ def run_ramp(
         RigError: refused, faulted, lost or reset.
     """
     rig = client.rig
-    step = rig.ramp_step(slope)
+    slope = rig.slope_of_step(rig.ramp_step(slope))
     client.end_code(end_torque)  # refused before anything is switched on
     wait_for_rest(client)
-    if client.last is not None:
-        raise_fault(client.last.report)
-    try:
-        client.arm()
+    with armed(client):
         samples = _follow(client, client.start_ramp(slope, end_torque), on_sample)
-    except BaseException:  # Ctrl-C above all: never leave with the power stage on
-        with contextlib.suppress(RigError):  # a line that is gone carries no heartbeat either
-            client.line.urgent_stop()
-        # This stop is the ramp's own: the next command is not overtaken by it.
-        client.line.known_stops = client.line.stops
-        raise
-    return _record(samples, rig, rig.slope_of_step(step), loaded, label)
+    if len(samples) < 2:
+        raise RigError(f"{label}: {len(samples)} readings during the ramp; accepted: at least 2")
+    ticks, counts, dac, adc = sample_columns(samples)
+    return RampRecord(
+        time=ticks * rig.tick - samples[0].time,
+        angle=(counts - counts[0]) * rig.angle_step,
+        slope=slope,
+        angle_step=rig.angle_step,
+        torque=rig.torque(dac),
+        measured_torque=rig.measured_torque(adc),
+        loaded=loaded,
+        label=label,
+    )
 
 
 def _follow(client: RigClient, first: list[Sample], on_sample: Callable[[Sample], None]) -> list[Sample]:
     samples = [sample for sample in first if sample.report.state == State.RAMPING]
-    guard = Guard.of(client.rig)
     while True:
         for sample in client.pump():
-            raise_fault(sample.report)
+            refuse_fault(sample)
             if sample.report.ramp_done:
                 return samples
             if sample.report.state != State.RAMPING:
                 raise RigError("the ramp was stopped before its end")
             samples.append(sample)
             on_sample(sample)
-        window = [samples[0].counts, *(sample.counts for sample in samples[-guard.SMOOTHING - 1 :])]
-        if len(samples) > guard.SMOOTHING and guard.reached(window)[-1]:
+        if last_near_limits(client.rig, samples):
             client.request(Command.STOP)
             return samples
 
 
-def _record(samples: list[Sample], rig: Rig, slope: float, loaded: bool, label: str) -> RampRecord:
-    if len(samples) < 2:
-        raise RigError(f"{label}: {len(samples)} readings during the ramp; accepted: at least 2")
-    step = 2 * np.pi / rig.counts_per_revolution
-    counts = np.array([sample.counts for sample in samples], dtype=np.float64)
-    return RampRecord(
-        time=np.array([sample.time - samples[0].time for sample in samples]),
-        angle=(counts - counts[0]) * step,
-        slope=slope,
-        angle_step=step,
-        torque=np.array([rig.torque(sample.report.dac) for sample in samples]),
-        measured_torque=np.array([rig.measured_torque(sample.report.adc) for sample in samples]),
-        loaded=loaded,
-        label=label,
-    )
+def run_planned(
+    run: Callable[[float, str], RampRecord], plan: RampPlan, loaded: bool, choose: Callable[[RampRecord], RampPlan]
+) -> RampPlan:
+    """Run all ramps under one load: the first of the slowest slope, then those of the plan that is chosen by it.
+
+    Args:
+        run: one ramp of a slope, Nm/s, with a label.
+        plan: for the first ramp.
+        loaded: for the labels.
+        choose: the plan for the rest, from the first ramp; the first ramp counts where it has one of its slopes.
+
+    Raises:
+        IdentificationError: of `choose`; RigError: of `run`.
+    """
+    load = "loaded" if loaded else "no-load"
+    slowest = min(plan.slopes)
+    chosen = choose(run(slowest, f"{load} {slowest:g} Nm/s #1"))
+    for repeat in range(chosen.repeats):
+        for slope in sorted(chosen.slopes):
+            if (repeat, slope) != (0, slowest):
+                run(slope, f"{load} {slope:g} Nm/s #{repeat + 1}")
+    return chosen
 
 
-@dataclass
-class Readings:
-    """Every reading of a measurement, for the bag."""
+def plan_from(first: RampRecord, plan: RampPlan, rig: Rig) -> RampPlan:
+    """Return the plan, with other slopes and more repeats where the first ramp shows that its own do not do.
 
-    rig: Rig
-    samples: list[Sample] = field(default_factory=list)
+    Args:
+        first: a ramp of the plan's slowest slope.
+        plan: slopes and end torques to begin with; the end torques are kept.
+        rig: for the limits of travel and speed.
 
-    def series(self) -> list[JointSeries]:
-        """Return the readings as the node publishes them: states and commands of the motor."""
-        ticks = [s.tick for s in self.samples]
-        stamps = np.array([round(s.time * NANOSECONDS) for s in self.samples], dtype=np.int64)
-        scale = 2 * np.pi / self.rig.counts_per_revolution
-        position = np.array([s.counts for s in self.samples], dtype=np.float64) * scale
-        elapsed = np.diff(np.array(ticks), prepend=ticks[0] - 1) * self.rig.tick
-        velocity = np.diff(position, prepend=position[0]) / elapsed
-        measured = np.array([self.rig.measured_torque(s.report.adc) for s in self.samples])
-        commanded = np.array([self.rig.torque(s.report.dac) for s in self.samples])
-        names = ("rig_motor",)
-        return [
-            JointSeries(
-                "/friction_bench/joint_states",
-                names,
-                stamps,
-                position[:, None],
-                velocity[:, None],
-                measured[:, None],
-            ),
-            JointSeries("/friction_bench/joint_commands", names, stamps, effort=commanded[:, None]),
-        ]
+    Raises:
+        IdentificationError: if the first ramp cannot be used, for then the others cannot either.
+    """
+    fit = fit_sliding([sliding_window(first)])
+    coulomb, viscous, inertia = (float(value) for value in fit.values)
+    if not (viscous > 0.0 and inertia > 0.0):
+        raise IdentificationError(
+            f"{first.label}: the shaft does not slide as a ramp torque lets it, the viscous friction would be "
+            f"{viscous:.3g} Nm s/rad; saturation, or the joint runs against a stop"
+        )
+    # One ramp shows the time constant poorly: this one is hardly exceeded.
+    constant = (inertia + 2.0 * math.sqrt(max(float(fit.covariance[2, 2]), 0.0))) / viscous
+    travel, speed = rig.limit_codes()
+    top = LIMITS_SHARE * speed * first.angle_step / rig.tick
+    rise = min(plan.end(first.loaded) - coulomb, viscous * top)
+    if rise <= 0.0:
+        return plan
+    sliding = max(LEAST_SLIDING, LEAST_CONSTANTS * min(constant, LONGEST_CONSTANT))
+    fastest = rise / sliding
+    farthest = LIMITS_SHARE * travel * TRAVEL_UNIT * first.angle_step
+    slowest = rise**2 / (2.0 * viscous * farthest)  # slower ones turn the shaft too far
+    slopes = plan.slopes
+    kept = max(slopes) <= fastest and min(slopes) >= slowest and max(slopes) >= LEAST_RATIO * min(slopes)
+    if not kept:
+        high = min(max(fastest, RATIO * slowest), max(slopes))
+        low = max(high / RATIO, rig.slope_of_step(1))
+        slopes = (float(f"{low:.3g}"), float(f"{high:.3g}"))
+    readings = rise / max(slopes) / rig.tick
+    repeats = min(max(plan.repeats, math.ceil(READINGS / readings)), MOST_REPEATS)
+    return replace(plan, slopes=slopes, repeats=repeats)

@@ -1,17 +1,22 @@
-"""One ramp test as data: from a rig, a CSV file, or the plain text that the source's program saved."""
+"""One ramp test as data: from a rig, a CSV file, or the plain text that the source's program saved; its sliding part.
+
+What makes a ramp useless is refused here, in `first_motion` and `sliding_window`.
+"""
 
 from __future__ import annotations
 
 import csv
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
+from friction_bench.experiment.ramp_model import RampModel
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import Rx90Error
+from rx90_common.base.errors import IdentificationError, Rx90Error
 from rx90_common.base.quoting import quoted
 from rx90_common.process.files import written_beside
 
@@ -19,6 +24,20 @@ CSV_COLUMNS = ("time", "counts", "torque", "measured_torque")
 TEXT_KINDS = ("increments", "counts", "velocity")
 VELOCITIES = ("mean", "instantaneous")
 INSTANTANEOUS = "instantaneous velocity"
+MOVED_COUNTS = 2.0
+MOVED_SHARE = 1e-3
+"""Break-away is certain after two counts (one may be jitter at an edge) and this share of the ramp's angle
+(presliding moves the shaft a little before)."""
+SLIDING_COUNTS = 10.0
+"""The shaft slides from here on: presliding ends within one or two counts."""
+MIN_READINGS = 15
+"""Fewest readings of a sliding shaft that say something about friction and inertia."""
+ONSET_TICKS = 5
+"""Break-away is fitted to this many readings after the first certain motion."""
+EARLIER_TICKS = 25
+"""It is sought in this many readings before that."""
+SATURATION_LIMIT = 0.06
+"""Relative shortfall of the measured torque that counts as saturation."""
 
 
 class RecordError(Rx90Error):
@@ -86,19 +105,6 @@ class RampRecord:
         return float(np.mean(middle - self.torque[rising] / self.slope))
 
 
-def _columns(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return a file's header and its rows, each with its line number; a byte order mark is Excel's."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.reader(stream)
-            rows = [(reader.line_num, row) for row in reader if any(row) and not row[0].startswith("#")]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise RecordError(f"{path}: cannot be read ({error})") from error
-    if not rows:
-        raise RecordError(f"{path}: is empty; accepted: a header and at least 2 readings")
-    return [name.strip() for name in rows[0][1]], rows[1:]
-
-
 def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) -> RampRecord:
     """Read a CSV file with a header of `time` (s) and `counts`, and perhaps `torque`, `measured_torque` (Nm).
 
@@ -107,27 +113,27 @@ def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) 
     Raises:
         RecordError: naming line and column of what cannot be used.
     """
-    header, rows = _columns(path)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:  # a byte order mark is Excel's
+            reader = csv.reader(stream)
+            rows = [(reader.line_num, row) for row in reader if any(row) and not row[0].startswith("#")]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise RecordError(f"{path}: cannot be read ({error})") from error
+    if not rows:
+        raise RecordError(f"{path}: is empty; accepted: a header and at least 2 readings")
+    header = [name.strip() for name in rows.pop(0)[1]]
     missing = [name for name in CSV_COLUMNS[:2] if name not in header]
     if missing:
         found, accepted = ", ".join(header)[:80], ", ".join(CSV_COLUMNS)
         lacking = f"column {quoted(missing[0])} is missing, found {quoted(found)}"
         raise RecordError(f"{path}: {lacking}; accepted: {accepted}")
-    data: dict[str, Array] = {}
-    for name in CSV_COLUMNS:
-        if name in header:
-            at = header.index(name)
-            data[name] = np.array([_number(path, line, row, at, name) for line, row in rows])
-    return RampRecord(
-        time=data["time"],
-        angle=data["counts"] * angle_step,
-        slope=slope,
-        angle_step=angle_step,
-        torque=data.get("torque"),
-        measured_torque=data.get("measured_torque"),
-        loaded=loaded,
-        label=path.name,
+    time, counts, torque, measured = (
+        np.array([_number(path, line, row, header.index(name), name) for line, row in rows]) if name in header else None
+        for name in CSV_COLUMNS
     )
+    assert time is not None
+    assert counts is not None
+    return RampRecord(time, counts * angle_step, slope, angle_step, torque, measured, loaded, path.name)
 
 
 def _number(path: Path, line: int, row: list[str], at: int, name: str) -> float:
@@ -205,3 +211,109 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
             values = (values + np.concatenate(([0.0], values[:-1]))) / 2
         angle = np.asarray(np.cumsum(values * np.diff(time, prepend=time[0] - tick)), dtype=np.float64)
     return RampRecord(time, angle, slope, angle_step, loaded=loaded, label=path.name)
+
+
+@dataclass(frozen=True)
+class SlidingWindow:
+    """The readings of one ramp from where the shaft slides.
+
+    Attributes:
+        time: since the torque's zero, s, shape (n,).
+        angle: since the ramp's start, rad, shape (n,).
+        torque: commanded, held from each reading to the next, Nm, shape (n,).
+    """
+
+    record: RampRecord
+    time: Array
+    angle: Array
+    torque: Array
+
+    @property
+    def first_speed(self) -> float:
+        """Return the velocity at the beginning, roughly, rad/s."""
+        return float((self.angle[3] - self.angle[0]) / (self.time[3] - self.time[0]))
+
+    @property
+    def last_speed(self) -> float:
+        """Return the velocity at the end, roughly, rad/s."""
+        return float((self.angle[-1] - self.angle[-6]) / (self.time[-1] - self.time[-6]))
+
+
+def sliding_window(record: RampRecord) -> SlidingWindow:
+    """Return where the shaft slides.
+
+    Raises:
+        IdentificationError: no break-away, saturation, or too few readings.
+    """
+    time, angle, _ = first_motion(record)
+    first = _stays_beyond(angle, max(SLIDING_COUNTS * record.angle_step, MOVED_SHARE * angle[-1]))
+    if time.size - first < MIN_READINGS:
+        raise IdentificationError(
+            f"{record.label}: {time.size - first} readings of a sliding shaft; "
+            f"accepted: at least {MIN_READINGS}; take a slower ramp or a higher end torque"
+        )
+    torque = record.torque if record.torque is not None else record.slope * (time + record.tick / 2)
+    return SlidingWindow(record, time[first:], angle[first:], torque[first:])
+
+
+def break_away(record: RampRecord, model: RampModel) -> float:
+    """Return the time of break-away, s: the closed form of a release, fitted to the first readings of the motion.
+
+    Args:
+        record: the ramp.
+        model: with the identified friction and inertia; friction is taken to fall to f_c at once.
+    """
+    time, angle, first = first_motion(record)
+    onset = slice(max(first - 2, 0), first + ONSET_TICKS)
+
+    def misfit(moment: float) -> float:
+        released = replace(model, release=moment * model.slope - model.coulomb)
+        return float(np.sum((released.angle(time[onset]) - angle[onset]) ** 2))
+
+    latest = float(time[first])
+    earliest = min(max(model.coulomb / model.slope, latest - EARLIER_TICKS * record.tick), latest - record.tick)
+    return float(minimize_scalar(misfit, bounds=(earliest, latest), method="bounded").x)
+
+
+def _stays_beyond(angle: Array, threshold: float) -> int:
+    """Return the index of the first reading after which the angle never is below a threshold."""
+    return int(np.argmax(np.logical_and.accumulate((angle >= threshold)[::-1])[::-1]))
+
+
+def first_motion(record: RampRecord) -> tuple[Array, Array, int]:
+    """Return time since the torque's zero, s, angle since the start, rad, and the reading from which the shaft moves.
+
+    After that reading the shaft never is back at its start.
+
+    Raises:
+        IdentificationError: if the commanded torque leaves its line or the measured one falls behind it, if the shaft
+            never leaves its start, or does so before the first reading; saying where and by how much.
+    """
+    time, angle, torque = record.time - record.origin, record.angle - record.angle[0], record.torque
+    if torque is not None:
+        late = np.abs(torque - record.slope * (time + record.tick / 2))
+        allowed = max(1.5 * float(np.abs(np.diff(torque)).max(initial=0.0)), 2 * record.slope * record.tick)
+        if late.max() > allowed:
+            when = float(time[int(np.argmax(late))])
+            raise IdentificationError(
+                f"{record.label}: the commanded torque leaves the ramp of {record.slope:.4g} Nm/s by "
+                f"{late.max():.3g} Nm at {when:.2f} s; the command saturates or the slope is wrong"
+            )
+    if angle[-1] < (MOVED_COUNTS - 0.5) * record.angle_step:
+        reached = record.slope * (record.time[-1] - record.origin)
+        raise IdentificationError(f"{record.label}: no break-away up to {reached:.3g} Nm; raise the end torque")
+    first = _stays_beyond(angle, max((MOVED_COUNTS - 0.5) * record.angle_step, MOVED_SHARE * angle[-1]))
+    if first == 0:
+        raise IdentificationError(f"{record.label}: the shaft moves at the first reading; a ramp starts from rest")
+    n = time.size // 5
+    if torque is not None and record.measured_torque is not None and n > 0:
+        # A reading is taken just before the tick at which the command changes: it belongs to the one before.
+        command, measured = torque[:-1], record.measured_torque[1:]
+        scale = float(np.sum(measured[n : 3 * n]) / np.sum(command[n : 3 * n]))
+        shortfall = 1.0 - float(np.mean(measured[-n:]) / np.mean(command[-n:])) / scale
+        if shortfall > SATURATION_LIMIT:
+            raise IdentificationError(
+                f"{record.label}: the measured torque falls {100 * shortfall:.0f} % behind the command at the "
+                "ramp's end; the amplifier saturates, end the ramp earlier"
+            )
+    return time, angle, first

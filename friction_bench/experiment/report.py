@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from friction_bench.experiment.evaluation import RampTestResult
 from friction_bench.experiment.four_way import EXPERIMENT, SMOOTHING, FourWay, measured_velocity
 from friction_bench.experiment.identification import (
     SAME_SLOPE,
     IntervalEstimate,
     RampFriction,
     RampIdentification,
+    RampTestResult,
     slopes_of,
 )
 from friction_bench.rig.rig_file import Rig
@@ -83,15 +83,9 @@ def comparison_plot(comparison: FourWay) -> Plot:
 
 def friction_rows(result: RampTestResult) -> list[tuple[str, str, RampFriction]]:
     """Return load, method and estimate, in the report's order."""
-    rows = []
-    for name, part in result.parts:
-        if part.source is not None:
-            rows.append((name, "source, m b / a", part.source))
-        if part.exact is not None:
-            rows.append((name, "exact, by covariance", part.exact))
-        if part.repeated is not None:
-            rows.append((name, "exact, by repeats", part.repeated))
-    return rows
+    methods = {"source": "source, m b / a", "exact": "exact, by covariance", "repeated": "exact, by repeats"}
+    rows = [(name, text, getattr(part, key)) for name, part in result.parts for key, text in methods.items()]
+    return [row for row in rows if row[2] is not None]
 
 
 def result_text(result: RampTestResult) -> str:
@@ -102,8 +96,8 @@ def result_text(result: RampTestResult) -> str:
     if result.joint is not None:
         joint = result.joint
         lines.append(f"{'joint, at the motor':34}{_cell(joint.coulomb):>34}{_cell(joint.viscous):>40}")
-        side = joint.joint_side_coulomb, joint.joint_side_viscous
-        lines.append(f"{'joint, joint side':34}{_cell(side[0]):>34}{_cell(side[1]):>40}")
+        coulomb, viscous = joint.joint_side_coulomb, joint.joint_side_viscous
+        lines.append(f"{'joint, joint side':34}{_cell(coulomb):>34}{_cell(viscous):>40}")
     if result.comparison is not None:
         for pair in result.comparison.pairs:
             band = f", source ± {pair.band:g} %" if pair.band else ""
@@ -157,20 +151,6 @@ def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
     }
 
 
-def _lugre(coulomb: float, viscous: float, assumed: FrictionElement) -> FrictionElement:
-    """Return a LuGre element of which tau_c and c2 are measured.
-
-    Assumed are c0 and c1, a presliding of 0.1 mrad with critical-like damping, and tau_s, as much above tau_c as in the
-    element that is replaced.
-    """
-    stiffness = coulomb / STIFFNESS_SHARE
-    static = coulomb * assumed.tau_s_positive / assumed.tau_c_positive
-    tau_c, tau_s, c0, c1, c2 = (
-        float(f"{value:.6g}") for value in (coulomb, static, stiffness, 1e-3 * stiffness, max(viscous, 0.0))
-    )
-    return FrictionElement(tau_c, tau_c, max(tau_s, tau_c), max(tau_s, tau_c), 0.05, 1.0, c0, c1, c2, 1.0)
-
-
 def write_yaml(path: Path, result: RampTestResult, element: str, base: FrictionFile) -> None:
     """Write friction parameters for rx90_sim.
 
@@ -191,7 +171,16 @@ def write_yaml(path: Path, result: RampTestResult, element: str, base: FrictionF
         coulomb, viscous = best.coulomb, best.viscous
     if coulomb.value <= 0.0:
         raise IdentificationError(f"the Coulomb friction is {coulomb.value:.4g} Nm; accepted for a friction file: > 0")
-    measured = _lugre(coulomb.value, viscous.value, base.elements[element])
+    # Assumed are c0 and c1, a presliding of 0.1 mrad with critical-like damping, and tau_s, as much above tau_c as in
+    # the element that is replaced.
+    assumed = base.elements[element]
+    stiffness = coulomb.value / STIFFNESS_SHARE
+    static = coulomb.value * assumed.tau_s_positive / assumed.tau_c_positive
+    tau_c, tau_s, c0, c1, c2 = (
+        float(f"{value:.6g}") for value in (coulomb.value, static, stiffness, 1e-3 * stiffness, max(viscous.value, 0.0))
+    )
+    tau_s = max(tau_s, tau_c)
+    measured = FrictionElement(tau_c, tau_c, tau_s, tau_s, 0.05, 1.0, c0, c1, c2, 1.0)
     source = f"ramp test on the friction rig: tau_c and c2 of {element} identified, the rest assumed"
     known = {
         "tau_c": {"provenance": "identified", **_interval(coulomb)},
@@ -220,15 +209,14 @@ def write_estimates(path: Path, result: RampTestResult) -> None:
             entry["inertia"] = _interval(friction.inertia)
         document.setdefault(name, {})[method] = entry
     if result.joint is not None:
+        joint = result.joint
+        sides = {
+            "motor_side": (joint.coulomb, joint.viscous),
+            "joint_side": (joint.joint_side_coulomb, joint.joint_side_viscous),
+        }
         document["joint"] = {
-            "motor_side": {
-                "coulomb": _interval(result.joint.coulomb),
-                "viscous": _interval(result.joint.viscous),
-            },
-            "joint_side": {
-                "coulomb": _interval(result.joint.joint_side_coulomb),
-                "viscous": _interval(result.joint.joint_side_viscous),
-            },
+            side: {"coulomb": _interval(coulomb), "viscous": _interval(viscous)}
+            for side, (coulomb, viscous) in sides.items()
         }
     document["tau_s"] = {"identifiable": False, "reason": STATIC}
     document["not_used"] = unused_ramps(result)

@@ -1,81 +1,78 @@
-"""A measurement on a rig: its folder, the rig's port, and the readings, which stand in a bag whatever ends it."""
+"""A measurement on a rig: its folder, the rig's port, one motion after the other, and the readings.
+
+The readings stand in a bag whatever ends the measurement, and the rig is stopped whatever ends a motion.
+"""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
-from friction_bench.experiment.ramp import Readings
+from friction_bench.protocol.messages import Fault, RigError, RigFaultError, State, fault_text
 from friction_bench.protocol.serial_port import SerialPort
-from friction_bench.rig.client import RigClient, Sample
-from friction_bench.rig.emulated import EmulatedRig, VirtualPort
-from friction_bench.rig.line import Port
-from friction_bench.rig.pty_rig import PtyRig
-from friction_bench.rig.rig_file import Rig
+from friction_bench.rig.client import Port, RigClient, Sample
+from friction_bench.rig.emulated import EmulatedRig, PtyRig, VirtualPort
+from friction_bench.rig.rig_file import TRAVEL_UNIT, Rig
+from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError, FailureError, Rx90Error, write_error
 from rx90_common.base.quoting import plain
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.process.interrupts import interrupts_later
 
 EMULATED = "emulated"
 """As a port."""
-Couple = Callable[[bool, RigClient], None]
+RANGES = {
+    "seed": (0, 2**31 - 1),
+    "repeats": (1, 1000),
+    "baud": (1200, 1_000_000),
+    "blocks": (6, 100),
+    "cycles": (100, 100_000),
+}
+"""Least and largest value of the commands' whole numbers."""
+REST_TICKS = 10
+"""The shaft is at rest when it has not moved for so many ticks."""
+REST_TIMEOUT = 30.0
+LIMITS_SHARE = 0.9
+"""Of the rig's limits of travel and speed: there a motion is ended; the rest is for what the shaft does meanwhile."""
+SPEED_TICKS = 5
+"""Ticks over which the speed is averaged for that."""
 
 _BAR = "{desc} {bar} {n:.0f}/{total:.0f} s [{elapsed}<{remaining}{postfix}]"
 
 
-class Session(NamedTuple):
-    """A rig that has been greeted.
-
-    Attributes:
-        client: of the rig.
-        couple: couples the revolute joint, or takes it off.
-        bar: of the progress, over s of the rig's time.
-        readings: of the whole measurement.
-    """
-
-    client: RigClient
-    couple: Couple
-    bar: Any
-    readings: Readings
-
-    def keep(self, sample: Sample) -> None:
-        """Keep a reading, and go on by a tick."""
-        self.readings.samples.append(sample)
-        self.bar.update(self.client.rig.tick)
-
-
-def check_ranges(options: argparse.Namespace, ranges: Sequence[tuple[str, int, int]]) -> None:
-    """Refuse numbers of options out of their ranges, each a name, the least and the largest; None is left out.
+def check_options(options: argparse.Namespace) -> None:
+    """Refuse numbers out of range, options of an emulated rig with a real one, and of a line with an emulated one.
 
     Raises:
         ConfigError: naming the option.
     """
-    for name, low, high in ranges:
-        value = getattr(options, name)
+    for name, (low, high) in RANGES.items():
+        value = getattr(options, name, None)
         if value is not None and not low <= value <= high:
             raise ConfigError(f"--{name} is {value}; accepted: {low} to {high}")
-
-
-def check_port(options: argparse.Namespace) -> None:
-    """Refuse options of an emulated rig with a real one, and of a line with an emulated one.
-
-    Raises:
-        ConfigError: naming the option.
-    """
     if options.port != EMULATED:
         given = "seed" if options.seed is not None else "real-time" if options.real_time else ""
         if given:
             raise ConfigError(f"--{given} with --port {plain(options.port)}; accepted: with the emulated rig alone")
     elif options.baud is not None:
         raise ConfigError(f"--baud {options.baud} with the emulated rig; accepted: with --port of a serial line")
+
+
+def origin_of(options: argparse.Namespace) -> str:
+    """Return in words which rig measures."""
+    return "emulated rig" if options.port == EMULATED else f"rig at {options.port}"
 
 
 def new_measurement(out: Path) -> None:
@@ -88,9 +85,26 @@ def new_measurement(out: Path) -> None:
         raise write_error(out, error) from error
 
 
-def origin_of(options: argparse.Namespace) -> str:
-    """Return in words which rig measures."""
-    return "emulated rig" if options.port == EMULATED else f"rig at {options.port}"
+@dataclass
+class Session:
+    """A rig that has been greeted.
+
+    Attributes:
+        client: of the rig.
+        couple: couples the revolute joint, or takes it off.
+        bar: of the progress, over s of the rig's time.
+        samples: of the whole measurement.
+    """
+
+    client: RigClient
+    couple: Callable[[bool], None]
+    bar: Any
+    samples: list[Sample] = field(default_factory=list)
+
+    def keep(self, sample: Sample) -> None:
+        """Keep a reading, and go on by a tick."""
+        self.samples.append(sample)
+        self.bar.update(self.client.rig.tick)
 
 
 @contextmanager
@@ -108,43 +122,46 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
         Rx90Error: for a folder that cannot be made, a rig that cannot be reached, a bag that cannot be written.
     """
     new_measurement(out)
+    pty_rig: PtyRig | None = None
     try:
-        port, couple, close = _open(options, rig)
+        port: Port
+        if options.port != EMULATED:
+            port = SerialPort(options.port, options.baud or rig.baud)
+        else:
+            emulated = EmulatedRig(rig, options.seed or 0)
+            pty_rig = PtyRig(emulated) if options.real_time else None
+            port = VirtualPort(emulated) if pty_rig is None else SerialPort(pty_rig.path, rig.baud)
     except Rx90Error:
         out.rmdir()
         raise
-    readings = Readings(rig)
+
+    def couple(loaded: bool) -> None:
+        if pty_rig is not None:
+            pty_rig.load(loaded)
+        elif options.port == EMULATED:
+            emulated.plant.load(loaded)
+        elif options.load == "both":  # with none or joint it is as the option says, and nobody need be there
+            _ask_to_couple(loaded, session.client)
+
+    session = Session(RigClient(port, rig), couple, None)
     try:
-        with tqdm(total=round(seconds, 1), unit="s", desc=what, disable=None, bar_format=_BAR) as bar:
-            client = RigClient(port, rig)
-            client.connect()
+        with tqdm(total=round(seconds, 1), unit="s", desc=what, disable=None, bar_format=_BAR) as session.bar:
+            session.client.connect()
             if options.clear:
-                client.clear()
-            yield Session(client, couple, bar, readings)
+                session.client.clear()
+            yield session
     finally:
         with interrupts_later():  # a second Ctrl-C does not cost the readings
             port.close()
-            close()
-            if readings.samples:
-                write_joint_states(out / "bag", readings.series())
+            if pty_rig is not None:
+                pty_rig.close()
+            if session.samples:
+                write_joint_states(out / "bag", readings_series(session.samples, rig))
             else:
                 out.rmdir()
 
 
-def _open(options: argparse.Namespace, rig: Rig) -> tuple[Port, Couple, Callable[[], None]]:
-    """Return the port, what couples the joint, and what ends an emulated rig."""
-    if options.port != EMULATED:
-        port: Port = SerialPort(options.port, options.baud or rig.baud)
-        # With --load none or joint the joint is as the option says, and nobody need be there.
-        return port, _ask if options.load == "both" else lambda *_: None, lambda: None
-    emulated = EmulatedRig(rig, options.seed or 0)
-    if not options.real_time:
-        return VirtualPort(emulated), lambda loaded, _: emulated.plant.load(loaded), lambda: None
-    pty_rig = PtyRig(emulated)
-    return SerialPort(pty_rig.path, rig.baud), lambda loaded, _: pty_rig.load(loaded), pty_rig.close
-
-
-def _ask(loaded: bool, client: RigClient) -> None:
+def _ask_to_couple(loaded: bool, client: RigClient) -> None:
     """Let the person at the rig couple the joint or take it off; the rig is disarmed meanwhile."""
     print(f"{'Couple' if loaded else 'Take off'} the revolute joint, then press Enter.", file=sys.stderr)
     try:
@@ -152,3 +169,93 @@ def _ask(loaded: bool, client: RigClient) -> None:
     except EOFError:
         raise FailureError("nobody there to couple the joint; use --load none or --load joint") from None
     client.connect()
+
+
+def readings_series(samples: list[Sample], rig: Rig) -> list[JointSeries]:
+    """Return readings as the node publishes them: states and commands of the motor."""
+    stamps = np.array([round(sample.time * NANOSECONDS) for sample in samples], dtype=np.int64)
+    ticks, counts, dac, adc = sample_columns(samples)
+    position = counts * rig.angle_step
+    velocity = np.diff(position, prepend=position[0]) / (np.diff(ticks, prepend=ticks[0] - 1) * rig.tick)
+    measured, commanded = rig.measured_torque(adc), rig.torque(dac)
+    state = position[:, None], velocity[:, None], measured[:, None]
+    return [
+        JointSeries("/friction_bench/joint_states", ("rig_motor",), stamps, *state),
+        JointSeries("/friction_bench/joint_commands", ("rig_motor",), stamps, effort=commanded[:, None]),
+    ]
+
+
+def sample_columns(samples: list[Sample]) -> tuple[Array, Array, Array, Array]:
+    """Return ticks, counts, DAC and ADC codes of readings, each of shape (n,)."""
+    rows = [(s.tick, s.counts, s.report.dac, s.report.adc) for s in samples]
+    ticks, counts, dac, adc = np.array(rows, dtype=np.float64).T
+    return ticks, counts, dac, adc
+
+
+def refuse_fault(sample: Sample) -> None:
+    """Raise what a reading's fault bits say, if any.
+
+    Raises:
+        RigFaultError: naming the faults.
+    """
+    report = sample.report
+    if report.fault != Fault.NONE or report.state == State.FAULT:
+        raise RigFaultError(f"the rig switched itself off: {fault_text(report.fault)}; find out why, then clear it")
+
+
+def wait_for_rest(client: RigClient) -> None:
+    """Wait until the shaft stands still, for a ramp starts from rest.
+
+    Raises:
+        RigError: if it does not come to rest within REST_TIMEOUT seconds.
+    """
+    end = client.port.now() + REST_TIMEOUT
+    still: list[int] = []
+    while client.port.now() < end:
+        for sample in client.pump():
+            still = [*still[-REST_TICKS + 1 :], sample.counts]
+        if len(still) == REST_TICKS and still[0] == still[-1]:
+            return
+    raise RigError(f"the shaft does not come to rest within {REST_TIMEOUT:g} s")
+
+
+@contextmanager
+def armed(client: RigClient) -> Iterator[None]:
+    """Arm the rig, and stop it where the motion that follows raises anything, Ctrl-C above all.
+
+    Raises:
+        RigError: refused, faulted, lost or reset.
+    """
+    if client.last is not None:
+        refuse_fault(client.last)
+    try:
+        client.arm()
+        yield
+    except BaseException:  # never leave with the power stage on
+        with contextlib.suppress(RigError):  # a line that is gone carries no heartbeat either
+            client.line.urgent_stop()
+        # This stop is the motion's own: the next command is not overtaken by it.
+        client.line.known_stops = client.line.stops
+        raise
+
+
+def near_limits(rig: Rig, counts: Array) -> Mask:
+    """Tell for each reading of a motion whether it lies near the rig's limits of travel or speed, shape (n,).
+
+    Args:
+        rig: whose firmware trips at the limits themselves.
+        counts: of the encoder since the rig was armed, shape (n,).
+    """
+    travel, speed = rig.limit_codes()
+    moved = counts - counts[0]
+    before = np.concatenate((np.zeros(SPEED_TICKS), moved))[: moved.size]
+    too_fast = moved - before > LIMITS_SHARE * speed * SPEED_TICKS
+    return np.asarray((moved > LIMITS_SHARE * travel * TRAVEL_UNIT) | too_fast)
+
+
+def last_near_limits(rig: Rig, samples: list[Sample]) -> bool:
+    """Tell whether the last reading of a motion lies near the rig's limits."""
+    if len(samples) <= SPEED_TICKS:
+        return False
+    window = [samples[0].counts, *(sample.counts for sample in samples[-SPEED_TICKS - 1 :])]
+    return bool(near_limits(rig, np.array(window, dtype=np.float64))[-1])

@@ -6,7 +6,7 @@ presliding and the release of the stiction did before need a model, and the tran
 with T = J / f_v, is part of the fit. With alpha = 1 / f_v, beta = f_c / f_v, kappa = delta_s / f_v and T as
 parameters the angle is linear in all but T, the Stribeck velocity w_s and the exponent e.
 
-Residuals are whitened by a Kalman filter (`whitening`); the intensity of the torque noise is estimated by restricted
+Residuals are whitened by a Kalman filter (`whiten`); the intensity of the torque noise is estimated by restricted
 maximum likelihood. T is found by Gauss-Newton steps. What the Stribeck effect is, the data seldom tell: all of a grid
 of w_s and e, and no effect at all, are averaged by their marginal likelihoods (Bayesian model averaging), so that the
 intervals contain that ignorance.
@@ -25,9 +25,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from friction_bench.experiment.whitening import SPEED, derivatives, eliminate, respond, whiten
-from friction_bench.experiment.window import SlidingWindow
+from friction_bench.experiment.record import SlidingWindow
 from rx90_common.base.arrays import Array
+from rx90_common.friction.curves import stribeck_decay
+from rx90_common.kernels.compiled import kernel
 
 EXPONENTS = (0.7, 1.0, 1.5, 2.0)
 """Stribeck exponents of the grid: published values lie between these."""
@@ -46,6 +47,129 @@ STEPS = 3
 """Gauss-Newton steps without a Stribeck effect; the second already changes less than the noise."""
 STEPS_ON = 2
 """Further steps for each assumption with a Stribeck effect."""
+RESIDUAL, ALPHA, BETA, TIME_CONSTANT, KAPPA, ANGLE, SPEED = range(7)
+"""Rows of `derivatives`: the residual and its derivatives, the last two to angle and velocity at the beginning."""
+SHARED = 5
+"""The rows before this one belong to all ramps together."""
+
+
+@kernel
+def respond(time: Array, final: Array, speed: float, T: float) -> tuple[Array, Array]:
+    """Return angle, rad, and velocity, rad/s, from an initial velocity, each shape (n,).
+
+    Args:
+        time: of the readings, s, shape (n,).
+        final: torque over f_v, held from each reading to the next, rad/s, shape (n,).
+        speed: velocity at the first reading, rad/s.
+        T: time constant, s.
+    """
+    angles, speeds = np.zeros(time.size), np.full(time.size, speed)
+    for k in range(1, time.size):
+        step = time[k] - time[k - 1]
+        decay = math.exp(-step / T)
+        excess = speeds[k - 1] - final[k - 1]
+        angles[k] = angles[k - 1] + final[k - 1] * step + excess * T * (1.0 - decay)
+        speeds[k] = final[k - 1] + excess * decay
+    return angles, speeds
+
+
+@kernel
+def whiten(time: Array, columns: Array, T: float, q: float, r: float) -> tuple[Array, float]:
+    """Return columns of angles so that their errors are independent and of variance 1, and the log determinant.
+
+    Errors of the angle are white with the variance r (quantisation), and what white torque noise makes of a shaft whose
+    angle and velocity at the first reading are known: an integrated Ornstein-Uhlenbeck process. The innovations of a
+    Kalman filter for these, divided by their standard deviations, are the columns times the inverse Cholesky factor of
+    the covariance.
+
+    Args:
+        time: of the readings, s, shape (n,).
+        columns: angles, shape (p, n).
+        T: time constant, s.
+        q: intensity of the torque noise over f_v, (rad/s)² s.
+        r: variance of a reading, rad².
+    """
+    white = np.empty(columns.shape)
+    count = columns.shape[0]
+    angle, speed = np.zeros(count), np.zeros(count)
+    aa = ab = bb = 0.0  # covariance of angle and velocity
+    determinant = 0.0
+    for k in range(time.size):
+        if k > 0:
+            step = time[k] - time[k - 1]
+            e = math.exp(-step / T)
+            g = T * (1.0 - e)
+            for i in range(count):
+                angle[i] += g * speed[i]
+                speed[i] *= e
+            aa += 2.0 * g * ab + g * g * bb + q * (step - 2.0 * g + T / 2.0 * (1.0 - e * e))
+            ab = e * (ab + g * bb) + q * (1.0 - e) ** 2 / 2.0
+            bb = e * e * bb + q * (1.0 - e * e) / (2.0 * T)
+        variance = aa + r
+        deviation = math.sqrt(variance)
+        determinant += math.log(variance)
+        for i in range(count):
+            innovation = columns[i, k] - angle[i]
+            white[i, k] = innovation / deviation
+            angle[i] += aa / variance * innovation
+            speed[i] += ab / variance * innovation
+        aa, ab, bb = aa - aa * aa / variance, ab - aa * ab / variance, bb - ab * ab / variance
+    return white, determinant
+
+
+@kernel
+def derivatives(time: Array, angle: Array, torque: Array, share: Array, shared: Array, start: Array) -> Array:
+    """Return the angle's residual and its derivatives (see RESIDUAL), shape (7, n).
+
+    Args:
+        time: of the readings, s, shape (n,).
+        angle: at the readings, rad, shape (n,).
+        torque: commanded, Nm, shape (n,).
+        share: what is left of a Stribeck effect, shape (n,).
+        shared: alpha, beta, T, kappa.
+        start: angle and velocity at the first reading.
+    """
+    alpha, beta, T, kappa = shared
+    final = alpha * torque - beta - kappa * share
+    h = 1e-3 * T
+    columns = np.empty((7, time.size))
+    columns[RESIDUAL] = angle - start[0] - respond(time, final, start[1], T)[0]
+    columns[ALPHA] = respond(time, torque, 0.0, T)[0]
+    columns[BETA] = respond(time, np.full(time.size, -1.0), 0.0, T)[0]
+    columns[TIME_CONSTANT] = (respond(time, final, start[1], T + h)[0] - respond(time, final, start[1], T - h)[0]) / (
+        2 * h
+    )
+    columns[KAPPA] = respond(time, -share, 0.0, T)[0]
+    columns[ANGLE] = 1.0
+    columns[SPEED] = -T * np.expm1(-(time - time[0]) / T)
+    return columns
+
+
+@kernel
+def eliminate(white: Array) -> tuple[Array, Array, float]:
+    """Return what is left of whitened columns when angle and velocity at the beginning fit best.
+
+    Returns:
+        The gram of the shared rows, shape (5, 5); angle and velocity for each of them, shape (2, 5); the logarithm of
+        the determinant of the information on angle and velocity.
+    """
+    length = math.sqrt(np.sum(white[ANGLE] ** 2))
+    first = white[ANGLE] / length
+    along = np.sum(white[SPEED] * first)
+    second = white[SPEED] - along * first
+    height = math.sqrt(np.sum(second**2))
+    second = second / height
+    free, starts = np.empty((SHARED, white.shape[1])), np.empty((2, SHARED))
+    for i in range(SHARED):
+        a, b = np.sum(white[i] * first), np.sum(white[i] * second)
+        free[i] = white[i] - a * first - b * second
+        starts[1, i] = b / height
+        starts[0, i] = (a - along * starts[1, i]) / length
+    gram = np.empty((SHARED, SHARED))
+    for i in range(SHARED):
+        for j in range(SHARED):
+            gram[i, j] = np.sum(free[i] * free[j])
+    return gram, starts, 2.0 * math.log(length * height)
 
 
 class Stribeck(NamedTuple):
@@ -58,7 +182,7 @@ class Stribeck(NamedTuple):
         """Return what is left of the effect from each reading to the next, shape (n,)."""
         if not self.velocity:
             return np.zeros_like(speed)
-        left = np.exp(-((np.maximum(speed, 0.0) / self.velocity) ** self.exponent))
+        left = stribeck_decay(np.maximum(speed, 0.0), self.velocity, self.exponent)
         return np.asarray(np.append((left[1:] + left[:-1]) / 2, left[-1]))
 
 
@@ -100,18 +224,6 @@ class _Cell:
     point: _Point
     covariance: Array
     evidence: float
-
-    def friction(self) -> Array:
-        """Return f_c, f_v and J."""
-        return to_friction(self.point.shared)
-
-    def friction_covariance(self) -> Array:
-        """Return the covariance of f_c, f_v and J, shape (3, 3)."""
-        alpha, beta, T, _ = self.point.shared
-        jacobian = np.array(
-            [[-beta / alpha**2, 1 / alpha, 0.0], [-1 / alpha**2, 0.0, 0.0], [-T / alpha**2, 0.0, 1 / alpha]]
-        )
-        return np.asarray(jacobian @ self.covariance[:3, :3] @ jacobian.T)
 
 
 @dataclass(frozen=True)
@@ -175,13 +287,22 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
     evidence[1:] -= math.log(max(len(grid), 1))  # no effect, and any effect, are equally likely beforehand
     weights = np.exp(np.nan_to_num(evidence, nan=-np.inf) - np.nanmax(evidence))
     weights /= weights.sum()
-    used = [(w, cell.friction(), cell.friction_covariance()) for w, cell in zip(weights, cells, strict=True) if w > 0.0]
+    used = [(w, *_friction(cell)) for w, cell in zip(weights, cells, strict=True) if w > 0.0]
     values = sum(w * v for w, v, _ in used)
     covariance = sum(w * (c + np.outer(v - values, v - values)) for w, v, c in used)
     best = cells[int(np.argmax(weights))]
     grams = np.array([part.gram for part in fit.parts(best.point, _shares(best.point, best.stribeck), noise)])
     likely = 1.0 - float(weights[0])
     return RampsFit(np.asarray(values), np.asarray(covariance), likely, best.point.speeds, best.point.shared, grams)
+
+
+def _friction(cell: _Cell) -> tuple[Array, Array]:
+    """Return f_c, f_v and J, and their covariance, shape (3, 3)."""
+    alpha, beta, T, _ = cell.point.shared
+    jacobian = np.array(
+        [[-beta / alpha**2, 1 / alpha, 0.0], [-1 / alpha**2, 0.0, 0.0], [-T / alpha**2, 0.0, 1 / alpha]]
+    )
+    return to_friction(cell.point.shared), np.asarray(jacobian @ cell.covariance[:3, :3] @ jacobian.T)
 
 
 class _Fit:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -14,12 +13,11 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from friction_bench.protocol.messages import Fault, fault_text
+from friction_bench.protocol.messages import Fault, RigInputError, RigLostError, fault_text
 from friction_bench.protocol.serial_port import SerialPort
 from friction_bench.rig.client import RigClient, Sample
-from friction_bench.rig.emulated import EmulatedRig
+from friction_bench.rig.emulated import EmulatedRig, PtyRig
 from friction_bench.rig.link import RigLink
-from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import one_line
@@ -55,7 +53,7 @@ class _Readings:
         if previous is None or sample.tick <= previous.tick:
             self._epoch_ns = self._clock.now().nanoseconds - round(sample.time * NANOSECONDS)
             previous = sample
-        scale = math.tau / self._rig.counts_per_revolution
+        scale = self._rig.angle_step
         elapsed = sample.time - previous.time
         velocity = (sample.counts - previous.counts) * scale / elapsed if elapsed > 0.0 else 0.0
         state = JointState(
@@ -96,6 +94,20 @@ def declare_bench_parameters(node: Node) -> BenchParameters:
     return BenchParameters(rig, port, baud, seed)
 
 
+def _answering(job: Callable[[], None], done: str) -> Callable[[Any, Any], Any]:
+    """Return a service's callback that does a job and answers `done`, or with the job's error."""
+
+    def callback(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            job()
+            response.success, response.message = True, done
+        except Rx90Error as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    return callback
+
+
 class BenchNode:
     """Publishes the rig's readings and passes requests on to it; the line has a thread of its own."""
 
@@ -123,9 +135,9 @@ class BenchNode:
             "arm": (self._serve(RigClient.arm, "armed"), waiting),
             "clear": (self._serve(RigClient.clear, "faults cleared, disarmed"), waiting),
             "run_ramp": (self._serve(self._ramp, "ramp started"), waiting),
-            "load": (self._couple(True), waiting),
-            "unload": (self._couple(False), waiting),
-            "stop": (self._stop, urgent),
+            "load": (_answering(lambda: self._couple(True), "joint coupled"), waiting),
+            "unload": (_answering(lambda: self._couple(False), "joint taken off"), waiting),
+            "stop": (_answering(self._link.stop_rig, "stop sent"), urgent),
         }
         qos = REQUEST_QOS.profile
         self._services = [
@@ -139,42 +151,20 @@ class BenchNode:
         client.start_ramp(slope, end)
 
     def _serve(self, job: Callable[[RigClient], None], done: str) -> Callable[[Any, Any], Any]:
-        def callback(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        def submit() -> None:
             future = self._link.submit(job)
             try:
                 future.result(_SERVICE_TIMEOUT)
-                response.success, response.message = True, done
-            except Rx90Error as error:
-                response.success, response.message = False, str(error)
             except TimeoutError:
                 future.cancel()  # what was answered with a failure must not be done later
-                response.success, response.message = (
-                    False,
-                    f"the rig did not answer in {_SERVICE_TIMEOUT:g} s",
-                )
-            return response
+                raise RigLostError(f"the rig did not answer in {_SERVICE_TIMEOUT:g} s") from None
 
-        return callback
+        return _answering(submit, done)
 
-    def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            self._link.stop_rig()
-            response.success, response.message = True, "stop sent"
-        except Rx90Error as error:
-            response.success, response.message = False, str(error)
-        return response
-
-    def _couple(self, loaded: bool) -> Callable[[Any, Any], Any]:
-        def callback(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            if self._emulated is None:
-                response.success, response.message = False, "only an emulated rig can be coupled by a service"
-            else:
-                self._emulated.load(loaded)
-                response.success = True
-                response.message = "joint coupled" if loaded else "joint taken off"
-            return response
-
-        return callback
+    def _couple(self, loaded: bool) -> None:
+        if self._emulated is None:
+            raise RigInputError("only an emulated rig can be coupled by a service")
+        self._emulated.load(loaded)
 
     def _collect(self) -> tuple[bytes, str, dict[str, str]]:
         report = self._link.last

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy import stats
 from scipy.optimize import least_squares
 
 from friction_bench.presliding.drift import DriftResult, DriftVerdict
@@ -32,6 +31,7 @@ from friction_bench.presliding.sliding import SlidingFriction, SlidingReadings, 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction.element import FrictionElement
+from rx90_common.friction.held_out import HeldOutErrors
 
 P = 0.01
 SHARE = 0.1
@@ -195,24 +195,18 @@ def judged(scores: Sequence[LawScore]) -> list[LawScore]:
     In loops the laws that sliding leaves are compared. Where the encoder sees no presliding, loops are counts of creep:
     whatever predicts least torque there is nearest, be its sliding ever so wrong.
     """
-    standing = [score for score in scores if _better(score, scores, "sliding") is None]
+    laws = [score.law.name for score in scores]
+    sliding = HeldOutErrors({score.law.name: score.sliding**2 for score in scores}, floor=1e-12)
+    loops = HeldOutErrors({score.law.name: score.loops**2 for score in scores}, floor=1e-12)
+    by_sliding = {law: sliding.refutes(law, laws, P, SHARE) for law in laws}
+    standing = [law for law in laws if by_sliding[law] is None]
     verdicts = []
     for score in scores:
-        rivals = {"loops": _better(score, standing, "loops"), "sliding": _better(score, scores, "sliding")}
-        reasons = [f"{name}: {best.law.name} predicts better" for name, best in rivals.items() if best is not None]
+        name = score.law.name
+        rivals = {"loops": loops.refutes(name, standing, P, SHARE), "sliding": by_sliding[name]}
+        reasons = [f"{kind}: {best} predicts better" for kind, best in rivals.items() if best is not None]
         verdicts.append(replace(score, refuted="; ".join(reasons)))
     return verdicts
-
-
-def _better(score: LawScore, scores: Sequence[LawScore], kind: str) -> LawScore | None:
-    """Return a law that predicts these blocks better by more than chance, the best of them; None if none does."""
-    best = min(scores, key=lambda other: float(np.mean(getattr(other, kind) ** 2)))
-    own, its = (getattr(one, kind) ** 2 for one in (score, best))
-    if float(np.mean(own)) <= (1.0 + SHARE) * float(np.mean(its)):
-        return None
-    ratio = np.log(own + 1e-12) - np.log(its + 1e-12)
-    test = stats.ttest_1samp(ratio, 0.0, alternative="greater")
-    return best if float(test.pvalue) < P else None
 
 
 def _simplest(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:

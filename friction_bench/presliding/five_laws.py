@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from friction_bench.presliding.laws import DWELL
 from friction_bench.presliding.sliding import SlidingFriction
 from friction_bench.presliding.trace import Trace
-from friction_bench.rig.joint_parts import RigJoint, friction_over, joint_record, start
+from friction_bench.rig.plant import RigJoint, friction_over, joint_record, start
 from rx90_common.base.arrays import Array
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip

@@ -7,15 +7,13 @@ delay of less than a tick, and the next report says what is on the DAC.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Generator
 from typing import TypeAlias
 
-from friction_bench.experiment.ramp import Guard
+from friction_bench.experiment.session import armed, last_near_limits, refuse_fault
 from friction_bench.presliding.trace import Trace, trace_of
-from friction_bench.protocol.errors import RigError, RigRefusedError
-from friction_bench.protocol.messages import Command, CommandResult, State, torque_payload
-from friction_bench.rig.client import RigClient, Sample, raise_fault
+from friction_bench.protocol.messages import Command, CommandResult, RigError, RigRefusedError, State, torque_payload
+from friction_bench.rig.client import RigClient, Sample
 
 Law: TypeAlias = Generator[int, Sample, None]
 """Yields the code to put on the DAC, and is sent the reading that follows."""
@@ -29,22 +27,14 @@ def follow(client: RigClient, law: Law, label: str, on_sample: Callable[[Sample]
     Raises:
         RigError: refused, faulted, lost or reset.
     """
-    if client.last is not None:
-        raise_fault(client.last.report)
-    try:
-        client.arm()
+    with armed(client):
         samples = _followed(client, law, on_sample)
         client.request(Command.STOP)
-    except BaseException:  # Ctrl-C above all: never leave with the power stage on
-        with contextlib.suppress(RigError):  # a line that is gone carries no heartbeat either
-            client.line.urgent_stop()
-        client.line.known_stops = client.line.stops
-        raise
     return trace_of(label, samples, client.rig)
 
 
 def _followed(client: RigClient, law: Law, on_sample: Callable[[Sample], None]) -> list[Sample]:
-    line, guard = client.line, Guard.of(client.rig)
+    line = client.line
     samples: list[Sample] = []
     code = next(law)
     while True:
@@ -55,7 +45,7 @@ def _followed(client: RigClient, law: Law, on_sample: Callable[[Sample], None]) 
         while not came:
             came = client.pump()
         for sample in came:
-            raise_fault(sample.report)
+            refuse_fault(sample)
             if sample.report.result != CommandResult.OK:
                 raise RigRefusedError(f"TORQUE: {sample.report.result_text}")
             if sample.report.state != State.ARMED:
@@ -66,6 +56,5 @@ def _followed(client: RigClient, law: Law, on_sample: Callable[[Sample], None]) 
                 code = law.send(sample)
             except StopIteration:
                 return samples
-        since = [samples[0].counts, *(sample.counts for sample in samples[-guard.SMOOTHING - 1 :])]
-        if len(samples) > guard.SMOOTHING and guard.reached(since)[-1]:
+        if last_near_limits(client.rig, samples):
             return samples

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from friction_bench.experiment.ramp import wait_for_rest
-from friction_bench.experiment.session import Session, check_port, check_ranges, measuring, origin_of
+from friction_bench.experiment.session import Session, check_options, measuring, origin_of, wait_for_rest
 from friction_bench.presliding import laws
 from friction_bench.presliding.break_away import RATES, REPEATS, break_away_code
 from friction_bench.presliding.campaign import Campaign, Run
@@ -203,9 +202,7 @@ def _evaluate(campaign: Campaign, rig: Rig, out: Path) -> PreslidingResult:
 
 def _plan(options: argparse.Namespace, rig: Rig) -> CampaignPlan:
     """Refuse now what would otherwise be noticed after minutes."""
-    check_ranges(
-        options, (("seed", 0, 2**31 - 1), ("blocks", 6, 100), ("cycles", 100, 100_000), ("baud", 1200, 1_000_000))
-    )
+    check_options(options)
     if not rig.counts_down:
         raise ConfigError(
             f"{rig.file}: counts_down is false, and its encoder counts up in both directions; accepted: a rig whose "
@@ -216,13 +213,12 @@ def _plan(options: argparse.Namespace, rig: Rig) -> CampaignPlan:
         value = getattr(options, name)
         if value is not None and kind not in kinds:
             raise ConfigError(f"--{name} {value} without {kind}; accepted: with --kinds {kind}, or without --kinds")
-    check_port(options)
     return CampaignPlan(rig, kinds, options.blocks or USUAL_BLOCKS, options.cycles or USUAL_CYCLES)
 
 
 def _measure(options: argparse.Namespace, rig: Rig, plan: CampaignPlan, out: Path, campaign: Campaign) -> None:
     with measuring(options, rig, out, plan.duration(), "rig") as session:
-        session.couple(True, session.client)
+        session.couple(True)
         _run_all(session, plan, campaign, out)
 
 

@@ -1,17 +1,125 @@
-"""What frames mean: the commands of the host and the answers of the rig (docs/reference/rig_protocol.md)."""
+"""The rig's protocol (docs/reference/rig_protocol.md): frames on the line, what they mean, and what can go wrong.
+
+A frame on the line is COBS(type, sequence, payload, CRC-16/CCITT-FALSE), closed by 0x00.
+"""
 
 from __future__ import annotations
 
+import binascii
 import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-from friction_bench.protocol.codec import Frame
+from rx90_common.base.errors import REFUSED, FailureError
 
 PROTOCOL_VERSION = 1
+MAX_DECODED = 32
+"""Longest frame before COBS, in bytes; what is longer is noise."""
 
 _HELLO = struct.Struct("<BBBHHHHBB")
 _REPORT = struct.Struct("<HHBBBBBBBB")
+
+
+class RigError(FailureError):
+    """The rig or the line to it does not do what it should; the text is one line meant for the user."""
+
+
+class RigLostError(RigError):
+    """The line is gone: unplugged, held by another program, or silent."""
+
+
+class RigResetError(RigError):
+    """The rig restarted by itself; it has to be greeted and armed again."""
+
+
+class RigRefusedError(RigError):
+    """The firmware refused a command."""
+
+
+class RigFaultError(RigError):
+    """The firmware latched a fault and took the torque away."""
+
+
+class RigInputError(RigError):
+    """A setting or a file asks for what this rig cannot do."""
+
+    exit_code = REFUSED
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One intact frame: type and sequence in 0..255, payload without CRC."""
+
+    type: int
+    sequence: int
+    payload: bytes
+
+
+def crc16(data: bytes) -> int:
+    """Return the CRC-16/CCITT-FALSE of `data` (polynomial 0x1021, start 0xFFFF, not reflected)."""
+    return binascii.crc_hqx(data, 0xFFFF)
+
+
+def cobs_encode(data: bytes) -> bytes:
+    """Replace the zeros of `data` (shorter than 254 bytes), so that 0x00 can delimit frames."""
+    if len(data) >= 254:
+        raise ValueError(f"{len(data)} bytes; accepted: at most 253")
+    return b"".join(bytes([len(block) + 1]) + block for block in data.split(b"\0"))
+
+
+def cobs_decode(data: bytes) -> bytes | None:
+    """Invert `cobs_encode`; None where `data` cannot come from it."""
+    blocks = []
+    at = 0
+    while at < len(data):
+        code = data[at]
+        block = data[at + 1 : at + code]
+        if code == 0 or len(block) != code - 1 or 0 in block:
+            return None
+        blocks.append(block)
+        at += code
+    return b"\0".join(blocks) if blocks else None
+
+
+def encode(frame: Frame) -> bytes:
+    """Return the bytes of `frame` on the line, delimiter included."""
+    body = bytes([frame.type, frame.sequence]) + frame.payload
+    if len(body) + 2 > MAX_DECODED:
+        raise ValueError(f"payload of {len(frame.payload)} bytes; accepted: at most {MAX_DECODED - 4}")
+    return cobs_encode(body + crc16(body).to_bytes(2, "little")) + b"\0"
+
+
+def decode(encoded: bytes) -> Frame | None:
+    """Return the frame between two delimiters, None unless it is intact."""
+    data = cobs_decode(encoded)
+    if data is None or not 4 <= len(data) <= MAX_DECODED:
+        return None
+    body = data[:-2]
+    if crc16(body) != int.from_bytes(data[-2:], "little"):
+        return None
+    return Frame(body[0], body[1], body[2:])
+
+
+class FrameDecoder:
+    """Cuts a byte stream into frames; damage costs the frames it hit and nothing else.
+
+    Attributes:
+        bad: refused frames so far.
+    """
+
+    def __init__(self) -> None:
+        self.bad = 0
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Return the frames that `data` completes, in order."""
+        *parts, rest = (self._rest + data).split(b"\0")
+        # Noise without a zero must not fill the memory: one byte more than COBS can need marks it as damaged.
+        self._rest = rest[: MAX_DECODED + 2]
+        decoded = [decode(part) for part in parts if part]
+        frames = [frame for frame in decoded if frame is not None]
+        self.bad += len(decoded) - len(frames)
+        return frames
 
 
 class Command(IntEnum):
@@ -56,16 +164,17 @@ class CommandResult(IntEnum):
     RANGE = 7
 
 
-RESULT_TEXTS: dict[int, str] = {
-    CommandResult.OK: "done",
-    CommandResult.UNKNOWN: "the rig does not know this command",
-    CommandResult.LENGTH: "the command has a wrong length",
-    CommandResult.VERSION: "the rig speaks another protocol version",
-    CommandResult.NO_HELLO: "the rig has not been greeted since its last reset",
-    CommandResult.FAULT: "a fault is latched; clear it first",
-    CommandResult.STATE: "not possible in the rig's present state",
-    CommandResult.RANGE: "a value is outside the firmware's limits",
-}
+RESULT_TEXTS = (
+    "done",
+    "the rig does not know this command",
+    "the command has a wrong length",
+    "the rig speaks another protocol version",
+    "the rig has not been greeted since its last reset",
+    "a fault is latched; clear it first",
+    "not possible in the rig's present state",
+    "a value is outside the firmware's limits",
+)
+"""By the number of the result."""
 
 
 class Fault(IntFlag):
@@ -101,12 +210,8 @@ class ResetCause(IntEnum):
     BROWN_OUT = 4
 
 
-class Processor(IntEnum):
-    """What the firmware runs on."""
-
-    NATIVE = 0
-    MCS51 = 1
-    AVR = 2
+PROCESSORS = ("native", "mcs51", "avr")
+"""What the firmware runs on, by its number."""
 
 
 @dataclass(frozen=True)
@@ -134,11 +239,10 @@ class HelloReply:
     @property
     def text(self) -> str:
         """Return the processor and the reset's cause in words."""
-        return f"processor {_name(Processor, self.processor)}, reset cause {_name(ResetCause, self.reset_cause)}"
-
-
-def _name(kind: type[IntEnum], value: int) -> str:
-    return next((one.name.lower().replace("_", "-") for one in kind if one == value), f"number {value}")
+        causes = tuple(cause.name.lower().replace("_", "-") for cause in ResetCause)
+        pairs = ((PROCESSORS, self.processor), (causes, self.reset_cause))
+        processor, cause = (names[value] if value < len(names) else f"number {value}" for names, value in pairs)
+        return f"processor {processor}, reset cause {cause}"
 
 
 @dataclass(frozen=True)
@@ -162,7 +266,8 @@ class Report:
     @property
     def result_text(self) -> str:
         """Return what became of the last command, in words."""
-        return RESULT_TEXTS.get(self.result, f"unknown result {self.result}")
+        known = self.result < len(RESULT_TEXTS)
+        return RESULT_TEXTS[self.result] if known else f"unknown result {self.result}"
 
 
 def parse_hello(frame: Frame) -> HelloReply | None:

@@ -12,7 +12,7 @@ import time
 
 import serial
 
-from friction_bench.protocol.errors import RigInputError, RigLostError
+from friction_bench.protocol.messages import RigInputError, RigLostError
 
 _READ_SLICE = 0.01
 WRITE_TIMEOUT = 0.02

@@ -1,28 +1,46 @@
-"""The host's side of the protocol: greeting, commands until they are answered, cumulative readings."""
+"""The host's side of the protocol: frames on a port, greeting, commands until they are answered, cumulative readings.
+
+`RigLine` numbers the frames out, reads those in, notices the rig's silence, and has a stop that overtakes all of it;
+`RigClient` commands one rig through it.
+"""
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
+from typing import Protocol
 
-from friction_bench.protocol.errors import RigFaultError, RigInputError, RigLostError, RigRefusedError, RigResetError
 from friction_bench.protocol.messages import (
     PROTOCOL_VERSION,
     Command,
     CommandResult,
-    Fault,
+    Frame,
+    FrameDecoder,
     HelloReply,
     Report,
+    RigInputError,
+    RigLostError,
+    RigRefusedError,
+    RigResetError,
     State,
-    fault_text,
+    encode,
     limits_payload,
     parse_hello,
     parse_report,
     ramp_payload,
     torque_payload,
 )
-from friction_bench.rig.line import HEARTBEAT, Port, RigLine
 from friction_bench.rig.rig_file import CODES, Rig
 
+HEARTBEAT = 0.02
+"""Time between heartbeats, s; the firmware's watchdog trips after 120 ms."""
+SILENCE = 0.5
+"""A rig that reports nothing for so long, s, is lost."""
+_LONGEST_LISTENING = 2 * HEARTBEAT
+"""The most that counts as listening between two reads, s: a program that was suspended did not listen."""
+STOP_SEQUENCES = range(240, 256)
+"""Sequence numbers of urgent stops; each has its own, so that its answer cannot be that to an earlier one."""
+SWITCHED_ON = frozenset((State.ARMED, State.RAMPING))
 HELLO_PERIOD = 0.25
 """Time between greetings, s: the rig may still be starting, and an Arduino resets when its port opens."""
 RETRY_PERIOD = 0.06
@@ -30,23 +48,139 @@ RETRY_PERIOD = 0.06
 COMMAND_TIMEOUT = 1.0
 
 
-class Unwrapper:
-    """Makes a counter that rolls over cumulative."""
+class Port(Protocol):
+    """What carries the bytes, to a real rig or an emulated one, with a clock of its own."""
 
-    def __init__(self, bits: int) -> None:
-        self._modulus = 1 << bits
-        self._last: int | None = None
-        self._total = 0
+    def now(self) -> float:
+        """Return the port's time, s, monotonic."""
 
-    def __call__(self, value: int) -> int:
-        """Return the cumulative value of a reading, at most half a roll-over from the last one."""
-        if self._last is None:
-            self._total = value
-        else:
-            half = self._modulus // 2
-            self._total += (value - self._last + half) % self._modulus - half
-        self._last = value
-        return self._total
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+
+    def write_first(self, data: bytes) -> None:
+        """Send bytes ahead of what has not left yet, which may be thrown away in the middle of a frame."""
+
+    def read(self, timeout: float) -> bytes:
+        """Return what has come; wait up to `timeout` seconds for the first byte."""
+
+    def close(self) -> None:
+        """Give the port back."""
+
+
+class RigLine:
+    """Frames on a port; only `urgent_stop` may be called by other threads than the one that owns the line.
+
+    Attributes:
+        sequence: number of the last command.
+        listened: time spent listening, s: what timeouts of the rig's answers count.
+        stops: urgent stops so far.
+        known_stops: how many of them the owner knew of when it gave the command under way.
+        stopping: an urgent stop has been sent and not been answered; `keep_alive` repeats it in place of heartbeats.
+    """
+
+    def __init__(self, port: Port) -> None:
+        self.port = port
+        self.sequence = 0
+        self.listened = 0.0
+        self.stops = 0
+        self.known_stops = 0
+        self.stopping = False
+        self._stop_lock = threading.Lock()
+        self._decoder = FrameDecoder()
+        self._sent_at = -1.0
+        self._read_at = port.now()
+        self._heard_at = 0.0  # of the time listened
+
+    @property
+    def bad_frames(self) -> int:
+        """Return how many damaged frames have come from the rig."""
+        return self._decoder.bad
+
+    def number(self, command: Command, payload: bytes) -> bytes:
+        """Return the bytes of a command with the next sequence number."""
+        self.sequence = self.sequence % (STOP_SEQUENCES.start - 1) + 1
+        return encode(Frame(command, self.sequence, payload))
+
+    def send(self, command: Command, payload: bytes = b"") -> None:
+        """Send a command whatever stops there have been: a greeting or a heartbeat."""
+        self.port.write(self.number(command, payload))
+        self._sent_at = self.port.now()
+
+    def send_unless_stopped(self, message: bytes, command: Command) -> None:
+        """Send a numbered command, unless there has been a stop that its giver did not know of.
+
+        Raises:
+            RigRefusedError: if there has; the stop is known from then on.
+        """
+        with self._stop_lock:
+            if self.stops != self.known_stops:
+                self.known_stops = self.stops
+                raise RigRefusedError(f"{command.name}: overtaken by a stop")
+            self.port.write(message)
+
+    def urgent_stop(self) -> None:
+        """Take the torque away now.
+
+        A command that is under way is given up: its repetition after the stop would undo it. The stop itself is
+        repeated by `keep_alive` until the rig answers it, with no heartbeat in between: if the line accepts it no more,
+        the firmware's watchdog switches the rig off.
+
+        It waits for one write of another thread and for its own, each at most the port's write timeout, and never
+        for a read, a queue or an answer.
+        """
+        with self._stop_lock:
+            self.stops += 1
+            self.stopping = True
+        self._write_stop()
+
+    def _write_stop(self) -> None:
+        # A delimiter first: what stands before it on the line may have lost its own. Twice: one may be hit.
+        self.port.write_first(b"\0" + 2 * encode(Frame(Command.STOP, self._stop_sequence, b"")))
+        self._sent_at = self.port.now()
+
+    @property
+    def _stop_sequence(self) -> int:
+        return STOP_SEQUENCES[self.stops % len(STOP_SEQUENCES)]
+
+    def keep_alive(self, beating: bool) -> None:
+        """Send what is due: a stop that has not been answered, else the heartbeat if `beating`."""
+        if self.port.now() - self._sent_at >= HEARTBEAT:
+            if self.stopping:
+                self._write_stop()
+            elif beating:
+                self.send(Command.BEAT)
+
+    def note_answer(self, report: Report) -> None:
+        """End the stop's repetition when `report` answers it."""
+        if report.state not in SWITCHED_ON and report.ack_sequence == self._stop_sequence:
+            self.stopping = False
+
+    def excuse_silence(self) -> None:
+        """Count the rig's silence from now on."""
+        self._heard_at = self.listened
+
+    def frames(self, timeout: float) -> list[Frame]:
+        """Return the frames that came within `timeout` seconds.
+
+        Raises:
+            RigLostError: if the rig has been silent for too long.
+        """
+        frames = self._decoder.feed(self.port.read(timeout))
+        before, self._read_at = self._read_at, self.port.now()
+        self.listened += min(self._read_at - before, _LONGEST_LISTENING)
+        if frames:
+            self.excuse_silence()
+        elif self.listened - self._heard_at > SILENCE:
+            raise RigLostError(f"the rig has not reported for {SILENCE} s")
+        return frames
+
+
+def unwrap(value: int, last: int | None, bits: int) -> int:
+    """Return the cumulative value of a counter that rolls over, at most half a roll-over from its last one."""
+    if last is None:
+        return value
+    half = 1 << bits - 1
+    return last + (value - last + half) % (2 * half) - half
 
 
 @dataclass(frozen=True)
@@ -81,11 +215,6 @@ class RigClient:
         self.hello: HelloReply | None = None
         self.beating = True
         self.lost_reports = 0
-        self._restart_counters()
-
-    def _restart_counters(self) -> None:
-        self._ticks = Unwrapper(16)
-        self._counts = Unwrapper(24)
         self.last: Sample | None = None
 
     def connect(self, timeout: float = 3.0) -> HelloReply:
@@ -99,7 +228,7 @@ class RigClient:
         line = self.line
         self.hello = None
         line.stopping = False  # HELLO takes the torque away too, and is repeated until it is answered
-        self._restart_counters()
+        self.last = None
         end = line.listened + timeout
         greet_at = self.port.now()
         while line.listened < end:
@@ -110,15 +239,13 @@ class RigClient:
             for frame in line.frames(HEARTBEAT):
                 hello = parse_hello(frame)
                 if hello is not None and frame.sequence == line.sequence:
-                    self._accept(hello)
+                    if hello.version != PROTOCOL_VERSION:
+                        spoken = f"the rig speaks protocol version {hello.version}"
+                        raise RigRefusedError(f"{spoken}; accepted: {PROTOCOL_VERSION}")
+                    self.rig.check(hello)
+                    self.hello = hello
                     return hello
         raise RigLostError(f"no rig answers within {timeout:g} s")
-
-    def _accept(self, hello: HelloReply) -> None:
-        if hello.version != PROTOCOL_VERSION:
-            raise RigRefusedError(f"the rig speaks protocol version {hello.version}; accepted: {PROTOCOL_VERSION}")
-        self.rig.check(hello)
-        self.hello = hello
 
     def pump(self, timeout: float = HEARTBEAT) -> list[Sample]:
         """Send the heartbeat when it is due and return the readings that came within `timeout` seconds.
@@ -135,14 +262,16 @@ class RigClient:
         return [self._sample(report) for report in reports if report is not None]
 
     def _sample(self, report: Report) -> Sample:
-        tick = self._ticks(report.tick)
-        if not report.greeted or (self.last is not None and tick <= self.last.tick):
+        last = self.last
+        tick = unwrap(report.tick, None if last is None else last.tick, 16)
+        if not report.greeted or (last is not None and tick <= last.tick):
             self.hello = None
             raise RigResetError("the rig restarted by itself; it has to be armed again")
         self.line.note_answer(report)
-        if self.last is not None:
-            self.lost_reports += tick - self.last.tick - 1
-        self.last = Sample(tick, tick * self.rig.tick, self._counts(report.counts), report)
+        if last is not None:
+            self.lost_reports += tick - last.tick - 1
+        counts = unwrap(report.counts, None if last is None else last.counts, 24)
+        self.last = Sample(tick, tick * self.rig.tick, counts, report)
         return self.last
 
     def request(self, command: Command, payload: bytes = b"") -> list[Sample]:
@@ -207,13 +336,3 @@ class RigClient:
             accepted = f"{self.rig.torque(1):.2g} to {self.rig.torque(limit):.3g} Nm"
             raise RigInputError(f"end torque {torque:g} Nm; accepted by the firmware: {accepted}")
         return self.rig.end_code(torque)
-
-
-def raise_fault(report: Report) -> None:
-    """Raise what the report's fault bits say, if any.
-
-    Raises:
-        RigFaultError: naming the faults.
-    """
-    if report.fault != Fault.NONE or report.state == State.FAULT:
-        raise RigFaultError(f"the rig switched itself off: {fault_text(report.fault)}; find out why, then clear it")

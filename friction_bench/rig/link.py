@@ -10,10 +10,8 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 
-from friction_bench.protocol.errors import RigError, RigLostError, RigResetError
-from friction_bench.protocol.messages import Fault, Report, fault_text
-from friction_bench.rig.client import RigClient, Sample
-from friction_bench.rig.line import SWITCHED_ON, Port
+from friction_bench.protocol.messages import Fault, Report, RigError, RigLostError, RigResetError, fault_text
+from friction_bench.rig.client import SWITCHED_ON, Port, RigClient, Sample
 from friction_bench.rig.rig_file import Rig
 
 OWNER_SILENCE = 0.1
@@ -26,60 +24,6 @@ CALM = 2.0
 """The line is good again after so long without trouble, s; until then no kind of trouble is reported twice."""
 _DISTURBED = "the line is disturbed"
 """One kind of trouble for noise, a loose cable and a second reader, whose symptoms alternate."""
-
-
-class _Jobs:
-    """Jobs that wait for the link's thread, each for the connection on which it was submitted.
-
-    Attributes:
-        client: on whose connection jobs are submitted, None without one.
-    """
-
-    def __init__(self) -> None:
-        self.client: RigClient | None = None
-        self._queue: queue.Queue[tuple[Callable[[RigClient], None], Future[None], int]] = queue.Queue()
-        self._lock = threading.Lock()
-
-    def submit(self, run: Callable[[RigClient], None]) -> Future[None]:
-        """Queue a job, or refuse it where there is no connection."""
-        future: Future[None] = Future()
-        with self._lock:
-            client = self.client
-            if client is not None and client.hello is not None:
-                self._queue.put((run, future, client.line.stops))
-                return future
-        future.set_exception(RigLostError("there is no connection to the rig"))
-        return future
-
-    def refuse(self, reason: str, *, disconnect: bool) -> None:
-        """Refuse what waits; nothing is added until a client has been greeted, the same one or another."""
-        with self._lock:
-            if disconnect:
-                self.client = None
-            while not self._queue.empty():
-                _, future, _ = self._queue.get_nowait()
-                if future.set_running_or_notify_cancel():
-                    future.set_exception(RigLostError(reason))
-
-    def run_next(self, client: RigClient) -> None:
-        """Run the next job, if there is one.
-
-        Raises:
-            RigLostError, RigResetError: if the connection ends meanwhile.
-        """
-        try:
-            run, future, client.line.known_stops = self._queue.get_nowait()
-        except queue.Empty:
-            return
-        if future.set_running_or_notify_cancel():
-            try:
-                run(client)
-                future.set_result(None)
-            except RigError as error:
-                future.set_exception(error)
-                if isinstance(error, RigLostError | RigResetError):
-                    raise
-        client.line.known_stops = client.line.stops
 
 
 class _Reporter:
@@ -100,12 +44,12 @@ class _Reporter:
             self._reported.add(kind or text)
             self._on_trouble(text)
 
-    def fault(self, report: Report) -> None:
+    def fault(self, fault: Fault) -> None:
         """Report the rig's faults when they change."""
-        if report.fault != self._last_fault:
-            self._last_fault = report.fault
-            if report.fault:
-                self._on_trouble(f"the rig switched itself off: {fault_text(report.fault)}; clear and arm it")
+        if fault != self._last_fault:
+            self._last_fault = fault
+            if fault:
+                self._on_trouble(f"the rig switched itself off: {fault_text(fault)}; clear and arm it")
 
     def watch(self) -> None:
         """Report that the line is good when it is."""
@@ -125,6 +69,9 @@ class RigLink:
         on_sample: called with each reading, on the link's thread.
         on_trouble: called with one line for each trouble, on the link's thread.
         on_good: called with one line when the rig answers (again) and the line is good.
+
+    Attributes:
+        client: of the present connection, None without one.
     """
 
     def __init__(
@@ -136,21 +83,18 @@ class RigLink:
         on_good: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.rig = rig
+        self.client: RigClient | None = None
         self._open_port = open_port
         self._on_sample = on_sample
         self._reporter = _Reporter(on_trouble, on_good)
-        self._jobs = _Jobs()
+        self._jobs: queue.Queue[tuple[Callable[[RigClient], None], Future[None], int]] = queue.Queue()
+        self._jobs_lock = threading.Lock()  # a job is queued for a connection that there is
         self._closed = threading.Event()
         self._alive_at = time.monotonic()
         self._port: Port | None = None
         self._damage: deque[float] = deque()
         self._seen_damage = 0
         self._past = (0, 0)  # bad frames and lost reports of earlier connections
-
-    @property
-    def client(self) -> RigClient | None:
-        """Return the client of the present connection, None without one."""
-        return self._jobs.client
 
     @property
     def connected(self) -> bool:
@@ -182,7 +126,14 @@ class RigLink:
         A job belongs to the connection on which it was submitted: it is never run after a loss or a reset of the
         rig, nor once its future has been cancelled.
         """
-        return self._jobs.submit(run)
+        future: Future[None] = Future()
+        with self._jobs_lock:
+            client = self.client
+            if client is not None and client.hello is not None:
+                self._jobs.put((run, future, client.line.stops))
+                return future
+        future.set_exception(RigLostError("there is no connection to the rig"))
+        return future
 
     def stop_rig(self) -> None:
         """Take the torque away now: from any thread, before anything that is queued or under way.
@@ -205,7 +156,8 @@ class RigLink:
         while not self._closed.is_set():
             try:
                 self._port = self._open_port()
-                self._serve(RigClient(self._port, self.rig))
+                self.client = RigClient(self._port, self.rig)
+                self._serve(self.client)
                 return
             except RigError as error:
                 attempt = 0 if self.connected else attempt + 1
@@ -217,7 +169,9 @@ class RigLink:
 
     def _drop(self) -> None:
         client, damage = self.client, self.damage
-        self._jobs.refuse("the connection to the rig was lost", disconnect=True)
+        with self._jobs_lock:
+            self.client = None
+            self._refuse_jobs("the connection to the rig was lost")
         self._past = damage
         port, self._port = self._port, None
         if client is not None:
@@ -226,16 +180,27 @@ class RigLink:
         if port is not None:
             port.close()
 
+    def _refuse_jobs(self, reason: str) -> None:
+        """Refuse what waits, with the lock held; nothing is added until a client has been greeted."""
+        while not self._jobs.empty():
+            _, future, _ = self._jobs.get_nowait()
+            if future.set_running_or_notify_cancel():
+                future.set_exception(RigLostError(reason))
+
     def _serve(self, client: RigClient) -> None:
-        self._jobs.client = client
         self._greet(client)
         while not self._closed.is_set():
             self._reporter.watch()
             client.beating = time.monotonic() - self._alive_at < OWNER_SILENCE
             try:
-                self._step(client)
+                for sample in client.pump():
+                    self._on_sample(sample)
+                    self._reporter.fault(sample.report.fault)
+                self._watch_damage(client)
+                self._run_next_job(client)
             except RigResetError as error:  # the client has forgotten its greeting
-                self._jobs.refuse(str(error), disconnect=False)
+                with self._jobs_lock:
+                    self._refuse_jobs(str(error))
                 self._reporter.trouble(str(error))
                 self._greet(client)
 
@@ -244,12 +209,20 @@ class RigLink:
         self._seen_damage = client.line.bad_frames + client.lost_reports
         self._reporter.greeting = f"rig connected, {hello.text}"
 
-    def _step(self, client: RigClient) -> None:
-        for sample in client.pump():
-            self._on_sample(sample)
-            self._reporter.fault(sample.report)
-        self._watch_damage(client)
-        self._jobs.run_next(client)
+    def _run_next_job(self, client: RigClient) -> None:
+        try:
+            run, future, client.line.known_stops = self._jobs.get_nowait()
+        except queue.Empty:
+            return
+        if future.set_running_or_notify_cancel():
+            try:
+                run(client)
+                future.set_result(None)
+            except RigError as error:
+                future.set_exception(error)
+                if isinstance(error, RigLostError | RigResetError):
+                    raise
+        client.line.known_stops = client.line.stops
 
     def _watch_damage(self, client: RigClient) -> None:
         now = time.monotonic()

@@ -11,8 +11,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from friction_bench.protocol.errors import RigError
-from friction_bench.protocol.messages import ResetCause
+from friction_bench.protocol.messages import ResetCause, RigError
 from rx90_common.base.share import share_directory
 
 _SOURCES = ("core/frame.c", "core/rig.c", "native/hal_native.c")

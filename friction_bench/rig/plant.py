@@ -3,98 +3,165 @@
 One degree of freedom, described on the motor's side (angle theta, speed w):
     J w' = tau_motor - (f_v w + f_c sgn w) - tau_joint(w / n) / (n eta),
     J = J_rotor + (J_load + J_joint) / (n^2 eta),
-with gear ratio n and efficiency eta, the motor driving the load. The joint is there only when loaded.
+with gear ratio n and efficiency eta, the motor driving the load. The joint is there only when loaded; one with LuGre's
+law moves by the arm's own steps of rx90_common/friction, with whatever parts its element has.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from friction_bench.rig.joint_parts import RigJoint, joint_record, start, turn_with_parts
-from friction_bench.rig.shaft import BRISTLE_STEPS, Shaft, turn
-from rx90_common.friction.bristle import bristle_step
-from rx90_common.friction.compiled_elements import element_arrays, one_element
+from friction_bench.protocol.messages import RigInputError
+from friction_bench.rig.rig_file import JointFriction, Rig
+from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.element import FrictionElement
+from rx90_common.friction.parts.load import advance_load
+from rx90_common.friction.parts.scatter import advance_scatter
+from rx90_common.friction.parts.step import fill_parts, parts_dtype, parts_state_dtype, parts_step, reset_parts
 from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.lanes import lane, load
 
-
-@dataclass(frozen=True)
-class JointFriction:
-    """Coulomb and viscous friction of the revolute joint at the load: Nm and Nm s/rad."""
-
-    coulomb: float
-    viscous: float
-
-
-PART_PERIOD = 1e-3
+SLICE = 1e-3
 """Time for which the torque is held, s: the slice in which firmware and plant exchange theirs."""
+BRISTLE_STEPS = 20
+"""Substeps of a slice with LuGre friction: 50 µs, a sixtieth of the stiffest joint's period."""
 
 
-@dataclass(frozen=True)
-class PlantParameters:
-    """What the emulated rig is made of; motor side, SI, unless a name says load or joint.
+class Shaft(NamedTuple):
+    """What turns, at the motor: inertia, kg m², Coulomb friction, Nm, and viscous friction, Nm s/rad."""
 
-    Attributes:
-        gain_error: standard deviation of the amplifier's relative gain error, drawn once per rig.
-        torque_noise: standard deviation of the torque noise, averaged over 1 ms, Nm.
-        adc_noise: standard deviation of a torque reading, Nm.
-        load_inertia, joint_inertia: at the load, kg m².
-        coulomb, viscous: friction of motor, brushes, gear and bearings.
-        joint: friction of the revolute joint, at the load: Coulomb and viscous, or LuGre.
-    """
-
-    gear_ratio: float
-    gear_efficiency: float
-    torque_constant: float
-    resistance: float
-    supply: float
-    rotor_inertia: float
-    gain_error: float
-    torque_noise: float
-    adc_noise: float
-    load_inertia: float
-    joint_inertia: float
+    inertia: float
     coulomb: float
     viscous: float
-    joint: JointFriction | FrictionElement
 
-    def shaft(self, loaded: bool) -> Shaft:
-        """Return what turns at the motor, sliding forward; without the friction of a LuGre joint."""
-        scale = self.gear_ratio * self.gear_efficiency
-        load = self.load_inertia + (self.joint_inertia if loaded else 0.0)
-        inertia = self.rotor_inertia + load / (self.gear_ratio**2 * self.gear_efficiency)
-        joint = self.joint
-        if not loaded or isinstance(joint, FrictionElement):
-            return Shaft(inertia, self.coulomb, self.viscous)
-        viscous = self.viscous + joint.viscous / (scale * self.gear_ratio)
-        return Shaft(inertia, self.coulomb + joint.coulomb / scale, viscous)
+
+def shaft_of(rig: Rig, loaded: bool) -> Shaft:
+    """Return what turns at the motor of an emulated rig, sliding forward; without the friction of a LuGre joint.
+
+    Raises:
+        RigInputError: if the rig file describes no plant.
+    """
+    p = rig.plant
+    if p is None:
+        raise RigInputError(f"{rig.file}: has no section 'emulation', so this rig cannot be emulated")
+    load_inertia = p.load_inertia + (p.joint_inertia if loaded else 0.0)
+    inertia = p.rotor_inertia + load_inertia / (rig.gear_ratio**2 * rig.gear_efficiency)
+    if not loaded or not isinstance(p.joint, JointFriction):
+        return Shaft(inertia, p.coulomb, p.viscous)
+    viscous = p.viscous + p.joint.viscous / (rig.joint_scale * rig.gear_ratio)
+    return Shaft(inertia, p.coulomb + p.joint.coulomb / rig.joint_scale, viscous)
+
+
+@kernel
+def turn(angle: float, speed: float, torque: float, shaft: Shaft, dt: float) -> tuple[float, float]:
+    """Advance J w' = torque - f_v w - f_c sgn w over `dt` with a constant torque, exactly.
+
+    Returns angle and speed. A body that comes to rest stays there unless the torque exceeds f_c.
+    """
+    left = dt
+    for _ in range(2):  # at most one reversal: torque is constant
+        sign = 1.0 if speed > 0.0 or (speed == 0.0 and torque > 0.0) else -1.0
+        if speed == 0.0 and abs(torque) <= shaft.coulomb:
+            return angle, 0.0
+        final = (torque - sign * shaft.coulomb) / shaft.viscous
+        tau = shaft.inertia / shaft.viscous
+        run = left
+        stops = speed * final < 0.0
+        if stops:
+            rest = tau * math.log((final - speed) / final)
+            stops = rest < left
+            run = min(rest, left)
+        decay = math.exp(-run / tau)
+        angle += final * run + (speed - final) * tau * (1.0 - decay)
+        speed = final + (speed - final) * decay
+        if not stops:
+            return angle, speed
+        speed = 0.0
+        left -= run
+    return angle, speed
+
+
+class RigJoint(NamedTuple):
+    """One joint as compiled code has it, each of shape (1,): element, its parts, and their state."""
+
+    element: NDArray[np.void]
+    parts: NDArray[np.void]
+    state: NDArray[np.void]
+
+
+def joint_record(element: FrictionElement, gear_ratio: float, period: float, seed: int) -> RigJoint:
+    """Return the record of a joint that has not moved.
+
+    Args:
+        element: its friction.
+        gear_ratio: turns of the motor for one of the joint.
+        period: for which the torque is held, s.
+        seed: of the scatter.
+    """
+    record = RigJoint(element_arrays((element,)), np.zeros(1, parts_dtype(1)), np.zeros(1, parts_state_dtype(1)))
+    fill_parts(record.parts[0], (element,), (gear_ratio,), period, seed)
+    start(record)
+    return record
+
+
+@kernel
+def start(joint: RigJoint) -> None:
+    """Begin anew: nothing is transmitted, no bristle is bent."""
+    state = joint.state[0]
+    state.transmitted[0] = 0.0
+    reset_parts(joint.parts[0], state, load(state.transmitted, 1), 1)
+
+
+@kernel
+def friction_over(joint: RigJoint, z: float, angle: float, velocity: float, step: float) -> tuple[float, float]:
+    """Advance the joint's bristles for a velocity that is held; angle, rad, and velocity, rad/s, of the joint.
+
+    Returns:
+        The new deflection, rad, and the mean friction torque, Nm.
+    """
+    state = joint.state[0]
+    lanes = 0.0 * load(state.transmitted, 1)
+    new, torque = parts_step(
+        joint.element[0], joint.parts[0], state, lanes + z, lanes + angle, lanes + velocity, step, 1
+    )
+    return lane(new, 0), lane(torque, 0)
 
 
 @kernel
 def turn_with_joint(
-    angle: float,
-    speed: float,
-    z: float,
+    motion: tuple[float, float, float],
     torque: float,
     shaft: Shaft,
-    gear: tuple[float, float],
-    joint: NDArray[np.void],
+    gear: tuple[float, float, float],
+    joint: RigJoint,
     dt: float,
 ) -> tuple[float, float, float]:
-    """Advance as `turn`, with a LuGre joint behind the gear (ratio and efficiency).
+    """Advance as `turn`, with a LuGre joint behind the gear.
 
-    Returns angle, speed and bristle deflection.
+    Args:
+        motion: angle and speed of the motor, rad and rad/s, deflection of the bristles, rad.
+        torque: of the motor, Nm.
+        shaft: what turns at the motor.
+        gear: its ratio and efficiency, and the inertia behind it, kg m², whose torque is the load that the joint
+            transmits.
+        joint: advanced in place.
+        dt: s.
     """
-    step, element = dt / BRISTLE_STEPS, one_element(joint[0], 0)
-    ratio, efficiency = gear
+    angle, speed, z = motion
+    ratio, efficiency, load_inertia = gear
+    step, state = dt / BRISTLE_STEPS, joint.state[0]
     for _ in range(BRISTLE_STEPS):
-        z, friction = bristle_step(element, z, speed / ratio, step)
+        z, friction = friction_over(joint, z, angle / ratio, speed / ratio, step)
+        before = speed
         angle, speed = turn(angle, speed, torque - friction / (ratio * efficiency), shaft, step)
+        state.transmitted[0] = load_inertia * (speed - before) / (ratio * step)
+        advance_load(joint.parts[0].load, state, load(state.transmitted, 1), step, 1)
+    advance_scatter(joint.parts[0].scatter, state)
     return angle, speed, z
 
 
@@ -102,31 +169,28 @@ class RigPlant:
     """The mechanics of one rig in motion; seeded, so that a run can be repeated bit for bit.
 
     Args:
-        parameters: the rig.
-        counts_per_revolution: of the encoder on the motor's shaft.
+        rig: whose file describes a plant.
         seed: of amplifier, converter, encoder phase and the joint's scatter.
-        counts_down: the encoder tells the direction; else its edges count up in both.
+
+    Raises:
+        RigInputError: if it describes none.
     """
 
-    def __init__(
-        self, parameters: PlantParameters, counts_per_revolution: int, seed: int, counts_down: bool = False
-    ) -> None:
-        self.parameters = parameters
-        self._counts_down = counts_down
-        self._element: NDArray[np.void] | None = None
+    def __init__(self, rig: Rig, seed: int) -> None:
+        self.rig = rig
+        self._shafts = [shaft_of(rig, loaded) for loaded in (False, True)]
+        assert rig.plant is not None  # shaft_of refuses it
+        self.parameters = rig.plant
         self._joint: RigJoint | None = None
-        joint = parameters.joint
-        if isinstance(joint, FrictionElement):
-            if joint.parts:
-                self._joint = joint_record(joint, parameters.gear_ratio, PART_PERIOD, seed)
-            else:
-                self._element = element_arrays((joint,))
+        if isinstance(rig.plant.joint, FrictionElement):
+            self._joint = joint_record(rig.plant.joint, rig.gear_ratio, SLICE, seed)
+        self._gear = rig.gear_ratio, rig.gear_efficiency, rig.plant.load_inertia + rig.plant.joint_inertia
         self.angle = self.torque = 0.0
         self.load(False)
         self._rng = np.random.default_rng(seed)
-        self._scale = counts_per_revolution / math.tau
+        self._scale = rig.counts_per_revolution / math.tau
         self._phase = self._rng.random()
-        self._gain = 1.0 + parameters.gain_error * self._rng.standard_normal()
+        self._gain = 1.0 + rig.plant.gain_error * self._rng.standard_normal()
         self._last_count = math.floor(self._phase)
         self._noise: Iterator[float] = iter(())
 
@@ -134,7 +198,6 @@ class RigPlant:
         """Couple the revolute joint to the load shaft, or take it off; the shaft is at rest then."""
         self.loaded = loaded
         self.speed = self.bristle = 0.0
-        self._shaft = self.parameters.shaft(loaded)
         if self._joint is not None:
             start(self._joint)
 
@@ -162,27 +225,17 @@ class RigPlant:
         They are negative where the motor turned back, if the encoder tells the direction.
         """
         self.torque = self.motor_torque(command, dt)
-        self._move(dt)
+        shaft = self._shafts[self.loaded]
+        if self.loaded and self._joint is not None:
+            self.angle, self.speed, self.bristle = turn_with_joint(
+                (self.angle, self.speed, self.bristle), self.torque, shaft, self._gear, self._joint, dt
+            )
+        else:
+            self.angle, self.speed = turn(self.angle, self.speed, self.torque, shaft, dt)
         count = math.floor(self.angle * self._scale + self._phase)
         edges = count - self._last_count
         self._last_count = count
-        return edges if self._counts_down else abs(edges)
-
-    def _move(self, dt: float) -> None:
-        state = self.angle, self.speed
-        p = self.parameters
-        gear = p.gear_ratio, p.gear_efficiency
-        if self.loaded and self._joint is not None:
-            beyond = p.load_inertia + p.joint_inertia
-            self.angle, self.speed, self.bristle = turn_with_parts(
-                (*state, self.bristle), self.torque, self._shaft, gear, beyond, self._joint, dt
-            )
-        elif self.loaded and self._element is not None:
-            self.angle, self.speed, self.bristle = turn_with_joint(
-                *state, self.bristle, self.torque, self._shaft, gear, self._element, dt
-            )
-        else:
-            self.angle, self.speed = turn(*state, self.torque, self._shaft, dt)
+        return edges if self.rig.counts_down else abs(edges)
 
     def current_reading(self) -> float:
         """Return what the current sense amplifier shows, as motor torque, Nm."""

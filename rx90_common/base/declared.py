@@ -23,7 +23,7 @@ from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin, get_
 import numpy as np
 
 from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, Integer, Number, Numbers
-from rx90_common.base.groups import Group
+from rx90_common.base.groups import Group, Variants
 from rx90_common.base.section import Section
 
 _Self = TypeVar("_Self", bound="Declared")
@@ -57,7 +57,7 @@ class Declaration:
     @property
     def by_owner(self) -> bool:
         """Return whether the entry is a group, which the owner reads and checks."""
-        return isinstance(self.entry, Group)
+        return isinstance(self.entry, Group | Variants)
 
     @property
     def spread(self) -> bool:

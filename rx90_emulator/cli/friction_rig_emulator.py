@@ -26,8 +26,7 @@ def main(options: argparse.Namespace) -> None:
         Rx90Error: if the rig cannot be emulated, or the link cannot be made.
     """
     stop = stop_request()
-    from friction_bench.rig.emulated import EmulatedRig
-    from friction_bench.rig.pty_rig import PtyRig
+    from friction_bench.rig.emulated import EmulatedRig, PtyRig
     from friction_bench.rig.rig_file import load_rig
 
     if not 0 <= options.seed < 2**31:

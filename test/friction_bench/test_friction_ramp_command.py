@@ -17,8 +17,7 @@ from friction_bench.experiment import job as ramp_job
 from friction_bench.experiment import session
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
-from friction_bench.rig.plant import JointFriction
-from friction_bench.rig.rig_file import Rig
+from friction_bench.rig.rig_file import JointFriction, Rig
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.share import config_path
 from rx90_common.friction import load_friction

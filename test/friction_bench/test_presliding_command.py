@@ -20,7 +20,7 @@ from friction_bench.presliding.follow import Law, follow
 from friction_bench.presliding.laws import pulled
 from friction_bench.presliding.stick_slip import SteadySliding, pulled_joint
 from friction_bench.presliding.trace import Trace
-from friction_bench.protocol.errors import RigLostError
+from friction_bench.protocol.messages import RigLostError
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.rig_file import load_rig

@@ -22,13 +22,20 @@ from friction_bench.presliding.report import drift_plot
 from friction_bench.presliding.sliding import SlidingFriction, SlidingReadings, fit_sliding_friction
 from friction_bench.presliding.stick_slip import SteadySliding
 from friction_bench.presliding.trace import Trace
-from friction_bench.protocol.codec import Frame, FrameDecoder, encode
-from friction_bench.protocol.messages import Answer, Command, Fault, limits_payload, parse_report
+from friction_bench.protocol.messages import (
+    Answer,
+    Command,
+    Fault,
+    Frame,
+    FrameDecoder,
+    encode,
+    limits_payload,
+    parse_report,
+)
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
-from friction_bench.rig.joint_parts import joint_record
 from friction_bench.rig.native import NativeBoard, native_library
-from friction_bench.rig.plant import RigPlant
+from friction_bench.rig.plant import RigPlant, joint_record
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
@@ -91,7 +98,7 @@ def test_the_rigs_joint_moves_as_scipy_integrates_it(rig: Rig, break_away: float
         coulomb=0.0,
         joint=replace(ELEMENT, bristles=bristles),
     )
-    plant = RigPlant(quiet, rig.counts_per_revolution, 0, counts_down=True)
+    plant = RigPlant(replace(rig, plant=quiet), 0)
     plant.load(True)
     steps = [0.03, 0.06, 0.02, 0.07, 0.0]  # Nm at the motor
     found = []

@@ -30,7 +30,7 @@ def rig(bristles: BristlesPart | None) -> RigPlant:
         viscous=1e-9,
         joint=replace(JOINT, bristles=bristles),
     )
-    plant = RigPlant(quiet, shipped.counts_per_revolution, 1)
+    plant = RigPlant(replace(shipped, plant=quiet), 1)
     plant.load(True)
     return plant
 
@@ -38,11 +38,11 @@ def rig(bristles: BristlesPart | None) -> RigPlant:
 def deflection(bristles: BristlesPart | None, load: float) -> float:
     """Return by how much the joint turns under a torque that grows slowly to `load`, Nm at the joint, rad."""
     plant = rig(bristles)
-    gear = plant.parameters.gear_ratio * plant.parameters.gear_efficiency
+    gear = plant.rig.joint_scale
     for torque in np.append(np.linspace(0.0, load / gear, 3000), np.full(500, load / gear)):
         plant.advance(float(torque), 1e-3)
     assert abs(plant.speed) < 1e-6
-    return plant.angle / plant.parameters.gear_ratio
+    return plant.angle / plant.rig.gear_ratio
 
 
 def test_each_kind_deflects_by_its_own_curve() -> None:

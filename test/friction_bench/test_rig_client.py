@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
 from friction_bench.experiment.asymptote import fit_asymptote
 from friction_bench.experiment.ramp import run_ramp
-from friction_bench.protocol.errors import RigError, RigFaultError, RigLostError, RigResetError
-from friction_bench.protocol.messages import Fault, ResetCause
-from friction_bench.rig.client import COMMAND_TIMEOUT, RigClient, Unwrapper
+from friction_bench.protocol.messages import Fault, ResetCause, RigError, RigFaultError, RigLostError, RigResetError
+from friction_bench.rig.client import COMMAND_TIMEOUT, RigClient, unwrap
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.native import NativeBoard
 from friction_bench.rig.rig_file import Rig
@@ -20,9 +20,10 @@ from friction_bench.rig.rig_file import Rig
 @pytest.mark.parametrize("bits", [16, 24])
 def test_counters_unwrap_across_roll_overs(bits: int) -> None:
     """A cumulative counter comes out of any roll-over, forwards and backwards, with readings missing."""
-    unwrap = Unwrapper(bits)
     values = [0, 1000, (1 << bits) - 5, (1 << bits) + 7, (1 << bits) + 3, 3 * (1 << bits) // 2]
-    assert [unwrap(value % (1 << bits)) for value in values[2:]] == values[2:3] + values[3:]
+    assert unwrap(values[2], None, bits) == values[2]
+    for last, value in pairwise(values[2:]):
+        assert unwrap(value % (1 << bits), last, bits) == value
 
 
 def test_lost_reports_cost_no_position(client: RigClient, emulated: EmulatedRig) -> None:

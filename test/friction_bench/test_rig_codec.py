@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from friction_bench.protocol.codec import (
+from friction_bench.protocol.messages import (
     MAX_DECODED,
     Frame,
     FrameDecoder,
@@ -20,8 +20,9 @@ from friction_bench.protocol.codec import (
     crc16,
     decode,
     encode,
+    parse_hello,
+    parse_report,
 )
-from friction_bench.protocol.messages import parse_hello, parse_report
 from friction_bench.rig.native import native_library
 
 BYTE = st.integers(0, 255)

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from friction_bench.rig.emulated import EmulatedRig
-from friction_bench.rig.pty_rig import PtyRig
+from friction_bench.rig.emulated import EmulatedRig, PtyRig
 from friction_bench.rig.rig_file import Rig
 from rx90_emulator.cli.frame import run
 

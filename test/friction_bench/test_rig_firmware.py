@@ -12,8 +12,7 @@ import pytest
 from rig_conformance import TRANSCRIPTS, MismatchError, Player
 
 from friction_bench.experiment.ramp import run_ramp
-from friction_bench.protocol.codec import Frame, encode
-from friction_bench.protocol.messages import Command
+from friction_bench.protocol.messages import Command, Frame, encode
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.rig_file import Rig

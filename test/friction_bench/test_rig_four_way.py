@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from friction_bench.experiment.evaluation import evaluate
 from friction_bench.experiment.four_way import (
     BLOCK,
     CLOSED,
@@ -15,12 +14,13 @@ from friction_bench.experiment.four_way import (
     integrate_equation_3,
     simulate_multibody,
 )
+from friction_bench.experiment.identification import evaluate
 from friction_bench.experiment.ramp import run_ramp
 from friction_bench.experiment.ramp_model import RampModel
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.plant import Shaft, turn
 from friction_bench.rig.rig_file import Rig
-from friction_bench.rig.shaft import Shaft, turn
 
 MODELS = [
     RampModel(0.03, 6.4e-4, 1.3e-5, 0.02),

@@ -14,12 +14,10 @@ import pytest
 from processes import wait_until
 from rig_bench import Bench
 
-from friction_bench.protocol.errors import RigLostError, RigRefusedError, RigResetError
-from friction_bench.protocol.messages import State
+from friction_bench.protocol.messages import RigLostError, RigRefusedError, RigResetError, State
 from friction_bench.protocol.serial_port import SerialPort
 from friction_bench.rig import link
 from friction_bench.rig.client import RigClient, Sample
-from friction_bench.rig.link import RigLink
 
 
 def test_unplugging_is_survived_and_needs_arming(bench: Bench) -> None:
@@ -94,7 +92,7 @@ def test_last_report_is_asked_for_while_the_link_forgets_it(bench: Bench, monkey
             """Return the reading once."""
             return self.answers.pop()
 
-    monkeypatch.setattr(RigLink, "client", Forgetful())
+    monkeypatch.setattr(bench.link, "client", Forgetful())
     last = bench.link.last
     monkeypatch.undo()
     assert sample is not None

@@ -11,13 +11,19 @@ import pytest
 from processes import TIMEOUT, wait_until
 from rig_bench import Bench, read_some
 
-from friction_bench.protocol.codec import Frame, FrameDecoder, encode
-from friction_bench.protocol.errors import RigLostError, RigRefusedError
-from friction_bench.protocol.messages import Command, Fault, State
+from friction_bench.protocol.messages import (
+    Command,
+    Fault,
+    Frame,
+    FrameDecoder,
+    RigLostError,
+    RigRefusedError,
+    State,
+    encode,
+)
 from friction_bench.protocol.serial_port import WRITE_TIMEOUT, SerialPort
-from friction_bench.rig.client import RigClient
+from friction_bench.rig.client import STOP_SEQUENCES, RigClient
 from friction_bench.rig.emulated import EmulatedRig
-from friction_bench.rig.line import STOP_SEQUENCES
 from friction_bench.rig.rig_file import Rig
 
 

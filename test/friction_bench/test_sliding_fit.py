@@ -14,11 +14,10 @@ from benchmarks.friction_ramp_coverage import random_rig, truth_of
 from benchmarks.quick_ramps import QuickRig
 from friction_bench.experiment.asymptote import integrated_ou_covariance
 from friction_bench.experiment.identification import identify_ramps
-from friction_bench.experiment.job import plan_from
-from friction_bench.experiment.ramp import run_ramp
+from friction_bench.experiment.ramp import plan_from, run_ramp
 from friction_bench.experiment.ramp_model import RampModel
 from friction_bench.experiment.record import RampRecord
-from friction_bench.experiment.whitening import whiten
+from friction_bench.experiment.sliding_fit import whiten
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.rig_file import Rig, load_rig

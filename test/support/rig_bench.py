@@ -11,14 +11,12 @@ from pathlib import Path
 
 from processes import TIMEOUT, wait_until
 
-from friction_bench.protocol.codec import FrameDecoder
-from friction_bench.protocol.messages import Command, ResetCause, State
+from friction_bench.protocol.messages import Command, FrameDecoder, ResetCause, State
 from friction_bench.protocol.serial_port import SerialPort
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig
+from friction_bench.rig.emulated import EmulatedRig, PtyRig
 from friction_bench.rig.link import RigLink
 from friction_bench.rig.native import NativeBoard
-from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import Rig
 
 PATIENCE = 0.06

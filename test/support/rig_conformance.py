@@ -7,12 +7,14 @@ from typing import Any, Protocol
 
 import yaml
 
-from friction_bench.protocol.codec import Frame, FrameDecoder, encode
 from friction_bench.protocol.messages import (
     Command,
     CommandResult,
+    Frame,
+    FrameDecoder,
     HelloReply,
     Report,
+    encode,
     limits_payload,
     parse_hello,
     parse_report,
