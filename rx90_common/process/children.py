@@ -21,7 +21,7 @@ from rx90_common.process.interrupts import interrupts_later
 TIMEOUT = 120.0
 """Longest wait for a line or an end, s: generous, for a loaded machine with nothing compiled yet."""
 
-_LAST_LINES_S = 3.0  # the longest wait, after the end, for what had been printed: what it started may hold the stream
+_LAST_LINES_S = 10.0  # the longest wait, after the end, for what had been printed: what it started may hold the stream
 _WATCHES_STDIN = "RX90_CHILD_WATCHES_STDIN"  # in the environment of a child
 _ORPHAN_GRACE_S = 20.0  # from the interrupt of a child without a parent until it is killed
 

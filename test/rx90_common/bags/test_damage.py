@@ -350,3 +350,25 @@ def test_no_other_exception(tmp_path: Path, kind: str, data: Any) -> None:
         message = str(error)
     assert "\n" not in message
     assert not message or str(path) in message
+
+
+def test_a_row_that_claims_gigabytes_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """SQLite finds too little memory for a row whose length is damaged; that is one line, too."""
+    write_joint_states(tmp_path / "bag", [series(30)], storage="sqlite3")
+    file = tmp_path / "bag" / "bag.db3"
+    with sqlite3.connect(file) as database:
+        (root,) = database.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
+        (size,) = database.execute("PRAGMA page_size").fetchone()
+    database.close()
+    content = bytearray(file.read_bytes())
+    while content[page := (root - 1) * size] == 5:  # an inner page of a table: go down to a leaf
+        (cell,) = struct.unpack_from(">H", content, page + 12)
+        (root,) = struct.unpack_from(">I", content, page + cell)
+    (cell,) = struct.unpack_from(">H", content, page + 5)  # where the content begins
+    # 4 GB in all (a varint), row 4, a head of 9 bytes: no id, 3,084 bytes as topic, which begin beyond the page.
+    content[page + cell : page + cell + 12] = b"\x8f\xff\xff\xff\x7f\x04\x09\x00\xf4\x24\x00\x00"
+    file.write_bytes(content)
+    assert run("rx90_bag", ["info", str(file)]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert "bag.db3 is damaged: " in err

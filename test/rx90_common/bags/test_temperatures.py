@@ -198,3 +198,22 @@ def test_messages_are_those_of_another_serialiser() -> None:
     for stamp, name in ((-1, "j"), (2**31 * SECOND, "j"), (0, "a\0b")):
         with pytest.raises(ExchangeError, match="accepted: "):
             temperature_cdr(stamp, name, 20.0)
+
+
+def test_tables_of_temperatures_have_names_and_units(bag: Path, tmp_path: Path) -> None:
+    """CSV, Parquet and NPZ have a row for each stamp under names with °C; NPZ under a name that MATLAB takes."""
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+    columns = [f"{name} temperature [°C]" for name in NAMES]
+    for suffix in (".csv", ".parquet", ".npz"):
+        exporting.export_bag(bag, tmp_path / f"t{suffix}", topics=["temperatures"])
+    lines = (tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0].split(",") == ["time [s]", *columns]
+    assert lines[3] == "1790000002.000000007,-0.0,5e-324,0.30000000000000004"
+    table = parquet.read_table(tmp_path / "t.parquet")
+    assert table.column_names == ["stamp [ns]", "time [s]", *columns]
+    assert table.schema.field(columns[2]).metadata == {b"unit": "°C".encode(), b"joint": b"motor_1",
+                                                       b"field": b"temperature"}  # fmt: skip
+    with np.load(tmp_path / "t.npz") as arrays:
+        assert arrays["temperatures_names"].tolist() == list(NAMES)
+        assert arrays["temperatures_temperature_C"].tobytes() == np.column_stack(table.columns[2:]).tobytes()
+        assert arrays["temperatures_stamp_ns"].tolist() == [*STAMPS, STAMPS[-1]]

@@ -128,3 +128,15 @@ def test_a_vibration_is_an_area_on_the_screen(check_report: ReportCheck, tmp_pat
     assert np.quantile(drawn[drawn > 0], 0.01) > 0.95 * drawn.max()
     assert drawn.max() > 0.5 * picture.height
     assert report.faults == []
+
+
+def test_a_curve_over_decades_of_one_axis_keeps_its_shape() -> None:
+    """Columns are even on the axis as it is drawn, and the values' axis may be another one."""
+    x = np.logspace(-6.0, 0.0, 200_000)
+    for scales in ({"x_scale": "log"}, {"x_scale": "log", "y_scale": "log"}):
+        few = only_curve(thinned(Plot([Panel([Curve(x, 2.0 + np.sin(np.log(x)))], **scales)])))[1]
+        assert len(few.x) < 33_000
+        assert np.diff(np.log10(few.x)).max() < 6.0 / 4000
+    x = np.linspace(1e-6, 1.0, 200_000)
+    few = only_curve(thinned(Plot([Panel([Curve(x, x)], y_scale="log")])))[1]
+    assert np.diff(few.x).max() < 1.0 / 4000
