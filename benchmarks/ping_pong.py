@@ -80,7 +80,7 @@ class _WaitSet:
         from rclpy.impl.implementation_singleton import rclpy_implementation
         from sensor_msgs.msg import JointState
 
-        self._kind = JointState
+        self._kind, self.subscribe_topic = JointState, subscribe_topic
         self.publisher = node.create_publisher(JointState, publish_topic, qos)
         self.subscription = node.create_subscription(JointState, subscribe_topic, _never, qos, raw=True)
         self._wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, node.context.handle)
