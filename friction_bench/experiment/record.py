@@ -12,7 +12,6 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from friction_bench.experiment.ramp_model import RampModel
 from rx90_common.base.arrays import Array
@@ -272,6 +271,8 @@ def break_away(record: RampRecord, model: RampModel) -> float:
 
     latest = float(time[first])
     earliest = min(max(model.coulomb / model.slope, latest - EARLIER_TICKS * record.tick), latest - record.tick)
+    from scipy.optimize import minimize_scalar  # here, because --help of the command must not wait for it
+
     return float(minimize_scalar(misfit, bounds=(earliest, latest), method="bounded").x)
 
 

@@ -104,7 +104,7 @@ def test_copies_of_the_same_sources_share_compiled_code(tmp_path: Path) -> None:
     That holds for kernels and for the codec, whose functions are compiled, and announced, when it is imported.
     """
     kernels = "from rx90_common.kernels.elementary_arrays import exponential_of\nprint(exponential_of(0.0))\n"
-    codec = "from rx90_common.exchange import arrivals, joint_state_cdr\nprint('imported', file=sys.stderr)\n"
+    codec = "from rx90_common.exchange import arrivals, cdr\nprint('imported', file=sys.stderr)\n"
     one, two = copy_sources(tmp_path / "one"), copy_sources(tmp_path / "two")
     first = run(f"import sys\n{ANNOUNCE}{codec}{kernels}", one)
     assert re.fullmatch(f"{ANNOUNCED}imported\n", first.stderr)

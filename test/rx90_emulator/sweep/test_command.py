@@ -109,7 +109,7 @@ def test_interrupt_and_kill_keep_what_is_done(tmp_path: Path, plan_file: Path, s
     os.killpg(first.pid, signal.SIGINT)
     _, error = first.communicate(timeout=TIMEOUT)
     assert first.returncode == 130
-    assert error.splitlines() == [
+    assert [line for line in error.splitlines() if "compiling the numerical kernels" not in line] == [
         "rx90_sweep: interrupted; what is done is kept; go on with: "
         f"rx90_sweep run {plan_file} --output {output} --resume"
     ]
