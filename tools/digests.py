@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 
 import rx90_emulator as rx
-from rx90_common.description.inverse import Branch, SphericalWristArm
+from rx90_common.description.branch import Branch
+from rx90_common.description.inverse import SphericalWristArm
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.plan import LinePlan, plan_line

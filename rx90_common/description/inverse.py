@@ -6,12 +6,12 @@ q = 0, and whose axes 4, 5 and 6 meet in one point; the RX90 is one of them.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.description.branch import Branch
 from rx90_common.description.chain import RigidChain
 from rx90_common.description.kinematics import Pose, forward, jacobian
 from rx90_common.description.robot import RobotModel
@@ -26,35 +26,6 @@ from rx90_common.description.rotations import (
     transposed,
 )
 from rx90_common.kernels.elementary_arrays import angles_of, sines_cosines
-
-SHOULDERS = ("front", "back")
-SIGNS = ("positive", "negative")
-
-
-@dataclass(frozen=True)
-class Branch:
-    """Which of the eight solutions of a spherical-wrist arm.
-
-    Attributes:
-        shoulder: 'front': the wrist centre is on the side of axis 1 that the arm plane faces at q = 0.
-        elbow: sign of the angle from the upper arm to the forearm (of q3 on the RX90).
-        wrist: sign of q5.
-    """
-
-    shoulder: str = "front"
-    elbow: str = "positive"
-    wrist: str = "positive"
-
-    def __post_init__(self) -> None:
-        if self.shoulder not in SHOULDERS or self.elbow not in SIGNS or self.wrist not in SIGNS:
-            raise ValueError(f"{self} is not a branch; accepted: {SHOULDERS}, {SIGNS}, {SIGNS}")
-
-    def __str__(self) -> str:
-        return f"{self.shoulder}/{self.elbow}/{self.wrist}"
-
-
-BRANCHES = tuple(Branch(*labels) for labels in itertools.product(SHOULDERS, SIGNS, SIGNS))
-
 
 _Y, _Z = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 # Geometry read from a URDF counts as exact within this many metres or sines.

@@ -15,7 +15,7 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import LEFT_OUT, Number, Numbers, Text
 from rx90_common.base.errors import LineError
 from rx90_common.base.groups import Group
-from rx90_common.description.inverse import SHOULDERS, SIGNS, Branch
+from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.description.rotations import length
 

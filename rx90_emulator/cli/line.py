@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rx90_common.base.errors import LineError
-from rx90_common.description.inverse import SHOULDERS, SIGNS, Branch
+from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.files import write_text
 from rx90_emulator.cli.options import (

@@ -12,7 +12,7 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import LineError
 from rx90_common.base.quoting import quoted
-from rx90_common.description.inverse import Branch
+from rx90_common.description.branch import Branch
 from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.plan import Approach, ApproachedLine, LinePlan, approached, check_plan, plan_line

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from rx90_common.base.errors import LineError
 from rx90_common.base.share import config_path
-from rx90_common.description.inverse import BRANCHES, Branch, SphericalWristArm
+from rx90_common.description.branch import BRANCHES, Branch
+from rx90_common.description.inverse import SphericalWristArm
 from rx90_common.description.kinematics import forward, path_error
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from rx90_common.base.errors import ConfigError, LineError, Rx90Error
 from rx90_common.base.share import config_path
-from rx90_common.description.inverse import Branch
+from rx90_common.description.branch import Branch
 from rx90_common.description.kinematics import forward
 from rx90_controller.lines.plan import Approach, plan_line
 from rx90_controller.lines.task import LineTask, load_task

@@ -9,10 +9,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from rx90_common.description.branch import BRANCHES, Branch
 from rx90_common.description.chain import RigidChain
 from rx90_common.description.inverse import (
-    BRANCHES,
-    Branch,
     SphericalWristArm,
     nearest_turn,
     singularity_margins,
