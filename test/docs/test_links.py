@@ -110,3 +110,14 @@ def test_tests_that_a_page_names_are_there() -> None:
             good = any(f"def {name}(" in path.read_text(encoding="utf-8") for path in found)
             wrong += [f"{page.relative_to(ROOT)}: {file}::{name}"] * (not good)
     assert not wrong
+
+
+def test_walks_name_functions_that_are_there() -> None:
+    """Each step of the walks in architecture.md names a file, and functions or classes that are defined in it."""
+    page = (ROOT / "docs/explanation/architecture.md").read_text(encoding="utf-8")
+    steps = re.findall(r"^\| `([\w/]+\.py)` \| ([^|]+) \|", page, re.MULTILINE)
+    assert len(steps) > 25
+    for file, said in steps:
+        text = (ROOT / file).read_text(encoding="utf-8")
+        for name in re.findall(r"[\w.]*?(\w+)`", said):
+            assert re.search(rf"(def|class) {name}\b|^{name}\b", text, re.MULTILINE), f"{file}: {name}"
