@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.perturbation import scaled
 from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, timed
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.config import load_yaml, yaml_text
@@ -170,7 +171,6 @@ SETTLED = 300  # position ticks
 TARGET = 0.03  # mm
 _STIFF = 1000.0  # times as stiff: bristles without presliding to speak of
 
-_OF_TORQUE = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
 _BUDGET: dict[str, dict[str, float]] = {
     "as shipped": {},
     "encoders of 24 bits": {"drives.encoder_counts[*]": 2.0**24},
@@ -222,7 +222,7 @@ class Models:
     def _friction(self, factor: float) -> Setup:
         """Return the setup with a controller that knows all friction by a factor wrong."""
         path = self._folder / f"friction_{factor}.yaml"
-        elements = dict(zip(self._setup.friction.names, scaled(self._setup.friction, factor), strict=True))
+        elements = dict(zip(self._setup.friction.names, scaled(self._setup.friction, factor).elements, strict=True))
         path.write_text(FrictionFile(elements).text(), encoding="utf-8")
         setup = self._with(dataclasses.replace(self._files, friction=path))
         own = setup.controller
@@ -266,14 +266,6 @@ def _warm(friction: FrictionSet, hall: float, start: Array) -> tuple[FrictionEle
             ),
         )
         for element, begin, resistance in zip(friction.elements, start, RESISTANCES, strict=True)
-    )
-
-
-def scaled(friction: FrictionSet, factor: float) -> tuple[FrictionElement, ...]:
-    """Return elements whose torques are so many times as large at every velocity and deflection."""
-    return tuple(
-        dataclasses.replace(element, **{name: factor * getattr(element, name) for name in _OF_TORQUE})
-        for element in friction.elements
     )
 
 

@@ -378,7 +378,7 @@ def main() -> int:
     """Measure what is asked for; return 1 if a figure is not what is accepted."""
     options = arguments(
         __doc__,
-        ("what", "grid", "grid or random"),
+        ("what", ("grid", "random"), "which rigs"),
         ("--rigs", 200, "random ones of each kind"),
         ("--seed", 1, "of random rigs"),
     )

@@ -169,7 +169,7 @@ def _print(title: str, tallies: dict[str, Tally]) -> None:
 def main() -> int:
     """Measure what is asked for."""
     options = arguments(
-        __doc__, ("what", "sliding", "sliding or presliding"), ("--sets", 0, "0: 10 of sliding, 5 of presliding")
+        __doc__, ("what", ("sliding", "presliding"), "which regime"), ("--sets", 0, "0: 10 of sliding, 5 of presliding")
     )
     if options.what == "sliding":
         sliding(options.sets or 10)

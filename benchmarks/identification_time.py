@@ -75,7 +75,7 @@ def excitation() -> list[str]:
 
 def main() -> int:
     """Measure what is asked for; return 1 if a time is not accepted."""
-    options = arguments(__doc__, ("what", "bags", "bags or excitation"))
+    options = arguments(__doc__, ("what", ("bags", "excitation"), "which identification"))
     return accepted(bags() if options.what == "bags" else excitation())
 
 

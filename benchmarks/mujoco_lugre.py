@@ -179,13 +179,7 @@ def mujoco_joint(
     body = spec.worldbody.add_body(mass=1e-9, inertia=[1e-9] * 3, explicitinertial=True)
     joint = body.add_joint(name="joint", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=INERTIA)
     friction = spec.add_actuator(name="friction", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    friction.set_to_dcmotor(
-        motorconst=(1e-9, 1e-9),  # no motor to speak of: there for its friction alone
-        resistance=1.0,
-        lugre=[element.c0, element.c1, element.tau_c_positive, element.tau_s_positive, element.omega_s],
-        ctrlspec=mujoco.mjtCtrlInput.mjINPUT_NONE,
-    )
-    friction.damping[0] = element.c2
+    _add_friction(friction, element)
     return spec.compile()
 
 

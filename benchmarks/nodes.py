@@ -257,16 +257,13 @@ def parts(runs: Sequence[Run]) -> list[tuple[str, ...]]:
 
 def main() -> int:
     """Measure what is asked for, print the figures and merge them; those at real time are printed alone."""
+    measures = {"speed": speed, "lockstep": lockstep, "composition": composition}
     options = arguments(
         __doc__,
-        ("what", "speed", "lockstep, composition or speed"),
+        ("what", tuple(measures), "which arrangement"),
         ("--rounds", 9, "runs of each kind"),
         ("--real-time", False, "pace the four processes"),
     )
-    measures = {"lockstep": lockstep, "composition": composition, "speed": speed}
-    if options.what not in measures:
-        print(f"the benchmark is {options.what!r}; accepted: {', '.join(measures)}", file=sys.stderr)
-        return 2
     prepare_ros()
     if options.real_time:
         speed(options.rounds, 1.0)

@@ -26,17 +26,21 @@ PLOT = ("--plot", None, "picture to write")
 def arguments(description: str | None, *options: tuple[str, Any, str]) -> argparse.Namespace:
     """Read the command line: a name, a default value and a help text for each option.
 
-    A default of False makes a switch, one of None the name of a file; others give the type of the value.
+    A default of False makes a switch, one of None the name of a file, a tuple what is accepted, its first value being
+    the default; others give the type of the value.
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name, default, text in options:
-        if default is False:
+    for name, value, text in options:
+        if value is False:
             parser.add_argument(name, action="store_true", help=text)
             continue
+        more: dict[str, Any] = {} if name.startswith("-") else {"nargs": "?"}
+        default = value[0] if isinstance(value, tuple) else value
+        if isinstance(value, tuple):
+            more["choices"] = value
         kind = Path if default is None else type(default)
-        place = {} if name.startswith("-") else {"nargs": "?"}
         shown = "" if default is None else " (default: %(default)s)"
-        parser.add_argument(name, type=kind, default=default, help=text + shown, **place)
+        parser.add_argument(name, type=kind, default=default, help=text + shown, **more)
     return parser.parse_args()
 
 
