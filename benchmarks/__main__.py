@@ -1,10 +1,6 @@
 """Run the benchmarks and write out/bench.json: all of them, or those named.
 
-    python -m benchmarks [closed_loop] [control_law] [compensation] [command_delay] [accuracy] [mujoco_lugre]
-                         [friction_parts] [perturbation] [lockstep] [composition] [speed] [view] [sweep]
-                         [friction_ramp] [friction_ramp_coverage] [friction_presliding] [identification]
-                         [identification_presliding] [identification_time] [excitation_coverage] [excitation_time]
-                         [wrong_zeros] [load_parts] [transmission] [published_friction] [bristles] [bristle_kinds]
+    python -m benchmarks [name ...]
 
 Each runs in a process of its own, prints its table and merges its figures as soon as it has them. `python -m
 benchmarks.figures` brings them into README.md and docs/.
@@ -19,50 +15,54 @@ from pathlib import Path
 
 from benchmarks.report import BENCH_FILE, ROOT
 
-NAMES = (
-    "closed_loop",
-    "control_law",
-    "compensation",
-    "command_delay",
-    "accuracy",
-    "mujoco_lugre",
-    "friction_parts",
-    "perturbation",
-    "lockstep",
-    "composition",
-    "speed",
-    "view",
-    "sweep",
-    "friction_ramp",
-    "friction_ramp_coverage",
-    "friction_presliding",
-    "identification",
-    "identification_presliding",
-    "identification_time",
-    "excitation_coverage",
-    "excitation_time",
-    "wrong_zeros",
-    "load_parts",
-    "transmission",
-    "published_friction",
-    "bristles",
-    "bristle_kinds",
-)
+COMMANDS = {
+    "closed_loop": "closed_loop",
+    "control_law": "control_law",
+    "compensation": "compensation",
+    "command_delay": "command_delay",
+    "accuracy": "accuracy",
+    "mujoco_lugre": "mujoco_lugre",
+    "friction_parts": "friction_parts",
+    "perturbation": "perturbation",
+    "lockstep": "nodes lockstep",
+    "composition": "nodes composition",
+    "speed": "nodes speed",
+    "view": "view",
+    "sweep": "sweep",
+    "friction_ramp": "friction_ramp grid",
+    "friction_ramp_coverage": "friction_ramp random",
+    "friction_presliding": "friction_presliding",
+    "identification": "identification sliding",
+    "identification_presliding": "identification presliding",
+    "identification_time": "identification_time bags",
+    "excitation_coverage": "excitation_coverage",
+    "excitation_time": "identification_time excitation",
+    "wrong_zeros": "wrong_zeros",
+    "load_parts": "load_parts",
+    "transmission": "transmission",
+    "published_friction": "published_friction",
+    "bristles": "bristles",
+    "bristle_kinds": "bristle_kinds",
+}
+"""The module of each benchmark, and what it is asked for."""
 
 
 def main() -> int:
     """Run what is asked for; return 1 if a benchmark failed, 130 if it was interrupted."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("names", nargs="*", metavar="name", help=f"of {', '.join(NAMES)}; all of them if none is given")
-    names = parser.parse_args().names or list(NAMES)
+    parser.add_argument(
+        "names", nargs="*", metavar="name", help=f"of {', '.join(COMMANDS)}; all of them if none is given"
+    )
+    names = parser.parse_args().names or list(COMMANDS)
     for name in names:
-        if name not in NAMES:
-            parser.error(f"the benchmark is {name!r}; accepted: {', '.join(NAMES)}")
+        if name not in COMMANDS:
+            parser.error(f"the benchmark is {name!r}; accepted: {', '.join(COMMANDS)}")
     failed = []
     for name in names:
         print(f"\n{name}", flush=True)
         try:
-            if subprocess.run([sys.executable, "-m", f"benchmarks.{name}"], cwd=ROOT, check=False).returncode:
+            command = [sys.executable, "-m", *f"benchmarks.{COMMANDS[name]}".split()]
+            if subprocess.run(command, cwd=ROOT, check=False).returncode:
                 failed.append(name)
         except KeyboardInterrupt:
             print(f"\ninterrupted in {name}", file=sys.stderr)

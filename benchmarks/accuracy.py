@@ -12,7 +12,6 @@ row of the table.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import itertools
 import sys
@@ -21,19 +20,17 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from benchmarks.hybrid_reference import TOLERANCE, ReferenceRun, StiffPlant, Work, hybrid_reference
-from benchmarks.report import merge, print_table
+from benchmarks.report import PLOT, arguments, merge, print_table
+from rx90_common.base.arrays import Array
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionSet
 from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, INK, Band, Curve, Panel, Plot
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
-
-Array = NDArray[np.float64]
 
 SUBSTEPS = (1, 2, 4, 8, 16)
 STARTS = 6
@@ -292,9 +289,7 @@ def _by_element(work: Work, miss: Miss) -> None:
 
 def main() -> int:
     """Compare, print the tables, merge the figures and draw the plot if it is asked for."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--plot", type=Path, help="PNG to draw the convergence into")
-    options = parser.parse_args()
+    options = arguments(__doc__, PLOT)
     work = Work.load()
     found = converge(work)
     _exact_table(found)

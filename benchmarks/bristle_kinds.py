@@ -19,9 +19,8 @@ from itertools import product
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.presliding_runs import measured_sliding, random_bristles, recorded, run_presliding
-from benchmarks.report import merge, print_table
-from benchmarks.synthetic_sweeps import Noise
+from benchmarks.report import arguments, merge, print_table
+from benchmarks.synthetic_sweeps import Noise, measured_sliding, random_bristles, recorded, run_presliding
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import PlanOptions
@@ -93,7 +92,7 @@ def within(kind: ElementKind, true: dict[str, float]) -> list[tuple[str, bool]]:
 
 def main() -> int:
     """Print the figures and merge them."""
-    sets = int(sys.argv[1]) if len(sys.argv) > 1 else SETS
+    sets = arguments(__doc__, ("sets", SETS, "random sets of joints 1 and 2")).sets
     setup = Setup.load()
     arm = RigidArm.from_setup(setup)
     counts: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)

@@ -9,22 +9,108 @@ of a hundredth. Merges the figures into out/bench.json.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
-import time
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.friction_mass import Array, driven_mass, led
-from benchmarks.report import merge, print_table
+from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, timed
+from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_common.friction.bristles.step import bristles_dtype, bristles_step
+from rx90_common.friction.compiled_elements import element_arrays, load_elements
+from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
+from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE
+from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.lanes import lane, load
 from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, GREY, Curve, Panel, Plot
+
+
+class Motion(NamedTuple):
+    """Of a mass, after each step: rad, rad/s, mean friction torque of the step, Nm, deflection, rad."""
+
+    position: Array
+    velocity: Array
+    friction: Array
+    deflection: Array
+
+
+def _records(element: FrictionElement) -> tuple[Any, Any, Any]:
+    constants = np.zeros(1, bristles_dtype(1))
+    state = np.zeros(1, BRISTLE_STATE_DTYPE)
+    fill_bristles(constants[0], [element.bristles])
+    return element_arrays((element,)), constants, state
+
+
+def driven_mass(element: FrictionElement, inertia: float, force: Array, step: float, start: float = 0.0) -> Motion:
+    """Return the motion of a mass under forces that are each held over a step, from position 0.
+
+    Args:
+        element: its friction.
+        inertia: kg m^2.
+        force: in the middle of each step, Nm, shape (m,).
+        step: s.
+        start: velocity at the beginning, rad/s.
+    """
+    motion = Motion(*np.empty((4, force.size)))
+    _drive(*_records(element), inertia, force, step, start, motion)
+    return motion
+
+
+def led(element: FrictionElement, velocity: Array, step: float) -> tuple[Array, Array]:
+    """Return the mean friction torque over each step of a given motion, Nm, and the energy stored after it, J.
+
+    Args:
+        element: the friction.
+        velocity: held over each step, rad/s, shape (m,).
+        step: s.
+    """
+    torque, stored = np.empty((2, velocity.size))
+    _lead(*_records(element), velocity, step, torque, stored)
+    return torque, stored
+
+
+@kernel
+def _drive(
+    elements: Any, constants: Any, states: Any, inertia: float, force: Array, step: float, start: float, motion: Motion
+) -> None:
+    element, kinds, state = load_elements(elements[0], 1), constants[0], states[0].bristles
+    x, v, a = 0.0, start, 0.0
+    nothing = load(states[0].z, 1)
+    z = nothing
+    for k in range(force.size):
+        # As in the plant: the last step's acceleration and the jump of the force predict the middle of the step.
+        a += (force[k] - force[max(0, k - 1)]) / inertia
+        middle = nothing + (v + 0.5 * step * a)
+        z, friction = bristles_step(element, kinds, state, z, middle, step, 1)
+        a = (force[k] - lane(friction, 0)) / inertia
+        x += step * (v + 0.5 * step * a)
+        v += step * a
+        motion.position[k], motion.velocity[k] = x, v
+        motion.friction[k], motion.deflection[k] = lane(friction, 0), lane(z, 0)
+
+
+@kernel
+def _lead(
+    elements: Any, constants: Any, states: Any, velocity: Array, step: float, torque: Array, stored: Array
+) -> None:
+    element, kinds, state = load_elements(elements[0], 1), constants[0], states[0].bristles
+    nothing = load(states[0].z, 1)
+    z = nothing
+    for k in range(velocity.size):
+        z, mean = bristles_step(element, kinds, state, z, nothing + velocity[k], step, 1)
+        torque[k] = lane(mean, 0)
+        square = lane(z, 0) ** 2
+        if kinds.blocks_used:
+            square = 0.0
+            for i in range(state.blocks.shape[2]):
+                square += kinds.blocks.stiffness[0, i] * state.blocks[0, 0, i] ** 2
+        stored[k] = 0.5 * elements[0].c0[0] * square
+
 
 ELEMENT = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
 FLAT = replace(ELEMENT, tau_s_positive=25.0, tau_s_negative=25.0, c2=0.0)
@@ -78,13 +164,12 @@ def step_errors(kind: BristlesPart | None) -> list[float]:
 
 def costs() -> dict[str, float]:
     """Return the CPU time of one step of one element, s, of each kind, taking turns; slow motion with reversals."""
-    velocity, best = 0.05 * np.sin(np.arange(200_000) * 0.01), dict.fromkeys(KINDS, math.inf)
-    for _ in range(7):
-        for name, kind in KINDS.items():
-            began = time.process_time()
-            led(replace(ELEMENT, bristles=kind), velocity, 2.5e-4)
-            best[name] = min(best[name], (time.process_time() - began) / velocity.size)
-    return best
+    velocity = 0.05 * np.sin(np.arange(200_000) * 0.01)
+    runs = {
+        name: timed(lambda one=one: led(replace(ELEMENT, bristles=one), velocity, 2.5e-4), velocity.size)  # type: ignore[misc]
+        for name, one in KINDS.items()
+    }
+    return {name: min(times) for name, times in in_turns(runs, 7).items()}
 
 
 def picture() -> Plot:
@@ -109,9 +194,7 @@ def picture() -> Plot:
 
 def main() -> int:
     """Print the figures, merge them and draw the plot if asked for."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.bristles", description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--plot", type=Path, help="picture to write")
-    options = parser.parse_args()
+    options = arguments(__doc__, PLOT)
     reach = 25.0 / 1e5
     expected = math.log((1.0 - LOW**2) / (1.0 - HIGH**2))
     cost, rows, figures = costs(), [], {"bristles_drift_closed_form": expected}

@@ -11,27 +11,171 @@ of the one thread that works, and all take turns, so that other load on the mach
 
 from __future__ import annotations
 
-import statistics
+import math
 import sys
 import time
 from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+import pinocchio as pin
+from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dposv
 
 from benchmarks.hybrid_reference import Work
-from benchmarks.mujoco_arm import mass_and_bias as mujoco_mass_and_bias
-from benchmarks.mujoco_arm import mujoco_arm
-from benchmarks.pinocchio_arm import PinocchioArm
+from benchmarks.mujoco_lugre import mass_and_bias as mujoco_mass_and_bias
+from benchmarks.mujoco_lugre import mujoco_arm
 from benchmarks.plain_loops import run_lanes, run_plain
-from benchmarks.python_law import PythonDrives, PythonLaw
-from benchmarks.report import merge, print_table
+from benchmarks.report import in_turns, merge, print_times, ratios, timed
+from rx90_common.base.arrays import Array
+from rx90_common.description.drives import element_matrix
 from rx90_common.dynamics.manipulator import mass_and_bias
+from rx90_common.friction.curves import LINEAR_SPEED
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
-Array = NDArray[np.float64]
+
+class PythonDrives:
+    """Resolvers with their converters, from joint positions to what the controller measures."""
+
+    def __init__(self, setup: Setup, position: Sequence[float]) -> None:
+        drives, rates = setup.drives, setup.rates
+        self._gear = drives.gear.tolist()
+        self._resolution = (2.0 * np.pi / drives.encoder_counts).tolist()
+        pole = float(np.exp(-2.0 * np.pi * drives.velocity_bandwidth * rates.period))
+        self._period = rates.period
+        self._position_gain = 1.0 - pole**2
+        self._velocity_gain = (1.0 - pole) ** 2 / rates.period
+        self._observer = self._angles(position)
+        self.position = self._counts(self._observer)
+        self.velocity = [0.0] * 6
+
+    def sample(self, q: Sequence[float]) -> None:
+        """Sample the resolvers at joint positions, rad, and move the observer on by a tick."""
+        angles = self._angles(q)
+        self.position = self._counts(angles)
+        for i in range(6):
+            predicted = self._observer[i] + self._period * self.velocity[i]
+            innovation = angles[i] - predicted
+            self._observer[i] = predicted + self._position_gain * innovation
+            self.velocity[i] += self._velocity_gain * innovation
+
+    def _angles(self, q: Sequence[float]) -> list[float]:
+        turns = [*q[:5], q[4] + q[5]]
+        return [gear * turn for gear, turn in zip(self._gear, turns, strict=True)]
+
+    def _counts(self, angles: Sequence[float]) -> list[float]:
+        return [round(angle / step) * step for angle, step in zip(angles, self._resolution, strict=True)]
+
+
+class PythonLaw:
+    """The six servo controllers of section 5, motor side."""
+
+    def __init__(self, setup: Setup) -> None:
+        record = setup.controller.record(setup.robot, setup.drives, setup.rates)[0]
+        names = [name for name in record.dtype.names or () if name != "current_gain"]
+        self._constants = {name: record[name].tolist() for name in names}
+        self._current_gain = float(record["current_gain"])
+        self._velocity_reference = [0.0] * 6
+        self._integrator = [0.0] * 6
+        self._held = [0.0] * 6
+        self._current = [0.0] * 6
+        self._limited = [0] * 6
+
+    def position_loop(self, setpoint: Sequence[Sequence[float]], position: Sequence[float]) -> None:
+        """Run PI and feed-forward for joint set-points, shape (3, 6), and motor positions, rad."""
+        c = self._constants
+        for i in range(6):
+            gear = c["gear"][i]
+            if i == 5:
+                reference, speed, acceleration = (gear * (row[4] + row[5]) for row in setpoint)
+            else:
+                reference, speed, acceleration = (gear * row[i] for row in setpoint)
+            error = reference - position[i]
+            if error * self._limited[i] <= 0.0:
+                bound = c["integrator_limit"][i]
+                self._integrator[i] = min(bound, max(-bound, self._integrator[i] + c["integral"][i] * error))
+            sign = min(1.0, max(-1.0, speed / c["coulomb_velocity"][i]))
+            viscous = c["viscous"][i] * math.copysign(abs(speed) ** c["viscous_exponent"][i], speed)
+            forward = c["inertia"][i] * acceleration + c["coulomb"][i] * sign + viscous
+            self._held[i] = c["proportional"][i] * error + self._integrator[i] + forward
+            self._velocity_reference[i] = c["velocity_weight"][i] * speed
+
+    def velocity_loop(self, velocity: Sequence[float]) -> list[float]:
+        """Run D and the current loop for motor velocities, rad/s; return motor torques, Nm."""
+        c, torques = self._constants, []
+        derivative, constant, peaks, steps = c["derivative"], c["torque_constant"], c["peak_current"], c["current_step"]
+        for i in range(6):
+            damping = derivative[i] * (self._velocity_reference[i] - velocity[i])
+            asked = (self._held[i] + damping) / constant[i]
+            peak, step = peaks[i], steps[i]
+            self._limited[i] = (asked > peak) - (asked < -peak)
+            change = self._current_gain * (min(peak, max(-peak, asked)) - self._current[i])
+            self._current[i] += min(step, max(-step, change))
+            torques.append(constant[i] * self._current[i])
+        return torques
+
+
+_ELEMENT_INPUT = element_matrix()
+"""Input velocities of the friction elements for joint velocities."""
+
+
+class PinocchioArm:
+    """Semi-implicit Euler steps of the arm, the bristles exact for the velocity at the start of a step.
+
+    Attributes:
+        q: joint positions, rad.
+        v: joint velocities, rad/s.
+        z: bristle deflections, rad, shape (7,).
+    """
+
+    def __init__(self, setup: Setup, position: ArrayLike) -> None:
+        self._model = setup.robot.model
+        self._data = self._model.createData()
+        # Rotor 6 couples joints 5 and 6, which Pinocchio's armature, a diagonal, and with it aba, cannot say.
+        self._rotor = setup.drives.rotor_matrix
+        self._spring = setup.drives.spring_torque
+        self._to_joint = _ELEMENT_INPUT[[0, 1, 2, 3, 4, 6]].T * setup.drives.gear
+        self._period = setup.rates.period
+        elements = setup.friction.elements
+        self._c0, self._c1, self._c2, self._alpha, self._omega_s, self._omega_d, self._delta = np.array(
+            [(e.c0, e.c1, e.c2, e.alpha, e.omega_s, e.omega_d, e.delta) for e in elements]
+        ).T
+        self._coulomb = np.array([(e.tau_c_positive, e.tau_c_negative) for e in elements]).T
+        self._static = np.array([(e.tau_s_positive, e.tau_s_negative) for e in elements]).T
+        self.q, self.v, self.z = np.array(position, dtype=np.float64), np.zeros(6), np.zeros(7)
+
+    def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return M, its upper triangle alone, shape (6, 6), and h with gravity and spring, shape (6,)."""
+        mass = pin.crba(self._model, self._data, q) + self._rotor
+        bias = pin.nonLinearEffects(self._model, self._data, q, v)
+        bias += self._spring * np.sin(q)
+        return mass, bias
+
+    def step(self, motor: Sequence[float]) -> None:
+        """Hold motor torques, Nm, for one tick."""
+        torque = self._to_joint @ motor - _ELEMENT_INPUT.T @ self._friction(_ELEMENT_INPUT @ self.v)
+        mass, bias = self.mass_and_bias(self.q, self.v)
+        _, acceleration, _ = dposv(mass, torque - bias)
+        self.v += self._period * acceleration
+        self.q += self._period * self.v
+
+    def _friction(self, velocity: Array) -> Array:
+        """Advance the bristles; return equation 18, Nm, its mean over the step."""
+        forward, speed = velocity >= 0, np.abs(velocity)
+        coulomb = np.where(forward, self._coulomb[0], self._coulomb[1])
+        static = np.where(forward, self._static[0], self._static[1])
+        sliding = coulomb + (static - coulomb) * np.exp(-((speed / self._omega_s) ** self._delta))
+        x = self._c0 * speed / sliding * self._period + 1e-12  # kept from 0, where 0 / 0 would follow
+        z_dot = velocity - self._c0 * speed / sliding * self.z
+        phi = -np.expm1(-x) / x
+        advance = self._period * z_dot * phi
+        mean = self.z + self._period * z_dot * (1.0 - phi) / x
+        self.z = self.z + advance
+        damping = self._c1 * np.exp(-((velocity / self._omega_d) ** 2))
+        viscous = self._c2 * velocity * np.maximum(speed, LINEAR_SPEED) ** (self._alpha - 1.0)
+        return np.asarray(self._c0 * mean + damping * z_dot * phi + viscous)
+
 
 ROUNDS = 9
 PYTHON_TICKS = 4000
@@ -66,9 +210,10 @@ def check_same_arm(setup: Setup, samples: int = 50) -> None:
 
 def run_ours(work: Work) -> float:
     """Run the whole task compiled; return s per tick."""
-    began = time.process_time()
-    simulate(work.setup, work.points, work.start, work.duration)
-    return (time.process_time() - began) / (work.duration * work.setup.rates.base_hz)
+    run = timed(
+        lambda: simulate(work.setup, work.points, work.start, work.duration), work.duration * work.setup.rates.base_hz
+    )
+    return run()
 
 
 class Ticks:
@@ -187,43 +332,15 @@ def measure(rounds: int = ROUNDS) -> dict[str, list[float]]:
         LANES: lambda: ticks.run(run_lanes)[0],
         PLAIN: lambda: ticks.run(run_plain)[0],
     }
-    for run in runs.values():
-        run()
-    times: dict[str, list[float]] = {name: [] for name in runs}
-    for _ in range(rounds):
-        for name, run in runs.items():
-            times[name].append(run())
-    return times
-
-
-def ratios(times: dict[str, list[float]], base: str = "this project") -> dict[str, float]:
-    """Return how many times longer than the base each takes, the median of the rounds' ratios."""
-    ours = times[base]
-    return {
-        name: statistics.median(theirs / own for theirs, own in zip(series, ours, strict=True))
-        for name, series in times.items()
-    }
+    return in_turns(runs, rounds)
 
 
 def main() -> int:
     """Measure, print the table and merge the figures."""
     times = measure()
     period = Setup.load().rates.period
-    median = {name: statistics.median(series) for name, series in times.items()}
-    ratio = ratios(times)
-    print_table(
-        ("closed loop at 4 kHz", "us per tick", "best", "x real time", "x this project"),
-        [
-            (
-                name,
-                f"{seconds * 1e6:.2f}",
-                f"{min(times[name]) * 1e6:.2f}",
-                f"{period / seconds:.0f}",
-                f"{ratio[name]:.1f}",
-            )
-            for name, seconds in median.items()
-        ],
-    )
+    ratio = ratios(times, "this project")
+    median = print_times("closed loop at 4 kHz", times, "this project", period)
     merge(
         {
             "closed_loop_real_time_factor": period / median["this project"],

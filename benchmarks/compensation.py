@@ -7,40 +7,139 @@ feed-forward they concern its Coulomb and viscous values. Cold and hot are made 
 friction: as warm as the room, and as warm as hours of work make it; the model has that part, or has the friction at the
 reference temperature. The numbers are exact: the closed loop gives the same bits on each run. Speed is in CPU time, in
 turns.
+
+Bristles that follow the measured velocity instead of that of the set-points, the observer of Canudas de Wit, Olsson,
+Astrom and Lischinsky (1995) with the exact bristle step every base tick, are measured beside them. The controller has
+none of it; this is the evidence why:
+
+    dz/dt = v - |v| / g(v) z + k e        v: measured velocity, e: position error, set-point minus measured
 """
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import statistics
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.measured_bristles import run_measured
-from benchmarks.report import merge, print_table
-from rx90_common.base.arrays import Array
+from benchmarks.perturbation import scaled
+from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, timed
+from rx90_common.base.arrays import Array, Record
 from rx90_common.base.config import load_yaml, yaml_text
 from rx90_common.base.rates import Rates
+from rx90_common.description.drives import to_joint, to_motor_torque
 from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_common.friction.arm_elements import add_to_joints, element_inputs
+from rx90_common.friction.bristle import bristle_step
+from rx90_common.friction.compiled_elements import element_arrays, load_elements
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.temperature import TemperaturePart
+from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.lanes import load, store
 from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, Curve, Level, Panel, Plot
+from rx90_controller.law.loops import position_loop, velocity_loop
 from rx90_controller.law.model import ModelFiles
 from rx90_controller.law.parameters import FeedForward
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.line import LineRun, plan_line, run_line
+from rx90_emulator.loop.line import LineRun, PathAccuracy, path_accuracy, plan_line, run_line
 from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.loop.working_day import RepeatedLine, repeat_line
+from rx90_sim.plant_step import plant_step
+
+WORKSPACE = np.dtype(
+    [
+        ("z", np.float64, 7),
+        ("velocity", np.float64, 6),
+        ("error", np.float64, 6),
+        ("joint", np.float64, 6),
+        ("motor", np.float64, 6),
+        ("held", np.float64, 6),
+    ]
+)
+
+
+def run_measured(setup: Setup, task: LineTask, gain: float) -> tuple[PathAccuracy, Array]:
+    """Run a line with the friction of the setup's model fed forward by measured velocities.
+
+    Args:
+        setup: its controller has `inverse_dynamics` on and the other parts for friction off.
+        task: the line.
+        gain: k, 1/s.
+
+    Returns:
+        The path error, and the joint positions, rad, shape (m, 6).
+    """
+    plan = plan_line(setup, task)
+    plant, controller = setup.plant(), setup.cs7b()
+    plant.reset(plan.start_pose)
+    controller.reset(plant.motor_states()[0])
+    controller.trajectory.accept(plan.points, 0, 0)
+    rates = setup.rates
+    count = rates.ticks_of(plan.duration) // rates.ratio
+    setpoints, position = controller.trajectory.setpoints(0, count), np.empty((count, 6))
+    model = setup.controller.model
+    assert model is not None
+    work = np.zeros(1, WORKSPACE)
+    arguments = (
+        plant.constants,
+        plant.state,
+        controller.law,
+        controller.state,
+        element_arrays(model.constants.friction),
+        work,
+    )
+    _run(*arguments, setpoints, rates.ratio, gain, rates.period, position)
+    times = np.arange(count) * rates.position_period
+    return path_accuracy(setup.robot, task, times, position), position
+
+
+@kernel
+def _run(
+    plants: Record,
+    plant_states: Record,
+    laws: Record,
+    law_states: Record,
+    elements: Record,
+    work: Record,
+    setpoints: Array,
+    ratio: int,
+    gain: float,
+    period: float,
+    position: Array,
+) -> None:
+    plant, law, own = plant_states[0], law_states[0], work[0]
+    gear = laws[0].gear
+    for k in range(len(setpoints) * ratio):
+        row = k // ratio
+        if k % ratio == 0:
+            position[row] = plant.q
+            position_loop(laws, law_states, setpoints[row], plant.motor_position, plant.motor_velocity)
+            to_joint(gear, law.error, own.error)
+            own.held[:] = law.feed_forward
+        to_joint(gear, plant.motor_velocity, own.velocity)
+        _add_friction(elements[0], own, gear, gain, period)
+        for i in range(6):
+            law.feed_forward[i] = own.held[i] + own.motor[i]
+        velocity_loop(laws, law_states, plant.motor_velocity)
+        plant_step(plants, plant_states, law.command, True)
+
+
+@kernel
+def _add_friction(elements: Any, own: Any, gear: Array, gain: float, period: float) -> None:
+    z, torque = bristle_step(load_elements(elements, 7), load(own.z, 7), element_inputs(own.velocity), period)
+    store(own.z, z + gain * period * element_inputs(own.error))
+    own.joint[:] = 0.0
+    add_to_joints(own.joint, torque)
+    to_motor_torque(gear, own.joint, own.motor)
+
 
 LAWS = {
     "CS7B's own": FeedForward(),
@@ -72,7 +171,6 @@ SETTLED = 300  # position ticks
 TARGET = 0.03  # mm
 _STIFF = 1000.0  # times as stiff: bristles without presliding to speak of
 
-_OF_TORQUE = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
 _BUDGET: dict[str, dict[str, float]] = {
     "as shipped": {},
     "encoders of 24 bits": {"drives.encoder_counts[*]": 2.0**24},
@@ -124,7 +222,7 @@ class Models:
     def _friction(self, factor: float) -> Setup:
         """Return the setup with a controller that knows all friction by a factor wrong."""
         path = self._folder / f"friction_{factor}.yaml"
-        elements = dict(zip(self._setup.friction.names, scaled(self._setup.friction, factor), strict=True))
+        elements = dict(zip(self._setup.friction.names, scaled(self._setup.friction, factor).elements, strict=True))
         path.write_text(FrictionFile(elements).text(), encoding="utf-8")
         setup = self._with(dataclasses.replace(self._files, friction=path))
         own = setup.controller
@@ -168,14 +266,6 @@ def _warm(friction: FrictionSet, hall: float, start: Array) -> tuple[FrictionEle
             ),
         )
         for element, begin, resistance in zip(friction.elements, start, RESISTANCES, strict=True)
-    )
-
-
-def scaled(friction: FrictionSet, factor: float) -> tuple[FrictionElement, ...]:
-    """Return elements whose torques are so many times as large at every velocity and deflection."""
-    return tuple(
-        dataclasses.replace(element, **{name: factor * getattr(element, name) for name in _OF_TORQUE})
-        for element in friction.elements
     )
 
 
@@ -294,14 +384,11 @@ def speed(setup: Setup, task: LineTask) -> dict[str, float]:
     """Return how many times faster than real time the closed loop is, without and with both parts."""
     setups = {"feed-forward as shipped": setup, "both parts of the model": with_law(setup, LAWS[BOTH])}
     plan = plan_line(setup, task)
-    took: dict[str, list[float]] = {name: [] for name in setups}
-    for turn in range(ROUNDS + 1):
-        for name, one in setups.items():
-            began = time.process_time()
-            simulate(one, plan.points, plan.start_pose, plan.duration)
-            if turn:
-                took[name].append(time.process_time() - began)
-    return {name: plan.duration / statistics.median(times) for name, times in took.items()}
+    runs = {
+        name: timed(lambda one=one: simulate(one, plan.points, plan.start_pose, plan.duration))  # type: ignore[misc]
+        for name, one in setups.items()
+    }
+    return {name: plan.duration / statistics.median(times) for name, times in in_turns(runs, ROUNDS).items()}
 
 
 def draw(runs: Mapping[str, Mapping[str, LineRun]], file: Path) -> None:
@@ -324,11 +411,7 @@ def draw(runs: Mapping[str, Mapping[str, LineRun]], file: Path) -> None:
 
 def main() -> int:
     """Run all of it, print the tables, merge the figures and draw the plot if asked for."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.compensation", description=(__doc__ or "").split("\n")[0]
-    )
-    parser.add_argument("--plot", type=Path, help="picture to write")
-    options = parser.parse_args()
+    options = arguments(__doc__, PLOT)
     setup, task = Setup.load(), load_task()
     with tempfile.TemporaryDirectory() as folder:
         models = Models(setup, Path(folder))

@@ -11,15 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import bilinear, lfilter
 
 from benchmarks.random_arms import SyntheticArm
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
+from rx90_common.base.arrays import Array
 from rx90_emulator.identification.records import JointRecord
 
-Array = NDArray[np.float64]
 Motion = tuple[Array, Array, Array]
 """Position, velocity and acceleration, each of shape (m, n)."""
 

@@ -11,21 +11,18 @@ law in continuous time, written out once more.
 
 from __future__ import annotations
 
-import statistics
 import sys
 import tempfile
-import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from benchmarks.hybrid_reference import Work
-from benchmarks.report import merge, print_table
+from benchmarks.report import in_turns, merge, print_table, print_times, ratios, timed
+from rx90_common.base.arrays import Array
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
@@ -37,8 +34,6 @@ from rx90_controller.law.parameters import FeedForward
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
-
-Array = NDArray[np.float64]
 
 ROUNDS = 25
 POSE = np.array([0.3, 0.5, 1.0, -0.4, 0.6, 0.2])
@@ -114,19 +109,12 @@ def speed(rounds: int = ROUNDS) -> dict[str, list[float]]:
         setups = {
             name: setup_of(case, work.setup, file) for (name, case), file in zip(CASES.items(), files, strict=True)
         }
-        return _times(setups, work, rounds)
-
-
-def _times(setups: Mapping[str, Setup], work: Work, rounds: int) -> dict[str, list[float]]:
-    times: dict[str, list[float]] = {name: [] for name in setups}
-    ticks = work.duration * work.setup.rates.base_hz
-    for turn in range(rounds + 1):
-        for name, setup in setups.items():
-            began = time.process_time()
-            simulate(setup, work.points, work.start, work.duration)
-            if turn > 0:  # the first one compiles
-                times[name].append((time.process_time() - began) / ticks)
-    return times
+        ticks = work.duration * work.setup.rates.base_hz
+        runs = {
+            name: timed(lambda one=one: simulate(one, work.points, work.start, work.duration), ticks)  # type: ignore[misc]
+            for name, one in setups.items()
+        }
+        return in_turns(runs, rounds)
 
 
 def loaded(shipped: Setup) -> Setup:
@@ -239,18 +227,8 @@ def main() -> int:
     """Measure, print the tables and merge the figures."""
     times = speed()
     period = Setup.load().rates.period
-    base = times["no part"]
-    ratio = {
-        name: statistics.median(a / b for a, b in zip(series, base, strict=True)) for name, series in times.items()
-    }
-    median = {name: statistics.median(series) for name, series in times.items()}
-    print_table(
-        ("in all seven elements", "us per tick", "best", "x real time", "x without parts"),
-        [
-            (name, f"{s * 1e6:.2f}", f"{min(times[name]) * 1e6:.2f}", f"{period / s:.0f}", f"{ratio[name]:.2f}")
-            for name, s in median.items()
-        ],
-    )
+    ratio = ratios(times, "no part")
+    median = print_times("in all seven elements", times, "no part", period)
     errors = convergence(loaded(Setup.load()))
     orders = np.vstack([np.full(4, np.nan), np.log2(errors[:-1] / errors[1:])])
     print()

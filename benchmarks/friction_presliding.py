@@ -13,7 +13,6 @@ not measured again, so that an interrupt costs one rig.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import math
 import sys
@@ -25,7 +24,7 @@ import numpy as np
 from scipy.stats import binomtest
 from tqdm import tqdm
 
-from benchmarks.report import ROOT, merge, print_table
+from benchmarks.report import ROOT, arguments, merge, print_table
 from friction_bench.presliding.campaign import Campaign
 from friction_bench.presliding.drift import CYCLES, DriftVerdict
 from friction_bench.presliding.evaluation import PreslidingResult, evaluate
@@ -178,11 +177,9 @@ def count(rows: Sequence[Mapping[str, str]]) -> dict[str, float]:
 
 def main() -> int:
     """Measure all rigs and print what was decided."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rigs", type=int, default=8, help="of each kind (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--cycles", type=int, default=CYCLES)
-    options = parser.parse_args()
+    options = arguments(
+        __doc__, ("--rigs", 8, "of each kind"), ("--seed", 1, "of all rigs"), ("--cycles", CYCLES, "small ones")
+    )
     table = RigTable(RIGS_FILE, sources(), options.seed, options.cycles)
     wanted = [(number, kind) for number in range(options.rigs) for kind in KINDS]
     missing = [rig for rig in wanted if rig not in table.rows]

@@ -1,37 +1,45 @@
-"""Known friction in, known friction out: bias and coverage of the ramp test's estimates over a grid of rigs.
+"""Known friction in, known friction out: bias and coverage of the ramp test's estimates.
 
-    python -m benchmarks.friction_ramp
+    python -m benchmarks.friction_ramp grid|random [--rigs 200] [--seed 1]
 
-Each experiment is a whole measurement on an emulated rig with the real firmware, in virtual time, with a noise of its
-own. Prints bias and coverage of the 95 % intervals, and what the source's f_c is high by, and merges them into
-out/bench.json. The exit code is 1 when a figure is not what is accepted.
+grid: whole measurements on a grid of emulated rigs with the real firmware, in virtual time, each with a noise of its
+own; also prints what the source's f_c is high by. random: rigs with Coulomb-viscous and with LuGre joints, with
+friction, inertia and noise of their own, measured as the command `friction_ramp` does it, without and with the joint,
+ramps planned from the first one; prints what the source's formula f_c = m b / a gives on the same ramps, and every
+refusal. These ramps are run without firmware and line: the same plant and the same staircase, compiled, so that a ramp
+costs milliseconds instead of seconds. The firmware's ramp in rig.c is written again here in three lines; a test holds
+readings against those of the rig with the real firmware.
+
+Both print how often the 95 % intervals hold the truth, and merge the figures into out/bench.json. The exit code is 1
+when a figure is not what is accepted.
 """
 
 from __future__ import annotations
 
 import math
-import os
 import sys
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
-from multiprocessing import get_context
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from tqdm import tqdm
 
-from benchmarks.report import merge, print_table
-from friction_bench.experiment.identification import identify_ramps
-from friction_bench.experiment.ramp import run_ramp
+from benchmarks.report import accepted, arguments, in_processes, merge, print_table
+from friction_bench.experiment.identification import IntervalEstimate, RampFriction, evaluate, identify_ramps
+from friction_bench.experiment.ramp import plan_from, run_planned, run_ramp
+from friction_bench.experiment.record import RampRecord
+from friction_bench.experiment.session import near_limits
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.native import native_library
-from friction_bench.rig.rig_file import Rig, load_rig
+from friction_bench.rig.plant import SLICE, RigJoint, Shaft, joint_record, shaft_of, turn, turn_with_joint
+from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, JointFriction, PlantParameters, Rig, load_rig
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import Rx90Error
 from rx90_common.base.share import config_path
+from rx90_common.friction.element import FrictionElement
+from rx90_common.kernels.compiled import kernel
 
 COULOMB = (0.012, 0.03, 0.06, 0.1)
 VISCOUS = (5.5e-4, 7e-4, 1e-3)
@@ -47,7 +55,11 @@ METHODS = ("exact", "repeated")
 QUANTITIES = ("coulomb", "viscous")
 COVERAGE = (0.90, 0.99)
 BIAS = 0.01
-Array = NDArray[np.float64]
+KINDS = ("Coulomb-viscous", "LuGre")
+HEAVIEST = 0.11
+"""Break-away torque of the heaviest random rigs, Nm: the ramps end at 0.15 and 0.16 Nm."""
+SLICES = 20
+"""Slices of 1 ms in a tick."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +90,7 @@ class Cell:
         return replace(rig, plant=replace(rig.plant, coulomb=self.coulomb, viscous=self.viscous, load_inertia=load))
 
 
-class Outcome(NamedTuple):
+class GridOutcome(NamedTuple):
     """What one experiment gave: by method and quantity the relative error and whether the interval held the truth."""
 
     errors: dict[tuple[str, str], float]
@@ -100,7 +112,7 @@ def grid() -> list[Cell]:
     return [cell for cell in cells if cell.long_enough]
 
 
-def experiment(job: tuple[Cell, int]) -> Outcome:
+def grid_experiment(job: tuple[Cell, int]) -> GridOutcome:
     """Measure one rig with one seed."""
     cell, seed = job
     rig = cell.rig()
@@ -118,56 +130,259 @@ def experiment(job: tuple[Cell, int]) -> Outcome:
         hits[method, quantity] = estimate.low <= truth <= estimate.high
     assert found.source is not None  # `long_enough` sees to it
     expected = np.mean([cell.inertia * record.slope / cell.viscous for record in records])
-    return Outcome(errors, hits, found.source.coulomb.value - cell.coulomb, float(expected))
+    return GridOutcome(errors, hits, found.source.coulomb.value - cell.coulomb, float(expected))
 
 
-def run(cells: Sequence[Cell], seeds: int) -> list[list[Outcome]]:
-    """Return the outcomes of all cells, each with all seeds; progress and time left go to the terminal."""
-    native_library()  # built once, before several processes want it
-    jobs = [(cell, 1000 * number + seed) for number, cell in enumerate(cells) for seed in range(seeds)]
-    # Not forked: numba and BLAS may hold threads already.
-    with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
-        outcomes = list(tqdm(pool.map(experiment, jobs, chunksize=4), total=len(jobs), unit="experiment"))
-    return [outcomes[k : k + seeds] for k in range(0, len(outcomes), seeds)]
+@kernel
+def _ramp(
+    torque: Array,
+    noise: Array,
+    electrics: tuple[float, float, float],
+    shaft: Shaft,
+    gear: tuple[float, float, float],
+    joint: RigJoint,
+    with_bristle: bool,
+) -> tuple[Array, Array]:
+    """Return angle at the beginning of each tick and motor torque of the slice before, each shape (n,)."""
+    constant, resistance, supply = electrics
+    angle = speed = bristle = motor = 0.0
+    angles, motors = np.empty(torque.size), np.empty(torque.size)
+    for k in range(torque.size):
+        angles[k], motors[k] = angle, motor
+        for i in range(SLICES):
+            highest = (supply - constant * speed) / resistance * constant
+            wanted = torque[k] + noise[k, i] if torque[k] > 0.0 else 0.0
+            motor = max(0.0, min(wanted, highest))
+            if with_bristle:
+                angle, speed, bristle = turn_with_joint((angle, speed, bristle), motor, shaft, gear, joint, 1e-3)
+            else:
+                angle, speed = turn(angle, speed, motor, shaft, 1e-3)
+    return angles, motors
 
 
-def margin(share: float, count: int) -> float:
-    """Return the 95 % margin of a share found in `count` independent trials."""
-    return 1.96 * math.sqrt(share * (1.0 - share) / count)
+@dataclass
+class QuickRig:
+    """A rig that runs ramps; amplifier and noise are drawn from `seed`, once and for each ramp."""
+
+    rig: Rig
+    seed: int
+
+    def __post_init__(self) -> None:
+        assert self.rig.plant is not None
+        self.plant: PlantParameters = self.rig.plant
+        self._rng = np.random.default_rng(self.seed)
+        self.gain = 1.0 + self.plant.gain_error * self._rng.standard_normal()
+
+    def ramp(self, slope: float, end_torque: float, loaded: bool, label: str) -> RampRecord:
+        """Return one ramp; it ends, as that of the host, where the rig file's speed or travel is nearly reached."""
+        rig, plant = self.rig, self.plant
+        step = rig.ramp_step(slope)
+        ticks = np.arange((rig.end_code(end_torque) * RAMP_FRACTION - 128 + step - 1) // step)
+        command = rig.torque(1) * ((128 + ticks * step) // RAMP_FRACTION)
+        noise = plant.torque_noise * self._rng.standard_normal((ticks.size, SLICES))
+        joint = plant.joint
+        element = joint if isinstance(joint, FrictionElement) else FrictionElement(1, 1, 1, 1, 1, 1, 1, 0, 0)
+        angle, motor = _ramp(
+            self.gain * command,
+            noise,
+            (plant.torque_constant, plant.resistance, plant.supply),
+            shaft_of(rig, loaded),
+            (rig.gear_ratio, rig.gear_efficiency, plant.load_inertia + plant.joint_inertia),
+            joint_record(element, rig.gear_ratio, SLICE, self.seed),
+            loaded and isinstance(joint, FrictionElement),
+        )
+        scale = rig.counts_per_revolution / math.tau
+        counts = np.floor(angle * scale + self._rng.random())
+        beyond = near_limits(rig, counts)
+        end = int(np.argmax(beyond)) if beyond.any() else ticks.size
+        reading = np.maximum(0.0, motor + plant.adc_noise * self._rng.standard_normal(ticks.size))
+        codes = np.minimum(CODES, np.rint(reading / rig.adc_full_scale * CODES))
+        return RampRecord(
+            time=ticks[:end] * rig.tick,
+            angle=(counts[:end] - counts[0]) / scale,
+            slope=rig.slope_of_step(step),
+            angle_step=1 / scale,
+            torque=command[:end],
+            measured_torque=codes[:end] * rig.adc_full_scale / CODES,
+            loaded=loaded,
+            label=label,
+        )
 
 
-def main() -> int:
-    """Print the figures and merge them; return 1 if one is not what is accepted."""
+@dataclass
+class Outcome:
+    """What one measurement gave: by name the relative error and whether the interval held; unused ramps; a refusal."""
+
+    errors: dict[str, float] = field(default_factory=dict)
+    hits: dict[str, bool] = field(default_factory=dict)
+    unused: int = 0
+    refusal: str = ""
+
+
+def random_rig(seed: int, number: int, kind: str) -> Rig:
+    """Return the shipped rig with random friction and inertia; equal numbers share all but the joint's law."""
+    rig = _shipped()
+    assert rig.plant is not None
+    rng = np.random.default_rng((seed, number))
+
+    def between(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(math.log(low), math.log(high))))
+
+    ratio, torque = rig.gear_ratio, rig.gear_ratio * rig.gear_efficiency
+    own, viscous = between(0.006, 0.05), between(4e-4, 1.2e-3)
+    inertia, more = between(6e-6, 6e-5), between(1e-5, 2e-4)
+    coulomb, slope = between(0.01, 0.05) * torque, viscous * between(0.1, 0.6) * torque * ratio
+    rise = min(rng.uniform(1.05, 1.6), (HEAVIEST - own) * torque / coulomb)
+    bristle, damping = between(2e-4, 1e-3), between(3e-4, 3e-3)
+    stribeck, exponent = between(0.02, 0.2), rng.uniform(0.7, 2.0)
+    joint: JointFriction | FrictionElement = JointFriction(coulomb, slope)
+    if kind == "LuGre":
+        static, stiffness = coulomb * max(rise, 1.0), coulomb / bristle
+        torques = coulomb, coulomb, static, static
+        joint = FrictionElement(*torques, stribeck, exponent, stiffness, damping * stiffness, slope, 1.0)
+    plant = replace(
+        rig.plant,
+        coulomb=own,
+        viscous=viscous,
+        load_inertia=(inertia - rig.plant.rotor_inertia) * ratio * torque,
+        joint_inertia=more * ratio * torque,
+        joint=joint,
+    )
+    return replace(rig, plant=plant)
+
+
+def measure(rig: Rig, seed: int) -> list[RampRecord]:
+    """Return all ramps of a measurement as `friction_ramp` runs them."""
+    quick = QuickRig(rig, seed)
+    records: list[RampRecord] = []
+    for loaded in (False, True):
+
+        def one(slope: float, label: str, loaded: bool = loaded) -> RampRecord:
+            records.append(quick.ramp(slope, rig.ramps.end(loaded), loaded, label))
+            return records[-1]
+
+        run_planned(one, rig.ramps, loaded, lambda first: plan_from(first, rig.ramps, rig))
+    return records
+
+
+def truth_of(rig: Rig, loaded: bool) -> Array:
+    """Return the true f_c, f_v and J at the motor."""
+    assert rig.plant is not None
+    shaft = shaft_of(rig, loaded)
+    values = np.array([shaft.coulomb, shaft.viscous, shaft.inertia])
+    if loaded and isinstance(rig.plant.joint, FrictionElement):
+        torque = rig.gear_ratio * rig.gear_efficiency
+        values += rig.plant.joint.tau_c_positive / torque, rig.plant.joint.c2 / (torque * rig.gear_ratio), 0.0
+    return values
+
+
+def random_experiment(job: tuple[int, int, str]) -> Outcome:
+    """Measure one random rig."""
+    seed, number, kind = job
+    rig = random_rig(seed, number, kind)
+    outcome = Outcome()
+    try:
+        result = evaluate(measure(rig, 10_000 * seed + number), rig)
+    except Rx90Error as error:
+        outcome.refusal = str(error)
+        return outcome
+
+    def note(name: str, estimate: IntervalEstimate, truth: float) -> None:
+        outcome.errors[name] = estimate.value / truth - 1.0
+        outcome.hits[name] = estimate.low <= truth <= estimate.high
+
+    def note_all(name: str, friction: RampFriction, truth: Array) -> None:
+        estimates = (friction.coulomb, friction.viscous, friction.inertia)
+        for quantity, estimate, value in zip(("f_c", "f_v", "J"), estimates, truth, strict=True):
+            if estimate is not None:
+                note(f"{quantity}, {name}", estimate, float(value))
+
+    truths = {"no-load": truth_of(rig, False), "loaded": truth_of(rig, True)}
+    for name, part in result.parts:
+        outcome.unused += len(part.unused)
+        note_all(name, part.best, truths[name])
+        if part.source is not None:
+            note_all(f"{name}, source's m b / a", part.source, truths[name])
+    outcome.refusal = "; ".join(result.failures)
+    if result.joint is not None:
+        joint = truths["loaded"] - truths["no-load"]
+        note("f_c, joint", result.joint.coulomb, float(joint[0]))
+        note("f_v, joint", result.joint.viscous, float(joint[1]))
+    return outcome
+
+
+def _covered(hits: list[bool]) -> tuple[float, str]:
+    """Return the share of intervals that hold, and its text with the 95 % margin."""
+    share = float(np.mean(hits))
+    return share, f"{100 * share:.1f} ± {196 * math.sqrt(share * (1 - share) / len(hits)):.1f} %"
+
+
+def measure_grid() -> list[str]:
+    """Print and merge the figures of the grid; return what is not accepted."""
     cells = grid()
-    results = run(cells, SEEDS)
-    count = len(cells) * SEEDS
-    print(f"{count} experiments: {len(cells)} rigs, {SEEDS} seeds, {REPEATS} repeats at 2 slopes")
+    native_library()  # built once, before several processes want it
+    jobs = [(cell, 1000 * number + seed) for number, cell in enumerate(cells) for seed in range(SEEDS)]
+    outcomes = in_processes(grid_experiment, jobs, "grid", 4)
+    results = [outcomes[k : k + SEEDS] for k in range(0, len(outcomes), SEEDS)]
+    print(f"{len(jobs)} experiments: {len(cells)} rigs, {SEEDS} seeds, {REPEATS} repeats at 2 slopes")
     rows, figures, wrong = [], {}, []
     for method, quantity in product(METHODS, QUANTITIES):
         bias = np.array([np.mean([o.errors[method, quantity] for o in cell]) for cell in results])
-        share = float(np.mean([o.hits[method, quantity] for cell in results for o in cell]))
+        share, cover = _covered([o.hits[method, quantity] for o in outcomes])
         worst = float(np.abs(bias).max())
-        cover = f"{100 * share:.1f} ± {100 * margin(share, count):.1f} %"
         rows.append((f"{quantity}, {method}", f"{100 * bias.mean():+.3f} %", f"{100 * worst:.2f} %", cover))
         figures[f"friction_{method}_{quantity}_coverage"] = share
         figures[f"friction_{method}_{quantity}_worst_bias"] = worst
         if worst >= BIAS or not COVERAGE[0] <= share <= COVERAGE[1]:
             wrong.append(f"{quantity}, {method}")
     print_table(("estimate", "mean bias", "worst rig's bias (< 1 %)", "coverage (90 to 99 %)"), rows)
-    ratio = np.array([np.mean([o.excess for o in c]) / np.mean([o.inertia_times_a for o in c]) for c in results])
-    share = np.array([np.mean([o.inertia_times_a for o in c]) for c in results]) / [c.coulomb for c in cells]
-    off = np.array([abs(r - 1.0) * s for r, s in zip(ratio, share, strict=True)])
+    expected = np.array([np.mean([o.inertia_times_a for o in cell]) for cell in results])
+    ratio = np.array([np.mean([o.excess for o in cell]) for cell in results]) / expected
+    share_of_f_c = expected / [cell.coulomb for cell in cells]
+    off = float(np.max(np.abs(ratio - 1.0) * share_of_f_c))
     print(
-        f"source's f_c = m b / a: high by J a, {100 * share.min():.1f} to {100 * share.max():.1f} % of f_c; "
-        f"found {ratio.mean():.3f} of J a in the mean, at worst off by {100 * off.max():.2f} % of f_c (< 1 %)"
+        f"source's f_c = m b / a: high by J a, {100 * share_of_f_c.min():.1f} to {100 * share_of_f_c.max():.1f} % of "
+        f"f_c; found {ratio.mean():.3f} of J a in the mean, at worst off by {100 * off:.2f} % of f_c (< 1 %)"
     )
-    figures["friction_source_bias_over_J_a"] = float(ratio.mean())
-    if off.max() >= BIAS:
-        wrong.append("the source's bias")
+    merge({**figures, "friction_source_bias_over_J_a": float(ratio.mean())})
+    return [*wrong, "the source's bias"] if off >= BIAS else wrong
+
+
+def measure_random(rigs: int, seed: int) -> list[str]:
+    """Print and merge the figures of random rigs, so many of each kind; return what is not accepted."""
+    figures, wrong, rows = {}, [], []
+    for kind in KINDS:
+        outcomes = in_processes(random_experiment, [(seed, number, kind) for number in range(rigs)], kind, 4)
+        names = dict.fromkeys(name for outcome in outcomes for name in outcome.hits)
+        for name in sorted(names, key=lambda name: ("source" in name, name)):
+            having = [outcome for outcome in outcomes if name in outcome.hits]
+            share, cover = _covered([outcome.hits[name] for outcome in having])
+            errors = 100 * np.array([outcome.errors[name] for outcome in having])
+            most = f"{np.percentile(np.abs(errors), 95):.2f} %"
+            rows.append((f"{kind}: {name}", str(len(having)), f"{errors.mean():+.2f} %", most, cover))
+            if "source" not in name:
+                figures[f"friction_coverage_{kind}_{name.replace(', ', '_')}".replace("-", "_")] = share
+                if not COVERAGE[0] <= share <= COVERAGE[1] + 0.01:
+                    wrong.append(f"{kind}: {name}")
+        refusals = [outcome.refusal for outcome in outcomes if outcome.refusal]
+        figures[f"friction_refusals_{kind}".replace("-", "_")] = len(refusals)
+        unused = sum(outcome.unused for outcome in outcomes)
+        print(f"{kind}: {len(refusals)} of {rigs} rigs refused, {unused} ramps not used")
+        print(*sorted(set(refusals)), sep="\n")
+    print_table(("estimate", "rigs", "mean error", "95 % of errors below", "intervals that hold"), rows)
     merge(figures)
-    for name in wrong:
-        print(f"{name}: not what is accepted", file=sys.stderr)
-    return 1 if wrong else 0
+    return wrong
+
+
+def main() -> int:
+    """Measure what is asked for; return 1 if a figure is not what is accepted."""
+    options = arguments(
+        __doc__,
+        ("what", ("grid", "random"), "which rigs"),
+        ("--rigs", 200, "random ones of each kind"),
+        ("--seed", 1, "of random rigs"),
+    )
+    return accepted(measure_grid() if options.what == "grid" else measure_random(options.rigs, options.seed))
 
 
 if __name__ == "__main__":

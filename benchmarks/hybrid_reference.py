@@ -8,15 +8,19 @@ sees, encoder and observer, come from the plant step's own code: they are defini
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import odeint
 from tqdm import tqdm
 
+from rx90_common.base.arrays import Array
 from rx90_common.description.drives import to_joint_torque
 from rx90_common.dynamics.manipulator import mass_and_bias
+from rx90_common.friction import ELEMENT_COUNT, FrictionElement, FrictionSet
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 from rx90_common.friction.curves import LINEAR_SPEED
 from rx90_common.kernels.compiled import kernel
@@ -27,7 +31,6 @@ from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import sample_drives
 
-Array = NDArray[np.float64]
 TOLERANCE = 1e-12
 """Relative tolerance of LSODA on rad, rad/s and rad; the absolute one is a hundredth of it."""
 _MOST_STEPS = 20_000
@@ -149,3 +152,35 @@ def hybrid_reference(
         stiff.step(controller.step(position, velocity))
     table = np.array(rows)
     return ReferenceRun(table[:, :6], table[:, 6:12], table[:, 12:])
+
+
+def negligible_element() -> FrictionElement:
+    """Return friction so small that it does not show."""
+    return FrictionElement(1e-12, 1e-12, 1e-12, 1e-12, 1.0, 1.0, 1e-9, 0.0, 0.0)
+
+
+def decoupled_setup(shipped: Setup, elements: Sequence[FrictionElement], inertia: float) -> Setup:
+    """Return six unit-gear rotors: joints 1 to 4 carry the given elements, one each.
+
+    The links weigh nothing, there is neither gravity nor spring, the torques are not limited. What is left of
+    the plant is, joint by joint, the textbook's mass with friction.
+
+    Args:
+        shipped: where everything else comes from.
+        elements: friction of the first joints, at most four; the others have none to speak of.
+        inertia: of each rotor, kg m^2.
+    """
+    nothing, six = np.zeros((6, 3)), np.ones(6)
+    chain = shipped.robot.chain._replace(mass=np.zeros(6), com=nothing, inertia=np.zeros((6, 6)), gravity=np.zeros(3))
+    robot = dataclasses.replace(shipped.robot, chain=chain, lower=-1e9 * six, upper=1e9 * six, max_velocity=1e4 * six)
+    drives = dataclasses.replace(
+        shipped.drives,
+        gear=six,
+        rotor_inertia=inertia * six,
+        torque_constant=six,
+        peak_current=1e6 * six,
+        spring_torque=0.0 * six,
+    )
+    padded = [*elements, *[negligible_element()] * (ELEMENT_COUNT - len(elements))]
+    friction = FrictionSet(shipped.friction.names, tuple(padded))
+    return dataclasses.replace(shipped, robot=robot, drives=drives, friction=friction)

@@ -1,9 +1,11 @@
-"""Measure how well the shipped plan finds known parameters of sliding, and how often its 95 % intervals hold them.
+"""How well identification finds known parameters of friction, and how often its 95 % intervals hold them.
 
-    python -m benchmarks.identification [sets]
+    python -m benchmarks.identification sliding|presliding [--sets N]
 
-The shipped friction and random sets of it, all sweeps of the plan in the closed loop, encoders and control as they
-are, then white noise on the torque, at several levels. Merges the figures into out/bench.json.
+sliding: the shipped friction and random sets of it, all sweeps of the shipped plan in the closed loop, encoders and
+control as they are, then white noise on the torque. presliding: random sets (every parameter of every element scaled by
+0.5 to 1.5), the presliding experiments of the plan in the closed loop, the sliding regime given with errors as it is
+identified. Both at several levels of the friction rig's torque noise. Merges the figures into out/bench.json.
 """
 
 from __future__ import annotations
@@ -11,71 +13,64 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from benchmarks.report import merge, print_table
-from benchmarks.synthetic_sweeps import STEADY_TORQUE, Noise, random_friction
-from rx90_common.friction import FrictionSet
+from benchmarks.report import arguments, merge, print_table
+from benchmarks.synthetic_sweeps import (
+    STEADY_TORQUE,
+    Noise,
+    measured_sliding,
+    outcomes,
+    random_bristles,
+    random_friction,
+    recorded,
+    run_presliding,
+    sliding_covariance,
+)
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, make_plan
+from rx90_emulator.identification.presliding.fit import identify_presliding
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
-SETS = 10
-LEVELS = {"no noise": 0.0, "half the rig's noise": 0.5, "the rig's noise": 1.0, "twice the rig's noise": 2.0}
+LEVELS = (0.0, 0.5, 1.0, 2.0)
+"""Of the torque noise, in parts of the rig's."""
 BLOCK = 4
 """Samples of joint_states that are averaged into one, as rx90_identify does: 250 Hz."""
 TWO_PERCENT = 0.02
-COLUMNS = (
-    "sliding parameters",
-    "median %",
-    "95 % below",
-    "worst %",
-    "within 2 %",
-    "covered %",
-    "not identifiable",
-    "fit s",
-)
+COLUMNS = ("median %", "95 % below", "worst %", "within 2 %", "covered %", "mean score", "not identifiable", "fit s")
 
 
+@dataclass
 class Tally:
-    """Errors of all parameters at one level of noise."""
+    """Estimates at one level of noise: errors as shares of the true values, and over their deviations; times, s."""
 
-    def __init__(self) -> None:
-        self.errors: list[float] = []
-        self.scores: list[float] = []
-        self.outside: Counter[str] = Counter()
-        self.lacking = 0
-        self.seconds: list[float] = []
+    errors: list[float] = field(default_factory=list)
+    scores: list[float] = field(default_factory=list)
+    outside: Counter[str] = field(default_factory=Counter)
+    lacking: int = 0
+    seconds: list[float] = field(default_factory=list)
 
-    def identify(self, records: Sequence[JointRecord], arm: RigidArm, friction: FrictionSet) -> None:
-        """Identify one set and compare it with the truth."""
-        began = time.perf_counter()
-        fit = identify_sliding(records, arm)
-        self.seconds.append(time.perf_counter() - began)
-        for estimate, element in zip(fit.estimates, friction.elements, strict=True):
-            for name, found in estimate.parameters.items():
-                true = getattr(element, name)
-                if found.identifiable:
-                    error = abs(found.value / true - 1.0)
-                    self.errors.append(error)
-                    self.outside[f"{name} of {estimate.element}"] += error >= TWO_PERCENT
-                    self.scores.append(abs(found.value - true) / found.deviation)
-                else:
-                    self.lacking += 1
+    def add(self, name: str, error: float, score: float) -> None:
+        """Add an estimate; its error is NaN if it is not identifiable."""
+        if np.isnan(error):
+            self.lacking += 1
+            return
+        self.errors.append(abs(error))
+        self.scores.append(score)
+        self.outside[name] += abs(error) >= TWO_PERCENT
 
     @property
     def covered(self) -> float:
         """Return the share of values within 1.96 deviations."""
-        return float(np.mean(np.array(self.scores) < 1.96))
+        return float(np.mean(np.abs(self.scores) < 1.96))
 
     @property
     def within_2_percent(self) -> float:
@@ -84,16 +79,10 @@ class Tally:
 
     def row(self, label: str) -> tuple[str, ...]:
         """Return what the table shows."""
-        errors = np.array(self.errors)
-        sizes = [f"{100.0 * value:.2f}" for value in (np.median(errors), np.quantile(errors, 0.95), errors.max())]
-        return (
-            label,
-            *sizes,
-            f"{100.0 * self.within_2_percent:.1f}",
-            f"{100 * self.covered:.1f}",
-            str(self.lacking),
-            f"{np.median(self.seconds):.1f}",
-        )
+        errors = (np.median(self.errors), np.quantile(self.errors, 0.95), max(self.errors))
+        shares = (*errors, self.within_2_percent, self.covered)
+        last = (f"{np.mean(self.scores):.2f}", str(self.lacking), f"{np.median(self.seconds):.1f}")
+        return (label, *(f"{100.0 * value:.2f}" for value in shares), *last)
 
 
 def sweep(setup: Setup, experiment: Experiment) -> JointRecord:
@@ -113,33 +102,79 @@ def noisy(record: JointRecord, factor: float, rng: np.random.Generator) -> Joint
     return replace(record, torque=record.torque + factor / np.sqrt(BLOCK) * noise)
 
 
-def main() -> int:
-    """Print the figures and merge those without noise and at the rig's noise."""
-    sets = int(sys.argv[1]) if len(sys.argv) > 1 else SETS
+def sliding(sets: int) -> None:
+    """Print and merge the figures of the sliding regime, those without noise and at the rig's noise."""
     setup = Setup.load()
     arm = RigidArm.from_setup(setup)
     plan = [one for one in make_plan(setup.robot, setup.drives) if one.kind is Kind.SLIDING]
-    tallies = {label: Tally() for label in LEVELS}
+    tallies = {level: Tally() for level in LEVELS}
     for seed in tqdm(range(sets), unit="set"):
         friction = random_friction(setup.friction, np.random.default_rng(seed)) if seed else setup.friction
         records = [sweep(replace(setup, friction=friction), experiment) for experiment in plan]
-        for label, factor in LEVELS.items():
+        for level, tally in tallies.items():
             rng = np.random.default_rng(seed)
-            tallies[label].identify([noisy(record, factor, rng) for record in records], arm, friction)
-    print_table(COLUMNS, [tally.row(label) for label, tally in tallies.items()])
+            disturbed = [noisy(record, level, rng) for record in records]
+            began = time.perf_counter()
+            fit = identify_sliding(disturbed, arm)
+            tally.seconds.append(time.perf_counter() - began)
+            for estimate, element in zip(fit.estimates, friction.elements, strict=True):
+                for name, found in estimate.parameters.items():
+                    true = getattr(element, name)
+                    error = found.value / true - 1.0 if found.identifiable else np.nan
+                    score = (found.value - true) / found.deviation if found.identifiable else np.nan
+                    tally.add(f"{name} of {estimate.element}", error, score)
+    _print("sliding parameters", {f"noise of the rig x {level:g}": tally for level, tally in tallies.items()})
+    for key, level in (("", 0.0), ("_noisy", 1.0)):
+        tally = tallies[level]
+        figures = {"coverage": tally.covered, "within_2_percent": tally.within_2_percent}
+        figures["worst_error"] = max(tally.errors)
+        merge({f"identification{key}_{name}": value for name, value in figures.items()})
+    merge({"identification_sliding_s": float(np.median(tallies[1.0].seconds))})
+
+
+def presliding(sets: int) -> None:
+    """Print and merge the figures of the presliding regime, those at the rig's noise."""
+    setup = Setup.load()
+    arm = RigidArm.from_setup(setup)
+    tallies = {(level, name): Tally() for level in LEVELS for name in ("c0", "c1")}
+    for seed in tqdm(range(1, sets + 1), unit="set"):
+        friction = random_bristles(setup.friction, np.random.default_rng(seed))
+        runs = run_presliding(replace(setup, friction=friction))
+        for level in LEVELS:
+            rng = np.random.default_rng((seed, round(10 * level)))
+            records = [recorded(setup, run, rng, Noise(level * Noise.torque)) for run in runs]
+            known = measured_sliding(friction.elements, rng)
+            began = time.perf_counter()
+            spreads = [sliding_covariance(one) for one in known]
+            fit = identify_presliding(records, arm, known, 0.0, spreads, setup.rates.period)
+            elapsed = time.perf_counter() - began
+            for one in outcomes(fit.estimates, friction.elements):
+                tallies[level, one.parameter].add(one.element, one.error, one.score)
+            for name in ("c0", "c1"):
+                tallies[level, name].seconds.append(elapsed)
+    _print("presliding", {f"{name}, noise of the rig x {level:g}": one for (level, name), one in tallies.items()})
+    for name in ("c0", "c1"):
+        tally = tallies[1.0, name]
+        merge({f"presliding_{name}_coverage": tally.covered, f"presliding_{name}_worst_error": max(tally.errors)})
+    merge({"presliding_fit_s": float(np.median(tallies[1.0, "c0"].seconds))})
+
+
+def _print(title: str, tallies: dict[str, Tally]) -> None:
+    print_table((title, *COLUMNS), [tally.row(label) for label, tally in tallies.items()])
     for label, tally in tallies.items():
         outside = [f"{name} {count}" for name, count in (+tally.outside).items()]
         print(f"beyond 2 %, {label}: {', '.join(outside) or 'none'}")
-    for key, label in (("", "no noise"), ("_noisy", "the rig's noise")):
-        tally = tallies[label]
-        merge(
-            {
-                f"identification{key}_coverage": tally.covered,
-                f"identification{key}_within_2_percent": tally.within_2_percent,
-                f"identification{key}_worst_error": max(tally.errors),
-            }
-        )
-    merge({"identification_sliding_s": float(np.median(tallies["the rig's noise"].seconds))})
+
+
+def main() -> int:
+    """Measure what is asked for."""
+    options = arguments(
+        __doc__, ("what", ("sliding", "presliding"), "which regime"), ("--sets", 0, "0: 10 of sliding, 5 of presliding")
+    )
+    if options.what == "sliding":
+        sliding(options.sets or 10)
+    else:
+        presliding(options.sets or 5)
     return 0
 
 

@@ -12,7 +12,6 @@ and other friction unknown.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 import rx90_emulator as rx
-from benchmarks.report import merge
+from benchmarks.report import arguments, merge
 from rx90_common.base.arrays import Array
 from rx90_common.description.drives import element_matrix
 from rx90_common.description.rigid_torque import rigid_torque
@@ -208,12 +207,9 @@ def figures(robot: str, with_parts: Sequence[Outcome], without: Sequence[Outcome
 
 def main() -> int:
     """Print the tables and merge the figures."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.load_parts", description=(__doc__ or "").splitlines()[0]
+    options = arguments(
+        __doc__, ("--arms", 6, "of each kind"), ("--runs", 6, "motions, each without and with the payload")
     )
-    parser.add_argument("--arms", type=int, default=6, help="of each kind (%(default)s)")
-    parser.add_argument("--runs", type=int, default=6, help="motions, each without and with the payload (%(default)s)")
-    options = parser.parse_args()
     for robot in MASS:
         experiment = Experiment.of(robot, options.runs)
         found = [[experiment.outcome(seed, there=there) for seed in range(options.arms)] for there in (True, False)]

@@ -9,20 +9,16 @@ line at 300 mm/s. Validity: line speed by friction, with five controllers.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import statistics
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.agreement import Agreement, agreement
-from benchmarks.report import merge, print_table
+from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, print_times, ratios, timed
+from rx90_common.base.arrays import Array
+from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionSet
 from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, Curve, Dots, Level, Mark, Panel, Plot
@@ -33,9 +29,54 @@ from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import path_accuracy, plan_line
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.model import PerturbationModel, prepare_perturbation
+from rx90_emulator.perturbation.model import PerturbationModel, PerturbationResult, prepare_perturbation
 
-Array = NDArray[np.float64]
+
+class Agreement(NamedTuple):
+    """Distances of the tip from the nominal motion, m, and how far they differ.
+
+    Attributes:
+        worst: largest distance, full simulation and perturbation method.
+        rms: root mean square distance, likewise.
+        difference: largest distance between the two tips at the same time.
+    """
+
+    worst: tuple[float, float]
+    rms: tuple[float, float]
+    difference: float
+
+    @property
+    def relative_worst(self) -> float:
+        """Return by which share the largest distances differ."""
+        return abs(self.worst[1] / self.worst[0] - 1.0)
+
+    @property
+    def relative_rms(self) -> float:
+        """Return by which share the root mean square distances differ."""
+        return abs(self.rms[1] / self.rms[0] - 1.0)
+
+    @property
+    def relative_difference(self) -> float:
+        """Return the largest distance between the tips, as a share of the largest distance from the motion."""
+        return self.difference / self.worst[0]
+
+
+def agreement(
+    full: RunResult, result: PerturbationResult, run: int = 0, begin: float = 0.0, end: float = np.inf
+) -> Agreement:
+    """Compare a run with the full simulation from `begin` to `end`, s."""
+    model = result.model
+    window = (model.times >= begin) & (model.times <= end)
+    tip = forward(model.setup.robot.chain, full.slow.joint_states[window, 0]).position - model.nominal_tip[window]
+    ours = result.tip_deviation[run][window]
+    distances = [np.linalg.norm(deviation, axis=1) for deviation in (tip, ours)]
+    worst, rms = ([float(norm(d)) for d in distances] for norm in (np.max, _root_mean_square))
+    return Agreement((worst[0], worst[1]), (rms[0], rms[1]), float(np.linalg.norm(tip - ours, axis=1).max()))
+
+
+def _root_mean_square(distance: Array) -> float:
+    return float(np.sqrt(np.mean(distance**2)))
+
 
 ROUNDS = 9
 BATCH = 64
@@ -109,31 +150,19 @@ def controllers(shipped: CS7BParameters) -> dict[str, CS7BParameters]:
     }
 
 
-def _seconds_per_tick(run: Callable[[], object], ticks: float) -> float:
-    began = time.process_time()
-    run()
-    return (time.process_time() - began) / ticks
-
-
 def speed(work: Work, rounds: int = ROUNDS) -> dict[str, list[float]]:
     """Return the times per tick and run of all rounds, s."""
     model = work.prepare()
     scales = np.linspace(0.8, 1.2, BATCH).tolist()
     frictions = [scaled(work.setup.friction, scale) for scale in scales]
     ticks = work.duration * work.setup.rates.base_hz
-    runs: dict[str, tuple[Callable[[], object], float]] = {
-        "full closed loop": (work.full, ticks),
-        "perturbation, one run": (lambda: model.run(frictions[:1]), ticks),
-        f"perturbation, batch of {BATCH}": (lambda: model.run(frictions), ticks * BATCH),
-        "perturbation, preparation": (work.prepare, ticks),
+    runs = {
+        "full closed loop": timed(work.full, ticks),
+        "perturbation, one run": timed(lambda: model.run(frictions[:1]), ticks),
+        f"perturbation, batch of {BATCH}": timed(lambda: model.run(frictions), ticks * BATCH),
+        "perturbation, preparation": timed(work.prepare, ticks),
     }
-    times: dict[str, list[float]] = {name: [] for name in runs}
-    for run, _ in runs.values():
-        run()
-    for _ in range(rounds):
-        for name, (run, count) in runs.items():
-            times[name].append(_seconds_per_tick(run, count))
-    return times
+    return in_turns(runs, rounds)
 
 
 class PathError(NamedTuple):
@@ -250,30 +279,13 @@ def spacings(work: Work) -> list[tuple[float, float]]:
 
 def main() -> int:
     """Measure, print the tables, merge the figures and draw the plot if asked for."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.perturbation", description=(__doc__ or "").split("\n")[0]
-    )
-    parser.add_argument("--plot", type=Path, help="picture to write")
-    options = parser.parse_args()
+    options = arguments(__doc__, PLOT)
     setup = Setup.load()
     task = load_task()
     works = [Work.plan(setup, task), Work.plan(setup, dataclasses.replace(task, speed=0.3))]
     times = speed(works[0])
-    full = times["full closed loop"]
-    speedup = {n: statistics.median(a / b for a, b in zip(full, series, strict=True)) for n, series in times.items()}
-    print_table(
-        ("perturbation method, per run", "us per tick", "best", "x real time", "x full"),
-        [
-            (
-                name,
-                f"{statistics.median(series) * 1e6:.3f}",
-                f"{min(series) * 1e6:.3f}",
-                f"{setup.rates.period / statistics.median(series):.0f}",
-                f"{speedup[name]:.1f}",
-            )
-            for name, series in times.items()
-        ],
-    )
+    print_times("perturbation method, per run", times, "full closed loop", setup.rates.period)
+    speedup = {name: 1.0 / ratio for name, ratio in ratios(times, "full closed loop").items()}
     errors = [line_error(work) for work in works]
     print()
     print_table(

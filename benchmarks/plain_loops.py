@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.dynamics.manipulator import factorise, solve
 from rx90_common.friction.curves import LINEAR_SPEED
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_controller.law.loops import position_loop, velocity_loop
 from rx90_sim.plant_step import plant_step
 
-Array = NDArray[np.float64]
 Record = NDArray[Any]
 Vector = tuple[float, float, float]
 

@@ -10,14 +10,12 @@ Torques are shares of the joint's largest torque, speeds the motor's. Their numb
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.report import merge, print_table
+from benchmarks.report import PLOT, arguments, publish
 from rx90_common.base.arrays import Array
 from rx90_common.friction import ELEMENT_COUNT
 from rx90_common.friction.compiled_elements import element_arrays
@@ -152,12 +150,8 @@ def _curves(states: list[tuple[float, float, str]]) -> Iterator[Curve]:
 
 def main() -> None:
     """Print what load and temperature do; draw the curves where asked for."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.published_friction")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the curves")
-    options = parser.parse_args()
-    figures = trends()
-    print_table(("", "value"), [(name.removeprefix("published_friction_"), f"{v:.4g}") for name, v in figures.items()])
-    merge(figures)
+    options = arguments(__doc__, PLOT)
+    publish(trends())
     if options.plot is not None:
         write_picture(plot(), options.plot)
 

@@ -9,8 +9,6 @@ A bag without the trajectory is a fault only where `rx90_line` and recorder have
 
 from __future__ import annotations
 
-import argparse
-import os
 import signal
 import subprocess
 import sys
@@ -20,6 +18,7 @@ from pathlib import Path
 
 from rosbags.highlevel import AnyReader
 
+from benchmarks.report import arguments, prepare_ros
 from rx90_common.process.children import ProcessGroup, executable
 
 CONTROLLER = "/rx90_controller/"
@@ -50,12 +49,8 @@ def run(folder: Path) -> str:
 
 def main() -> int:
     """Count and print; return 1 if a bag lacks a trajectory and nobody said so."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--runs", type=int, default=100, help="bags (100)")
-    parser.add_argument("--busy", type=int, default=2, help="processes that do nothing but compute (2)")
-    options = parser.parse_args()
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
+    options = arguments(__doc__, ("--runs", 100, "bags"), ("--busy", 2, "processes that do nothing but compute"))
+    prepare_ros()
     found: Counter[str] = Counter()
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(options.busy)]
     try:

@@ -1,17 +1,111 @@
-"""What every benchmark prints and where its figures go."""
+"""What every benchmark shares: its options, processes and turns, what it prints and where its figures go."""
 
 from __future__ import annotations
 
+import argparse
 import json
+import os
 import statistics
-from collections.abc import Mapping, Sequence
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any, TypeVar
+
+from tqdm import tqdm
 
 ROOT = Path(__file__).resolve().parent.parent
 BENCH_FILE = ROOT / "out" / "bench.json"
+_Job = TypeVar("_Job")
+_Found = TypeVar("_Found")
+PLOT = ("--plot", None, "picture to write")
 
 
-def print_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def arguments(description: str | None, *options: tuple[str, Any, str]) -> argparse.Namespace:
+    """Read the command line: a name, a default value and a help text for each option.
+
+    A default of False makes a switch, one of None the name of a file, a tuple what is accepted, its first value being
+    the default; others give the type of the value.
+    """
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name, value, text in options:
+        if value is False:
+            parser.add_argument(name, action="store_true", help=text)
+            continue
+        more: dict[str, Any] = {} if name.startswith("-") else {"nargs": "?"}
+        default = value[0] if isinstance(value, tuple) else value
+        if isinstance(value, tuple):
+            more["choices"] = value
+        kind = Path if default is None else type(default)
+        shown = "" if default is None else " (default: %(default)s)"
+        parser.add_argument(name, type=kind, default=default, help=text + shown, **more)
+    return parser.parse_args()
+
+
+def prepare_ros() -> None:
+    """Keep to this machine and to a ROS domain of its own, where none is given, and get ready for rclpy."""
+    from rx90_common.exchange.ros_start import prepare
+
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    prepare()
+
+
+def in_processes(job: Callable[[_Job], _Found], jobs: Sequence[_Job], label: str, chunk: int = 1) -> list[_Found]:
+    """Return the results of all jobs, one process for each processor, with the progress on the terminal."""
+    # Not forked: numba and BLAS may hold threads already.
+    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
+        return list(tqdm(pool.map(job, jobs, chunksize=chunk), total=len(jobs), desc=label))
+
+
+def timed(run: Callable[[], object], count: float = 1.0) -> Callable[[], float]:
+    """Return a function that runs and gives the processor time by `count`, s."""
+
+    def seconds() -> float:
+        began = time.process_time()
+        run()
+        return (time.process_time() - began) / count
+
+    return seconds
+
+
+def in_turns(runs: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, list[float]]:
+    """Return the times of all rounds by name; runs take turns, so that the machine's load affects all alike.
+
+    A first round, which may compile, does not count.
+    """
+    for run in runs.values():
+        run()
+    times: dict[str, list[float]] = {name: [] for name in runs}
+    for _ in range(rounds):
+        for name, run in runs.items():
+            times[name].append(run())
+    return times
+
+
+def ratios(times: Mapping[str, Sequence[float]], base: str) -> dict[str, float]:
+    """Return how many times longer than the base each takes, the median of the rounds' ratios."""
+    return {
+        name: statistics.median(theirs / own for theirs, own in zip(series, times[base], strict=True))
+        for name, series in times.items()
+    }
+
+
+def print_times(title: str, times: Mapping[str, Sequence[float]], base: str, period: float) -> dict[str, float]:
+    """Print what a tick of `period`, s, takes, by name; return the medians."""
+    median = {name: statistics.median(series) for name, series in times.items()}
+    ratio = ratios(times, base)
+    rows = [
+        (name, f"{s * 1e6:.3f}", f"{min(times[name]) * 1e6:.3f}", f"{period / s:.0f}", f"{ratio[name]:.2f}")
+        for name, s in median.items()
+    ]
+    print_table((title, "us per tick", "best", "x real time", f"x {base}"), rows)
+    return median
+
+
+def print_table(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Print rows under headers; the first column is text, the others are aligned to the right."""
     table = [headers, *rows]
     widths = [max(len(row[k]) for row in table) for k in range(len(headers))]
@@ -31,3 +125,16 @@ def merge(figures: Mapping[str, float], file: Path = BENCH_FILE) -> None:
     known.update({key: float(f"{value:.4g}") for key, value in figures.items()})
     file.parent.mkdir(exist_ok=True)
     file.write_text(json.dumps(known, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def publish(figures: Mapping[str, float]) -> None:
+    """Print figures and merge them."""
+    print_table(("figure", "value"), [(key, f"{value:.4g}") for key, value in figures.items()])
+    merge(figures)
+
+
+def accepted(wrong: Sequence[str]) -> int:
+    """Name what is not accepted; return the exit code: 1 if there is any."""
+    for name in wrong:
+        print(f"{name}: not what is accepted", file=sys.stderr)
+    return int(bool(wrong))

@@ -7,20 +7,17 @@ The stiffnesses are an assumed example: those of the RX90B's gears are not publi
 
 from __future__ import annotations
 
-import argparse
-import statistics
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy import linalg
 
 from benchmarks.hybrid_reference import Work
-from benchmarks.report import merge, print_table
+from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, ratios, timed
+from rx90_common.base.arrays import Array
 from rx90_common.description.drives import Elasticity, coupling_matrix
 from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, INK, Curve, Panel, Plot
@@ -29,8 +26,6 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import run_line
 from rx90_emulator.loop.setup import Setup
-
-Array = NDArray[np.float64]
 
 EXAMPLE = np.array([1.5e6, 1.5e6, 5e5, 1e5, 6e4, 2e4])
 """Stiffnesses of the example, Nm/rad."""
@@ -76,17 +71,11 @@ def way(setup: Setup, substeps: int = 1) -> Array:
 def cost(work: Work) -> dict[str, float]:
     """Return the time of the reference line over that of rigid gears, by case, taken in turns."""
     cases = {"rigid": work.setup, "elastic": elastic(work.setup), "elastic with play": elastic(work.setup, 1.0, 1e-4)}
-    times: dict[str, list[float]] = {name: [] for name in cases}
-    for turn in range(ROUNDS + 1):
-        for name, setup in cases.items():
-            began = time.process_time()
-            simulate(setup, work.points, work.start, work.duration)
-            if turn > 0:  # the first one compiles
-                times[name].append(time.process_time() - began)
-    return {
-        name: statistics.median(a / b for a, b in zip(taken, times["rigid"], strict=True))
-        for name, taken in times.items()
+    runs = {
+        name: timed(lambda one=one: simulate(one, work.points, work.start, work.duration))  # type: ignore[misc]
+        for name, one in cases.items()
     }
+    return ratios(in_turns(runs, ROUNDS), "rigid")
 
 
 def stopping(setup: Setup) -> tuple[Array, Array, Array]:
@@ -125,11 +114,7 @@ def draw(setup: Setup, miss: Array, file: Path) -> None:
 
 def main() -> int:
     """Compute, print the tables, merge the figures and draw the plot if it is asked for."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.transmission", description=(__doc__ or "").splitlines()[0]
-    )
-    parser.add_argument("--plot", type=Path, help="PNG to draw the rigid limit and a ringing link into")
-    options = parser.parse_args()
+    options = arguments(__doc__, PLOT)
     work = Work.load()
     setup, task = work.setup, load_task()
     held, free = frequencies(setup)

@@ -13,7 +13,6 @@ differ by less than a tenth: what happens in between is not asked.
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import signal
@@ -28,10 +27,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.report import merge, print_table
+from benchmarks.report import arguments, prepare_ros, publish
 from rx90_common.base.errors import ExchangeError
 from rx90_common.exchange.client_node import client_node
-from rx90_common.exchange.ros_start import prepare
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 from rx90_common.process.interrupts import terminations_as_interrupts
 
@@ -89,7 +87,7 @@ class Pace:
         return self._now
 
     def _listen(self) -> None:
-        from rx90_sim.node.simulation_client import SimulationClient  # after `prepare`
+        from rx90_sim.node.simulation_client import SimulationClient  # after `prepare_ros`
 
         with client_node("benchmark", _TIMEOUT, lambda _: None) as client:
             simulation = SimulationClient(client)
@@ -236,17 +234,15 @@ def watch_memory(seconds: float) -> dict[str, float]:
 
 def main() -> int:
     """Print the figures and merge them."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.view", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--memory", type=float, metavar="S", help="look for so long and watch the memory instead")
-    parser.add_argument("--rounds", type=int, default=ROUNDS, metavar="N", help="turns with and without (%(default)s)")
-    options = parser.parse_args()
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
-    prepare()
+    options = arguments(
+        __doc__,
+        ("--memory", 0.0, "s to look and watch the memory instead"),
+        ("--rounds", ROUNDS, "turns with and without"),
+    )
+    prepare_ros()
     with terminations_as_interrupts():  # who is ended leaves no nodes behind
-        figures = measure(options.rounds) if options.memory is None else watch_memory(options.memory)
-    print_table(("figure", "value"), [(key, f"{value:.3f}") for key, value in figures.items()])
-    merge(figures)
+        figures = watch_memory(options.memory) if options.memory else measure(options.rounds)
+    publish(figures)
     return 0
 
 

@@ -12,7 +12,6 @@ figures into out/bench.json.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections import defaultdict
@@ -22,20 +21,18 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from tqdm import tqdm
 
-from benchmarks.excitation_experiment import Case
+from benchmarks.excitation_coverage import Case
 from benchmarks.excitation_runs import MISFIT, NOISE, Disturbances, measured
 from benchmarks.random_arms import Link, SyntheticArm, random_arm
-from benchmarks.report import merge, print_table
+from benchmarks.report import arguments, merge, print_table
+from rx90_common.base.arrays import Array
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.checks import check_zeros as check_runs
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.zeros import Instants, ZeroCheck, known_joints
 from rx90_emulator.identification.zeros import check_zeros as check_sweeps
-
-Array = NDArray[np.float64]
 
 ERRORS = {"2 hundredths": 0.02, "5 hundredths": 0.05, "a tenth": 0.1, "a quarter turn": 0.5 * np.pi}
 """Of one joint's zero, rad."""
@@ -147,11 +144,9 @@ def right(error: Array, found: Array) -> bool:
 
 def main() -> int:
     """Print the shares and merge them."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("arms", nargs="?", type=int, default=40, help="how many (default: %(default)s)")
-    parser.add_argument("--first", type=int, default=0, help="seed of the first (default: %(default)s)")
-    parser.add_argument("--largest", type=int, default=4, help="joints at most (default: %(default)s)")
-    options = parser.parse_args()
+    options = arguments(
+        __doc__, ("arms", 40, "how many"), ("--first", 0, "seed of the first"), ("--largest", 4, "joints at most")
+    )
     tally: dict[tuple[str, str, float], list[tuple[bool, bool]]] = defaultdict(list)
     for seed in tqdm(range(options.first, options.first + options.arms), unit="arm"):
         for name, condition, error, check in searches(seed, options.largest):

@@ -12,12 +12,10 @@ import numpy as np
 import pytest
 
 from benchmarks import closed_loop
-from benchmarks.closed_loop import check_same_arm, ratios
+from benchmarks.closed_loop import PinocchioArm, PythonDrives, PythonLaw, check_same_arm
 from benchmarks.hybrid_reference import Work
-from benchmarks.mujoco_arm import mujoco_arm
-from benchmarks.pinocchio_arm import PinocchioArm
-from benchmarks.python_law import PythonDrives, PythonLaw
-from benchmarks.report import merge
+from benchmarks.mujoco_lugre import mujoco_arm
+from benchmarks.report import merge, ratios
 from rx90_common.description.drives import to_joint_torque
 from rx90_emulator.loop.setup import Setup
 
@@ -107,7 +105,7 @@ def test_pinocchio_s_step_follows_the_plant(shipped: Setup) -> None:
 def test_ratios_are_medians_of_rounds() -> None:
     """A slow round of both leaves the ratio as it is."""
     times = {"this project": [1.0, 10.0, 1.0], "other": [3.0, 30.0, 3.3]}
-    assert ratios(times) == pytest.approx({"this project": 1.0, "other": 3.0})
+    assert ratios(times, "this project") == pytest.approx({"this project": 1.0, "other": 3.0})
 
 
 def test_figures_are_added_to_those_of_others(tmp_path: Path) -> None:

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from benchmarks.excitation_coverage import Truth, truth_of
 from benchmarks.excitation_runs import NOISE, NOTHING, Disturbances, FourierMotion, measured, write_run
-from benchmarks.excitation_truth import Truth, truth_of
-from benchmarks.friction_equations import FrictionLaw
-from benchmarks.random_arms import random_arm
+from benchmarks.random_arms import FrictionLaw, random_arm
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.records import read_record
 from rx90_emulator.identification.robot import arm_layout

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from benchmarks.quick_ramps import QuickRig
+from benchmarks.friction_ramp import QuickRig
 from friction_bench.experiment.asymptote import fit_asymptote, integrated_ou_covariance
 from friction_bench.experiment.identification import RampIdentification, identify_ramps, joint_friction, source_formulas
 from friction_bench.experiment.ramp import run_ramp

@@ -10,8 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_triangular
 
-from benchmarks.friction_ramp_coverage import random_rig, truth_of
-from benchmarks.quick_ramps import QuickRig
+from benchmarks.friction_ramp import QuickRig, random_rig, truth_of
 from friction_bench.experiment.asymptote import integrated_ou_covariance
 from friction_bench.experiment.identification import identify_ramps
 from friction_bench.experiment.ramp import plan_from, run_ramp

@@ -15,7 +15,7 @@ from lugre_oracle import LuGreOracle
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from benchmarks.decoupled import decoupled_setup, negligible_element
+from benchmarks.hybrid_reference import decoupled_setup, negligible_element
 from rx90_common.base.rates import Rates
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_emulator.loop.setup import Setup

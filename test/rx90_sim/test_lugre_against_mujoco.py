@@ -10,7 +10,7 @@ if not hasattr(mujoco.MjsActuator, "set_to_dcmotor"):
     pytest.skip("this MuJoCo has no dcmotor with LuGre friction", allow_module_level=True)
 
 from benchmarks import mujoco_lugre as bench  # noqa: E402, after the check for MuJoCo
-from benchmarks.decoupled import decoupled_setup  # noqa: E402, after the check for MuJoCo
+from benchmarks.hybrid_reference import decoupled_setup  # noqa: E402, after the check for MuJoCo
 from rx90_emulator.loop.setup import Setup  # noqa: E402, after the check for MuJoCo
 
 

@@ -12,7 +12,7 @@ from lugre_oracle import LuGreOracle
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from benchmarks.decoupled import negligible_element
+from benchmarks.hybrid_reference import negligible_element
 from rx90_common.description.drives import MOTOR, Elasticity
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionSet

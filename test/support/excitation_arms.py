@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.excitation_runs import Disturbances, FourierMotion, measured
-from benchmarks.friction_equations import FrictionLaw
-from benchmarks.random_arms import SyntheticArm, random_arm
+from benchmarks.random_arms import FrictionLaw, SyntheticArm, random_arm
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.checks import coulomb_viscous
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record

@@ -15,7 +15,7 @@ from foreign_arms import urdf_text
 from numpy.typing import NDArray
 from scipy import stats
 
-from benchmarks.friction_mass import led
+from benchmarks.bristles import led
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_emulator.identification.arm import RigidArm

@@ -13,8 +13,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
-from benchmarks.presliding_runs import outcomes, random_bristles, recorded, run_presliding, sliding_covariance
-from benchmarks.synthetic_sweeps import Noise
+from benchmarks.synthetic_sweeps import Noise, outcomes, random_bristles, recorded, run_presliding, sliding_covariance
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.agreement import agreement
+from benchmarks.perturbation import agreement
 from rx90_common.base.errors import SupervisionError
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.identification.robot import arm_layout

@@ -11,7 +11,7 @@ import pytest
 from elastic_arms import SOFT, elastic
 from numpy.typing import NDArray
 
-from benchmarks.agreement import agreement
+from benchmarks.perturbation import agreement
 from rx90_common.base.errors import ConfigError, DivergenceError, SupervisionError, TrajectoryError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import Cogging, CurrentSensor, Windings

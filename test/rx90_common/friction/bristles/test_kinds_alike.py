@@ -11,7 +11,7 @@ import pytest
 from bristle_oracles import ElastoPlasticOracle, MaxwellSlipOracle, swing
 from numpy.typing import NDArray
 
-from benchmarks.friction_mass import driven_mass, led
+from benchmarks.bristles import driven_mass, led
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.excitation_experiment import Case, Outcome, experiment
+from benchmarks.excitation_coverage import Case, Outcome, experiment
 from benchmarks.excitation_runs import MISFIT
 from benchmarks.random_arms import random_arm
 
