@@ -26,11 +26,11 @@ from scipy.stats import binomtest
 from tqdm import tqdm
 
 from benchmarks.report import ROOT, merge, print_table
-from friction_bench.presliding.campaign import Campaign
-from friction_bench.presliding.drift import CYCLES, DriftVerdict
-from friction_bench.presliding.evaluation import PreslidingResult, evaluate
-from friction_bench.presliding.follow import follow
-from friction_bench.presliding.job import CampaignPlan, runs
+from friction_bench.presliding import USUAL_CYCLES
+from friction_bench.presliding.drift import DriftVerdict
+from friction_bench.presliding.job import Campaign
+from friction_bench.presliding.motions import follow
+from friction_bench.presliding.report import PreslidingResult
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.native import firmware_directory
@@ -86,11 +86,10 @@ def measured(rig: Rig, seed: int, cycles: int) -> PreslidingResult:
     emulated.plant.load(True)
     client = RigClient(VirtualPort(emulated), rig)
     hello = client.connect()
-    campaign = Campaign()
-    plan = CampaignPlan(rig, ("loops", "sweep", "drift"), 10, cycles)
-    for what in runs(plan, campaign, hello.torque_limit_code):
-        campaign.add(what, follow(client, what.law, what.label))
-    return evaluate(campaign, rig)
+    campaign = Campaign(rig, ("loops", "sweep", "drift"), cycles=cycles)
+    for what in campaign.runs(hello.torque_limit_code):
+        campaign.done.append((what, follow(client, what.profile, what.label)))
+    return campaign.evaluate()
 
 
 def _right(kind: str, text: str) -> str:
@@ -111,7 +110,7 @@ def decided(kind: str, result: PreslidingResult) -> dict[str, str]:
     """Return what became of each of METHODS, and what was found, in words."""
     assert result.choice is not None
     assert result.drift is not None
-    left = result.choice.by_loops
+    left = [law.name for law in result.choice.by_loops]
     return {
         "loops and sliding": _right(kind, left[0] if len(left) == 1 else "cannot tell"),
         "drift": _drift_right(kind, result.drift.verdict),
@@ -181,7 +180,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rigs", type=int, default=8, help="of each kind (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--cycles", type=int, default=CYCLES)
+    parser.add_argument("--cycles", type=int, default=USUAL_CYCLES)
     options = parser.parse_args()
     table = RigTable(RIGS_FILE, sources(), options.seed, options.cycles)
     wanted = [(number, kind) for number in range(options.rigs) for kind in KINDS]
