@@ -162,7 +162,7 @@ class Campaign:
                 break_away_code(self.done[-1][1], self.slide)  # refused now, if the joint sticks
         slow = self.break_away_code()
         start = int(_START * slow)
-        rig, code_step = self.rig, self.rig.torque(1) * self.rig.joint_scale
+        rig = self.rig
         if "loops" in self.kinds:
             stride = max(1, round(slow / _STRIDES))
             for block in range(self.blocks):
@@ -171,12 +171,12 @@ class Campaign:
         if "sweep" in self.kinds:
             speeds = SPEEDS * self.fastest
             wanted = [float(speed) * rig.tick / rig.joint_step for speed in (*speeds, *speeds[::-1])]
-            gain = _USUAL_INERTIA * _BANDWIDTH / code_step / (rig.tick / rig.joint_step)
+            gain = _USUAL_INERTIA * _BANDWIDTH / rig.joint_code / (rig.tick / rig.joint_step)
             yield Run("sweep", "sweep", motions.speeds(start, wanted, HELD, gain, limit, rig.tick))
         if "stick_slip" in self.kinds:
             for stiffness in STIFFNESSES:
                 for speed in (PULLS * self.fastest).tolist():
-                    spring, ticks = stiffness * rig.joint_step / code_step, self._pull_ticks(speed, stiffness)
+                    spring, ticks = stiffness * rig.joint_step / rig.joint_code, self._pull_ticks(speed, stiffness)
                     profile = motions.pulled(spring, speed * rig.tick / rig.joint_step, ticks, limit, 0.8 * slow)
                     label = f"stick-slip, {speed:.3f} rad/s, {stiffness:g} Nm/rad"
                     yield Run("stick_slip", label, profile, speed, stiffness)

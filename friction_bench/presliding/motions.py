@@ -80,10 +80,8 @@ class Trace:
         """Return the readings of an experiment on a rig."""
         rows = [(sample.tick, sample.counts, sample.report.dac) for sample in samples]
         ticks, counts, code = np.array(rows, dtype=np.float64).T
-        torque_step = rig.torque(1) * rig.joint_scale
-        return cls(
-            label, (ticks - ticks[0]) * rig.tick, counts - counts[0], code, rig.joint_step, torque_step, rig.tick
-        )
+        time = (ticks - ticks[0]) * rig.tick
+        return cls(label, time, counts - counts[0], code, rig.joint_step, rig.joint_code, rig.tick)
 
     @property
     def angle(self) -> Array:

@@ -45,16 +45,6 @@ class PreslidingResult:
     drift: DriftResult | None = None
     failures: list[str] = field(default_factory=list)
 
-    @property
-    def step(self) -> float:
-        """Return what a count stands for at the joint, rad."""
-        return self.rig.joint_step
-
-    @property
-    def code(self) -> float:
-        """Return what a code stands for at the joint, Nm."""
-        return self.rig.torque(1) * self.rig.joint_scale
-
 
 def loops_plot(result: PreslidingResult) -> Plot:
     """Show the first blocks of loops, torque over angle, with what the laws with bristles predict from the angle."""
@@ -127,10 +117,11 @@ def drift_plot(drift: DriftResult) -> Plot:
 
 def resolution_text(result: PreslidingResult) -> str:
     """Return in words what encoder and converter resolve of this joint's presliding."""
-    steps = f"a count is {1e6 * result.step:.1f} urad and a code {1e3 * result.code:.1f} mNm at the joint"
+    count, code = result.rig.joint_step, result.rig.joint_code
+    steps = f"a count is {1e6 * count:.1f} urad and a code {1e3 * code:.1f} mNm at the joint"
     if result.deflection is None:
         return f"{steps}; it has not broken away"
-    counts = result.deflection / result.step
+    counts = result.deflection / count
     seen = "" if counts >= SEEN else ": too few to see loops"
     return f"{steps}; it bends by {1e6 * result.deflection:.0f} urad, {counts:.1f} counts, up to break-away{seen}"
 
@@ -207,13 +198,15 @@ def write_estimates(path: Path, result: PreslidingResult) -> None:
     Raises:
         Rx90Error: if the file cannot be written.
     """
-    resolution = {"count_rad": result.step, "code_nm": result.code}
+    resolution = {"count_rad": result.rig.joint_step, "code_nm": result.rig.joint_code}
     document: dict[str, Any] = {"rig": result.rig.file.name, "resolution": resolution}
     if result.deflection is not None:
-        resolution["presliding_counts"] = result.deflection / result.step
+        resolution["presliding_counts"] = result.deflection / result.rig.joint_step
     if result.break_away is not None:
-        names = ("rate_nm_s", "torque_nm", "standard_error_nm")
-        document["break_away"] = [dict(zip(names, row, strict=True)) for row in result.break_away.by_rate()]
+        document["break_away"] = [
+            {"rate_nm_s": rate, "torque_nm": mean, "standard_error_nm": error}
+            for rate, mean, error in result.break_away.by_rate()
+        ]
     if result.sliding is not None:
         names = ("tau_c", "tau_s", "omega_s", "c2", "inertia")
         document["sliding"] = {name: float(f"{getattr(result.sliding, name):.5g}") for name in names}
