@@ -25,11 +25,11 @@ from scipy.stats import binomtest
 from tqdm import tqdm
 
 from benchmarks.report import ROOT, arguments, merge, print_table
-from friction_bench.presliding.campaign import Campaign
-from friction_bench.presliding.drift import CYCLES, DriftVerdict
-from friction_bench.presliding.evaluation import PreslidingResult, evaluate
-from friction_bench.presliding.follow import follow
-from friction_bench.presliding.job import CampaignPlan, runs
+from friction_bench.presliding import USUAL_CYCLES
+from friction_bench.presliding.drift import DriftVerdict
+from friction_bench.presliding.job import Campaign
+from friction_bench.presliding.motions import follow
+from friction_bench.presliding.report import PreslidingResult
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.native import firmware_directory
@@ -85,11 +85,10 @@ def measured(rig: Rig, seed: int, cycles: int) -> PreslidingResult:
     emulated.plant.load(True)
     client = RigClient(VirtualPort(emulated), rig)
     hello = client.connect()
-    campaign = Campaign()
-    plan = CampaignPlan(rig, ("loops", "sweep", "drift"), 10, cycles)
-    for what in runs(plan, campaign, hello.torque_limit_code):
-        campaign.add(what, follow(client, what.law, what.label))
-    return evaluate(campaign, rig)
+    campaign = Campaign(rig, ("loops", "sweep", "drift"), cycles=cycles)
+    for what in campaign.runs(hello.torque_limit_code):
+        campaign.done.append((what, follow(client, what.profile, what.label)))
+    return campaign.evaluate()
 
 
 def _right(kind: str, text: str) -> str:
@@ -110,7 +109,7 @@ def decided(kind: str, result: PreslidingResult) -> dict[str, str]:
     """Return what became of each of METHODS, and what was found, in words."""
     assert result.choice is not None
     assert result.drift is not None
-    left = result.choice.by_loops
+    left = [law.name for law in result.choice.by_loops]
     return {
         "loops and sliding": _right(kind, left[0] if len(left) == 1 else "cannot tell"),
         "drift": _drift_right(kind, result.drift.verdict),
@@ -178,7 +177,7 @@ def count(rows: Sequence[Mapping[str, str]]) -> dict[str, float]:
 def main() -> int:
     """Measure all rigs and print what was decided."""
     options = arguments(
-        __doc__, ("--rigs", 8, "of each kind"), ("--seed", 1, "of all rigs"), ("--cycles", CYCLES, "small ones")
+        __doc__, ("--rigs", 8, "of each kind"), ("--seed", 1, "of all rigs"), ("--cycles", USUAL_CYCLES, "small ones")
     )
     table = RigTable(RIGS_FILE, sources(), options.seed, options.cycles)
     wanted = [(number, kind) for number in range(options.rigs) for kind in KINDS]

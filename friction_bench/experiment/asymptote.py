@@ -17,8 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from friction_bench.experiment.ramp_model import RampModel
-from friction_bench.experiment.record import RampRecord, first_motion
+from friction_bench.experiment.record import RampModel, RampRecord, first_motion
 from friction_bench.experiment.sliding_fit import respond
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError

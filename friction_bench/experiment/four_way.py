@@ -14,8 +14,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.integrate import solve_ivp
 
-from friction_bench.experiment.ramp_model import RampModel
-from friction_bench.experiment.record import RampRecord
+from friction_bench.experiment.record import RampModel, RampRecord
 from rx90_common.base.arrays import Array
 
 EXPERIMENT, BLOCK, MULTIBODY, CLOSED = "experiment", "equation 3, integrated", "multibody", "closed form"

@@ -16,8 +16,7 @@ from scipy import stats
 
 from friction_bench.experiment.asymptote import RampFit, ShortRampError, fit_asymptote
 from friction_bench.experiment.four_way import FourWay, compare
-from friction_bench.experiment.ramp_model import RampModel
-from friction_bench.experiment.record import RampRecord, SlidingWindow, break_away, sliding_window
+from friction_bench.experiment.record import RampModel, RampRecord, SlidingWindow, break_away, sliding_window
 from friction_bench.experiment.sliding_fit import RampsFit, fit_sliding
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array

@@ -12,8 +12,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from friction_bench.experiment.ramp_model import RampModel
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, Rx90Error
 from rx90_common.base.quoting import quoted
@@ -37,6 +37,51 @@ EARLIER_TICKS = 25
 """It is sought in this many readings before that."""
 SATURATION_LIMIT = 0.06
 """Relative shortfall of the measured torque that counts as saturation."""
+
+
+@dataclass(frozen=True)
+class RampModel:
+    """Equation 3 under a ramp torque in closed form, one side of the gear: J w' = m t - f_v w - f_c sgn w.
+
+    Friction f_c in Nm and f_v in Nm s/rad, inertia J in kg m², slope m in Nm/s. Break-away at t_b = (f_c + f_r) / m,
+    where f_r, Nm, is by how much static friction exceeds f_c; with s = t - t_b, the time constant T = J / f_v and
+    a = m / f_v,
+        w(t) = a s + (f_r / f_v - a T) (1 - exp(-s / T)),
+    with the asymptote a t - b, b = a (f_c / m + T) = f_c / f_v + J m / f_v^2, which does not depend on f_r.
+    """
+
+    coulomb: float
+    viscous: float
+    inertia: float
+    slope: float
+    release: float = 0.0
+
+    @property
+    def break_away_time(self) -> float:
+        """Return (f_c + f_r) / m, s."""
+        return (self.coulomb + self.release) / self.slope
+
+    @property
+    def time_constant(self) -> float:
+        """Return J / f_v, s."""
+        return self.inertia / self.viscous
+
+    def asymptote(self) -> tuple[float, float]:
+        """Return a, rad/s², and b, rad/s, of the velocity's asymptote a t - b."""
+        a = self.slope / self.viscous
+        return a, a * (self.coulomb / self.slope + self.time_constant)
+
+    def velocity(self, time: ArrayLike) -> Array:
+        """Return w(t), rad/s."""
+        s = np.maximum(np.asarray(time, dtype=np.float64) - self.break_away_time, 0.0)
+        T, a = self.time_constant, self.slope / self.viscous
+        return np.asarray(a * s - (self.release / self.viscous - a * T) * np.expm1(-s / T))
+
+    def angle(self, time: ArrayLike) -> Array:
+        """Return the angle since rest, rad."""
+        s = np.maximum(np.asarray(time, dtype=np.float64) - self.break_away_time, 0.0)
+        T, a = self.time_constant, self.slope / self.viscous
+        return np.asarray(a * s * s / 2 + (self.release / self.viscous - a * T) * (s + T * np.expm1(-s / T)))
 
 
 class RecordError(Rx90Error):

@@ -1,1 +1,11 @@
-"""Friction before and around sliding, on the rig: loops, break-away, slow speeds, stick-slip, drift, and which law."""
+"""Friction before and around sliding, on the rig: loops, break-away, slow speeds, stick-slip, drift, and which law.
+
+The constants stand here, where importing them costs nothing, so that `--help` need not wait.
+"""
+
+KINDS = ("loops", "sweep", "stick_slip", "drift")
+"""Of experiments, in the order in which they are run after the ramps."""
+USUAL_BLOCKS = 10
+"""Of loops."""
+USUAL_CYCLES = 10_000
+"""Small ones, of the drift."""

@@ -21,13 +21,12 @@ from enum import Enum
 import numpy as np
 from scipy import stats
 
-from friction_bench.presliding.trace import Trace
+from friction_bench.presliding.motions import Trace
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 
 LOW, HIGH = 0.05, 0.25
 """Of the break-away torque: the turning points of the cycles."""
-CYCLES = 10_000
 HALF = 3
 """Ticks for each half of a cycle."""
 BLOCKS = 20
@@ -53,30 +52,54 @@ class DriftResult:
     """What the cycles showed, in counts.
 
     Attributes:
-        cycles: number of each reading at `low`, shape (n,).
-        position: at these readings, counts, shape (n,).
-        swing: of a cycle, counts, and its standard error.
+        position: at the end of each cycle, counts, shape (n,).
+        swing: of a cycle, counts.
         drift: of a cycle, counts, and the bounds of its 99 % interval.
         expected: drift over swing by LuGre's law, least and largest by the uncertainty of the break-away torque.
         low, high: turning points over the break-away torque.
-        reason: why the verdict is what it is.
     """
 
-    cycles: Array
     position: Array
-    swing: tuple[float, float]
+    swing: float
     drift: tuple[float, float, float]
     expected: tuple[float, float]
     low: float
     high: float
-    verdict: DriftVerdict
-    reason: str
 
     @property
     def by_lugre(self) -> tuple[float, float] | None:
         """Return the drift of a cycle by LuGre's law, counts, least and largest; None where no swing is seen."""
-        swing = self.swing[0]
-        return (self.expected[0] * swing, self.expected[1] * swing) if swing > 0.0 else None
+        return (self.expected[0] * self.swing, self.expected[1] * self.swing) if self.swing > 0.0 else None
+
+    @property
+    def verdict(self) -> DriftVerdict:
+        """Return what follows."""
+        return self._decision[0]
+
+    @property
+    def reason(self) -> str:
+        """Return why the verdict is what it is."""
+        return self._decision[1]
+
+    @property
+    def _decision(self) -> tuple[DriftVerdict, str]:
+        """Return the verdict and its reason.
+
+        The swing is the mean of differences of whole counts: a joint that drifts passes all phases of a count, and the
+        mean is right; one that stays may be off by a count.
+        """
+        swing, (_, least, largest), (lowest, highest) = self.swing, self.drift, self.expected
+        if largest < _NONE * lowest * (swing - 1.0) and swing >= _LEAST_SWING:
+            return DriftVerdict.STAYS, f"the drift is less than {100 * _NONE:g} % of what LuGre's law would give"
+        if least > 0.0 and swing > 0.0 and 0.5 * lowest < least / swing and largest / swing < 2.0 * highest:
+            return DriftVerdict.DRIFTS, "the joint drifts as LuGre's law says"
+        if swing < _LEAST_SWING and least <= 0.0:
+            reason = "neither a swing nor a drift is seen: the joint is too stiff for the encoder"
+        elif largest / max(swing, 1e-9) > 2.0 * highest:
+            reason = "the joint drifts more than LuGre's law says: the torque is too near to break-away"
+        else:
+            reason = "the joint drifts, but less than LuGre's law says"
+        return DriftVerdict.UNKNOWN, reason
 
 
 def turning_codes(break_away: float) -> tuple[int, int]:
@@ -88,8 +111,7 @@ def lugre_ratio(low: float, high: float) -> float:
     """Return drift over swing of a LuGre joint for turning points over the static torque; 1 where it breaks away."""
     if high >= 1.0:
         return 1.0
-    drift = math.log((1.0 - low**2) / (1.0 - high**2))
-    return drift / math.log((1.0 + high) / (1.0 + low))
+    return math.log((1.0 - low**2) / (1.0 - high**2)) / math.log((1.0 + high) / (1.0 + low))
 
 
 def evaluate_drift(trace: Trace, low: int, high: int, break_away: float) -> DriftResult:
@@ -104,70 +126,22 @@ def evaluate_drift(trace: Trace, low: int, high: int, break_away: float) -> Drif
     Raises:
         IdentificationError: if there are too few cycles.
     """
-    lower, upper = _turning_points(trace, low, high)
-    count = min(lower.size, upper.size)
+    code = trace.code
+    last = np.flatnonzero(np.diff(code) != 0.0)  # the last reading of each code
+    at_low = last[(code[last] == low) & (code[np.minimum(last + 1, code.size - 1)] == high)]
+    at_high = last[code[last] == high]
+    at_high = at_high[at_high > at_low.min(initial=code.size)]
+    count = min(at_low.size, at_high.size)
     if count < 2 * BLOCKS:
         raise IdentificationError(f"{trace.label}: {count} cycles; accepted: at least {2 * BLOCKS}")
-    lower, upper = lower[:count], upper[:count]
+    lower, upper = trace.counts[at_low[:count]], trace.counts[at_high[:count]]
     per = count // BLOCKS
     ends = lower[: per * BLOCKS + 1 : per] if count > per * BLOCKS else np.append(lower[::per][:BLOCKS], lower[-1])
     drifts = np.diff(ends) / per
     spread = float(np.std(drifts, ddof=1)) / math.sqrt(drifts.size)
     reach = float(stats.t.ppf(0.995, drifts.size - 1)) * spread + 1.0 / count  # a count of the whole is not known
     drift = float(ends[-1] - ends[0]) / (per * (ends.size - 1))
-    swings = upper[:-1] - lower[1:]
-    swing = float(np.mean(swings))
-    swing_error = max(float(np.std(swings, ddof=1)) / math.sqrt(swings.size), 0.0)
     a, b = high / break_away, low / break_away
-    expected = (
-        lugre_ratio(b * (1 - _UNCERTAIN), a * (1 - _UNCERTAIN)),
-        lugre_ratio(b * (1 + _UNCERTAIN), a * (1 + _UNCERTAIN)),
-    )
-    bounds = drift - reach, drift + reach
-    verdict, reason = _verdict(swing, bounds, expected)
-    return DriftResult(
-        cycles=np.arange(count, dtype=np.float64),
-        position=lower,
-        swing=(swing, swing_error),
-        drift=(drift, *bounds),
-        expected=expected,
-        low=b,
-        high=a,
-        verdict=verdict,
-        reason=reason,
-    )
-
-
-def _verdict(swing: float, bounds: tuple[float, float], expected: tuple[float, float]) -> tuple[DriftVerdict, str]:
-    """Return the verdict and its reason.
-
-    The swing is the mean of differences of whole counts: a joint that drifts passes all phases of a count, and the mean
-    is right; one that stays may be off by a count.
-    """
-    least, largest = bounds
-    if largest < _NONE * expected[0] * (swing - 1.0) and swing >= _LEAST_SWING:
-        return DriftVerdict.STAYS, f"the drift is less than {100 * _NONE:g} % of what LuGre's law would give"
-    if least > 0.0 and swing > 0.0 and 0.5 * expected[0] < least / swing and largest / swing < 2.0 * expected[1]:
-        return DriftVerdict.DRIFTS, "the joint drifts as LuGre's law says"
-    if swing < _LEAST_SWING and least <= 0.0:
-        return (
-            DriftVerdict.UNKNOWN,
-            "neither a swing nor a drift is seen: the joint is too stiff for the encoder",
-        )
-    if largest / max(swing, 1e-9) > 2.0 * expected[1]:
-        return (
-            DriftVerdict.UNKNOWN,
-            "the joint drifts more than LuGre's law says: the torque is too near to break-away",
-        )
-    return DriftVerdict.UNKNOWN, "the joint drifts, but less than LuGre's law says"
-
-
-def _turning_points(trace: Trace, low: int, high: int) -> tuple[Array, Array]:
-    """Return the counts at the end of each half at `low` that is followed by one at `high`, and at the end of that."""
-    code = trace.code
-    last = np.flatnonzero(np.diff(code) != 0.0)  # the last reading of each code
-    at_low = last[(code[last] == low) & (code[np.minimum(last + 1, code.size - 1)] == high)]
-    at_high = last[(code[last] == high)]
-    if at_low.size:
-        at_high = at_high[at_high > at_low[0]]
-    return trace.counts[at_low], trace.counts[at_high]
+    expected = [lugre_ratio(b * part, a * part) for part in (1 - _UNCERTAIN, 1 + _UNCERTAIN)]
+    swing = float(np.mean(upper[:-1] - lower[1:]))
+    return DriftResult(lower, swing, (drift, drift - reach, drift + reach), (expected[0], expected[1]), b, a)

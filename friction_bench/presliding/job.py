@@ -5,24 +5,29 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from tqdm import tqdm
 
 from friction_bench.experiment.session import Session, check_options, measuring, origin_of, wait_for_rest
-from friction_bench.presliding import laws
-from friction_bench.presliding.break_away import RATES, REPEATS, break_away_code
-from friction_bench.presliding.campaign import Campaign, Run
-from friction_bench.presliding.drift import HALF, turning_codes
-from friction_bench.presliding.evaluation import PreslidingResult, evaluate
-from friction_bench.presliding.follow import follow
-from friction_bench.presliding.kinds import KINDS, USUAL_BLOCKS, USUAL_CYCLES
-from friction_bench.presliding.report import result_text, write_estimates, write_html
-from friction_bench.presliding.trace import trace_of, write_trace
-from friction_bench.rig.client import Sample
+from friction_bench.presliding import KINDS, USUAL_BLOCKS, USUAL_CYCLES, motions
+from friction_bench.presliding.drift import HALF, DriftResult, evaluate_drift, turning_codes
+from friction_bench.presliding.laws import FITS, LoopBlock, choose
+from friction_bench.presliding.motions import Profile, Trace, follow
+from friction_bench.presliding.report import PreslidingResult, result_text, write_estimates, write_html
+from friction_bench.presliding.sliding import (
+    RATES,
+    REPEATS,
+    BreakAway,
+    break_away_code,
+    evaluate_pull,
+    fit_sliding_friction,
+    sliding_readings,
+)
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, IdentificationError, Rx90Error
 from rx90_common.base.quoting import one_line
@@ -33,8 +38,6 @@ SPEEDS = np.array([0.02, 0.035, 0.06, 0.1, 0.16, 0.24, 0.34, 0.45])
 """Of the sweep, in parts of the fastest that the rig allows."""
 HELD = 75
 """Ticks for each speed."""
-SETTLED = 30
-"""Of them until the speed is held."""
 PULLS = np.array([0.04, 0.08, 0.12, 0.17, 0.24, 0.33])
 """Speeds of the stick-slip map, in parts of the same."""
 STIFFNESSES = (4.0, 8.0, 16.0)
@@ -48,25 +51,63 @@ _BANDWIDTH = 15.0
 _USUAL_INERTIA = 0.4
 """kg m^2; the loop bears half of it and twice as much."""
 
+_Part = TypeVar("_Part")
+
 
 @dataclass(frozen=True)
-class CampaignPlan:
-    """What to run: kinds in the order of KINDS, so many blocks of loops, so many small cycles."""
+class Run:
+    """One experiment to run.
+
+    Attributes:
+        kind: ramps, or one of KINDS.
+        label: in messages, files and plots.
+        profile: of the torque.
+        rate: of a ramp in codes a tick, of a pull its speed in rad/s.
+        stiffness: of a pull, Nm/rad.
+    """
+
+    kind: str
+    label: str
+    profile: Profile
+    rate: float = 0.0
+    stiffness: float = 0.0
+
+
+@dataclass
+class Campaign:
+    """Experiments on a rig: which, and those that have been run with their readings, in order.
+
+    Attributes:
+        rig: on which they are run.
+        kinds: in the order of KINDS; the ramps come before them.
+        blocks: of loops.
+        cycles: small ones, of the drift.
+        origin: of the readings, in words.
+        done: what has been run, with its readings.
+        failures: in words.
+    """
 
     rig: Rig
-    kinds: tuple[str, ...]
-    blocks: int
-    cycles: int
+    kinds: tuple[str, ...] = KINDS
+    blocks: int = USUAL_BLOCKS
+    cycles: int = USUAL_CYCLES
+    origin: str = ""
+    done: list[tuple[Run, Trace]] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
 
     @property
     def slide(self) -> float:
         """Return the counts of a slide."""
-        return laws.slide_counts(self.rig.joint_step)
+        return motions.slide_counts(self.rig.joint_step)
 
     @property
     def fastest(self) -> float:
         """Return the fastest speed of the joint that the rig allows, with a reserve, rad/s."""
         return 0.9 * self.rig.speed_limit / self.rig.gear_ratio
+
+    def of(self, kind: str) -> list[tuple[Run, Trace]]:
+        """Return the experiments of a kind that have been run."""
+        return [(run, trace) for run, trace in self.done if run.kind == kind]
 
     def duration(self) -> float:
         """Return how long everything may take, s, for a joint that breaks away at half of the motor's torque."""
@@ -76,91 +117,116 @@ class CampaignPlan:
         if "sweep" in self.kinds:
             ticks += 2 * SPEEDS.size * HELD + 80
         if "stick_slip" in self.kinds:
-            ticks += sum(self.pull_ticks(speed, k) for speed in PULLS * self.fastest for k in STIFFNESSES)
+            ticks += sum(self._pull_ticks(speed, k) for speed in PULLS * self.fastest for k in STIFFNESSES)
         if "drift" in self.kinds:
             ticks += 2 * HALF * self.cycles + 120
         return ticks * self.rig.tick
 
-    def pull_ticks(self, speed: float, stiffness: float) -> int:
-        """Return for how many ticks to pull: three cycles of a joint whose friction falls by 0.5 Nm, 8 s to 40 s."""
-        cycle = 2.0 * 0.5 / (stiffness * speed)
-        travel = 0.7 * self.rig.load_travel * 2.0 * np.pi
-        return round(min(max(8.0, 3.0 * cycle), 40.0, travel / speed) / self.rig.tick)
-
-    def left(self, campaign: Campaign) -> float:
+    def left(self) -> float:
         """Return how long what is not done yet may take, s."""
-        return max(self.duration() - campaign.seconds, 0.0)
+        return max(self.duration() - float(sum(trace.time[-1] for _, trace in self.done)), 0.0)
 
+    def slowest_ramps(self) -> list[Trace]:
+        """Return the ramps of the slowest rate at which the joint breaks away.
 
-def runs(plan: CampaignPlan, campaign: Campaign, limit: int) -> Iterator[Run]:
-    """Yield one experiment after the other, each when those before it are in the campaign.
+        Raises:
+            IdentificationError: if there are none.
+        """
+        ramps = [(run.rate, trace) for run, trace in self.of("ramps") if trace.counts.max() >= self.slide]
+        if not ramps:
+            raise IdentificationError("the joint breaks away on no ramp")
+        slowest = min(rate for rate, _ in ramps)
+        return [trace for rate, trace in ramps if rate == slowest]
 
-    Args:
-        plan: which.
-        campaign: what has been measured so far.
-        limit: the highest code that the firmware accepts.
+    def break_away_code(self) -> float:
+        """Return the code at which the joint breaks away on the slowest of the ramps on which it does.
 
-    Raises:
-        IdentificationError: if the joint does not break away, or so early that codes are too coarse for small cycles.
-    """
-    for rate in RATES:
-        for repeat in range(REPEATS):
-            label = f"ramp, {rate:g} codes a tick, {repeat + 1}"
-            yield Run("ramps", label, laws.ramp(rate, plan.slide, limit), rate=rate)
-            break_away_code(campaign.traces[-1], plan.slide)  # refused now, if the joint sticks
-    slow = campaign.break_away_code(plan.slide)
-    start = int(_START * slow)
-    for kind in plan.kinds:
-        if kind == "loops":
-            yield from _loops(plan, slow, start, limit)
-        elif kind == "sweep":
-            yield _sweep(plan, start, limit)
-        elif kind == "stick_slip":
-            yield from _pulls(plan, slow, limit)
-        elif kind == "drift":
+        Raises:
+            IdentificationError: if there are none.
+        """
+        return float(np.median([break_away_code(trace, self.slide) for trace in self.slowest_ramps()]))
+
+    def runs(self, limit: int) -> Iterator[Run]:
+        """Yield one experiment after the other, each when those before it are done.
+
+        Args:
+            limit: the highest code that the firmware accepts.
+
+        Raises:
+            IdentificationError: if the joint does not break away, or too early for small cycles in whole codes.
+        """
+        for rate in RATES:
+            for repeat in range(REPEATS):
+                label = f"ramp, {rate:g} codes a tick, {repeat + 1}"
+                yield Run("ramps", label, motions.ramp(rate, self.slide, limit), rate)
+                break_away_code(self.done[-1][1], self.slide)  # refused now, if the joint sticks
+        slow = self.break_away_code()
+        start = int(_START * slow)
+        rig = self.rig
+        if "loops" in self.kinds:
+            stride = max(1, round(slow / _STRIDES))
+            for block in range(self.blocks):
+                codes = motions.loop_codes(int(slow), block, stride)
+                yield Run("loops", f"loops, block {block + 1}", motions.after_slide(start, self.slide, limit, codes))
+        if "sweep" in self.kinds:
+            speeds = SPEEDS * self.fastest
+            wanted = [float(speed) * rig.tick / rig.joint_step for speed in (*speeds, *speeds[::-1])]
+            gain = _USUAL_INERTIA * _BANDWIDTH / rig.joint_code / (rig.tick / rig.joint_step)
+            yield Run("sweep", "sweep", motions.speeds(start, wanted, HELD, gain, limit, rig.tick))
+        if "stick_slip" in self.kinds:
+            for stiffness in STIFFNESSES:
+                for speed in (PULLS * self.fastest).tolist():
+                    spring, ticks = stiffness * rig.joint_step / rig.joint_code, self._pull_ticks(speed, stiffness)
+                    profile = motions.pulled(spring, speed * rig.tick / rig.joint_step, ticks, limit, 0.8 * slow)
+                    label = f"stick-slip, {speed:.3f} rad/s, {stiffness:g} Nm/rad"
+                    yield Run("stick_slip", label, profile, speed, stiffness)
+        if "drift" in self.kinds:
             low, high = turning_codes(slow)
             if high <= low:
                 raise IdentificationError(
                     f"drift: the joint breaks away at code {slow:g}, which leaves no codes for small cycles below it"
                 )
-            law = laws.cycles(start, plan.slide, limit, low, high, HALF, plan.cycles)
-            yield Run("drift", "drift", law)
+            codes = motions.cycle_codes(low, high, HALF, self.cycles)
+            yield Run("drift", "drift", motions.after_slide(start, self.slide, limit, codes))
 
+    def _pull_ticks(self, speed: float, stiffness: float) -> int:
+        """Return for how many ticks to pull: three cycles of a joint whose friction falls by 0.5 Nm, 8 s to 40 s."""
+        cycle = 2.0 * 0.5 / (stiffness * speed)
+        travel = 0.7 * self.rig.load_travel * 2.0 * np.pi
+        return round(min(max(8.0, 3.0 * cycle), 40.0, travel / speed) / self.rig.tick)
 
-def _loops(plan: CampaignPlan, break_away: float, start: int, limit: int) -> Iterator[Run]:
-    stride = max(1, round(break_away / _STRIDES))
-    for block in range(plan.blocks):
-        levels = laws.loop_levels(int(break_away), block)
-        yield Run("loops", f"loops, block {block + 1}", laws.loops(start, plan.slide, limit, levels, stride))
+    def evaluate(self, on_fit: Callable[[], object] = lambda: None) -> PreslidingResult:
+        """Evaluate all that has been run; what cannot be is named in the result's failures."""
+        result = PreslidingResult(self.origin, self.rig, failures=list(self.failures))
 
+        def attempt(part: Callable[..., _Part], *arguments: object) -> _Part | None:
+            try:
+                return part(*arguments)
+            except IdentificationError as error:
+                result.failures.append(str(error))
+                return None
 
-def _counts_per_tick(plan: CampaignPlan, speed: float) -> float:
-    return speed * plan.rig.tick / plan.rig.joint_step
+        for _, trace in self.of("sweep"):
+            result.readings = sliding_readings(trace)
+            result.sliding = attempt(fit_sliding_friction, result.readings)
+        ramps = [(run.rate, trace) for run, trace in self.of("ramps") if trace.counts.max() >= self.slide]
+        if ramps:
+            code = 0.9 * self.break_away_code()
+            moved = [trace.counts[int(np.argmax(trace.code >= code))] for trace in self.slowest_ramps()]
+            result.deflection = float(np.median(moved)) * self.rig.joint_step
+            if result.sliding is not None:
+                result.break_away = BreakAway.of(ramps, result.sliding.inertia)
+        for _, trace in self.of("drift"):
+            result.drift = attempt(self._drift, trace)
+        result.blocks = [LoopBlock.of(trace) for _, trace in self.of("loops")]
+        if result.blocks and result.readings is not None:
+            result.choice = attempt(choose, result.blocks, result.readings, result.drift, on_fit)
+        result.pulls = [evaluate_pull(trace, run.rate, run.stiffness) for run, trace in self.of("stick_slip")]
+        return result
 
-
-def _sweep(plan: CampaignPlan, start: int, limit: int) -> Run:
-    speeds = SPEEDS * plan.fastest
-    wanted = [_counts_per_tick(plan, float(speed)) for speed in (*speeds, *speeds[::-1])]
-    gain = _USUAL_INERTIA * _BANDWIDTH / _code_step(plan) / _counts_per_tick(plan, 1.0)
-    return Run("sweep", "sweep", laws.speeds(start, wanted, HELD, gain, limit, plan.rig.tick), wanted=tuple(wanted))
-
-
-def _code_step(plan: CampaignPlan) -> float:
-    return plan.rig.torque(1) * plan.rig.joint_scale
-
-
-def _pulls(plan: CampaignPlan, break_away: float, limit: int) -> Iterator[Run]:
-    for stiffness in STIFFNESSES:
-        for speed in (PULLS * plan.fastest).tolist():
-            law = laws.pulled(
-                stiffness * plan.rig.joint_step / _code_step(plan),
-                _counts_per_tick(plan, speed),
-                plan.pull_ticks(speed, stiffness),
-                limit,
-                0.8 * break_away,
-            )
-            label = f"stick-slip, {speed:.3f} rad/s, {stiffness:g} Nm/rad"
-            yield Run("stick_slip", label, law, rate=speed, stiffness=stiffness)
+    def _drift(self, trace: Trace) -> DriftResult:
+        slow = self.break_away_code()
+        return evaluate_drift(trace, *turning_codes(slow), slow)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -173,34 +239,24 @@ def run(options: argparse.Namespace) -> int:
         Rx90Error: for what is refused; what has been measured until then stands in the folder.
     """
     rig = load_rig(resolve_config(options.rig))
-    plan = _plan(options, rig)
+    campaign = _campaign(options, rig)
     out: Path = options.output
-    campaign = Campaign(origin=origin_of(options))
     try:
-        _measure(options, rig, plan, out, campaign)
+        with measuring(options, rig, out, campaign.duration(), "rig") as session:
+            session.couple(True)
+            _run_all(session, campaign, out)
     except (KeyboardInterrupt, Rx90Error):
-        if campaign.traces:
+        if campaign.done:
             print("evaluating what has been measured; Ctrl-C leaves that out", file=sys.stderr)
             with contextlib.suppress(Rx90Error):  # the first reason is the one to tell
-                _evaluate(campaign, rig, out)
+                _report(campaign, out)
         raise
-    result = _evaluate(campaign, rig, out)
-    undecided = "loops" in plan.kinds and (result.choice is None or result.choice.law is None)
+    result = _report(campaign, out)
+    undecided = "loops" in campaign.kinds and (result.choice is None or len(result.choice.left) > 1)
     return VERDICT_NO if undecided or result.failures else DONE
 
 
-def _evaluate(campaign: Campaign, rig: Rig, out: Path) -> PreslidingResult:
-    """Evaluate what was measured, write the report and print the results."""
-    with tqdm(total=campaign.fits, desc="laws", disable=None, leave=False) as bar:
-        result = evaluate(campaign, rig, bar.update)
-    print(result_text(result))  # first: a disk that is full takes no report
-    write_html(out / "report.html", result, rig)
-    write_estimates(out / "estimates.yaml", result, rig)
-    print(one_line(f"report: {out / 'report.html'}"))
-    return result
-
-
-def _plan(options: argparse.Namespace, rig: Rig) -> CampaignPlan:
+def _campaign(options: argparse.Namespace, rig: Rig) -> Campaign:
     """Refuse now what would otherwise be noticed after minutes."""
     check_options(options)
     if not rig.counts_down:
@@ -213,22 +269,17 @@ def _plan(options: argparse.Namespace, rig: Rig) -> CampaignPlan:
         value = getattr(options, name)
         if value is not None and kind not in kinds:
             raise ConfigError(f"--{name} {value} without {kind}; accepted: with --kinds {kind}, or without --kinds")
-    return CampaignPlan(rig, kinds, options.blocks or USUAL_BLOCKS, options.cycles or USUAL_CYCLES)
+    blocks, cycles = options.blocks or USUAL_BLOCKS, options.cycles or USUAL_CYCLES
+    return Campaign(rig, kinds, blocks, cycles, origin_of(options))
 
 
-def _measure(options: argparse.Namespace, rig: Rig, plan: CampaignPlan, out: Path, campaign: Campaign) -> None:
-    with measuring(options, rig, out, plan.duration(), "rig") as session:
-        session.couple(True)
-        _run_all(session, plan, campaign, out)
-
-
-def _run_all(session: Session, plan: CampaignPlan, campaign: Campaign, out: Path) -> None:
+def _run_all(session: Session, campaign: Campaign, out: Path) -> None:
     """Run what is planned; a later experiment is planned by what earlier ones showed."""
     client, bar = session.client, session.bar
     assert client.hello is not None  # it has been greeted
     try:
-        for what in runs(plan, campaign, client.hello.torque_limit_code):
-            bar.total = round(bar.n + plan.left(campaign), 1)
+        for what in campaign.runs(client.hello.torque_limit_code):
+            bar.total = round(bar.n + campaign.left(), 1)
             bar.set_postfix_str(what.label, refresh=False)
             wait_for_rest(client)
             _run_one(session, what, campaign, out)
@@ -242,23 +293,29 @@ def _run_one(session: Session, what: Run, campaign: Campaign, out: Path) -> None
 
     One that is cut short counts where it is a drift, whose cycles so far are as good as those that are missing.
     """
-    client = session.client
-    samples: list[Sample] = []
-
-    def keep(sample: Sample) -> None:
-        samples.append(sample)
-        session.keep(sample)
-
-    name = f"{len(campaign.traces) + 1:03d}_{what.label.split(',')[0].replace(' ', '_')}"
+    first = len(session.samples)
+    name = f"{len(campaign.done) + 1:03d}_{what.label.split(',')[0].replace(' ', '_')}"
     try:
-        trace = follow(client, what.law, what.label, keep)
+        trace = follow(session.client, what.profile, what.label, session.keep)
     except (KeyboardInterrupt, Rx90Error):
-        if len(samples) > 1:
+        if len(session.samples) - first > 1:
             with interrupts_later(), contextlib.suppress(Rx90Error):  # the first reason is the one to tell
-                unfinished = trace_of(f"{what.label}, unfinished", samples, client.rig)
+                unfinished = Trace.of(f"{what.label}, unfinished", session.samples[first:], campaign.rig)
                 if what.kind == "drift":
-                    campaign.add(what, unfinished)
-                write_trace(unfinished, out / f"{name}_unfinished.csv")
+                    campaign.done.append((what, unfinished))
+                unfinished.write(out / f"{name}_unfinished.csv")
         raise
-    campaign.add(what, trace)
-    write_trace(trace, out / f"{name}.csv")
+    campaign.done.append((what, trace))
+    trace.write(out / f"{name}.csv")
+
+
+def _report(campaign: Campaign, out: Path) -> PreslidingResult:
+    """Evaluate what was measured, write the report and print the results."""
+    fits = FITS if campaign.of("loops") and campaign.of("sweep") else 0
+    with tqdm(total=fits, desc="laws", disable=None, leave=False) as bar:
+        result = campaign.evaluate(bar.update)
+    print(result_text(result))  # first: a disk that is full takes no report
+    write_html(out / "report.html", result)
+    write_estimates(out / "estimates.yaml", result)
+    print(one_line(f"report: {out / 'report.html'}"))
+    return result

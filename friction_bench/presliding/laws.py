@@ -1,175 +1,331 @@
-"""The experiments as laws of torque: what is on the DAC from tick to tick. Codes are those of the DAC.
+"""Five laws of friction that may explain loops, and which of them the readings ask for.
 
-Torque goes one way only, from zero to the motor's limit: a motion is turned round by taking torque away, and it is the
-bent bristles that drive it back. So loops lie between zero and break-away, and no sliding joint is reversed.
+The motion is the input and the torque the prediction, as the laws themselves have it, so that no simulation runs away
+from a small error. Between two readings the velocity is taken as constant, and the steps are those of the emulated
+plant (rx90_common/friction), which are exact for that. A law without bristles lets nothing move below the static
+torque: where a step of torque moves the joint by a count, it predicts the sliding torque.
+
+The choice is by cross-validation over whole blocks: each law is fitted to all blocks but some and predicts those.
+Blocks begin with a slide, so that no reading shares noise or memory with one of another block. Squared errors of the
+blocks are compared in pairs: a law is refuted where another predicts better by more than chance gives (t-test over the
+blocks, one-sided, p < P) and by more than SHARE, be it in sliding, or, among the laws that sliding leaves, in loops. Of
+laws that contain a simpler one which is not refuted the simpler one is kept.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
-from friction_bench.presliding.follow import Law
-from friction_bench.rig.client import Sample
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from friction_bench.presliding.drift import DriftResult, DriftVerdict
+from friction_bench.presliding.motions import DWELL, Trace
+from friction_bench.presliding.sliding import SlidingFriction, SlidingReadings, fit_sliding_friction
+from friction_bench.rig.plant import RigJoint, friction_over, joint_record, start
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_common.friction.element import FrictionElement
+from rx90_common.friction.held_out import HeldOutErrors
+from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_common.kernels.compiled import kernel
 
-DWELL = 4
-"""Ticks for which a torque is held in loops: the joint has come to rest at their end."""
-_STILL = 15
-"""Ticks for which a joint that slid is left alone, without torque."""
-_SLIDE = 8e-3
-"""How far the joint slides before an experiment, rad: beyond any presliding, so that it forgets what was before."""
-
-
-def _higher(code: int, limit: int) -> int:
-    """Return the next code for a joint that does not move yet.
-
-    Raises:
-        IdentificationError: if there is none: the joint broke away before, and does not any more.
-    """
-    if code >= limit:
-        raise IdentificationError(f"the joint sticks at the highest code, {limit}, though it slid on the ramps")
-    return code + 1
+P = 0.01
+SHARE = 0.1
+"""Least relative excess of the squared error that counts."""
+FOLDS = 5
+LEAST_BLOCKS = 6
+REACHES = np.geomspace(0.15, 4.0, 6)
+"""Of the blocks of Maxwell slip, in proportion: where their springs give way."""
+ATTRACTION = 1e4
+"""Nm/s: at once, for a velocity that is held for a tick; the readings, at rest, do not show how fast it is."""
+_SLIDING_BLOCKS = 10
 
 
-def slide_once(start: int, counts: float, limit: int) -> Law:
-    """Raise the torque from `start` by a code a tick until the joint has moved by so many counts; then take it away.
+@dataclass(frozen=True, eq=False)
+class LoopBlock:
+    """One block of loops, beginning at rest without torque after a slide, so that nothing before it matters.
 
-    Raises:
-        IdentificationError: if it has not at `limit`.
-    """
-    code = start
-    first = yield code
-    while (yield code).counts - first.counts < counts:
-        code = _higher(code, limit)
-    for _ in range(_STILL):
-        yield 0
+    The joint swings to rest there, which leaves no bristle bent; blocks of Maxwell slip come near to that.
 
-
-def ramp(rate: float, counts: float, limit: int) -> Law:
-    """Raise the torque by `rate` codes a tick until the joint has moved by so many counts, or up to `limit`."""
-    first = yield 0
-    ticks = code = 0
-    while code < limit:
-        ticks += 1
-        code = min(round(ticks * rate), limit)
-        if (yield code).counts - first.counts >= counts:
-            break
-    for _ in range(_STILL):
-        yield 0
-
-
-def slide_counts(step: float) -> float:
-    """Return the counts of a slide, for counts of `step` rad."""
-    return _SLIDE / step
-
-
-def loops(start: int, counts: float, limit: int, levels: Sequence[int], stride: int) -> Law:
-    """Slide once, then go from level to level in strides of so many codes, each held for DWELL ticks."""
-    yield from slide_once(start, counts, limit)
-    code = 0
-    for level in levels:
-        while code != level:
-            code += max(-stride, min(stride, level - code))
-            for _ in range(DWELL):
-                yield code
-
-
-def cycles(start: int, counts: float, limit: int, low: int, high: int, half: int, number: int) -> Law:
-    """Slide once, go up to `low`, then change between `high` and `low`, each for `half` ticks, so many times."""
-    yield from slide_once(start, counts, limit)
-    yield from _staircase(0, low)
-    for _ in range(number):
-        for code in (high, low):
-            for _ in range(half):
-                yield code
-
-
-def _staircase(first: int, last: int) -> Law:
-    for code in range(first, last + 1):
-        for _ in range(2):
-            yield code
-
-
-class Rounding:
-    """Rounds torques to codes so that the errors do not add up: each is carried to the next code."""
-
-    def __init__(self, limit: int) -> None:
-        self._limit = limit
-        self._carried = 0.0
-
-    def __call__(self, code: float) -> int:
-        """Return the whole code; beyond the amplifier's range its end."""
-        wanted = min(max(code + self._carried, 0.0), float(self._limit))
-        whole = round(wanted)
-        self._carried = wanted - whole
-        return whole
-
-
-def speeds(start: int, wanted: Sequence[float], ticks: int, gain: float, limit: int, tick: float) -> Law:
-    """Hold one speed after the other, each for so many ticks, by a PI loop on the counts.
-
-    Args:
-        start: a code at which the joint does not slide yet.
-        wanted: speeds, counts per tick.
-        ticks: for each of them.
-        gain: proportional gain, codes for a count per tick; the integral's time is INTEGRAL.
-        limit: the highest code.
+    Attributes:
+        angle: of the joint at each reading from the rest after the slide on, rad, without the encoder's flicker,
+            shape (n,).
+        readings: those at the end of each held torque, shape (k,).
+        torque: held there, Nm, shape (k,).
         tick: s.
-
-    Raises:
-        IdentificationError: if the joint does not move at `limit`.
     """
-    rounding = Rounding(limit)
-    code = start
-    sample = yield code
-    while True:
-        before, sample = sample, (yield code)
-        if sample.counts - before.counts >= wanted[0]:
-            break
-        code = _higher(code, limit)
-    integral = float(code)
-    for speed in wanted:
-        for _ in range(ticks):
-            error = speed - (sample.counts - before.counts) / (sample.tick - before.tick)
-            integral += gain * error * tick / INTEGRAL
-            before, sample = sample, (yield rounding(integral + gain * error))
+
+    angle: Array
+    readings: NDArray[np.int64]
+    torque: Array
+    tick: float
+
+    @classmethod
+    def of(cls, trace: Trace) -> LoopBlock:
+        """Return the block of a trace of loops."""
+        code = trace.code
+        ends = np.flatnonzero(np.diff(code) != 0.0)
+        held = np.diff(ends, prepend=-1)
+        slid = int(np.flatnonzero((code[:-1] > 0.0) & (code[1:] == 0.0))[0]) + 1
+        first = slid + int(np.argmax(code[slid:] > 0.0)) - 1  # the last reading at rest
+        readings = ends[(ends > first) & (held >= DWELL)]
+        return cls(
+            settled(trace.counts)[first:] * trace.angle_step, readings - first, trace.torque[readings], trace.tick
+        )
 
 
-INTEGRAL = 0.25
-"""Time of the integral of the speed's loop, s."""
+def settled(counts: Array) -> Array:
+    """Return counts without the flicker of one: the middle of what they leave open, moved as little as they ask."""
+    middle = np.empty_like(counts)
+    at = counts[0]
+    for k, count in enumerate(counts):
+        at = min(max(at, count - 0.5), count + 0.5)
+        middle[k] = at
+    return middle
 
 
-def pulled(stiffness: float, speed: float, ticks: int, limit: int, preload: float) -> Law:
-    """Pull the joint by a spring whose other end moves at a steady speed; the host computes the spring.
+@kernel
+def torque_along(joint: RigJoint, angle: NDArray[np.float64], tick: float) -> NDArray[np.float64]:
+    """Return the mean friction torque over the tick before each reading, Nm, and 0 for the first, shape (n,)."""
+    torque, z = np.zeros(angle.size), 0.0
+    for k in range(1, angle.size):
+        velocity = (angle[k] - angle[k - 1]) / tick
+        z, torque[k] = friction_over(joint, z, angle[k], velocity, tick)
+    return torque
+
+
+@dataclass(frozen=True)
+class FrictionLaw:
+    """A law with what it has free in presliding.
+
+    Attributes:
+        name: of the law.
+        parameters: so many in all, with those of sliding.
+        stribeck: it has a static torque above the Coulomb one.
+        starts: what fits begin with: a factor of the stiffness that the loops show, and the other values, transformed.
+        bristles: made of the transformed values but the first, which is ln c0; None for a law without presliding.
+    """
+
+    name: str
+    parameters: int
+    stribeck: bool = True
+    starts: tuple[tuple[float, ...], ...] = ()
+    bristles: Callable[[Sequence[float]], BristlesPart | None] | None = None
+
+    def predict(self, values: Sequence[float], sliding: SlidingFriction, blocks: Sequence[LoopBlock]) -> list[Array]:
+        """Return the torque at each of the readings of blocks, Nm, each of shape (k,)."""
+        if self.bristles is None:
+            static = sliding.tau_s if self.stribeck else sliding.tau_c
+            return [_rigid(static, block) for block in blocks]
+        joint = joint_record(self.element(values, sliding), 1.0, blocks[0].tick, 0)
+        found = []
+        for block in blocks:
+            start(joint)
+            found.append(np.asarray(torque_along(joint, block.angle, block.tick)[block.readings]))
+        return found
+
+    def element(self, values: Sequence[float], sliding: SlidingFriction) -> FrictionElement:
+        """Return the friction element of a law with bristles, without damping, which the readings do not show."""
+        assert self.bristles is not None
+        coulomb, static = max(sliding.tau_c, 1e-6), max(sliding.tau_s, sliding.tau_c, 1e-6)
+        lugre = FrictionElement(
+            coulomb, coulomb, static, static, sliding.omega_s, 1.0, math.exp(values[0]), 0.0, sliding.c2, math.inf, 1.0
+        )
+        return replace(lugre, bristles=self.bristles(values[1:]))
+
+    def fit(self, sliding: SlidingFriction, blocks: Sequence[LoopBlock]) -> list[float]:
+        """Return the free values, transformed, that predict the torques of blocks best."""
+        if not self.starts:
+            return []
+        measured = np.concatenate([block.torque for block in blocks])
+
+        def misfit(values: Array) -> Array:
+            return np.asarray(np.concatenate(self.predict(values.tolist(), sliding, blocks)) - measured)
+
+        stiffness = _stiffness(blocks)
+        tries = [[math.log(factor * stiffness), *rest] for factor, *rest in self.starts]
+        found = [least_squares(misfit, one, diff_step=[1e-3], xtol=1e-4, ftol=1e-4, max_nfev=40) for one in tries]
+        return [float(value) for value in min(found, key=lambda one: float(one.cost)).x]
+
+
+def _rigid(static: float, block: LoopBlock) -> Array:
+    """Return what a joint without presliding does: it balances the torque at rest, and slides where it moves."""
+    before = np.concatenate(([block.readings[0] - DWELL], block.readings[:-1]))
+    moved = block.angle[block.readings] - block.angle[np.maximum(before, 0)]
+    still = np.clip(block.torque, -static, static)
+    return np.where(moved == 0.0, still, static * np.sign(moved))
+
+
+def _maxwell(values: Sequence[float]) -> MaxwellSlip:
+    weight = np.exp(np.append(np.asarray(values), 0.0))
+    stiffness = weight / weight.sum()
+    share = stiffness * REACHES / float(stiffness @ REACHES)
+    stiffness, share = (np.clip(part, 1e-6, 1.0) for part in (stiffness, share))
+    stiffness, share = stiffness / stiffness.sum(), share / share.sum()
+    return MaxwellSlip(tuple(stiffness.tolist()), tuple(share.tolist()), ATTRACTION)
+
+
+def _elastic(values: Sequence[float]) -> ElastoPlastic:
+    return ElastoPlastic(MOST_BREAK_AWAY / (1.0 + math.exp(-values[0])))
+
+
+def _stiffness(blocks: Sequence[LoopBlock]) -> float:
+    """Return the stiffness with which joints begin to turn back, Nm/rad, roughly: where the torque falls."""
+    rises = []
+    for block in blocks:
+        torque, angle = block.torque, block.angle[block.readings]
+        for first, last in pairwise(range(0, torque.size, 4)):
+            if torque[last] < torque[first] and angle[first] > angle[last]:
+                rises.append((torque[first] - torque[last]) / (angle[first] - angle[last]))
+    return float(np.median(rises)) if rises else 1e6
+
+
+# Maxwell slip begins with even springs, and with stiff ones that give way early; none is 0, which would take a fit's
+# steps away.
+COULOMB = FrictionLaw("Coulomb and viscous", 2, stribeck=False)
+STRIBECK = FrictionLaw("Stribeck", 4)
+LUGRE = FrictionLaw("LuGre", 5, starts=((1.0,),), bristles=lambda _: None)
+ELASTO_PLASTIC = FrictionLaw("elasto-plastic", 6, starts=((1.0, -0.5), (1.0, 1.2)), bristles=_elastic)
+MAXWELL_SLIP = FrictionLaw(
+    "Maxwell slip",
+    4 + REACHES.size,
+    starts=((1.3, 0.5, 0.4, 0.3, 0.2, 0.1), (2.0, 2.0, 1.5, 1.0, 0.6, 0.2)),
+    bristles=_maxwell,
+)
+LAWS = (COULOMB, STRIBECK, LUGRE, ELASTO_PLASTIC, MAXWELL_SLIP)
+"""From the simplest to the one with most parameters."""
+FITS = len(LAWS) * (FOLDS + 1)
+"""That a choice takes."""
+
+
+@dataclass(frozen=True, eq=False)
+class LawScore:
+    """How a law did.
+
+    Attributes:
+        loops: RMS errors of the blocks of loops that it had not seen, Nm, shape (blocks,).
+        sliding: the same of sliding readings.
+        values: of the law's free parameters from all blocks, transformed.
+        refuted: why it is, "" if it is not.
+    """
+
+    law: FrictionLaw
+    loops: Array
+    sliding: Array
+    values: tuple[float, ...]
+    refuted: str
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The verdict.
+
+    Attributes:
+        scores: of all laws, in the order of LAWS.
+        left: laws that are left.
+        by_loops: laws that loops and sliding leave, without the drift.
+        sliding: steady sliding, from all readings.
+    """
+
+    scores: tuple[LawScore, ...]
+    left: tuple[FrictionLaw, ...]
+    by_loops: tuple[FrictionLaw, ...]
+    sliding: SlidingFriction
+
+    @property
+    def lugre(self) -> FrictionElement:
+        """Return LuGre's element as fitted."""
+        score = next(score for score in self.scores if score.law is LUGRE)
+        return LUGRE.element(score.values, self.sliding)
+
+    @property
+    def text(self) -> str:
+        """Return the verdict in words."""
+        if len(self.left) > 1:
+            return f"cannot tell: {' or '.join(law.name for law in self.left)}"
+        return self.left[0].name + (", by its drift" if len(self.by_loops) > 1 else "")
+
+
+def choose(
+    blocks: Sequence[LoopBlock],
+    readings: SlidingReadings,
+    drift: DriftResult | None,
+    on_fit: Callable[[], object] = lambda: None,
+) -> Choice:
+    """Choose the law.
 
     Args:
-        stiffness: codes for a count.
-        speed: counts per tick.
-        ticks: how long.
-        limit: the highest code.
-        preload: code at the beginning.
+        blocks: of loops.
+        readings: of the sliding joint, in the order of time.
+        drift: under small cycles, None if it was not measured.
+        on_fit: called after each of FITS fits.
+
+    Raises:
+        IdentificationError: if there is too little to compare.
     """
-    rounding = Rounding(limit)
-    sample = yield 0
-    first: Sample = sample
-    end = preload / stiffness
-    for _ in range(ticks):
-        end += speed
-        stretch = end - (sample.counts - first.counts)
-        sample = yield rounding(stiffness * stretch)
+    if len(blocks) < LEAST_BLOCKS:
+        raise IdentificationError(f"{len(blocks)} blocks of loops; accepted: at least {LEAST_BLOCKS}")
+    sliding = {stribeck: fit_sliding_friction(readings, stribeck) for stribeck in (False, True)}
+    held_out = {stribeck: _sliding_errors(readings, stribeck) for stribeck in (False, True)}
+    scores = []
+    for law in LAWS:
+        errors = np.zeros(len(blocks))
+        for fold in range(FOLDS):
+            values = law.fit(sliding[law.stribeck], [block for i, block in enumerate(blocks) if i % FOLDS != fold])
+            unseen = blocks[fold::FOLDS]
+            predicted = law.predict(values, sliding[law.stribeck], unseen)
+            errors[fold::FOLDS] = [_rms(one - block.torque) for one, block in zip(predicted, unseen, strict=True)]
+            on_fit()
+        values = law.fit(sliding[law.stribeck], blocks)
+        scores.append(LawScore(law, errors, held_out[law.stribeck], tuple(values), ""))
+        on_fit()
+    scores = judged(scores)
+    by_loops = [score.law for score in scores if not score.refuted]
+    for simple in (COULOMB, STRIBECK):  # each contained in all that follow
+        if simple in by_loops:
+            by_loops = [simple]
+    left = by_loops
+    if drift is not None and drift.verdict is not DriftVerdict.UNKNOWN and by_loops[0].bristles is not None:
+        drifts = drift.verdict is DriftVerdict.DRIFTS
+        left = [law for law in by_loops if (law is LUGRE) is drifts] or by_loops
+    return Choice(tuple(scores), tuple(left), tuple(by_loops), sliding[True])
 
 
-def loop_levels(break_away: int, kind: int) -> list[int]:
-    """Return the torques between which a block of loops turns round, below break-away: large loops with inner ones.
+def _sliding_errors(readings: SlidingReadings, stribeck: bool) -> Array:
+    """Return the RMS errors of stretches of sliding readings from a fit to the others, Nm, shape (stretches,)."""
+    every = np.arange(readings.speed.size)
+    errors = []
+    for stretch in np.array_split(every, _SLIDING_BLOCKS):
+        rest = np.setdiff1d(every, stretch)
+        friction = fit_sliding_friction(SlidingReadings(*(column[rest] for column in readings)), stribeck)
+        errors.append(_rms(friction.misfit(SlidingReadings(*(column[stretch] for column in readings)))))
+    return np.array(errors)
 
-    The inner ones begin and end at the same torque, so that a law with a memory of its own closes them there.
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def judged(scores: Sequence[LawScore]) -> list[LawScore]:
+    """Return the scores with what refutes them.
+
+    In loops the laws that sliding leaves are compared. Where the encoder sees no presliding, loops are counts of creep:
+    whatever predicts least torque there is nearest, be its sliding ever so wrong.
     """
-    shares = (
-        (0.85, 0.25, 0.6, 0.25, 0.85, 0.0),
-        (0.8, 0.1, 0.5, 0.3, 0.5, 0.1, 0.8, 0.0),
-        (0.9, 0.4, 0.75, 0.4, 0.9, 0.0),
-        (0.5, 0.0, 0.3, 0.1, 0.3, 0.0, 0.7, 0.0),
-        (0.75, 0.5, 0.65, 0.5, 0.88, 0.0, 0.4, 0.0),
-    )
-    return [math.floor(share * break_away) for share in shares[kind % len(shares)]]
+    laws = [score.law.name for score in scores]
+    sliding = HeldOutErrors({score.law.name: score.sliding**2 for score in scores}, floor=1e-12)
+    loops = HeldOutErrors({score.law.name: score.loops**2 for score in scores}, floor=1e-12)
+    by_sliding = {law: sliding.refutes(law, laws, P, SHARE) for law in laws}
+    standing = [law for law in laws if by_sliding[law] is None]
+    verdicts = []
+    for score in scores:
+        name = score.law.name
+        rivals = {"loops": loops.refutes(name, standing, P, SHARE), "sliding": by_sliding[name]}
+        reasons = [f"{kind}: {best} predicts better" for kind, best in rivals.items() if best is not None]
+        verdicts.append(replace(score, refuted="; ".join(reasons)))
+    return verdicts

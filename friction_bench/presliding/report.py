@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from friction_bench.presliding.choice import WITH_BRISTLES, LawScore
 from friction_bench.presliding.drift import DriftResult
-from friction_bench.presliding.evaluation import PreslidingResult
-from friction_bench.presliding.five_laws import LoopBlock
-from friction_bench.presliding.sliding import SlidingFriction
-from friction_bench.presliding.stick_slip import least_steady_speed
+from friction_bench.presliding.laws import Choice, LoopBlock
+from friction_bench.presliding.sliding import BreakAway, Pull, SlidingFriction, SlidingReadings, least_steady_speed
 from friction_bench.rig.rig_file import Rig
-from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
@@ -23,47 +20,60 @@ from rx90_common.report.plot import COLOURS, GREY, INK, Curve, Dots, Level, Mark
 SEEN = 5.0
 """Counts of presliding from which loops have a shape."""
 _MOST_LOOPS = 4
-_ANGLE = "angle since the block's slide, mrad"
-_TORQUE = "torque, Nm"
+
+
+@dataclass(eq=False)
+class PreslidingResult:
+    """The result of a campaign; parts are None or empty where they were not run, or carry nothing.
+
+    Attributes:
+        origin: of the readings, in words.
+        rig: on which they were taken.
+        deflection: of the joint up to break-away, rad, on the slowest ramps; None if it does not break away.
+        failures: why a part that was run carries nothing, one line each.
+    """
+
+    origin: str
+    rig: Rig
+    deflection: float | None = None
+    break_away: BreakAway | None = None
+    sliding: SlidingFriction | None = None
+    readings: SlidingReadings | None = None
+    blocks: list[LoopBlock] = field(default_factory=list)
+    choice: Choice | None = None
+    pulls: list[Pull] = field(default_factory=list)
+    drift: DriftResult | None = None
+    failures: list[str] = field(default_factory=list)
 
 
 def loops_plot(result: PreslidingResult) -> Plot:
     """Show the first blocks of loops, torque over angle, with what the laws with bristles predict from the angle."""
-    panels = [
-        Panel(_loop_marks(result, block), f"block {k + 1}", _ANGLE, _TORQUE)
-        for k, block in enumerate(result.blocks[:_MOST_LOOPS])
-    ]
+    panels = []
+    for k, block in enumerate(result.blocks[:_MOST_LOOPS]):
+        angle = 1e3 * (block.angle[block.readings] - block.angle[block.readings[0]])
+        marks: list[Mark] = []
+        if result.choice is not None:
+            shown = [score for score in result.choice.scores if score.law.bristles is not None]
+            for colour, score in zip(COLOURS, shown, strict=False):
+                (torque,) = score.law.predict(score.values, result.choice.sliding, [block])
+                marks.append(Curve(angle, torque, score.law.name, colour, 0.9))
+        marks.append(Curve(angle, block.torque, "measured", INK, 0.6, dots=True))
+        panels.append(Panel(marks, f"block {k + 1}", "angle since the block's slide, mrad", "torque, Nm"))
     return Plot(panels, columns=2, height=3.0)
 
 
-def _loop_marks(result: PreslidingResult, block: LoopBlock) -> list[Mark]:
-    angle = 1e3 * (block.angle[block.readings] - block.angle[block.readings[0]])
-    marks: list[Mark] = []
-    choice = result.choice
-    if choice is not None:
-        shown: list[LawScore] = [score for score in choice.scores if score.law in WITH_BRISTLES]
-        for colour, score in zip(COLOURS, shown, strict=False):
-            torque = score.law.predict(score.values, choice.sliding, block)
-            marks.append(Curve(angle, torque, score.law.name, colour, 0.9))
-    return [*marks, Curve(angle, block.torque, "measured", INK, 0.6, dots=True)]
-
-
-def break_away_plot(result: PreslidingResult) -> Plot:
+def break_away_plot(found: BreakAway) -> Plot:
     """Show the largest friction before sliding over the torque's rate."""
-    assert result.break_away is not None
-    rates, means, errors = result.break_away.by_rate()
+    rates, means, errors = np.array(found.by_rate()).T
     marks: list[Mark] = [
-        Dots(result.break_away.rate, result.break_away.torque, "each ramp", GREY),
+        Dots(found.rate, found.torque, "each ramp", GREY),
         Dots(rates, means, "mean and standard error", COLOURS[1], errors),
     ]
     return Plot([Panel(marks, "", "rate of the torque, Nm/s", "break-away, Nm", x_scale="log")], height=2.8)
 
 
-def sliding_plot(result: PreslidingResult) -> Plot:
+def sliding_plot(readings: SlidingReadings, friction: SlidingFriction) -> Plot:
     """Show friction over speed with the fitted curve."""
-    readings, friction = result.readings, result.sliding
-    assert readings is not None
-    assert friction is not None
     speed = np.linspace(0.0, 1.02 * float(readings.speed.max()), 300)
     torque = readings.torque - friction.inertia * readings.acceleration
     marks: list[Mark] = [
@@ -75,65 +85,63 @@ def sliding_plot(result: PreslidingResult) -> Plot:
 
 def pulls_plot(result: PreslidingResult) -> Plot:
     """Show where the joint sticks and slips over speed and stiffness, and where linear stability says that it does."""
-    pulls = result.pulls
     marks: list[Mark] = []
     for slips, label, colour in ((True, "sticks and slips", COLOURS[1]), (False, "slides", COLOURS[0])):
-        chosen = [pull for pull in pulls if pull.sticks_and_slips is slips]
-        if chosen:
-            speed = np.array([pull.speed for pull in chosen])
-            marks.append(Dots(speed, np.array([pull.stiffness for pull in chosen]), label, colour))
-    turn = None if result.sliding is None else turning_speed(result.sliding)
-    if turn is not None:
-        marks.append(Level(turn, "friction rises with speed from here", GREY, "dashed", upright=True))
-    lugre = None if result.choice is None else result.choice.lugre
-    if lugre is not None and result.sliding is not None:
-        stiffness = np.geomspace(min(pull.stiffness for pull in pulls), max(pull.stiffness for pull in pulls), 15)
-        fastest = 2.0 * max(pull.speed for pull in pulls)
-        least = [
-            least_steady_speed(lugre, result.sliding.inertia, float(one), pulls[0].trace.tick, fastest)
-            for one in stiffness
-        ]
+        chosen = np.array([pull[:2] for pull in result.pulls if pull.sticks_and_slips is slips])
+        if chosen.size:
+            marks.append(Dots(chosen[:, 0], chosen[:, 1], label, colour))
+    if result.sliding is not None and result.sliding.turning_speed is not None:
+        label = "friction rises with speed from here"
+        marks.append(Level(result.sliding.turning_speed, label, GREY, "dashed", upright=True))
+    if result.sliding is not None and result.choice is not None:
+        tried = [pull.stiffness for pull in result.pulls]
+        stiffness = np.geomspace(min(tried), max(tried), 15)
+        lugre, inertia, tick = result.choice.lugre, result.sliding.inertia, result.rig.tick
+        fastest = 2.0 * max(pull.speed for pull in result.pulls)
+        least = [least_steady_speed(lugre, inertia, float(one), tick, fastest) for one in stiffness]
         marks.append(Curve(np.array(least), stiffness, "steady sliding is stable from here", INK, 1.0))
     return Plot([Panel(marks, "", "speed, rad/s", "stiffness, Nm/rad")], height=2.8)
 
 
-def turning_speed(friction: SlidingFriction) -> float | None:
-    """Return the speed, rad/s, at which steady friction has its minimum; None where it rises from rest."""
-    fall = (friction.tau_s - friction.tau_c) / friction.omega_s
-    if friction.c2 <= 0.0 or fall <= friction.c2:
-        return None
-    return float(friction.omega_s * np.log(fall / friction.c2))
-
-
 def drift_plot(drift: DriftResult) -> Plot:
     """Show where the joint stands after each small cycle, and where LuGre's law would have it."""
-    position: Array = drift.position - drift.position[0]
+    cycles = np.arange(drift.position.size, dtype=np.float64)
     marks: list[Mark] = []
     if drift.by_lugre is not None:
-        least, largest = (counts * drift.cycles for counts in drift.by_lugre)
-        marks.append(Curve(drift.cycles, least, "LuGre's law, least", GREY, 1.0, "dashed"))
-        marks.append(Curve(drift.cycles, largest, "LuGre's law, largest", GREY, 1.0, "dotted"))
-    marks.append(Curve(drift.cycles, position, "measured", COLOURS[1], 1.2))
+        least, largest = (counts * cycles for counts in drift.by_lugre)
+        marks.append(Curve(cycles, least, "LuGre's law, least", GREY, 1.0, "dashed"))
+        marks.append(Curve(cycles, largest, "LuGre's law, largest", GREY, 1.0, "dotted"))
+    marks.append(Curve(cycles, drift.position - drift.position[0], "measured", COLOURS[1], 1.2))
     return Plot([Panel(marks, "", "small cycle", "drift, counts")], height=2.8)
 
 
 def resolution_text(result: PreslidingResult) -> str:
     """Return in words what encoder and converter resolve of this joint's presliding."""
-    steps = f"a count is {1e6 * result.step:.1f} urad and a code {1e3 * result.code:.1f} mNm at the joint"
-    if result.deflection is None or result.deflection_counts is None:
+    count, code = result.rig.joint_step, result.rig.joint_code
+    steps = f"a count is {1e6 * count:.1f} urad and a code {1e3 * code:.1f} mNm at the joint"
+    if result.deflection is None:
         return f"{steps}; it has not broken away"
-    seen = "" if result.deflection_counts >= SEEN else ": too few to see loops"
-    bends = f"{1e6 * result.deflection:.0f} urad, {result.deflection_counts:.1f} counts"
-    return f"{steps}; it bends by {bends}, up to break-away{seen}"
+    counts = result.deflection / count
+    seen = "" if counts >= SEEN else ": too few to see loops"
+    return f"{steps}; it bends by {1e6 * result.deflection:.0f} urad, {counts:.1f} counts, up to break-away{seen}"
+
+
+def drift_text(drift: DriftResult) -> str:
+    """Return the drift and what it says, in words."""
+    mean, least, largest = drift.drift
+    law = "no swing is seen"
+    if drift.by_lugre is not None:
+        low, high = drift.by_lugre
+        law = f"LuGre's law {low:.3g} to {high:.3g}, swing {drift.swing:.3g}"
+    return f"{mean:.3g} counts a cycle [{least:.3g}, {largest:.3g}], {law}: {drift.verdict.value} ({drift.reason})"
 
 
 def result_text(result: PreslidingResult) -> str:
     """Return the results for the terminal."""
     lines = [f"resolution: {resolution_text(result)}"]
     if result.break_away is not None:
-        rates, means, errors = result.break_away.by_rate()
-        pairs = zip(rates, means, errors, strict=True)
-        lines.append("break-away: " + ", ".join(f"{m:.3f} ± {e:.3f} Nm at {r:.3g} Nm/s" for r, m, e in pairs))
+        rates = (f"{m:.3f} ± {e:.3f} Nm at {r:.3g} Nm/s" for r, m, e in result.break_away.by_rate())
+        lines.append("break-away: " + ", ".join(rates))
     if result.sliding is not None:
         s = result.sliding
         lines.append(
@@ -152,23 +160,11 @@ def result_text(result: PreslidingResult) -> str:
         ]
         lines.append(f"stick-slip: {len(slips)} of {len(result.pulls)}" + (f": {', '.join(slips)}" if slips else ""))
     if result.drift is not None:
-        lines.append(f"drift: {drift_text(result)}")
+        lines.append(f"drift: {drift_text(result.drift)}")
     return "\n".join([*lines, *(f"not used: {reason}" for reason in result.failures)])
 
 
-def drift_text(result: PreslidingResult) -> str:
-    """Return the drift and what it says, in words."""
-    drift = result.drift
-    assert drift is not None
-    mean, least, largest = drift.drift
-    law = "no swing is seen"
-    if drift.by_lugre is not None:
-        low, high = drift.by_lugre
-        law = f"LuGre's law {low:.3g} to {high:.3g}, swing {drift.swing[0]:.3g}"
-    return f"{mean:.3g} counts a cycle [{least:.3g}, {largest:.3g}], {law}: {drift.verdict.value} ({drift.reason})"
-
-
-def write_html(path: Path, result: PreslidingResult, rig: Rig) -> None:
+def write_html(path: Path, result: PreslidingResult) -> None:
     """Write the page.
 
     Raises:
@@ -178,9 +174,9 @@ def write_html(path: Path, result: PreslidingResult, rig: Rig) -> None:
     if result.blocks:
         plots["loops"] = loops_plot(result)
     if result.break_away is not None:
-        plots["break_away"] = break_away_plot(result)
-    if result.sliding is not None:
-        plots["sliding"] = sliding_plot(result)
+        plots["break_away"] = break_away_plot(result.break_away)
+    if result.readings is not None and result.sliding is not None:
+        plots["sliding"] = sliding_plot(result.readings, result.sliding)
     if result.pulls:
         plots["pulls"] = pulls_plot(result)
     if result.drift is not None:
@@ -189,32 +185,27 @@ def write_html(path: Path, result: PreslidingResult, rig: Rig) -> None:
         "friction_bench.presliding",
         "presliding_report.html.j2",
         result=result,
-        rig=rig,
         plots=plots,
         resolution=resolution_text(result),
-        drift=drift_text(result) if result.drift is not None else "",
-        turn=turning_speed(result.sliding) if result.sliding is not None else None,
+        drift=drift_text(result.drift) if result.drift is not None else "",
     )
     write_text(path, page)
 
 
-def write_estimates(path: Path, result: PreslidingResult, rig: Rig) -> None:
+def write_estimates(path: Path, result: PreslidingResult) -> None:
     """Write every estimate as YAML, joint side.
 
     Raises:
         Rx90Error: if the file cannot be written.
     """
-    document: dict[str, Any] = {
-        "rig": rig.file.name,
-        "resolution": {"count_rad": result.step, "code_nm": result.code},
-    }
-    if result.deflection_counts is not None:
-        document["resolution"]["presliding_counts"] = result.deflection_counts
+    resolution = {"count_rad": result.rig.joint_step, "code_nm": result.rig.joint_code}
+    document: dict[str, Any] = {"rig": result.rig.file.name, "resolution": resolution}
+    if result.deflection is not None:
+        resolution["presliding_counts"] = result.deflection / result.rig.joint_step
     if result.break_away is not None:
-        rates, means, errors = result.break_away.by_rate()
         document["break_away"] = [
-            {"rate_nm_s": float(r), "torque_nm": float(m), "standard_error_nm": float(e)}
-            for r, m, e in zip(rates, means, errors, strict=True)
+            {"rate_nm_s": rate, "torque_nm": mean, "standard_error_nm": error}
+            for rate, mean, error in result.break_away.by_rate()
         ]
     if result.sliding is not None:
         names = ("tau_c", "tau_s", "omega_s", "c2", "inertia")
@@ -222,21 +213,17 @@ def write_estimates(path: Path, result: PreslidingResult, rig: Rig) -> None:
     if result.choice is not None:
         document["law"] = {
             "verdict": result.choice.text,
-            "left": list(result.choice.left),
+            "left": [law.name for law in result.choice.left],
             "refuted": {score.law.name: score.refuted for score in result.choice.scores if score.refuted},
         }
     if result.pulls:
-        document["stick_slip"] = [
-            {"speed": float(pull.speed), "stiffness": float(pull.stiffness), "sticks_and_slips": pull.sticks_and_slips}
-            for pull in result.pulls
-        ]
+        document["stick_slip"] = [pull._asdict() for pull in result.pulls]
     if result.drift is not None:
-        drift = result.drift
         document["drift"] = {
-            "verdict": drift.verdict.value,
-            "counts_per_cycle": [float(value) for value in drift.drift],
-            "swing_counts": float(drift.swing[0]),
-            "lugre_ratio": [float(value) for value in drift.expected],
+            "verdict": result.drift.verdict.value,
+            "counts_per_cycle": list(result.drift.drift),
+            "swing_counts": result.drift.swing,
+            "lugre_ratio": list(result.drift.expected),
         }
     document["not_used"] = list(result.failures)
     write_text(path, yaml_text(document))

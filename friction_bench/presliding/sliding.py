@@ -1,41 +1,43 @@
-"""Friction of a sliding joint from readings at changing speed: Stribeck's curve and the inertia, by least squares."""
+"""The sliding joint: its friction at changing speed, its break-away against the torque's rate, and its stick-slip."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.linalg import expm
 from scipy.optimize import least_squares
 
-from friction_bench.presliding.trace import Trace
+from friction_bench.presliding.motions import LATE, Trace
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_common.friction.element import FrictionElement
 
 SLOWEST = 3.0
 """Counts per tick below which a reading does not count as sliding."""
 TICKS = 7
 FEWEST = 40
+RATES = (0.1, 0.4, 1.6, 6.0, 16.0)
+"""Of the ramps, codes a tick."""
+REPEATS = 3
+STICKS, RUSHES = 0.2, 1.8
+"""Of the mean speed: a joint that is slower than the one and faster than the other in turn sticks and slips."""
+_SMOOTHED = 5
+"""Ticks over which speeds are averaged."""
+_AVERAGED = 0.1
+"""Rise of the torque, Nm, over which friction is averaged against the counts' noise, up to _MOST_AVERAGED readings."""
+_MOST_AVERAGED = 5
 
 
-@dataclass(frozen=True, eq=False)
-class SlidingReadings:
+class SlidingReadings(NamedTuple):
     """Readings of a sliding joint: speed, rad/s, acceleration, rad/s^2, motor's torque at the joint, Nm; shape (n,)."""
 
     speed: Array
     acceleration: Array
     torque: Array
-
-    def __add__(self, other: SlidingReadings) -> SlidingReadings:
-        return SlidingReadings(
-            np.concatenate((self.speed, other.speed)),
-            np.concatenate((self.acceleration, other.acceleration)),
-            np.concatenate((self.torque, other.torque)),
-        )
-
-    def chosen(self, rows: NDArray[np.int64]) -> SlidingReadings:
-        """Return some of the readings."""
-        return SlidingReadings(self.speed[rows], self.acceleration[rows], self.torque[rows])
 
 
 def sliding_readings(trace: Trace) -> SlidingReadings:
@@ -62,9 +64,7 @@ def sliding_readings(trace: Trace) -> SlidingReadings:
 class SlidingFriction:
     """Steady sliding, joint side: tau_c + (tau_s - tau_c) exp(-v / omega_s) + c2 v, and the inertia, kg m^2.
 
-    Attributes:
-        spread: standard deviation of a reading about it, Nm.
-        readings: so many.
+    `spread` is the standard deviation of a reading about it, Nm.
     """
 
     tau_c: float
@@ -73,11 +73,20 @@ class SlidingFriction:
     c2: float
     inertia: float
     spread: float
-    readings: int
 
     def torque(self, speed: Array) -> Array:
         """Return the friction at forward speeds, Nm."""
         return np.asarray(self.tau_c + (self.tau_s - self.tau_c) * np.exp(-speed / self.omega_s) + self.c2 * speed)
+
+    def misfit(self, readings: SlidingReadings) -> Array:
+        """Return by how much the predicted torque exceeds that of readings, Nm, shape (n,)."""
+        return np.asarray(self.torque(readings.speed) + self.inertia * readings.acceleration - readings.torque)
+
+    @property
+    def turning_speed(self) -> float | None:
+        """Return the speed, rad/s, at which steady friction has its minimum; None where it rises from rest."""
+        fall = (self.tau_s - self.tau_c) / self.omega_s
+        return float(self.omega_s * np.log(fall / self.c2)) if 0.0 < self.c2 < fall else None
 
 
 def fit_sliding_friction(readings: SlidingReadings, stribeck: bool = True) -> SlidingFriction:
@@ -88,39 +97,150 @@ def fit_sliding_friction(readings: SlidingReadings, stribeck: bool = True) -> Sl
     """
     if readings.speed.size < FEWEST:
         raise IdentificationError(f"{readings.speed.size} readings of a sliding joint; accepted: at least {FEWEST}")
-    start = fit_at(readings, None)
     if not stribeck:
-        return start
+        return _fit_at(readings, None)
     fastest = float(readings.speed.max())
-    tries = [fit_at(readings, omega) for omega in np.geomspace(fastest / 40.0, fastest, 9)]
+    tries = [_fit_at(readings, omega) for omega in np.geomspace(fastest / 40.0, fastest, 9)]
     best = min(tries, key=lambda one: one.spread)
 
     def misfit(logarithm: Array) -> Array:
-        one = fit_at(readings, float(np.exp(logarithm[0])))
-        return np.asarray(one.torque(readings.speed) + one.inertia * readings.acceleration - readings.torque)
+        return _fit_at(readings, float(np.exp(logarithm[0]))).misfit(readings)
 
     found = least_squares(misfit, [np.log(best.omega_s)], loss="soft_l1", f_scale=2.0 * best.spread)
-    omega = float(np.clip(np.exp(found.x[0]), fastest / 60.0, 1.5 * fastest))
-    return fit_at(readings, omega)
+    return _fit_at(readings, float(np.clip(np.exp(found.x[0]), fastest / 60.0, 1.5 * fastest)))
 
 
-def fit_at(readings: SlidingReadings, omega_s: float | None) -> SlidingFriction:
+def _fit_at(readings: SlidingReadings, omega_s: float | None) -> SlidingFriction:
     """Fit with a given Stribeck speed, rad/s, without the effect if it is None: what is left is linear."""
     columns = [np.ones_like(readings.speed), readings.speed, readings.acceleration]
     if omega_s is not None:
         columns.append(np.exp(-readings.speed / omega_s))
     design = np.column_stack(columns)
     weight = np.ones_like(readings.speed)
-    values = np.zeros(design.shape[1])
     for _ in range(8):  # Huber's weights: a reading in which the joint broke away is off by far
         values = np.linalg.lstsq(design * weight[:, None], readings.torque * weight, rcond=None)[0]
         rest = np.abs(readings.torque - design @ values)
-        scale = 1.5 * 1.4826 * float(np.median(rest)) + 1e-12
-        weight = np.sqrt(np.minimum(1.0, scale / np.maximum(rest, 1e-300)))
-    rest = readings.torque - design @ values
-    spread = 1.4826 * float(np.median(np.abs(rest)))
-    static = max(float(values[3]), 0.0) if omega_s is not None else 0.0
-    coulomb, viscous, inertia = (float(value) for value in values[:3])
-    return SlidingFriction(
-        coulomb, coulomb + static, omega_s or 1.0, max(viscous, 0.0), inertia, spread, readings.speed.size
-    )
+        median = float(np.median(rest))
+        weight = np.sqrt(np.minimum(1.0, (1.5 * 1.4826 * median + 1e-12) / np.maximum(rest, 1e-300)))
+    coulomb, viscous, inertia, *rise = (float(value) for value in values)
+    static = coulomb + max(rise[0], 0.0) if rise else coulomb
+    return SlidingFriction(coulomb, static, omega_s or 1.0, max(viscous, 0.0), inertia, 1.4826 * median)
+
+
+@dataclass(frozen=True, eq=False)
+class BreakAway:
+    """Break-away by the rate of the torque: the largest friction before the joint slides, from ramps of many rates.
+
+    Friction is the motor's torque less what accelerates the joint, so that inertia does not pass for friction; what is
+    left of a rate's influence is the law's. LuGre's break-away torque falls with the rate (Canudas de Wit and others
+    1995): the joint is fast before its bristles are bent. Damping of the bristles, c1 rate / c0, raises it.
+
+    Attributes:
+        rate: Nm/s at the joint, of each ramp, shape (n,).
+        torque: of break-away, Nm, shape (n,).
+    """
+
+    rate: Array
+    torque: Array
+
+    @classmethod
+    def of(cls, ramps: Sequence[tuple[float, Trace]], inertia: float) -> BreakAway:
+        """Return break-away torques of ramps, each with its rate in codes a tick; inertia at the joint in kg m^2."""
+        rates = [codes * ramp.torque_step / ramp.tick for codes, ramp in ramps]
+        torques = []
+        for rate, (_, ramp) in zip(rates, ramps, strict=True):
+            rising = int(np.argmax(ramp.code))  # later readings belong to the slide's end
+            angle, held = ramp.angle[: rising + 1], ramp.held[: rising + 1]
+            acceleration = (angle[2:] - 2.0 * angle[1:-1] + angle[:-2]) / ramp.tick**2
+            friction = 0.5 * (held[2:] + held[1:-1]) - inertia * acceleration
+            count = int(np.clip(round(_AVERAGED / (rate * ramp.tick)), 1, _MOST_AVERAGED))
+            torques.append(float(np.convolve(friction, np.full(count, 1.0 / count), "valid").max()))
+        return cls(np.array(rates), np.array(torques))
+
+    def by_rate(self) -> list[tuple[float, float, float]]:
+        """Return each rate, Nm/s, the mean of its torques, and their standard error, Nm."""
+        rows = []
+        for rate in np.unique(self.rate):
+            group = self.torque[self.rate == rate]
+            error = group.std(ddof=1) / np.sqrt(group.size) if group.size > 1 else 0.0
+            rows.append((float(rate), float(group.mean()), float(error)))
+        return rows
+
+
+def break_away_code(ramp: Trace, slid: float) -> float:
+    """Return the code on the DAC when the joint has moved by half of what counts as a slide.
+
+    Raises:
+        IdentificationError: if it did not move as far.
+    """
+    if ramp.counts.max() < slid:
+        raise IdentificationError(
+            f"{ramp.label}: no break-away up to {ramp.torque.max():.3g} Nm; the joint sticks up to the motor's limit"
+        )
+    return float(ramp.code[int(np.argmax(ramp.counts >= 0.5 * slid))])
+
+
+class Pull(NamedTuple):
+    """What one pull showed, for the speed of the spring's end, rad/s, and its stiffness, Nm/rad."""
+
+    speed: float
+    stiffness: float
+    sticks_and_slips: bool
+
+
+def evaluate_pull(trace: Trace, speed: float, stiffness: float) -> Pull:
+    """Tell from the second half of a pull whether the joint did not slide steadily."""
+    angle = trace.counts[trace.time.size // 2 :] * trace.angle_step
+    smoothed = (angle[_SMOOTHED:] - angle[:-_SMOOTHED]) / (_SMOOTHED * trace.tick)
+    return Pull(speed, stiffness, bool(smoothed.min() < STICKS * speed and smoothed.max() > RUSHES * speed))
+
+
+def sampled_growth(element: FrictionElement, inertia: float, speed: float, stiffness: float, tick: float) -> float:
+    """Return by what small deviations of a LuGre joint from steady sliding grow in a tick; below 1 they die out.
+
+    The joint is pulled by a spring whose other end moves at a steady speed. With the bristles' rate r = v / g,
+    s = v g' / g, the slope F' = dF / dv of steady friction and an ideal spring, deviations obey
+
+        J x''' + (J r + c2 + c1 s) x'' + (r F' + K) x' + K r x = 0,
+
+    so that (Routh) where F' < 0 sliding takes a spring stiffer than -r F' (J r + C) / C, C = c2 + c1 s > 0, to be
+    stable; no spring is stiff enough where C <= 0. The host's spring is sampled and late, which takes damping away.
+
+    Args:
+        element: LuGre's, alpha 1.
+        inertia: kg m^2.
+        speed: rad/s.
+        stiffness: of the spring, which the host computes from the counts, Nm/rad.
+        tick: s.
+    """
+    sliding = float(element.sliding_torque(speed))
+    ratio = (speed / element.omega_s) ** element.delta
+    fall = (element.tau_s_positive - element.tau_c_positive) * math.exp(-ratio) * ratio * element.delta / speed
+    # d(x, v, z)/dt = A (x, v, z) + (0, 1/J, 0) torque, in deviations from steady sliding.
+    bristle = np.array([0.0, -speed * fall / sliding, -speed * element.c0 / sliding])
+    force = float(element.damping(speed)) * bristle + np.array([0.0, element.c2, element.c0])
+    motion = np.zeros((4, 4))
+    motion[:3, :3] = [[0.0, 1.0, 0.0], -force / inertia, bristle]
+    motion[:3, 3] = 0.0, 1.0 / inertia, 0.0
+    whole, late = np.asarray(expm(motion * tick)), np.asarray(expm(motion * ((1.0 - LATE) * tick)))
+    spring = np.array([-stiffness, 0.0, 0.0, 0.0])
+    step = np.zeros((4, 4))  # of x, v, z, and the torque that was sent last
+    step[:3, :3] = whole[:3, :3]
+    step[:3, 3] = whole[:3, 3] - late[:3, 3]
+    step[:3] += np.outer(late[:3, 3], spring)
+    step[3] = spring
+    return float(np.abs(np.linalg.eigvals(step)).max())
+
+
+def least_steady_speed(
+    element: FrictionElement, inertia: float, stiffness: float, tick: float, fastest: float
+) -> float:
+    """Return the speed, rad/s, from which a joint slides steadily behind the host's spring; NaN beyond `fastest`."""
+    low, high = 0.0, fastest
+    if sampled_growth(element, inertia, high, stiffness, tick) > 1.0:
+        return math.nan
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        steady = sampled_growth(element, inertia, middle, stiffness, tick) <= 1.0
+        low, high = (low, middle) if steady else (middle, high)
+    return high

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from friction_bench.presliding.kinds import KINDS, USUAL_BLOCKS, USUAL_CYCLES
+from friction_bench.presliding import KINDS, USUAL_BLOCKS, USUAL_CYCLES
 from rx90_common.base.share import PRESLIDING_RIG
 from rx90_emulator.cli.options import new_folder, whole_number
 

@@ -16,10 +16,8 @@ import yaml
 from scipy.integrate import solve_ivp
 
 from friction_bench.presliding import job
-from friction_bench.presliding.follow import Law, follow
-from friction_bench.presliding.laws import pulled
-from friction_bench.presliding.stick_slip import SteadySliding, pulled_joint
-from friction_bench.presliding.trace import Trace
+from friction_bench.presliding.motions import Profile, Trace, follow, pulled
+from friction_bench.presliding.sliding import evaluate_pull, sampled_growth
 from friction_bench.protocol.messages import RigLostError
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
@@ -128,12 +126,12 @@ def test_steady_sliding_is_unstable_where_the_sampled_spring_says_so(tmp_path: P
     joint, inertia = rig.plant.joint, rig.plant.load_inertia + rig.plant.joint_inertia
     assert isinstance(joint, FrictionElement)
     for speed, stiffness, slips in ((0.06, 8.0, True), (0.3, 8.0, False)):
-        growth = SteadySliding.of(joint, inertia, speed).sampled_growth(stiffness, rig.tick)
+        growth = sampled_growth(joint, inertia, speed, stiffness, rig.tick)
         assert (growth > 1.0) is slips
         spring = stiffness * rig.joint_step / (rig.torque(1) * rig.joint_scale)
         ticks = round(8.0 / rig.tick)
-        law = pulled(spring, speed * rig.tick / rig.joint_step, ticks, 229, 85.0)
-        assert pulled_joint(follow(client, law, "pull"), speed, stiffness).sticks_and_slips is slips
+        profile = pulled(spring, speed * rig.tick / rig.joint_step, ticks, 229, 85.0)
+        assert evaluate_pull(follow(client, profile, "pull"), speed, stiffness).sticks_and_slips is slips
 
 
 @pytest.mark.parametrize(
@@ -173,7 +171,7 @@ def test_a_measurement_that_ends_early_keeps_all_readings(
     """After Ctrl-C or a lost line the rig is off; what was measured is kept and evaluated, the drift so far, too."""
     clients: list[RigClient] = []
 
-    def follow_some(client: RigClient, law: Law, label: str, keep: Callable[[Sample], None]) -> Trace:
+    def follow_some(client: RigClient, profile: Profile, label: str, keep: Callable[[Sample], None]) -> Trace:
         clients.append(client)
 
         def some(sample: Sample) -> None:
@@ -183,7 +181,7 @@ def test_a_measurement_that_ends_early_keeps_all_readings(
                 raise ends
 
         drift: list[Sample] = []
-        return follow(client, law, label, some if label == "drift" else keep)
+        return follow(client, profile, label, some if label == "drift" else keep)
 
     monkeypatch.setattr(job, "follow", follow_some)
     monkeypatch.setattr("friction_bench.presliding.job.RATES", (6.0,))

@@ -16,7 +16,7 @@ from friction_bench.experiment.four_way import (
 )
 from friction_bench.experiment.identification import evaluate
 from friction_bench.experiment.ramp import run_ramp
-from friction_bench.experiment.ramp_model import RampModel
+from friction_bench.experiment.record import RampModel
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.plant import Shaft, turn

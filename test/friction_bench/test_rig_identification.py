@@ -16,8 +16,7 @@ from benchmarks.friction_ramp import QuickRig
 from friction_bench.experiment.asymptote import fit_asymptote, integrated_ou_covariance
 from friction_bench.experiment.identification import RampIdentification, identify_ramps, joint_friction, source_formulas
 from friction_bench.experiment.ramp import run_ramp
-from friction_bench.experiment.ramp_model import RampModel
-from friction_bench.experiment.record import RampRecord, RecordError, read_csv, read_text, write_csv
+from friction_bench.experiment.record import RampModel, RampRecord, RecordError, read_csv, read_text, write_csv
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.rig_file import JointFriction, Rig

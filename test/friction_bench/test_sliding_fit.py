@@ -14,8 +14,7 @@ from benchmarks.friction_ramp import QuickRig, random_rig, truth_of
 from friction_bench.experiment.asymptote import integrated_ou_covariance
 from friction_bench.experiment.identification import identify_ramps
 from friction_bench.experiment.ramp import plan_from, run_ramp
-from friction_bench.experiment.ramp_model import RampModel
-from friction_bench.experiment.record import RampRecord
+from friction_bench.experiment.record import RampModel, RampRecord
 from friction_bench.experiment.sliding_fit import whiten
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort

@@ -1,0 +1,267 @@
+"""How the rig is moved: profiles of torque, which the host follows tick by tick, and the readings that come of them.
+
+Codes are those of the DAC. Torque goes one way only, from zero to the motor's limit: a motion is turned round by taking
+torque away, and it is the bent bristles that drive it back. So loops lie between zero and break-away, and no sliding
+joint is reversed.
+
+The host answers each report at once with the protocol's TORQUE command. A code that it sends reaches the DAC some 15 ms
+after the reading that it answers (the report's 9 ms on the line at 19200 baud, the command's 4 ms, the firmware's
+loop), so it holds from there on: a delay of less than a tick, and the next report says what is on the DAC.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import math
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from friction_bench.experiment.session import armed, last_near_limits, refuse_fault
+from friction_bench.protocol.messages import Command, CommandResult, RigError, RigRefusedError, State, torque_payload
+from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.rig_file import Rig
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import IdentificationError
+from rx90_common.process.files import written_beside
+
+LATE = 0.7
+"""Part of a tick after which the answer to a reading is on the DAC: 9 ms for the report and 4 for the command."""
+DWELL = 4
+"""Ticks for which a torque is held in loops: the joint has come to rest at their end."""
+INTEGRAL = 0.25
+"""Time of the integral of the speed's loop, s."""
+_STILL = 15
+"""Ticks for which a joint that slid is left alone, without torque."""
+_SLIDE = 8e-3
+"""How far the joint slides before an experiment, rad: beyond any presliding, so that it forgets what was before."""
+_LEVELS = (
+    (0.85, 0.25, 0.6, 0.25, 0.85, 0.0),
+    (0.8, 0.1, 0.5, 0.3, 0.5, 0.1, 0.8, 0.0),
+    (0.9, 0.4, 0.75, 0.4, 0.9, 0.0),
+    (0.5, 0.0, 0.3, 0.1, 0.3, 0.0, 0.7, 0.0),
+    (0.75, 0.5, 0.65, 0.5, 0.88, 0.0, 0.4, 0.0),
+)
+"""Where blocks of loops turn round, in parts of the break-away torque: large loops with inner ones, which begin and end
+at the same torque, so that a law with a memory of its own closes them there."""
+
+Profile: TypeAlias = Generator[int, Sample, None]
+"""Yields the code to put on the DAC, and is sent the reading that follows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """Readings of one experiment, joint side.
+
+    Attributes:
+        label: names it in messages and plots.
+        time: of each reading, s, from 0, shape (n,).
+        counts: of the encoder, from 0, shape (n,).
+        code: on the DAC at the reading, shape (n,).
+        angle_step: what a count stands for, rad.
+        torque_step: what a code stands for, Nm.
+        tick: period of the readings, s.
+    """
+
+    label: str
+    time: Array
+    counts: Array
+    code: Array
+    angle_step: float
+    torque_step: float
+    tick: float
+
+    @classmethod
+    def of(cls, label: str, samples: Sequence[Sample], rig: Rig) -> Trace:
+        """Return the readings of an experiment on a rig."""
+        rows = [(sample.tick, sample.counts, sample.report.dac) for sample in samples]
+        ticks, counts, code = np.array(rows, dtype=np.float64).T
+        time = (ticks - ticks[0]) * rig.tick
+        return cls(label, time, counts - counts[0], code, rig.joint_step, rig.joint_code, rig.tick)
+
+    @property
+    def angle(self) -> Array:
+        """Return the joint's angle, rad, shape (n,)."""
+        return self.counts * self.angle_step
+
+    @property
+    def torque(self) -> Array:
+        """Return the torque that the motor puts on the joint, Nm, shape (n,)."""
+        return self.code * self.torque_step
+
+    @property
+    def held(self) -> Array:
+        """Return the mean torque over the tick before each reading, Nm, shape (n,)."""
+        before = np.concatenate((self.torque[:1], self.torque[:-1]))
+        return LATE * before + (1.0 - LATE) * self.torque
+
+    def write(self, path: Path) -> None:
+        """Write the readings as CSV.
+
+        Raises:
+            Rx90Error: if the file cannot be written.
+        """
+        with written_beside(path) as (beside,), beside.open("w", newline="", encoding="utf-8") as stream:
+            stream.write(f"# {self.label}; a count is {self.angle_step!r} rad, a code {self.torque_step!r} Nm\n")
+            writer = csv.writer(stream)
+            writer.writerow(("time", "counts", "code"))
+            for time, counts, code in zip(self.time, self.counts, self.code, strict=True):
+                writer.writerow([f"{time:.6g}", int(counts), int(code)])
+
+
+def follow(
+    client: RigClient, profile: Profile, label: str, on_sample: Callable[[Sample], None] = lambda _: None
+) -> Trace:
+    """Arm the rig, follow the profile to its end, switch the rig off and return the readings.
+
+    A motion that comes near the limits of travel or speed is ended there. The rig is stopped when this raises.
+
+    Raises:
+        RigError: refused, faulted, lost or reset.
+    """
+    samples: list[Sample] = []
+    with armed(client):
+        code = next(profile)
+        with contextlib.suppress(StopIteration):  # the profile's end
+            while not last_near_limits(client.rig, samples):
+                # Not `client.torque`, which waits for the answer, a tick or two: the next report has the DAC's code.
+                sent = client.line.number(Command.TORQUE, torque_payload(code))
+                client.line.send_unless_stopped(sent, Command.TORQUE)
+                came: list[Sample] = []
+                while not came:
+                    came = client.pump()
+                for sample in came:
+                    refuse_fault(sample)
+                    if sample.report.result != CommandResult.OK:
+                        raise RigRefusedError(f"TORQUE: {sample.report.result_text}")
+                    if sample.report.state != State.ARMED:
+                        raise RigError("the experiment was stopped before its end")
+                    samples.append(sample)
+                    on_sample(sample)
+                    code = profile.send(sample)
+        client.request(Command.STOP)
+    return Trace.of(label, samples, client.rig)
+
+
+def slide_counts(step: float) -> float:
+    """Return the counts of a slide, for counts of `step` rad."""
+    return _SLIDE / step
+
+
+def ramp(rate: float, counts: float, limit: int) -> Profile:
+    """Raise the torque by `rate` codes a tick until the joint has moved by so many counts, or up to `limit`."""
+    first = yield 0
+    ticks = code = 0
+    while code < limit:
+        ticks += 1
+        code = min(round(ticks * rate), limit)
+        if (yield code).counts - first.counts >= counts:
+            break
+    for _ in range(_STILL):
+        yield 0
+
+
+def after_slide(start: int, counts: float, limit: int, codes: Iterable[int]) -> Profile:
+    """Slide the joint by so many counts, by a code more a tick from `start` on; let it rest; then follow the codes.
+
+    Raises:
+        IdentificationError: if it has not slid at `limit`.
+    """
+    code = start
+    first = yield code
+    while (yield code).counts - first.counts < counts:
+        code = _higher(code, limit)
+    for _ in range(_STILL):
+        yield 0
+    for code in codes:
+        yield code
+
+
+def _higher(code: int, limit: int) -> int:
+    """Return the next code for a joint that does not move yet, though it broke away before."""
+    if code >= limit:
+        raise IdentificationError(f"the joint sticks at the highest code, {limit}, though it slid on the ramps")
+    return code + 1
+
+
+def loop_codes(break_away: int, block: int, stride: int) -> Iterator[int]:
+    """Yield the codes of a block of loops below break-away, in strides of so many codes, each held for DWELL ticks."""
+    code = 0
+    for share in _LEVELS[block % len(_LEVELS)]:
+        level = math.floor(share * break_away)
+        while code != level:
+            code += max(-stride, min(stride, level - code))
+            yield from [code] * DWELL
+
+
+def cycle_codes(low: int, high: int, half: int, number: int) -> Iterator[int]:
+    """Yield codes up to `low`, then so many cycles of `high` and `low`, each for `half` ticks."""
+    for code in range(low + 1):
+        yield from [code] * 2
+    for _ in range(number):
+        yield from [high] * half
+        yield from [low] * half
+
+
+class Rounding:
+    """Rounds torques to codes so that the errors do not add up: each is carried to the next code."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._carried = 0.0
+
+    def __call__(self, code: float) -> int:
+        """Return the whole code; beyond the amplifier's range its end."""
+        wanted = min(max(code + self._carried, 0.0), float(self._limit))
+        whole = round(wanted)
+        self._carried = wanted - whole
+        return whole
+
+
+def speeds(start: int, wanted: Sequence[float], ticks: int, gain: float, limit: int, tick: float) -> Profile:
+    """Hold one speed after the other, each for so many ticks, by a PI loop on the counts.
+
+    Args:
+        start: a code at which the joint does not slide yet.
+        wanted: speeds, counts per tick.
+        ticks: for each of them.
+        gain: proportional gain, codes for a count per tick; the integral's time is INTEGRAL.
+        limit: the highest code.
+        tick: s.
+
+    Raises:
+        IdentificationError: if the joint does not move at `limit`.
+    """
+    rounding = Rounding(limit)
+    code = start
+    before = yield code
+    while (sample := (yield code)).counts - before.counts < wanted[0]:
+        before, code = sample, _higher(code, limit)
+    integral = float(code)
+    for speed in wanted:
+        for _ in range(ticks):
+            error = speed - (sample.counts - before.counts) / (sample.tick - before.tick)
+            integral += gain * error * tick / INTEGRAL
+            before, sample = sample, (yield rounding(integral + gain * error))
+
+
+def pulled(stiffness: float, speed: float, ticks: int, limit: int, preload: float) -> Profile:
+    """Pull the joint by a spring whose other end moves at a steady speed; the host computes the spring.
+
+    Args:
+        stiffness: codes for a count.
+        speed: counts per tick.
+        ticks: how long.
+        limit: the highest code.
+        preload: code at the beginning.
+    """
+    rounding = Rounding(limit)
+    first = sample = yield 0
+    end = preload / stiffness
+    for _ in range(ticks):
+        end += speed
+        sample = yield rounding(stiffness * (end - (sample.counts - first.counts)))
