@@ -16,7 +16,6 @@ from rx90_common.base.errors import BagError, ConfigError, check_replaced
 from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.ros_start import prepare
-from rx90_common.process.files import write_text
 from rx90_common.process.interrupts import stop_request
 from rx90_common.process.threads import be_nice, run_on
 from rx90_emulator.cli.options import STORAGE, new_folder, place, whole_number
@@ -231,29 +230,24 @@ def _plot(args: argparse.Namespace) -> None:
     and tracking error, as far as the bag has them.
     """
     from rx90_common.bags.mapping import LogMapping
-    from rx90_common.bags.plotting import bag_page, check_suffix, joined, picture_title, plot_bags, robots_text
-    from rx90_common.report.picture import write_picture
+    from rx90_common.bags.plotting import is_page, plot_bags, write_plots
     from rx90_emulator.cli.progress import progress_bar
 
     if args.align is not None and args.second is None:
         raise ConfigError(f"--align {plain(args.align)} with one bag; accepted: with two")
     output: Path = args.output or place(f"{args.bag.resolve().name}.html")
-    is_page = check_suffix(output)
+    kind, most = ("page", 3) if is_page(output) else ("picture", 1)
     check_replaced(output, force=args.force)
     paths = [args.bag] if args.second is None else [args.bag, args.second]
-    align, most = alignment(args.align or "0"), 3 if is_page else 1
+    align = alignment(args.align or "0")
     mapping = None if args.signals is None else LogMapping.load(args.signals)
     with progress_bar("reading") as progress:
         plots = plot_bags(
             paths, topics=args.topics, joints=args.joints, align=align, most=most, progress=progress, mapping=mapping
         )
-    if is_page:
-        write_text(output, bag_page(paths, plots))
-    else:
-        write_picture(joined(plots), output, picture_title(paths, plots))
-    if robots := robots_text(paths, plots):
+    if robots := write_plots(paths, plots, output):
         print(robots)
-    print(f"{'page' if is_page else 'picture'}: {plain(output.resolve())}")
+    print(f"{kind}: {plain(output.resolve())}")
 
 
 def _add_export(parser: argparse.ArgumentParser) -> None:
