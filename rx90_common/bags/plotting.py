@@ -18,8 +18,9 @@ from rx90_common.bags.recorded import robot_of, time_shift
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
-from rx90_common.report.picture import PICTURES
+from rx90_common.report.picture import PICTURES, write_picture
 from rx90_common.report.plot import COLOURS, INK, Curve, Level, Mark, Panel, Plot
 
 USUAL = ("/joint_states", "/friction_states", "/rx90_controller/tracking_error")
@@ -104,37 +105,27 @@ def plot_bags(
     return [_topic_plot(_names(paths), series, robots) for series in chosen]
 
 
-def bag_page(paths: Sequence[Path], plots: Sequence[TopicPlot]) -> str:
-    """Return the page that shows the plots."""
-    return render_page(
-        "rx90_common.bags",
-        "bag.html.j2",
-        names=_names(paths),
-        paths=paths,
-        plots=plots,
-        robots=robots_text(paths, plots),
-    )
+def write_plots(paths: Sequence[Path], plots: Sequence[TopicPlot], output: Path) -> str:
+    """Write the plots of bags to a page or picture, as its suffix says; return what is to be said of different robots.
 
-
-def picture_title(paths: Sequence[Path], plots: Sequence[TopicPlot]) -> str:
-    """Return what stands above a picture: bags and topics, or two robots."""
-    names = " against ".join(reversed(_names(paths)))
-    return robots_text(paths, plots) or f"{names}: {listed(one.topic for one in plots)}"
-
-
-def robots_text(paths: Sequence[Path], plots: Sequence[TopicPlot]) -> str:
-    """Return what is to be said of bags of different robots; nothing of others."""
+    Raises:
+        Rx90Error: if it cannot be written.
+    """
+    names = _names(paths)
     robots = next((one.robots for one in plots if one.robots), ())
-    each = " and ".join(f"{plain(name)} of {plain(robot)}" for name, robot in zip(_names(paths), robots, strict=False))
-    return f"two robots, {each}: drawn over each other, without a difference" if robots else ""
+    each = " and ".join(f"{plain(name)} of {plain(robot)}" for name, robot in zip(names, robots, strict=False))
+    said = f"two robots, {each}: drawn over each other, without a difference" if robots else ""
+    if is_page(output):
+        page = render_page("rx90_common.bags", "bag.html.j2", names=names, paths=paths, plots=plots, robots=said)
+        write_text(output, page)
+    else:  # all topics below each other
+        title = said or f"{' against '.join(reversed(names))}: {listed(one.topic for one in plots)}"
+        panels = [panel for one in plots for panel in one.plot.panels]
+        write_picture(Plot(panels, height=_HEIGHT, share_x=True), output, title)
+    return said
 
 
-def joined(plots: Sequence[TopicPlot]) -> Plot:
-    """Return all topics below each other, as one picture."""
-    return Plot([panel for one in plots for panel in one.plot.panels], height=_HEIGHT, share_x=True)
-
-
-def check_suffix(path: Path) -> bool:
+def is_page(path: Path) -> bool:
     """Return whether a file is to be a page, and not a picture.
 
     Raises:

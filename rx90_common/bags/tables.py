@@ -6,10 +6,8 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import groupby
-from typing import Any
 
 from rx90_common.bags.comparison import BagComparison, Side, TopicComparison, ValueDifference, Verdict
-from rx90_common.bags.recorded import ParameterChange
 from rx90_common.bags.summary import BagSummary, TopicSummary
 from rx90_common.base.quoting import counted, listed, plain
 from rx90_common.base.rates import NANOSECONDS
@@ -43,17 +41,11 @@ def comparison_json(comparison: BagComparison) -> str:
         "verdict": comparison.verdict.name.lower(),
         "exit_code": int(comparison.verdict),
         "shift_ns": comparison.shift_ns,
-        "topics": [_topic_dict(topic) for topic in comparison.topics],
+        "topics": [asdict(topic) | {"verdict": topic.verdict.name.lower()} for topic in comparison.topics],
         "not_compared": list(comparison.skipped),
         "notes": list(comparison.notes),
     }
     return json.dumps(content, indent=2, allow_nan=False)
-
-
-def _topic_dict(topic: TopicComparison) -> dict[str, Any]:
-    content = asdict(topic)
-    content["verdict"] = topic.verdict.name.lower()
-    return content
 
 
 def _topic_text(topic: TopicComparison) -> str:
@@ -114,17 +106,14 @@ def summary_json(summary: BagSummary) -> str:
 
 def summary_text(summary: BagSummary) -> str:
     """Return a table of the topics below one line about the whole bag."""
-    compression = f" ({summary.compression})" if summary.compression else ""
-    kind = f"{summary.storage}{compression}"
+    kind = summary.storage + (f" ({summary.compression})" if summary.compression else "")
     head = f"{plain(summary.path)}: {kind}, {summary.size / 1e6:.1f} MB, {summary.count} messages"
     notes = "".join(f"\n{note}" for note in summary.notes)
-    changes = "".join(f"\n{_change_line(change)}" for change in summary.changes)
+    changes = "".join(
+        f"\n{plain(change.node)}: {plain(change.name)} changed to {plain(change.value)}, from t = "
+        f"{_seconds(change.stamp_ns)} s on" for change in summary.changes
+    )  # fmt: skip
     return f"{head}{notes}\n{_table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics])}{changes}"
-
-
-def _change_line(change: ParameterChange) -> str:
-    what = f"{plain(change.node)}: {plain(change.name)} changed to {plain(change.value)}"
-    return f"{what}, from t = {_seconds(change.stamp_ns)} s on"
 
 
 def _topic_row(topic: TopicSummary) -> tuple[str, ...]:

@@ -122,6 +122,12 @@ def check_place(path: Path) -> None:
         raise write_error(path, error) from error
 
 
+def check_replaced(path: Path, *, force: bool, kind: type[Rx90Error] | None = None) -> None:
+    """Refuse a file that exists, by a ConfigError or another kind, unless --force was given."""
+    if path.exists() and not force:
+        raise (kind or ConfigError)(f"{plain(path)} exists; accepted: another name, or --force to replace it")
+
+
 def check_bag_name(path: Path) -> None:
     """Refuse a bag's name to which its file, which is named after it, cannot add its suffix and that of a journal.
 

@@ -11,7 +11,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from rx90_common.process.files import write_all
 from rx90_common.report.plot import (
@@ -129,16 +129,13 @@ def _draw_panel(axes: Axes, panel: Panel, x_range: tuple[float, float]) -> None:
             axis.set_major_locator(MaxNLocator(8 if axis is axes.xaxis else 5, steps=[1, 2, 2.5, 5, 10]))
         elif scale == "symlog":
             axis.set_ticks(symlog_ticks(low, high, panel.smallest))
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.set_major_formatter(lambda value, _: f"{value:g}")
             axis.set_minor_locator(NullLocator())
         elif high < _FEW_DECADES * low:
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.set(major_locator=LogLocator(subs=(1.0, 2.0, 5.0)), major_formatter="{x:g}")
             axis.set_minor_locator(NullLocator())
         else:
-            axis.set_major_formatter(
-                FuncFormatter(lambda value, _: f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e"))
-            )
+            axis.set_major_formatter(lambda value, _: f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e"))
 
 
 def _draw_mark(axes: Axes, mark: Mark) -> None:

@@ -3,31 +3,54 @@
 from __future__ import annotations
 
 import argparse
+import inspect
+import sys
+from collections.abc import Sequence
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from rx90_emulator.cli import bag_compare, bag_export, bag_import, bag_plot, bag_record
+from rx90_common.bags.tolerance import GRAMMAR, Tolerances, load_rules, parse_rule
+from rx90_common.bags.topics import SERIES_FIELDS, SUITE_TOPICS
+from rx90_common.base.errors import BagError, ConfigError, check_replaced
+from rx90_common.base.quoting import counted, listed, plain, quoted
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.exchange.ros_start import prepare
+from rx90_common.process.interrupts import stop_request
+from rx90_common.process.threads import be_nice, run_on
+from rx90_emulator.cli.options import STORAGE, new_folder, place, whole_number
 
-_VERBS = {
-    "record": bag_record,
-    "compare": bag_compare,
-    "plot": bag_plot,
-    "export": bag_export,
-    "import": bag_import,
-}
+if TYPE_CHECKING:
+    from rx90_common.bags.recorder.recording import TopicCount
+
+_LONGEST = 4_294_967_296  # s: stamps count so far, and two of them do not overflow 64 bits of ns
+_KINDS = ("csv", "parquet", "npz")
+# What several verbs have in common.
+_BAG: dict[str, Any] = {"metavar": "BAG", "help": "bag: folder, .mcap, .db3 or ROS 1 .bag file"}
+_STORAGE: dict[str, Any] = {"choices": ("mcap", "sqlite3"), "default": STORAGE, "help": "storage (default: mcap)"}
+_TOPIC: dict[str, Any] = {"nargs": "+", "dest": "topics", "metavar": "TOPIC"}
+_NOTHING = "nothing was written"
+
+_MAPPING = """\
+a mapping file (docs/howto/bags.md says more):
+  time: {column: 1, unit: s}                # or, without a column of times: rate: 5000
+  topics:
+    joint_states:
+      names: [shoulder, elbow]
+      position: {columns: [2, 3], unit: deg}
+      velocity: {columns: [dq1, dq2], unit: rad/s}
+      effort: {columns: [i1, i2], unit: A}
+"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add a parser for each verb."""
+    """Add a parser for each verb, whose help is what its function says of itself."""
     parser.set_defaults(ros_args=[])  # `ros2 run` and launch files append them
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
-    for name, verb in _VERBS.items():
-        one = verbs.add_parser(name, help=verb.HELP, description=verb.__doc__)
-        verb.add_arguments(one)
-        one.set_defaults(run=verb.main)
-    about = "Summarise a bag: topics, counts, rates, times, and gaps between stamps."
-    info = verbs.add_parser("info", help="summarise a bag", description=about)
-    info.add_argument("bag", metavar="BAG", help="bag: folder, .mcap, .db3 or ROS 1 .bag file")
-    info.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    info.set_defaults(run=_info)
+    for add, run, text in _VERBS:
+        one = verbs.add_parser(run.__name__.strip("_"), help=text, description=inspect.getdoc(run))
+        add(one)
+        one.set_defaults(run=run)
 
 
 def main(options: argparse.Namespace) -> int | None:
@@ -40,10 +63,299 @@ def main(options: argparse.Namespace) -> int | None:
     return code
 
 
+def _add_record(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "topics", nargs="*", default=list(SUITE_TOPICS), metavar="TOPIC",
+        help=f"topics to record (default: {' '.join(SUITE_TOPICS)})",
+    )  # fmt: skip
+    parser.add_argument(
+        "-o", "--output", type=new_folder, required=True, metavar="FOLDER", help="bag to make; must not exist"
+    )
+    parser.add_argument("-s", "--storage", **_STORAGE)
+    parser.add_argument("--nice", type=whole_number, metavar="N", help="niceness: above 0 others come first")
+    parser.add_argument("--cpus", metavar="LIST", help="processors to run on, as in 0,2-3")
+
+
+def _record(args: argparse.Namespace) -> int:
+    """Record topics of a running system to a new bag, and prove that nothing was lost."""
+    # Before the slow imports: a signal at any moment from here on still leaves a valid bag.
+    stop = stop_request()
+    if args.nice is not None:
+        be_nice(args.nice)
+    if args.cpus is not None:
+        run_on(args.cpus)
+
+    from rx90_common.bags.writing import BagWriter
+
+    prepare()
+    from rx90_common.bags.recorder.recording import Recorder, StatusLine
+
+    with StatusLine() as status:
+        recorder = Recorder(args.topics, args.ros_args, status)
+        counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)
+    return _report(args.topics, counts, recorder.stalls, args.output)
+
+
+def _report(topics: Sequence[str], counts: Sequence[TopicCount], stalls: Sequence[float], output: Path) -> int:
+    """Print what was recorded, and what not; return the exit code."""
+    repeated = sum(count.repeated for count in counts)
+    recorded = sum(count.received for count in counts) - repeated
+    left_out = f"; {repeated} repetitions of the sample before are left out" if repeated else ""
+    print(f"recorded {recorded} messages of {len(counts)} topics to {plain(output)}{left_out}")
+    failures = [] if any(count.received for count in counts) else [
+        f"nothing recorded: no message came on {listed(topics)}"
+    ]  # fmt: skip
+    failures += [
+        f"lost: an unknown number of messages, in {stall:.1f} s in which this process did not run" for stall in stalls
+    ]
+    for count in counts:
+        if count.other_clock:
+            print(f"{count.topic}: {count.other_clock} messages have stamps of another clock; "
+                  "they are dated by when they came, by the clock of the bag")  # fmt: skip
+        if count.lost:
+            writers = "; ".join(f"{w.lost} of {w.received + w.lost}" for w in count.writers)
+            failures.append(f"lost: {count.lost} messages of {count.topic} (by publisher: {writers})")
+        if count.missing:
+            failures.append(f"not recorded: {count.missing} trajectories of {count.topic} that the controller has "
+                            "accepted: sent before the recording was ready, or lost")  # fmt: skip
+        if count.refused:
+            failures.append(f"not recorded: {count.refused} publishers of {count.topic}, whose quality of service "
+                            "does not fit the first one's")  # fmt: skip
+    for failure in failures:
+        print(failure, file=sys.stderr)
+    return 1 if failures else 0
+
+
+def _add_compare(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("bag_a", **_BAG | {"metavar": "A"})
+    parser.add_argument("bag_b", metavar="B", help="bag to compare it with")
+    parser.add_argument(
+        "--tolerance", action="append", default=[], metavar=GRAMMAR,
+        help="in rad, rad/s, Nm or °C; the most specific one that fits decides; default 0: equal bits",
+    )  # fmt: skip
+    parser.add_argument("--tolerances", metavar="FILE", help="YAML file of tolerances; --tolerance goes before it")
+    parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="compare only these")
+    parser.add_argument(
+        "--fields", nargs="+", choices=SERIES_FIELDS, default=list(SERIES_FIELDS), metavar="FIELD",
+        help=f"compare only these of {', '.join(SERIES_FIELDS)}",
+    )  # fmt: skip
+    parser.add_argument("--from", dest="start", metavar="S", help="leave out stamps before this time in s")
+    parser.add_argument("--to", dest="end", metavar="S", help="leave out stamps after this time in s")
+    parser.add_argument(
+        "--common-range", action="store_true", help="stamps before or after what both bags have make no difference"
+    )
+    parser.add_argument(
+        "--align", default="0", metavar="start|trajectory|S",
+        help="move the stamps of B: so that both bags begin together, so that their last trajectories do, or by a time "
+        "in s (%(default)s)",
+    )  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+
+
+def _compare(args: argparse.Namespace) -> int:
+    """Compare the joint states and temperatures of two bags and judge: exit 0 same, 1 differs, 2 cannot be compared.
+
+    Messages are paired by header.stamp and joints by name. Of several messages with one stamp, exact repetitions
+    count once, and different ones are paired in their order. Stamps, joints and arrays that only one bag has make a
+    difference. Bags of runs that began at other times are aligned with --align.
+    """
+    from rx90_common.bags.comparison import Scope, compare_bags
+    from rx90_common.bags.tables import comparison_json, comparison_text
+
+    rules = load_rules(Path(args.tolerances)) if args.tolerances else []
+    rules += [parse_rule(text) for text in args.tolerance]
+    scope = Scope(
+        topics=tuple(dict.fromkeys(args.topics)) if args.topics else None,
+        fields=tuple(args.fields),
+        start_ns=_nanoseconds("--from", args.start),
+        end_ns=_nanoseconds("--to", args.end),
+        common_range=args.common_range,
+        align=alignment(args.align),
+    )
+    comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(rules), scope)
+    print(comparison_json(comparison) if args.json else comparison_text(comparison))
+    return int(comparison.verdict)
+
+
+def alignment(text: str) -> int | str:
+    """Return what --align says, as `Scope` takes it.
+
+    Raises:
+        BagError: for other words, and times that no stamp has.
+    """
+    from rx90_common.bags.recorded import START, TRAJECTORY
+
+    if text in (START, TRAJECTORY):
+        return text
+    return _time("--align", text, f"{START}, {TRAJECTORY}, or a time in s, up to {_LONGEST:,} s")
+
+
+def _nanoseconds(option: str, text: str | None) -> int | None:
+    return None if text is None else _time(option, text, f"a time in s, e.g. 1.25, up to {_LONGEST:,} s")
+
+
+def _time(option: str, text: str, accepted: str) -> int:
+    """Return a time in ns without the detour over floating point, which spoils stamps of the wall clock."""
+    try:
+        time = Decimal(text)
+        if abs(time) <= _LONGEST:  # raises for what is no number
+            return int(time * NANOSECONDS)
+    except (InvalidOperation, ValueError):
+        pass
+    raise BagError(f"{option} is {quoted(text)}; accepted: {accepted}")
+
+
+def _add_plot(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(interrupted=_NOTHING)
+    parser.add_argument("bag", type=Path, **_BAG)
+    parser.add_argument("second", type=Path, nargs="?", metavar="BAG2", help="bag to draw over it")
+    parser.add_argument("--signals", type=Path, metavar="FILE",
+                        help="what the columns of a CSV, Parquet or NPZ table hold (the file named as the table, with "
+                        ".yaml)")  # fmt: skip
+    parser.add_argument("-o", "--output", type=place, metavar="FILE",
+                        help=".html, .png, .svg or .pdf (the bag's name with .html, here)")  # fmt: skip
+    parser.add_argument("--force", action="store_true", help="replace a file that exists")
+    parser.add_argument("--topic", **_TOPIC,
+                        help="topics of joint states or temperatures (joint_states; on a page friction, tracking "
+                        "error, too)")  # fmt: skip
+    parser.add_argument("--joint", nargs="+", dest="joints", metavar="JOINT", help="joints (all)")
+    parser.add_argument("--align", metavar="start|trajectory|S",
+                        help="moves the stamps of BAG2, as in compare (0)")  # fmt: skip
+
+
+def _plot(args: argparse.Namespace) -> None:
+    """Draw joint states or temperatures of a bag, or of two bags and their difference: a page to zoom in, or a picture.
+
+    The suffix of --output says which: .html, .png, .svg or .pdf. Without options a page shows joint states, friction
+    and tracking error, as far as the bag has them.
+    """
+    from rx90_common.bags.mapping import LogMapping
+    from rx90_common.bags.plotting import is_page, plot_bags, write_plots
+    from rx90_emulator.cli.progress import progress_bar
+
+    if args.align is not None and args.second is None:
+        raise ConfigError(f"--align {plain(args.align)} with one bag; accepted: with two")
+    output: Path = args.output or place(f"{args.bag.resolve().name}.html")
+    kind, most = ("page", 3) if is_page(output) else ("picture", 1)
+    check_replaced(output, force=args.force)
+    paths = [args.bag] if args.second is None else [args.bag, args.second]
+    align = alignment(args.align or "0")
+    mapping = None if args.signals is None else LogMapping.load(args.signals)
+    with progress_bar("reading") as progress:
+        plots = plot_bags(
+            paths, topics=args.topics, joints=args.joints, align=align, most=most, progress=progress, mapping=mapping
+        )
+    if robots := write_plots(paths, plots, output):
+        print(robots)
+    print(f"{kind}: {plain(output.resolve())}")
+
+
+def _add_export(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(interrupted=_NOTHING)
+    parser.add_argument("bag", type=Path, **_BAG)
+    parser.add_argument("-o", "--output", type=new_folder, required=True, metavar="FILE|FOLDER",
+                        help="FILE.csv, FILE.parquet (one topic), FILE.npz, or a folder; must not exist")  # fmt: skip
+    parser.add_argument("--topic", **_TOPIC,
+                        help="topics of joint states or temperatures (all)")  # fmt: skip
+    parser.add_argument("--format", choices=_KINDS, help=f"of the files in a folder ({_KINDS[0]})")
+
+
+def _export(args: argparse.Namespace) -> None:
+    """Write joint states and temperatures of a bag as tables: CSV, Parquet, or NPZ with names that MATLAB takes.
+
+    The suffix of --output says the format; without one it is a folder with a file for each topic. Every number keeps
+    all its bits: `rx90_bag import` makes an equal bag of exported CSV files.
+    """
+    if args.format is not None and args.output.suffix.lower().removeprefix(".") in _KINDS:
+        told = f"--format {args.format} with the file {plain(args.output)}"
+        raise ConfigError(f"{told}; accepted: with a folder, for the suffix of a file says its format")
+    from rx90_common.bags.exporting import export_bag
+    from rx90_emulator.cli.progress import progress_bar
+
+    with progress_bar("export") as progress:
+        done = export_bag(
+            args.bag, args.output, topics=args.topics, kind=f".{args.format or _KINDS[0]}", progress=progress
+        )
+    for topic, count in done.topics:
+        print(f"{plain(topic)}: {counted(count, 'message')}")
+    if done.left_out:
+        print(f"left out, as they hold no joint states or temperatures: {listed(done.left_out)}")
+    print(f"written: {listed(done.files)}")
+
+
+def _add_import(parser: argparse.ArgumentParser) -> None:
+    parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, _MAPPING
+    parser.set_defaults(interrupted=_NOTHING)
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG",
+                        help="log to read, of several the rows belong together; or an exported folder")  # fmt: skip
+    parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")
+    parser.add_argument("--mapping", "--signals", type=Path, metavar="FILE",
+                        help="what the columns hold (the file named as the log, with .yaml)")  # fmt: skip
+    parser.add_argument("--skip-corrupt", action="store_true",
+                        help="leave out damaged rows and say which; otherwise they are refused")  # fmt: skip
+    parser.add_argument("-s", "--storage", **_STORAGE)
+
+
+def _import(args: argparse.Namespace) -> None:
+    """Make a bag of joint states from a log in columns, CSV or separated by blanks; a mapping file says what they hold.
+
+    Of a folder that `rx90_bag export` has written it makes the bag again.
+    """
+    from rx90_common.bags.logs import corrupt_text, exported_logs, import_logs
+    from rx90_common.bags.mapping import LogMapping
+    from rx90_emulator.cli.progress import progress_bar
+
+    if len(args.logs) == 1 and args.logs[0].is_dir():
+        if args.mapping is not None:
+            raise ConfigError(f"--mapping {plain(args.mapping)}: a folder has its own; accepted: none of the two")
+        logs = exported_logs(args.logs[0])
+    else:
+        logs = [(args.logs, LogMapping.load(_mapping_file(args)))]
+    with progress_bar("import") as progress:
+        done = import_logs(logs, args.bag, skip_corrupt=args.skip_corrupt, storage=args.storage, progress=progress)
+    for one, (_, mapping) in zip(done, logs, strict=True):
+        if not mapping.exact:
+            print(one.text)
+            continue
+        for series in one.series:
+            print(
+                f"{plain(series.topic)}: {counted(len(series.names), 'joint')}, {counted(series.messages, 'message')}"
+            )
+        if one.corrupt:
+            print(f"{plain(one.paths[0])}: left out: {corrupt_text(one.corrupt)}")
+    print(f"bag: {plain(args.bag)}")
+
+
+def _mapping_file(args: argparse.Namespace) -> Path:
+    if args.mapping is not None:
+        return Path(args.mapping)
+    beside = Path(args.logs[0]).with_suffix(".yaml")
+    if not beside.is_file():
+        raise ConfigError(
+            f"--mapping is missing, and there is no {plain(beside)}; accepted: a file that says what the columns hold"
+        )
+    return beside
+
+
+def _add_info(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("bag", **_BAG)
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
 def _info(options: argparse.Namespace) -> None:
-    # Here, because --help must not wait for them.
+    """Summarise a bag: topics, counts, rates, times, and gaps between stamps."""
     from rx90_common.bags.summary import summarise
     from rx90_common.bags.tables import summary_json, summary_text
 
     summary = summarise(options.bag)
     print(summary_json(summary) if options.json else summary_text(summary))
+
+
+_VERBS = (
+    (_add_record, _record, "record topics to a new bag; a lost message is a non-zero exit, and so is an empty bag"),
+    (_add_compare, _compare, "compare two bags; exit 0 same, 1 differs, 2 cannot be compared"),
+    (_add_plot, _plot, "draw one bag, or two and their difference, as a page or a picture"),
+    (_add_export, _export, "write a bag as CSV, Parquet or NPZ"),
+    (_add_import, _import, "make a bag from a CSV log; a file says what its columns hold"),
+    (_add_info, _info, "summarise a bag"),
+)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rx90_common.base.errors import DONE, ConfigError
+from rx90_common.base.errors import DONE, ConfigError, check_replaced
 from rx90_common.base.quoting import plain
 from rx90_common.process.files import write_text
 from rx90_emulator.cli.options import POSITIVE, new_file, place
@@ -47,8 +47,8 @@ def main(options: argparse.Namespace) -> int:
     plot: Path | None = options.plot
     if plot is not None and plot.suffix.lower() not in PICTURES:
         raise ConfigError(f"--plot {plain(plot)}; accepted: a file with {', '.join(PICTURES)}")
-    if plot is not None and plot.exists() and not options.force:
-        raise ConfigError(f"{plain(plot)} exists; accepted: another name, or --force")
+    if plot is not None:
+        check_replaced(plot, force=options.force)
     choices = [FrictionChoice.named(text) for text in options.friction]
     if options.output is not None:
         write_text(options.output, with_taken(choices[0], options.take).text(_HEAD))

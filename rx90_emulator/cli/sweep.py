@@ -6,7 +6,7 @@ import argparse
 import time
 from pathlib import Path
 
-from rx90_common.base.errors import ConfigError, FailureError
+from rx90_common.base.errors import FailureError, check_replaced
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.process.files import write_text
 from rx90_emulator.cli.options import add_robot_argument, new_file, place, whole_number
@@ -113,8 +113,7 @@ def _info(options: argparse.Namespace) -> None:
 
 def _report(options: argparse.Namespace) -> None:
     page: Path = options.output or place(options.file.with_suffix(".html").name)
-    if page.exists() and not options.force:
-        raise ConfigError(f"{plain(page)} exists; accepted: another name, or --force")
+    check_replaced(page, force=options.force)
     _write_page(options.file, page)
 
 

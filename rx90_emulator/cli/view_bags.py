@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
-from rx90_emulator.cli.bag_compare import alignment
+from rx90_emulator.cli.bag import alignment
 from rx90_emulator.cli.options import add_message_arguments, add_record_arguments
 
 _MOST = 2

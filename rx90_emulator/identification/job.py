@@ -11,7 +11,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from rx90_common.base.errors import IdentificationError, check_place, write_error
+from rx90_common.base.errors import IdentificationError, check_place, check_replaced, write_error
 from rx90_common.base.sources import versions
 from rx90_common.description.robot_files import FILES, MODEL_FILES, RobotFiles
 from rx90_common.process.files import write_all, write_text
@@ -81,8 +81,7 @@ def check_targets(files: Iterable[Path], *, force: bool) -> None:
         if file.exists() and not file.is_file():
             kind = "a folder" if file.is_dir() else "no regular file"
             raise IdentificationError(f"{file} is {kind}; accepted: the name of a file")
-        if file.exists() and not force:
-            raise IdentificationError(f"{file} exists; accepted: another name, or --force to replace it")
+        check_replaced(file, force=force, kind=IdentificationError)
         if not folder.is_dir():
             raise IdentificationError(f"{file}: the folder {folder} does not exist; accepted: a file in one that does")
         check_place(file)
