@@ -7,107 +7,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from friction_bench.rig.rig_file import RIG, load_rig
-from rx90_common.bags.mapping import MAPPING, LogMapping
-from rx90_common.bags.tolerance import TOLERANCES, load_rules
 from rx90_common.base.config import load_yaml, yaml_lines
-from rx90_common.base.entries import JsonSchema, Number, Switch
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.groups import DEFINITIONS, Entries, Group
+from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import listed, one_line, plain, quoted
 from rx90_common.base.section import ABOUT
-from rx90_common.description.drives import DRIVES, load_drives
-from rx90_common.description.robot import TOOL, load_robot, load_tool
+from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_common.friction.friction_file import FRICTION, FrictionFile
-from rx90_controller.law.parameters import CONTROLLER, load_controller
-from rx90_controller.lines.task import TASK, load_task
-from rx90_emulator.identification.excitation.payload import PAYLOADS, read_payloads
-from rx90_emulator.identification.experiments.folder import EXPERIMENTS, INDEX, read_index
-from rx90_emulator.identification.experiments.plan import POSES, Poses
+from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind
+from rx90_emulator.identification.experiments.folder import INDEX
+from rx90_emulator.identification.experiments.plan import Poses
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.trajectory_file import TRAJECTORY, load_trajectory
-from rx90_emulator.sweep.plan_file import PLAN, load_sweep_plan
-from rx90_emulator.sweep.sweep import Sweep
 
-NODE_PARAMETERS = "node_parameters"
 _LINE = re.compile(r"\bline (\d+)")
 _LEAST_KNOWN_SHARE = 0.5
 """Share of a file's keys that must be known to a kind for the file to be of it."""
 
-_MOVEIT_LIMITS = Group(
-    "Limits of the joints for MoveIt, in its own format; python -m tools.moveit_files writes them.",
-    keys={
-        "joint_limits": Entries(
-            "Limits by joint.",
-            of=Group(
-                "Limits of a joint.",
-                keys={
-                    "has_velocity_limits": Switch("Whether max_velocity holds."),
-                    "max_velocity": Number("Largest velocity.", "rad/s", low=0.0, above=True),
-                    "has_acceleration_limits": Switch("Whether max_acceleration holds."),
-                    "max_acceleration": Number("Largest acceleration.", "rad/s^2", low=0.0, above=True),
-                },
-                known=False,
-            ),
-        ),
-    },
-    known=False,
-)
-
-
-@dataclass(frozen=True)
-class FileKind:
-    """A kind of YAML file.
-
-    Attributes:
-        name: of the kind and of its schema.
-        entry: what the file may hold; it has `read(section)`, too, which checks a whole file.
-        read: the reader of all who use the file; raises Rx90Error.
-    """
-
-    name: str
-    entry: Any
-    read: Callable[[Path], Any]
-
-    def json_schema(self) -> JsonSchema:
-        """Return the JSON schema, draft 2020-12, of a file."""
-        return {
-            "$schema": "https://json-schema.org/draft/2020-12/schema",
-            "title": f"{self.name.replace('_', ' ')} file of rx90_emulator",
-            **self.entry.schema(),
-            "$defs": dict(DEFINITIONS),
-        }
-
-
-KINDS = (
-    FileKind("drives", DRIVES, load_drives),
-    FileKind("tool", TOOL, load_tool),
-    FileKind("friction", FRICTION, FrictionFile.read),
-    FileKind("controller", CONTROLLER, load_controller),
-    FileKind("task", TASK, load_task),
-    FileKind("poses", POSES, Poses.load),
-    FileKind("moveit_limits", _MOVEIT_LIMITS, lambda path: _MOVEIT_LIMITS.read(load_yaml(path))),
-    FileKind("rig", RIG, load_rig),
-    FileKind("sweep_plan", PLAN, lambda path: Sweep(load_sweep_plan(path))),
-    FileKind(
-        "trajectory",
-        TRAJECTORY,
-        lambda path: load_trajectory(path, TRAJECTORY.read(load_yaml(path, first=True))["joint_names"]),
-    ),
-    FileKind("log_mapping", MAPPING, LogMapping.load),
-    FileKind("tolerances", TOLERANCES, load_rules),
-    FileKind("payloads", PAYLOADS, read_payloads),
-    FileKind("experiments", EXPERIMENTS, lambda path: read_index(path.parent)),
-)
-"""All kinds but the nodes' parameter files, which need ROS: see nodes.py.
-
-A bag's metadata.yaml is rosbag2's, and what is only written for the record needs no schema.
-"""
 _NAMES = (*(kind.name for kind in KINDS), NODE_PARAMETERS)
 
 

@@ -34,7 +34,7 @@ from rx90_controller.node.parameters import (
     declare_horizon,
     has_no_use,
 )
-from rx90_emulator.configuration.check import NODE_PARAMETERS, FileKind
+from rx90_emulator.configuration.kinds import NODE_PARAMETERS, FileKind
 from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, ShownValue, rig_values, setup_values, steps_value
 from rx90_emulator.loop.recorded_run import OF_LAW
 from rx90_emulator.loop.setup import Setup

@@ -17,7 +17,7 @@ from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import FILES, NO_TOOL, RobotFiles
 from rx90_common.friction.element import SIGNS
 from rx90_controller.law.model import ROLES, ModelFiles
-from rx90_emulator.configuration.check import kind_named
+from rx90_emulator.configuration.kinds import KINDS
 from rx90_emulator.loop.setup import Setup
 
 OF_CODE = "default of the code"
@@ -65,7 +65,7 @@ def file_values(role: str, path: Path) -> list[ShownValue]:
     Raises:
         ConfigError: naming file, key, value and what is accepted.
     """
-    kind = kind_named(role)
+    kind = next(kind for kind in KINDS if kind.name == role)
     kind.read(path)
     root, lines, name = load_yaml(path), yaml_lines(path), place_of(path)
     identified = root.content.get("identification", {}).get("parameters", {}) if role == "friction" else {}

@@ -18,7 +18,8 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import EXECUTABLES, run
-from rx90_emulator.configuration.check import KINDS, kind_of
+from rx90_emulator.configuration.check import kind_of
+from rx90_emulator.configuration.kinds import KINDS
 from rx90_emulator.configuration.origins import setup_values
 
 Captured = pytest.CaptureFixture[str]

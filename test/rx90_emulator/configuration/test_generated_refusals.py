@@ -27,7 +27,7 @@ from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
-from rx90_emulator.configuration.check import KINDS
+from rx90_emulator.configuration.kinds import KINDS
 from rx90_emulator.loop.setup import Setup
 
 SIX = [0.1] * 6

@@ -57,7 +57,7 @@ def test_every_reader_of_yaml_has_a_schema() -> None:
     for path in (*ROOT.glob("rx90_*/**/*.py"), *ROOT.glob("friction_bench/**/*.py")):
         if re.search(r"(?<!def )load_yaml\(", path.read_text(encoding="utf-8")):
             readers.add(".".join(path.relative_to(ROOT).with_suffix("").parts))
-    text = (ROOT / "rx90_emulator/configuration/check.py").read_text(encoding="utf-8")
+    text = (ROOT / "rx90_emulator/configuration/kinds.py").read_text(encoding="utf-8")
     tables = [kind.entry for kind in EVERY_KIND]
     imported = re.findall(r"^from (rx90_[\w.]+|friction_bench[\w.]+) import", text, re.MULTILINE)
     of_kinds = {
