@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 
 from rx90_emulator.configuration.kinds import KINDS
-from rx90_emulator.configuration.node_file import NODE_FILE
+from rx90_emulator.configuration.nodes import NODE_FILE
 
 FOLDER = Path(__file__).resolve().parent.parent / "config" / "schemas"
 

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
-from rx90_common.base.quoting import one_line, quoted
+from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, check_replaced
+from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_common.base.share import SHIPPED_RIG
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_emulator.cli import config_friction
+from rx90_common.process.files import write_text
 from rx90_emulator.cli.completion import SHELLS, completion
-from rx90_emulator.cli.options import CommandParser, add_robot_arguments
+from rx90_emulator.cli.options import POSITIVE, CommandParser, add_robot_arguments, new_file, place
 
 if TYPE_CHECKING:
     from rx90_emulator.configuration.origins import ShownValue
@@ -26,7 +25,14 @@ _SHOW = """
 Show what a setup of the arm, and the friction rig, come to: each value with its unit, where it comes from (file and
 line, command line, default of the code), whether it is assumed, and the sentence that names its source.
 """
+_FRICTION = """\
+Show friction elements beside each other, each number with its source, and put elements of one file into another.
+
+FRICTION is a shipped robot (rx90b), published friction (puma560), a friction file or a robot folder, and
+FRICTION:ELEMENT one element of it.
+"""
 _KINDS = "controller, drives, friction, rig, sweep_plan …"
+_HEAD = "# Elements of several files; each says below `note` where it was taken from.\n"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,28 +49,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                        "together")  # fmt: skip
     check.add_argument("--kind", metavar="KIND", help=f"what the files are ({_KINDS}); else told from their keys")
     check.set_defaults(verb=_check)
-    about = "show what a setup comes to, and where each value comes from"
     complete = verbs.add_parser(
         "completion", help="print the completion of all commands for a shell", description=_COMPLETION
     )
     complete.add_argument("shell", choices=SHELLS)
-    complete.set_defaults(verb=_completion)
-    _add_show(verbs.add_parser("show", help=about, description=_SHOW))
-    friction = verbs.add_parser("friction", help=config_friction.HELP, description=config_friction.__doc__)
-    config_friction.add_arguments(friction)
-    friction.set_defaults(verb=config_friction.main)
-
-
-def _add_show(show: argparse.ArgumentParser) -> None:
+    complete.set_defaults(verb=_complete)
+    show = verbs.add_parser(
+        "show", help="show what a setup comes to, and where each value comes from", description=_SHOW
+    )
     show.set_defaults(verb=_show, ros_args=[])
     add_robot_arguments(show, *FILES)
     show.add_argument("--rig", metavar="FILE", help=f"rig file of the friction rig ({SHIPPED_RIG})")
-    about = (
-        "what rx90_sim, rx90_controller and friction_bench come to with these, which may also stand behind --ros-args"
-    )
-    nodes = show.add_argument_group("nodes", about)
-    _add_parameters(nodes)
+    _add_parameters(show.add_argument_group("nodes", "what rx90_sim, rx90_controller and friction_bench come to with "
+                                            "these, which may also stand behind --ros-args"))  # fmt: skip
     show.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    friction = verbs.add_parser(
+        "friction",
+        help="show friction elements beside each other, and put elements of one file into another",
+        description=_FRICTION,
+    )
+    friction.set_defaults(verb=_friction)
+    friction.add_argument("friction", nargs="+", metavar="FRICTION", help="a name or a file, or an element of it")
+    friction.add_argument("--speed", type=POSITIVE, default=1.0, metavar="RAD/S",
+                          help="highest velocity of table and plot (%(default)s)")  # fmt: skip
+    friction.add_argument("--plot", type=place, metavar="FILE",
+                          help="draw the torque over velocity: .png, .svg or .pdf")  # fmt: skip
+    friction.add_argument("--force", action="store_true", help="replace a plot that exists")
+    friction.add_argument("--take", action="append", default=[], metavar="[ELEMENT=]FRICTION[:ELEMENT]",
+                          help="put an element into the first FRICTION, or all of equal names; needs -o")  # fmt: skip
+    friction.add_argument("-o", "--output", type=new_file, metavar="FILE", help="where to write what --take makes")
+    friction.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 
 def _add_parameters(group: argparse._ActionsContainer) -> None:
@@ -99,61 +113,54 @@ def _check(options: argparse.Namespace) -> int:
             problems += len(one.problems)
             print("\n".join(one.problems) or one_line(f"{one.path}: {one.kind}, no problem"))
     if refused:
-        raise ConfigError(_together(refused))
+        # One line, which says once what is accepted instead of several files.
+        by_accepted: dict[str, list[str]] = {}
+        for text in refused:
+            fault, _, accepted = text.partition("; accepted: ")
+            by_accepted.setdefault(accepted, []).append(fault)
+        raise ConfigError(
+            "; ".join(f"{'; '.join(faults)}; accepted: {accepted}" for accepted, faults in by_accepted.items())
+        )
     return VERDICT_NO if problems else DONE
 
 
-def _together(refused: Sequence[str]) -> str:
-    """Return refusals as one line, which says once what is accepted instead of several files."""
-    by_accepted: dict[str, list[str]] = {}
-    for text in refused:
-        said, _, accepted = text.partition("; accepted: ")
-        by_accepted.setdefault(accepted, []).append(said)
-    return "; ".join(f"{'; '.join(said)}; accepted: {accepted}" for accepted, said in by_accepted.items())
-
-
-def _completion(options: argparse.Namespace) -> int:
+def _complete(options: argparse.Namespace) -> int:
     print(completion(options.shell, options.executables))
     return DONE
 
 
 def _show(options: argparse.Namespace) -> int:
-    from rx90_emulator.configuration.showing import values_json, values_table
+    from rx90_emulator.configuration.origins import values_json, values_table
 
     if options.ros_args:
-        _take_ros_args(options)
+        parser = CommandParser(prog="--ros-args", add_help=False)
+        _add_parameters(parser)
+        given, other = parser.parse_known_args([word for word in options.ros_args if word != "--ros-args"])
+        if other:
+            raise ConfigError(f"--ros-args {quoted(other[0])}; accepted: -p and --params-file")
+        options.params_file += given.params_file
+        options.param += given.param
     nodes = options.params_file or options.param or options.nodes
-    values = _of_nodes(options) if nodes else _of_files(options)
+    values = _values_of_nodes(options) if nodes else _values_of_files(options)
     print(values_json(values) if options.json else values_table(values))
     return DONE
 
 
-def _take_ros_args(options: argparse.Namespace) -> None:
-    """Add what stands behind --ros-args."""
-    parser = CommandParser(prog="--ros-args", add_help=False)
-    _add_parameters(parser)
-    given, other = parser.parse_known_args([word for word in options.ros_args if word != "--ros-args"])
-    if other:
-        raise ConfigError(f"--ros-args {quoted(other[0])}; accepted: -p and --params-file")
-    options.params_file += given.params_file
-    options.param += given.param
-
-
-def _of_nodes(options: argparse.Namespace) -> list[ShownValue]:
+def _values_of_nodes(options: argparse.Namespace) -> list[ShownValue]:
     # Here, because it needs ROS.
     from rx90_common.exchange.ros_start import prepare
 
     prepare()
-    from rx90_emulator.configuration.node_values import GivenParameters, node_setup
+    from rx90_emulator.configuration.nodes import given_parameters, node_setup
 
-    named = [role for role in ("robot", *FILES, "rig") if getattr(options, role) is not None]
-    if named:
-        node = "friction_bench:" * (named[0] == "rig")
-        raise ConfigError(f"--{named[0]} with parameters of nodes; accepted: -p {node}{named[0]}:=...")
-    return node_setup(GivenParameters.of(options.params_file, options.param))
+    for role in ("robot", *FILES, "rig"):
+        if getattr(options, role) is not None:
+            node = "friction_bench:" * (role == "rig")
+            raise ConfigError(f"--{role} with parameters of nodes; accepted: -p {node}{role}:=...")
+    return node_setup(given_parameters(options.params_file, options.param))
 
 
-def _of_files(options: argparse.Namespace) -> list[ShownValue]:
+def _values_of_files(options: argparse.Namespace) -> list[ShownValue]:
     from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, rig_values, setup_values, steps_value
     from rx90_emulator.loop.setup import Setup
 
@@ -163,3 +170,28 @@ def _of_files(options: argparse.Namespace) -> list[ShownValue]:
     chosen = {role: of_robot if getattr(options, role) is None else COMMAND_LINE for role in FILES}
     rig, origin = (SHIPPED_RIG, OF_CODE) if options.rig is None else (options.rig, COMMAND_LINE)
     return [*setup_values(files, chosen), steps, *rig_values(rig, origin)]
+
+
+def _friction(options: argparse.Namespace) -> int:
+    # Here, because --help must not wait for them.
+    from rx90_common.report.picture import PICTURES, write_picture
+    from rx90_emulator.configuration import friction
+
+    if bool(options.take) != (options.output is not None):
+        raise ConfigError("--take and --output: only one of them is there; accepted: both, or none")
+    plot: Path | None = options.plot
+    if plot is not None and plot.suffix.lower() not in PICTURES:
+        raise ConfigError(f"--plot {plain(plot)}; accepted: a file with {', '.join(PICTURES)}")
+    if plot is not None:
+        check_replaced(plot, force=options.force)
+    choices = [friction.FrictionChoice.named(text) for text in options.friction]
+    if options.output is not None:
+        write_text(options.output, friction.replace_elements(choices[0], options.take).text(_HEAD))
+        choices.insert(1, friction.FrictionChoice.named(str(options.output)))
+    show = friction.comparison_json if options.json else friction.comparison_table
+    print(show(choices, options.speed))
+    if plot is not None:
+        write_picture(friction.comparison_plot(choices, options.speed), plot, "Friction torque at constant velocity")
+        if not options.json:
+            print(f"plot: {plain(plot.resolve())}")
+    return DONE

@@ -55,20 +55,14 @@ def main(options: argparse.Namespace) -> int:
 def _folder(given: Path | None) -> Path:
     """Make the folder that was asked for, or one with the time as its name that nobody else has."""
     name = datetime.now().strftime("%Y%m%d-%H%M%S")
-    usual = (Path("out/demo") / (f"{name}-{k}" if k > 1 else name) for k in count(1))
-    while True:
-        folder = given or next(usual)
+    for k in count(1):
+        folder = given or Path("out/demo") / (f"{name}-{k}" if k > 1 else name)
         try:
             folder.mkdir(parents=True)
             (folder / "log").mkdir()
-        except FileExistsError as error:
-            if given is None and folder.is_dir():
-                continue  # another run began in the same second
-            raise _not_made(folder, error) from error
         except OSError as error:
-            raise _not_made(folder, error) from error
-        return folder
-
-
-def _not_made(folder: Path, error: OSError) -> ConfigError:
-    return ConfigError(f"--output {folder}: {error.strerror}; accepted: a folder that can be made")
+            if isinstance(error, FileExistsError) and given is None and folder.is_dir():
+                continue  # another run began in the same second
+            raise ConfigError(f"--output {folder}: {error.strerror}; accepted: a folder that can be made") from error
+        break
+    return folder

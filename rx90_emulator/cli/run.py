@@ -5,14 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import one_line
+from rx90_common.base.quoting import one_line, plain
 from rx90_common.base.rates import Rates
 from rx90_emulator.cli.options import (
     FINITE,
@@ -23,13 +22,19 @@ from rx90_emulator.cli.options import (
     new_folder,
     whole_number,
 )
+from rx90_emulator.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from rx90_emulator.loop.recorded_run import RecordedRun
+    from rx90_common.report.plot import Plot
     from rx90_emulator.loop.result import RunResult
     from rx90_emulator.loop.setup import Setup
+    from rx90_emulator.loop.working_day import RepeatedLine
 
-Run = TypeVar("Run", bound="RunResult")
+_ROWS = 12  # of the tables of --hours
+_NOT_WITH_HOURS = (
+    "trajectory", "from_bag", "initial_position", "start_time", "output", "arrays", "storage", "decimation",
+    "slow_only", "temperature_rate",
+)  # fmt: skip
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -95,7 +100,6 @@ def main(options: argparse.Namespace) -> None:
     _check(options)
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.cli.run_hours import run_hours
     from rx90_emulator.loop.parameters import with_parameters
     from rx90_emulator.loop.result import save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup
@@ -108,7 +112,7 @@ def main(options: argparse.Namespace) -> None:
     if options.no_velocity_feed_forward:
         setup = with_parameters(setup, {"controller.feed_forward.velocity": False})
     if options.hours is not None:
-        run_hours(setup, options)
+        _run_hours(setup, options)
         return
     result = _simulate(setup, options)
     if result.substeps > 1:
@@ -124,14 +128,20 @@ def main(options: argparse.Namespace) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Refuse what can be seen to be wrong before anything is read.
+    """Refuse what can be seen to be wrong before anything is read."""
+    if options.plot is not None and options.hours is None:
+        raise ConfigError("--plot without --hours; accepted: with --hours; rx90_bag plot draws bags")
+    if options.hours is not None:
+        from rx90_common.report.picture import PICTURES
 
-    Raises:
-        ConfigError: naming the option.
-    """
-    from rx90_emulator.cli.run_hours import check_hours
-
-    check_hours(options)
+        for name in _NOT_WITH_HOURS:
+            given = getattr(options, name)
+            if given is not None and given is not False:  # 0 is given, too
+                raise ConfigError(f"--{name.replace('_', '-')} with --hours; accepted: --task and --plot")
+        if options.plot is not None and options.plot.suffix.lower() not in PICTURES:
+            raise ConfigError(f"--plot {plain(options.plot)}; accepted: a file with {', '.join(PICTURES)}")
+        if options.substeps is not None:
+            raise ConfigError(f"--substeps {options.substeps} with --hours; accepted: left out")
     if options.decimation is not None and options.decimation < 1:
         raise ConfigError(f"--decimation is {options.decimation}; accepted: a whole number >= 1")
     check_needs(options, ("storage", "decimation"), ("output",))
@@ -145,80 +155,138 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
-    """Run what was asked for, and print how well the arm kept to it."""
+    """Run what was asked for; print where the arm begins and how well it kept to its path."""
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_controller.lines.task import load_task
-    from rx90_emulator.loop.line import run_line
-
-    how = {"substeps": options.substeps, "record_fast": not options.slow_only}
-    begin = options.start_time or 0.0
-    if options.trajectory is None and options.from_bag is None:
-        task = load_task(RobotFiles.of_options(options).required("task"))
-        line = _timed(lambda: run_line(setup, task, start_time=begin, **how))
-        accuracy = line.path_accuracy
-        print(f"path error: worst {accuracy.worst * 1e3:.4f} mm, RMS {accuracy.rms * 1e3:.4f} mm")
-        return line
-    run = _timed(_trajectory_run(setup, options, begin, how))
-    for name, worst in zip(setup.robot.joint_names, abs(run.slow.tracking_error[:, 0]).max(axis=0), strict=True):
-        print(f"{name}: worst tracking error {worst * 1e3:.4f} mrad")
-    return run
-
-
-def _trajectory_run(
-    setup: Setup, options: argparse.Namespace, begin: float, how: dict[str, Any]
-) -> Callable[[], RunResult]:
-    """Read the trajectory or bag, say where the arm begins, and return what runs it."""
-    from rx90_controller.lines.task import SETTLING
+    from rx90_controller.lines.task import SETTLING, load_task
     from rx90_emulator.loop.closed_loop import simulate
+    from rx90_emulator.loop.line import LineRun, run_line
     from rx90_emulator.loop.recorded_run import read_run, replay
     from rx90_emulator.loop.trajectory_file import load_trajectory
 
-    start = options.initial_position
+    begin, start = options.start_time or 0.0, options.initial_position
+    substeps, fast = options.substeps, not options.slow_only
+    result: RunResult
     if options.from_bag is not None:
         recorded = read_run(options.from_bag, setup, start)
-        start = recorded.initial_position
-        told = ", ".join(f"{command.start * setup.rates.position_period:.3f} s" for command in recorded.commands)
-        print(f"trajectories in {one_line(options.from_bag)}: {len(recorded.commands)}, from {told}")
-        recorded = _with_seed(recorded, options)
+        starts = ", ".join(f"{command.start * setup.rates.position_period:.3f} s" for command in recorded.commands)
+        print(f"trajectories in {one_line(options.from_bag)}: {len(recorded.commands)}, from {starts}")
+        if options.seed is None:
+            print("seed 0: the bag tells none" if recorded.seed is None else f"seed {recorded.seed}, as the bag tells")
+        else:
+            if recorded.seed not in (None, options.seed):
+                _warn(f"the seed of that run was {recorded.seed}; here --seed {options.seed} holds")
+            recorded = replace(recorded, seed=options.seed)
         if recorded.changed:
-            names = ", ".join(recorded.changed)
-            print(
-                f"rx90_run: warning: {names} changed in that run; here the controller file holds throughout",
-                file=sys.stderr,
-            )
-        run: Callable[[], RunResult] = partial(replay, setup, recorded, **how)
+            _warn(f"{', '.join(recorded.changed)} changed in that run; here the controller file holds throughout")
         if recorded.given:
-            names = ", ".join(recorded.given)
-            print(
-                f"rx90_run: warning: {names} had other values in that run from its beginning; here the controller file "
-                "and the options of this command hold",
-                file=sys.stderr,
+            _warn(
+                f"{', '.join(recorded.given)} had other values in that run from its beginning; here the controller "
+                "file and the options of this command hold"
             )
-    else:
+        _print_start(recorded.initial_position)
+        began = time.perf_counter()
+        result = replay(setup, recorded, substeps=substeps, record_fast=fast)
+    elif options.trajectory is not None:
         points = load_trajectory(options.trajectory, setup.robot.joint_names)
         start = points.position[0] if start is None else start
+        _print_start(start)
         duration = begin + float(points.times[-1]) + SETTLING
-        run = partial(simulate, setup, points, start, duration, begin, **how)
-    print("begins at rest at", ", ".join(f"{angle:.6g}" for angle in start), "rad")
-    return run
+        began = time.perf_counter()
+        result = simulate(setup, points, start, duration, begin, substeps=substeps, record_fast=fast)
+    else:
+        task = load_task(RobotFiles.of_options(options).required("task"))
+        began = time.perf_counter()
+        result = run_line(setup, task, start_time=begin, substeps=substeps, record_fast=fast)
+    simulated = result.times[-1] + result.setup.rates.position_period
+    print(f"simulated {simulated:.3f} s in {time.perf_counter() - began:.2f} s")
+    if isinstance(result, LineRun):
+        accuracy = result.path_accuracy
+        print(f"path error: worst {accuracy.worst * 1e3:.4f} mm, RMS {accuracy.rms * 1e3:.4f} mm")
+        return result
+    worst = abs(result.slow.tracking_error[:, 0]).max(axis=0)
+    for name, error in zip(setup.robot.joint_names, worst, strict=True):
+        print(f"{name}: worst tracking error {error * 1e3:.4f} mrad")
+    return result
 
 
-def _with_seed(recorded: RecordedRun, options: argparse.Namespace) -> RecordedRun:
-    """Return the run with the seed to take, which is that of the bag unless another one is asked for; say which."""
-    told = recorded.seed
-    if options.seed is not None:
-        if told not in (None, options.seed):
-            print(
-                f"rx90_run: warning: the seed of that run was {told}; here --seed {options.seed} holds", file=sys.stderr
-            )
-        return replace(recorded, seed=options.seed)
-    print("seed 0: the bag tells none" if told is None else f"seed {told}, as the bag tells")
-    return recorded
+def _print_start(position: Iterable[float]) -> None:
+    print("begins at rest at", ", ".join(f"{angle:.6g}" for angle in position), "rad")
 
 
-def _timed(simulated: Callable[[], Run]) -> Run:
-    began = time.perf_counter()
-    run = simulated()
-    elapsed = time.perf_counter() - began
-    print(f"simulated {run.times[-1] + run.setup.rates.position_period:.3f} s in {elapsed:.2f} s")
-    return run
+def _warn(text: str) -> None:
+    print(f"rx90_run: warning: {text}", file=sys.stderr)
+
+
+def _run_hours(setup: Setup, options: argparse.Namespace) -> None:
+    """Run the task there and back for hours, print how it goes, draw it where asked for."""
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_controller.lines.task import load_task
+    from rx90_emulator.loop.working_day import ThermalRun
+
+    day = ThermalRun(setup, load_task(RobotFiles.of_options(options).required("task")))
+    try:
+        total = day.whole_cycles(3600.0 * options.hours)
+    except ConfigError as error:
+        raise ConfigError(f"--hours {options.hours:g}: {error}") from error
+    try:
+        with progress_bar("cycles") as tell:
+            while day.advance(total):
+                tell(day.done, total)
+            tell(total, total)
+    finally:  # also for who interrupts
+        if day.done:
+            _show_hours(day.result(), day.done, options.plot)
+
+
+def _show_hours(result: RepeatedLine, cycles: int, plot: Path | None) -> None:
+    import numpy as np
+
+    count = len(result.times)
+    print(f"{cycles} times there and back in {cycles * result.cycle / 3600.0:.3g} h, of which {count} were simulated")
+    rows = np.unique(np.linspace(0, count - 1, _ROWS).round().astype(int))
+    names = result.setup.friction.names
+    head = "".join(f"{name:>11}" for name in names)
+    warm = [element.temperature is not None for element in result.setup.friction.elements]
+    print(f"\n{'':8}{'path error, mm':>18}  temperature of the joints, °C\n{'h':>8}{'worst':>9}{'RMS':>9}{head}")
+    for i in rows:
+        degrees = "".join(
+            f"{t:11.1f}" if known else f"{'-':>11}" for t, known in zip(result.temperatures[i], warm, strict=True)
+        )
+        print(f"{result.times[i] / 3600.0:8.3f}{result.worst[i] * 1e3:9.4f}{result.rms[i] * 1e3:9.4f}{degrees}")
+    print(f"\n{'':8}{'':18}  mean friction torque, Nm\n{'h':>8}{'':18}{head}")
+    for i in rows:
+        print(f"{result.times[i] / 3600.0:8.3f}{'':18}{''.join(f'{torque:11.3f}' for torque in result.friction[i])}")
+    if plot is not None:
+        from rx90_common.report.picture import write_picture
+
+        write_picture(_hours_plot(result), plot)
+        print(one_line(f"plot: {plot}"))
+
+
+def _hours_plot(result: RepeatedLine) -> Plot:
+    """Return temperatures, friction and path error over the hours."""
+    from rx90_common.report.plot import COLOURS, Curve, Panel, Plot
+
+    hours = result.times / 3600.0
+    elements = list(zip(result.setup.friction.names, result.setup.friction.elements, COLOURS, strict=True))
+    warmth = [
+        Curve(hours, result.temperatures[:, i], name, colour)
+        for i, (name, element, colour) in enumerate(elements)
+        if element.temperature is not None
+    ]
+    share = result.friction / result.friction[0]
+    friction = [Curve(hours, share[:, i], name, colour) for i, (name, _, colour) in enumerate(elements)]
+    error = [
+        Curve(hours, result.worst * 1e3, "worst", COLOURS[0]),
+        Curve(hours, result.rms * 1e3, "RMS", COLOURS[1]),
+    ]
+    time = "time, h"
+    return Plot(
+        [
+            Panel(warmth, "", time, "temperature of the joints, °C"),
+            Panel(friction, "", time, "mean friction torque, over that at the start"),
+            Panel(error, "", time, "path error, mm", from_zero=True),
+        ],
+        columns=3,
+        height=3.6,
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from friction_bench.rig.rig_file import RIG, load_rig
 from rx90_common.bags.mapping import MAPPING, LogMapping
@@ -13,7 +13,6 @@ from rx90_common.bags.tolerance import TOLERANCES, load_rules
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import JsonSchema, Number, Switch
 from rx90_common.base.groups import DEFINITIONS, Entries, Group
-from rx90_common.base.section import Section
 from rx90_common.description.drives import DRIVES, load_drives
 from rx90_common.description.robot import TOOL, load_tool
 from rx90_common.friction.friction_file import FRICTION, FrictionFile
@@ -25,6 +24,9 @@ from rx90_emulator.identification.experiments.plan import POSES, Poses
 from rx90_emulator.loop.trajectory_file import TRAJECTORY, load_trajectory
 from rx90_emulator.sweep.plan_file import PLAN, load_sweep_plan
 from rx90_emulator.sweep.sweep import Sweep
+
+NODE_PARAMETERS = "node_parameters"
+"""The name of the kind of the nodes' parameter files."""
 
 _MOVEIT_LIMITS = Group(
     "Limits of the joints for MoveIt, in its own format; python -m tools.moveit_files writes them.",
@@ -47,28 +49,18 @@ _MOVEIT_LIMITS = Group(
 )
 
 
-class ReadableEntry(Protocol):
-    """What a whole file may hold."""
-
-    def read(self, section: Section) -> dict[str, Any]:
-        """Return what it holds, checked; raises ConfigError."""
-
-    def schema(self) -> JsonSchema:
-        """Return the same as a JSON schema."""
-
-
 @dataclass(frozen=True)
 class FileKind:
     """A kind of YAML file.
 
     Attributes:
         name: of the kind and of its schema.
-        entry: what the file may hold.
+        entry: what the file may hold; it has `read(section)`, too, which checks a whole file.
         read: the reader of all who use the file; raises Rx90Error.
     """
 
     name: str
-    entry: ReadableEntry
+    entry: Any
     read: Callable[[Path], Any]
 
     def json_schema(self) -> JsonSchema:
@@ -81,10 +73,6 @@ class FileKind:
         }
 
 
-def _read_trajectory(path: Path) -> object:
-    return load_trajectory(path, TRAJECTORY.read(load_yaml(path, first=True))["joint_names"])
-
-
 KINDS = (
     FileKind("drives", DRIVES, load_drives),
     FileKind("tool", TOOL, load_tool),
@@ -95,13 +83,17 @@ KINDS = (
     FileKind("moveit_limits", _MOVEIT_LIMITS, lambda path: _MOVEIT_LIMITS.read(load_yaml(path))),
     FileKind("rig", RIG, load_rig),
     FileKind("sweep_plan", PLAN, lambda path: Sweep(load_sweep_plan(path))),
-    FileKind("trajectory", TRAJECTORY, _read_trajectory),
+    FileKind(
+        "trajectory",
+        TRAJECTORY,
+        lambda path: load_trajectory(path, TRAJECTORY.read(load_yaml(path, first=True))["joint_names"]),
+    ),
     FileKind("log_mapping", MAPPING, LogMapping.load),
     FileKind("tolerances", TOLERANCES, load_rules),
     FileKind("payloads", PAYLOADS, read_payloads),
     FileKind("experiments", EXPERIMENTS, lambda path: read_index(path.parent)),
 )
-"""All kinds but the nodes' parameter files, which need ROS: see node_file.py.
+"""All kinds but the nodes' parameter files, which need ROS: see nodes.py.
 
 A bag's metadata.yaml is rosbag2's, and what is only written for the record needs no schema.
 """

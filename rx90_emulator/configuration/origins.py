@@ -1,26 +1,34 @@
-"""What a setup comes to: every value with where it comes from, and whether that is assumed."""
+"""The values of a setup, each with its unit, where it comes from, and whether it is assumed; as a table or as JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from rx90_common.base.config import load_yaml, yaml_lines
 from rx90_common.base.entries import LEFT_OUT, Entry
 from rx90_common.base.groups import Either, Entries, Group, Variants
+from rx90_common.base.quoting import one_line
 from rx90_common.base.section import ABOUT
 from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import FILES, NO_TOOL, RobotFiles
 from rx90_common.friction.element import SIGNS
 from rx90_controller.law.model import ROLES, ModelFiles
-from rx90_emulator.configuration.check import kind_named
+from rx90_emulator.configuration.kinds import KINDS
 from rx90_emulator.loop.setup import Setup
 
 OF_CODE = "default of the code"
 COMMAND_LINE = "command line"
 ASSUMED = "assumed"
-_OTHERS = "others"
+OTHERS = "others"
+"""The key under which a file says something of all values that it does not name."""
+_MAX_ALIGNED_WIDTH = 64  # characters; a longer value moves the rest of its line to the right
+
+Around = tuple[tuple[Mapping[str, Any], str], ...]
+"""The mappings around a value, from the file on, each with the key that leads on from it."""
 
 
 class ShownValue(NamedTuple):
@@ -43,31 +51,6 @@ class ShownValue(NamedTuple):
     source: str = ""
 
 
-class _About(NamedTuple):
-    """The mappings around a value, from the file on, each with the key that leads on from it."""
-
-    around: tuple[tuple[Mapping[str, Any], str], ...] = ()
-
-    def within(self, content: Mapping[str, Any], key: str) -> _About:
-        """Return what is around the value under `key` of the innermost mapping."""
-        return _About((*self.around, (content, key)))
-
-    def said(self, word: str) -> str:
-        """Return what the innermost mapping that says it has under `word`, for all its values or for this one.
-
-        Where it says something for each key, that may be any key from there to the value, the last one first.
-        """
-        keys: list[str] = []
-        for content, key in reversed(self.around):
-            keys.append(key)
-            given = content.get(word)
-            if isinstance(given, dict):
-                given = next((given[each] for each in (*keys, _OTHERS) if each in given), None)
-            if given is not None:
-                return str(given)
-        return ""
-
-
 def place_of(path: Path) -> str:
     """Return what names a file in short: its path below config/ or below the working folder, or the path itself."""
     for folder in (config_path(""), Path.cwd()):
@@ -82,65 +65,76 @@ def file_values(role: str, path: Path) -> list[ShownValue]:
     Raises:
         ConfigError: naming file, key, value and what is accepted.
     """
-    kind = kind_named(role)
+    kind = next(kind for kind in KINDS if kind.name == role)
     kind.read(path)
-    root, lines = load_yaml(path), yaml_lines(path)
-    if not isinstance(kind.entry, Group):
-        return []
+    root, lines, name = load_yaml(path), yaml_lines(path), place_of(path)
+    identified = root.content.get("identification", {}).get("parameters", {}) if role == "friction" else {}
     found = []
-    name = place_of(path)
-    for place, entry, value, about in _leaves(kind.entry, root.content, "", _About()):
-        line = lines.get(place)
-        origin = OF_CODE if line is None else f"{name}:{line}"
-        said = about if line is not None else _About()
-        one = ShownValue(f"{role}.{place}", value, entry.unit, origin, said.said("provenance"), said.said("source"))
-        found.append(_by_itself(one, root.content))
+    for place, entry, value, around in _leaves(kind.entry, root.content, "", ()):
+        if place not in lines:
+            origin, provenance, source = OF_CODE, "", ""
+        else:
+            origin = f"{name}:{lines[place]}"
+            provenance, source = (_stated(word, around) for word in ("provenance", "source"))
+        one = ShownValue(f"{role}.{place}", value, entry.unit, origin, provenance, source)
+        found.append(_as_identified(one, identified))
     return found
 
 
-def _by_itself(one: ShownValue, content: Mapping[str, Any]) -> ShownValue:
-    """Return a value with what the block `identification` of a friction file says of it, if it says anything."""
-    _, blocks, *names = one.name.split(".")
-    known = content.get("identification", {}).get("parameters", {}) if blocks == "elements" else {}
-    if not names or names[0] not in known:
-        return one
-    parameter, *sign = names[1:]
-    entries = [known[names[0]].get(name) for name in (parameter, *(f"{parameter}_{each}" for each in sign or SIGNS))]
-    said = [entry for entry in entries if entry is not None]
-    if not said:
-        return one
-    first = next((entry for entry in said if entry["provenance"] == ASSUMED), said[0])
-    taken = first.get("taken_from")
-    reasons = [first.get("reason"), None if taken is None else f"taken from {taken}"]
-    source = "; ".join(reason for reason in reasons if reason)
-    return one._replace(provenance=first["provenance"], source=source or one.source)
-
-
-def _leaves(entry: Entry, content: Any, path: str, about: _About) -> Iterator[tuple[str, Entry, Any, _About]]:
+def _leaves(entry: Entry, content: Any, path: str, around: Around) -> Iterator[tuple[str, Entry, Any, Around]]:
     """Yield the values of a mapping that are no mappings, and the defaults of those that are left out."""
     if isinstance(entry, Variants):
-        yield f"{path}.{entry.key}", entry, content[entry.key], about
+        yield f"{path}.{entry.key}", entry, content[entry.key], around
         entry = entry.groups[content[entry.key]]
     keys = entry.keys if isinstance(entry, Group) else {}
-    names = [name for name in content if name not in ABOUT]
-    for key in dict.fromkeys((*names, *keys)):
+    for key in dict.fromkeys((*(name for name in content if name not in ABOUT), *keys)):
         inner = entry.of if isinstance(entry, Entries) else keys.get(key)
         if inner is None:
             continue  # for readers alone
-        place = f"{path}{'.' * bool(path)}{key}"
-        said = about.within(content, key)
+        place, further = f"{path}{'.' * bool(path)}{key}", (*around, (content, key))
         if key not in content:
             if inner.default is not LEFT_OUT:
-                yield place, inner, inner.default, said
+                yield place, inner, inner.default, further
         elif isinstance(content[key], dict):
-            mapping = inner.mapping if isinstance(inner, Either) else inner
-            yield from _leaves(mapping, content[key], place, said)
+            yield from _leaves(inner.mapping if isinstance(inner, Either) else inner, content[key], place, further)
         else:
-            yield place, inner, content[key], said
+            yield place, inner, content[key], further
+
+
+def _stated(word: str, around: Around) -> str:
+    """Return what the innermost mapping that has a `word`, provenance or source, states of a value.
+
+    Where it states something for each key, that may be any key from there to the value, the last one first.
+    """
+    keys: list[str] = []
+    for content, key in reversed(around):
+        keys.append(key)
+        given = content.get(word)
+        if isinstance(given, dict):
+            given = next((given[each] for each in (*keys, OTHERS) if each in given), None)
+        if given is not None:
+            return str(given)
+    return ""
+
+
+def _as_identified(one: ShownValue, identified: Mapping[str, Any]) -> ShownValue:
+    """Return a value with what the block `identification` of a friction file states of it, if it states anything."""
+    _, block, *names = one.name.split(".")
+    if block != "elements" or not names or names[0] not in identified:
+        return one
+    parameter, *sign = names[1:]
+    wanted = (parameter, *(f"{parameter}_{each}" for each in sign or SIGNS))
+    entries = [entry for name in wanted if (entry := identified[names[0]].get(name)) is not None]
+    if not entries:
+        return one
+    first = next((entry for entry in entries if entry["provenance"] == ASSUMED), entries[0])
+    origin = first.get("taken_from")
+    reasons = [first.get("reason"), None if origin is None else f"taken from {origin}"]
+    return one._replace(provenance=first["provenance"], source="; ".join(filter(None, reasons)) or one.source)
 
 
 def setup_values(files: RobotFiles, chosen: Mapping[str, str]) -> list[ShownValue]:
-    """Return the files of a robot and the values in them.
+    """Return the files of a robot and the values in them, and the files of the controller's own model.
 
     Args:
         files: of the robot.
@@ -150,11 +144,18 @@ def setup_values(files: RobotFiles, chosen: Mapping[str, str]) -> list[ShownValu
         ConfigError: for a file that cannot be used.
     """
     found = [ShownValue(f"file.{role}", files.text(role), "", chosen[role]) for role in FILES if role in chosen]
+    path: Path | None
     for role in FILES:
-        path: Path | None = getattr(files, role)
+        path = getattr(files, role)
         if role != "urdf" and path is not None:
             found += file_values(role, path)
-    return found + _model_files(files, {one.name for one in found})
+    model, origin = ModelFiles.of(load_yaml(files.controller)), f"beside {place_of(files.controller)}"
+    named = {one.name for one in found}
+    for role in ROLES:
+        name, path = f"controller.model.{role}", getattr(model, role)
+        if name not in named and (path is None or path.is_file()):
+            found.append(ShownValue(name, NO_TOOL if path is None else place_of(path), "", origin))
+    return found
 
 
 def steps_value(setup: Setup, substeps: int | None = None) -> ShownValue:
@@ -164,21 +165,6 @@ def steps_value(setup: Setup, substeps: int | None = None) -> ShownValue:
         ConfigError: if those asked for are too few, or it needs more than it takes unasked.
     """
     return ShownValue("plant steps in a tick", setup.plant(substeps).substeps, "1", "by friction, mass and gears")
-
-
-def _model_files(files: RobotFiles, named: Collection[str]) -> list[ShownValue]:
-    """Return the files of the controller's own model that its file does not name, if it has one that is there."""
-    root = load_yaml(files.controller)
-    model = ModelFiles.of(root)
-    origin = f"beside {place_of(files.controller)}"
-    found = []
-    for role in ROLES:
-        path: Path | None = getattr(model, role)
-        if f"controller.model.{role}" not in named and (path is None or path.is_file()):
-            found.append(
-                ShownValue(f"controller.model.{role}", NO_TOOL if path is None else place_of(path), "", origin)
-            )
-    return found
 
 
 def rig_values(rig: str, chosen: str) -> list[ShownValue]:
@@ -192,3 +178,40 @@ def rig_values(rig: str, chosen: str) -> list[ShownValue]:
         ConfigError: for a file that cannot be used.
     """
     return [ShownValue("file.rig", rig, "", chosen), *file_values("rig", resolve_config(rig))]
+
+
+def values_table(values: Sequence[ShownValue]) -> str:
+    """Return a line for each value, and below them the sources by their numbers."""
+    sources: dict[str, int] = {}
+    rows = [("value", "", "", "from", "")]
+    for one in values:
+        mark = one.provenance.upper() if one.provenance == ASSUMED else one.provenance
+        if one.source:
+            mark += f" [{sources.setdefault(one.source, len(sources) + 1)}]"
+        rows.append((one.name, _text(one.value), one.unit, one.origin, mark.strip()))
+    widths = [max(len(row[k]) for row in rows if len(row[k]) <= _MAX_ALIGNED_WIDTH) for k in range(4)]
+    lines = ["  ".join((*map(str.ljust, row[:4], widths), row[4])).rstrip() for row in rows]
+    assumed = sum(one.provenance == ASSUMED for one in values)
+    lines += ["", f"{assumed} of {len(values)} values are assumed"]
+    lines += [f"[{number}] {' '.join(source.split())}" for source, number in sources.items()]
+    return "\n".join(map(one_line, lines))
+
+
+def values_json(values: Sequence[ShownValue]) -> str:
+    """Return a list of objects, one for each value."""
+    content = [{**one._asdict(), "value": _plain(one.value), "assumed": one.provenance == ASSUMED} for one in values]
+    return json.dumps(content, indent=1, ensure_ascii=False)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_text, value))}]"
+    return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return "inf" if value == math.inf else value

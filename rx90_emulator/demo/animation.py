@@ -15,11 +15,12 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial import ConvexHull
 
+from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.shapes import VisualShape, drawn_shapes
 from rx90_controller.lines.task import LineTask
-from rx90_emulator.demo.analysis import RunAnalysis, field
+from rx90_emulator.loop.line import PathAccuracy
 
 WIDTH, HEIGHT = 720.0, 460.0
 """Of the picture, in its points."""
@@ -98,15 +99,15 @@ class Animation:
         return _points(np.column_stack([width * self.along / self.along.max(), height * (1.0 - self.error / top)]))
 
 
-def animate(run: RunAnalysis, robot: RobotModel, task: LineTask) -> Animation:
-    """Return the animation of a run, seen from the side of its line."""
-    first, last = run.path.times[[0, -1]]
+def animate(joints: JointSeries, path: PathAccuracy, robot: RobotModel, task: LineTask) -> Animation:
+    """Return the animation of a run, of which `path` is the error, seen from the side of its line."""
+    first, last = path.times[[0, -1]]
     step = max(1.0 / _FRAME_RATE, (last - first) / _MOST_FRAMES)
     wanted = np.arange(first, last + 0.5 * step, step)
-    places = np.searchsorted(run.path.times, wanted - 1e-9).clip(max=len(run.path.times) - 1)
-    frames = np.unique([*places, run.path.perpendicular.argmax()])
-    rows = np.searchsorted(run.joints.time, run.path.times[frames] - 1e-9)
-    poses, tips = _poses(robot, field(run.joints, "position")[rows])
+    places = np.searchsorted(path.times, wanted - 1e-9).clip(max=len(path.times) - 1)
+    frames = np.unique([*places, path.perpendicular.argmax()])
+    rows = np.searchsorted(joints.time, path.times[frames] - 1e-9)
+    poses, tips = _poses(robot, joints.fields["position"][rows])
     shapes = drawn_shapes(robot)
     corners = [(shape.joint, _corners(shape)) for shape in shapes]
     start, end = np.array(task.start), np.array(task.end)
@@ -126,11 +127,11 @@ def animate(run: RunAnalysis, robot: RobotModel, task: LineTask) -> Animation:
     def shown(points: Array) -> Array:
         return np.asarray((scale * points @ eye[:2].T + shift[:2]) * (1.0, -1.0))
 
-    factor = _round_number(_ENLARGED_TO * HEIGHT / scale / max(float(run.path.worst), 1e-9))
+    factor = _round_number(_ENLARGED_TO * HEIGHT / scale / max(float(path.worst), 1e-9))
     return Animation(
-        times=run.path.times[frames] - first,
-        along=run.path.along[frames],
-        error=run.path.perpendicular[frames],
+        times=path.times[frames] - first,
+        along=path.along[frames],
+        error=path.perpendicular[frames],
         views=views,
         shapes=corners,
         colours=[_css(shape.color) for shape in shapes],

@@ -10,17 +10,15 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from rx90_common.bags.comparison import BagComparison, Verdict, compare_bags
-from rx90_common.bags.summary import summarise
+from rx90_common.bags.comparison import Verdict, compare_bags
 from rx90_common.bags.tables import comparison_text
 from rx90_common.base.errors import ProcessError
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.client_node import ClientNode, client_node
+from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
-from rx90_controller.lines.plan import LinePlan, plan_line
+from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
-from rx90_emulator.demo.analysis import SWITCHED_OFF, analyse
-from rx90_emulator.demo.report import PATH_LIMIT, RunFacts, write_report
+from rx90_emulator.demo.report import PATH_LIMIT, SWITCHED_OFF, analyse, write_report
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import OPENED, TO_OTHERS
 from rx90_sim.node.simulation_client import SimulationClient
@@ -28,56 +26,19 @@ from rx90_sim.node.simulation_client import SimulationClient
 START_TIME = 0.25
 """When the trajectory starts, s: late enough to arrive before it, whatever the machine does, because time
 stands still until every process is there."""
-
-
-_PATIENCE = 20.0  # s
+_PAGE_TIMEOUT = 20.0  # s, for a person to open the page
 _SERVICE_TIMEOUT = 60.0
-
-
-def follow_clock(process: ChildProcess, duration: float) -> float:
-    """Let time run and draw a progress bar of simulated time until the simulation's process ends.
-
-    Returns:
-        The real-time factor from the first to the last time that was heard; 0 if there were no two.
-
-    Raises:
-        ExchangeError: if the simulation does not take the request.
-    """
-    with client_node("rx90_demo", _SERVICE_TIMEOUT, lambda _: None) as client:
-        simulation = SimulationClient(client)
-        simulation.pause(False)
-        return _show(process, client, simulation, duration)
-
-
-def _show(process: ChildProcess, client: ClientNode, simulation: SimulationClient, duration: float) -> float:
-    layout = "{l_bar}{bar}| {n:.2f}/{total:.2f} s simulated [{elapsed}<{remaining}{postfix}]"
-    # From the first time that is heard: before it, the nodes wait for those who listen.
-    first: tuple[float, float] | None = None
-    factor, newest = 0.0, 0.0
-    with tqdm(
-        total=duration, bar_format=layout, desc="reference task", mininterval=0.2, miniters=0, disable=None
-    ) as bar:
-        while process.returncode is None:
-            client.spin()
-            if simulation.time > newest:
-                newest, now = simulation.time, time.monotonic()
-                first = first or (newest, now)
-                factor = (newest - first[0]) / (now - first[1]) if now > first[1] else 0.0
-            bar.set_postfix_str(f"{factor:.2f} x real time", refresh=False)
-            bar.update(min(simulation.time, duration) - bar.n)
-        if process.returncode == 0:
-            bar.update(duration - bar.n)
-    return factor
+_BAR = "{l_bar}{bar}| {n:.2f}/{total:.2f} s simulated [{elapsed}<{remaining}{postfix}]"
 
 
 class Demonstration:
-    """One run of the reference task in a folder of its own."""
+    """A run of the reference task in a folder of its own."""
 
     def __init__(
         self,
         robot: str,
         files: RobotFiles,
-        real_time_factor: float,
+        pace: float,
         composed: bool = False,
         view: Sequence[object] | None = None,
     ) -> None:
@@ -86,7 +47,7 @@ class Demonstration:
         Args:
             robot: the name or folder of the robot, for the processes.
             files: its files, and the task.
-            real_time_factor: pace; 0 is as fast as it goes.
+            pace: the real-time factor; 0 is as fast as it goes.
             composed: simulation and controller share a process.
             view: options of `rx90_view` for a page in the browser beside it; None for no page.
 
@@ -94,11 +55,10 @@ class Demonstration:
             Rx90Error: if the task cannot be read or travelled.
         """
         self._robot, self._task_file = robot, files.required("task")
-        self._factor, self._composed, self._view = real_time_factor, composed, view
+        self._pace, self._composed, self._view = pace, composed, view
         self._setup = Setup.load(files)
         self._task = load_task(self._task_file)
         self._plan = plan_line(self._setup.robot, self._task, self._setup.rates.position_period)
-        self._folder = Path()
 
     def run(self, folder: Path) -> bool:
         """Run, compare, report; return whether the run is identical to the closed loop and within the limit.
@@ -109,86 +69,97 @@ class Demonstration:
         Raises:
             Rx90Error: if a step fails; no process is left behind.
         """
-        self._folder = folder
-        recorded, baseline = self._folder / "recorded", self._folder / "closed_loop"
+        recorded, baseline, page = folder / "recorded", folder / "closed_loop", folder / "report.html"
         print("closed loop without ROS ...", flush=True)
-        self._run_closed_loop(baseline)
-        factor = self._run_processes(self._plan, recorded)
+        # A process of its own: while it compiles, numba would swallow Ctrl-C.
+        with ProcessGroup(folder / "log") as group:
+            task = ("--robot", self._robot, "--task", self._task_file, "--start-time", START_TIME)
+            group.start("closed_loop", executable("rx90_run", *task, "--output", baseline)).expect_success()
+        factor = self._run_processes(folder, recorded)
         print("comparing the recorded run with the closed loop without ROS ...", flush=True)
         comparison = compare_bags(recorded, baseline)
         print(comparison_text(comparison))
-        return self._report(recorded, baseline, comparison, factor)
-
-    def _run_closed_loop(self, bag: Path) -> None:
-        # A process of its own: while it compiles, numba would swallow Ctrl-C.
-        with ProcessGroup(self._folder / "log") as group:
-            task = ("--robot", self._robot, "--task", self._task_file, "--start-time", START_TIME)
-            group.start("closed_loop", executable("rx90_run", *task, "--output", bag)).expect_success()
-
-    def _run_processes(self, plan: LinePlan, bag: Path) -> float:
-        """Run the processes to the end of the task; return the real-time factor."""
-        duration = START_TIME + plan.duration
-        pose = ", ".join(repr(float(angle)) for angle in plan.start_pose)
-        print("starting simulation, controller, trajectory and recorder ...", flush=True)
-        with ProcessGroup(self._folder / "log") as group:
-            recorder = group.start("recorder", executable("rx90_bag", "record", "--output", bag))
-            parameters = _parameters(
-                initial_position=f"[{pose}]",
-                duration=repr(duration),
-                real_time_factor=repr(self._factor),
-                paused="true",
-            )
-            simulation = group.start(
-                "simulation",
-                executable("rx90_cell" if self._composed else "rx90_sim", *parameters, "-p", f"robot:={self._robot}"),
-            )
-            if not self._composed:
-                group.start("controller", executable("rx90_controller", "--ros-args", "-p", f"robot:={self._robot}"))
-            task = ("--robot", self._robot, "--from-file", self._task_file, "--start-time", START_TIME)
-            line = group.start("trajectory", executable("rx90_line", *task))
-            if self._view is not None:
-                self._show_page(group, self._view)
-            recorder.wait_for("ready: all")
-            line.expect_success()
-            factor = follow_clock(simulation, duration)
-            simulation.expect_success()
-            recorder.signal(signal.SIGINT)
-            recorder.expect_success()
-        return factor
-
-    def _show_page(self, group: ProcessGroup, options: Sequence[object]) -> None:
-        """Start the page, and give a person a moment to open it before time runs."""
-        about = ("--robot", self._robot, "--task", self._task_file, "--output", self._folder)
-        page = group.start("view", executable("rx90_view", *about, *options))
-        address = page.wait_for(r"page: (.*) [(]")[1]
-        if TO_OTHERS in page.lines:
-            print(TO_OTHERS)
-        print(f"page: {address}; time runs once it is open, at the latest in {_PATIENCE:g} s", flush=True)
-        try:
-            page.wait_for(OPENED, _PATIENCE)
-        except ProcessError:
-            if page.returncode is not None:
-                raise
-
-    def _report(self, recorded: Path, baseline: Path, comparison: BagComparison, factor: float) -> bool:
-        page = self._folder / "report.html"
         run = analyse(recorded, self._setup, self._task, START_TIME)
-        messages = {topic.topic: topic.count for topic in summarise(recorded).topics}
-        facts = RunFacts(factor, self._factor, self._composed, messages, recorded, baseline)
-        write_report(page, self._setup, self._task, run, comparison, facts)
-        within = run.path.worst <= PATH_LIMIT
+        write_report(page, self._setup, self._task, run, comparison, factor, self._pace,
+                     composed=self._composed, bag=recorded, baseline=baseline)  # fmt: skip
         print(
             f"path error: worst {run.path.worst * 1e3:.4f} mm, "
             f"{run.path_without.worst * 1e3:.4f} mm with {SWITCHED_OFF}; asked for: {PATH_LIMIT * 1e3:g} mm"
         )
         print(f"report: {page.resolve()}")
-        if not within:
+        if run.path.worst > PATH_LIMIT:
             print("rx90_demo: the path error is above what was asked for", file=sys.stderr)
-        return within and comparison.verdict is Verdict.SAME
+        return run.path.worst <= PATH_LIMIT and comparison.verdict is Verdict.SAME
+
+    def _run_processes(self, folder: Path, bag: Path) -> float:
+        """Run the processes to the end of the task; return the real-time factor."""
+        duration = START_TIME + self._plan.duration
+        pose = ", ".join(repr(float(angle)) for angle in self._plan.start_pose)
+        of_robot = ("-p", f"robot:={self._robot}")
+        given = {
+            "initial_position": f"[{pose}]",
+            "duration": duration,
+            "real_time_factor": self._pace,
+            "paused": "true",
+        }
+        parameters = [word for name, value in given.items() for word in ("-p", f"rx90_sim:{name}:={value}")]
+        print("starting simulation, controller, trajectory and recorder ...", flush=True)
+        with ProcessGroup(folder / "log") as group:
+            recorder = group.start("recorder", executable("rx90_bag", "record", "--output", bag))
+            node = "rx90_cell" if self._composed else "rx90_sim"
+            simulation = group.start("simulation", executable(node, "--ros-args", *parameters, *of_robot))
+            if not self._composed:
+                group.start("controller", executable("rx90_controller", "--ros-args", *of_robot))
+            task = ("--robot", self._robot, "--from-file", self._task_file, "--start-time", START_TIME)
+            line = group.start("trajectory", executable("rx90_line", *task))
+            if self._view is not None:
+                about = ("--robot", self._robot, "--task", self._task_file, "--output", folder)
+                _wait_for_page(group.start("view", executable("rx90_view", *about, *self._view)))
+            recorder.wait_for("ready: all")
+            line.expect_success()
+            factor = _follow_clock(simulation, duration)
+            simulation.expect_success()
+            recorder.signal(signal.SIGINT)
+            recorder.expect_success()
+        return factor
 
 
-def _parameters(**values: str) -> list[str]:
-    arguments = ["--ros-args"]
-    for name, value in values.items():
-        arguments += ["-p", f"rx90_sim:{name}:={value}"]
-    return arguments
+def _wait_for_page(page: ChildProcess) -> None:
+    """Give a person a moment to open the page before time runs."""
+    address = page.wait_for(r"page: (.*) [(]")[1]
+    if TO_OTHERS in page.lines:
+        print(TO_OTHERS)
+    print(f"page: {address}; time runs once it is open, at the latest in {_PAGE_TIMEOUT:g} s", flush=True)
+    try:
+        page.wait_for(OPENED, _PAGE_TIMEOUT)
+    except ProcessError:
+        if page.returncode is not None:
+            raise
+
+
+def _follow_clock(process: ChildProcess, duration: float) -> float:
+    """Let time run and draw a progress bar of simulated time until the simulation's process ends.
+
+    Returns:
+        The real-time factor from the first to the last time that was heard; 0 if there were no two.
+    """
+    # From the first time that is heard: before it, the nodes wait for those who listen.
+    first: tuple[float, float] | None = None
+    factor, newest = 0.0, 0.0
+    with client_node("rx90_demo", _SERVICE_TIMEOUT, lambda _: None) as client:
+        simulation = SimulationClient(client)
+        simulation.pause(False)
+        with tqdm(
+            total=duration, bar_format=_BAR, desc="reference task", mininterval=0.2, miniters=0, disable=None
+        ) as bar:
+            while process.returncode is None:
+                client.spin()
+                if simulation.time > newest:
+                    newest, now = simulation.time, time.monotonic()
+                    first = first or (newest, now)
+                    factor = (newest - first[0]) / (now - first[1]) if now > first[1] else 0.0
+                bar.set_postfix_str(f"{factor:.2f} x real time", refresh=False)
+                bar.update(min(simulation.time, duration) - bar.n)
+            if process.returncode == 0:
+                bar.update(duration - bar.n)
+    return factor

@@ -1,142 +1,169 @@
-"""The report of a run: one self-contained HTML page."""
+"""The report of a recorded run of a line: the numbers that it shows, its plots, and one self-contained HTML page."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from rx90_common.bags.comparison import BagComparison, Verdict
-from rx90_common.description.robot_files import RobotFiles, provenance_of
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.summary import summarise
+from rx90_common.base.arrays import Array
+from rx90_common.description.robot_files import provenance_of
 from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, INK, Curve, Level, Panel, Plot
+from rx90_controller.law.parameters import FeedForward
 from rx90_controller.lines.task import LineTask
-from rx90_emulator.demo.analysis import SWITCHED_OFF, RunAnalysis, field
 from rx90_emulator.demo.animation import animate
+from rx90_emulator.loop.line import PathAccuracy, path_accuracy, run_line
 from rx90_emulator.loop.setup import Setup
+
+SWITCHED_OFF = "FF and dq_r off"
+"""What the recorded run is compared with, by the name that it has in docs/explanation/models.md."""
 
 PATH_LIMIT = 1e-4
 """Path accuracy that laser welding asks for, m (the paper's introduction)."""
 
 
-def path_error_plot(run: RunAnalysis, limit: float) -> Plot:
-    """Show the path error along the line, as recorded and with FF and dq_r off; `limit` in m."""
-    curves = [
-        Curve(path.along * 1e3, path.perpendicular * 1e3, label, colour, 1.2)
-        for path, label, colour in (
-            (run.path_without, SWITCHED_OFF, COLOURS[1]),
-            (run.path, "recorded", COLOURS[0]),
-        )
-    ]
-    limit_line = Level(limit * 1e3, "asked for laser welding", INK, "dashed")
-    return Plot([Panel([*curves, limit_line], "", "distance along the line, mm", "path error, mm", from_zero=True)])
-
-
-def tracking_plot(run: RunAnalysis) -> Plot:
-    """Show joint velocities and position errors against time."""
-    velocity, error = field(run.joints, "velocity"), field(run.error, "position") * 1e3
-    named = list(enumerate(run.joints.names))
-    upper = [Curve(run.joints.time, velocity[:, k], name, COLOURS[k]) for k, name in named]
-    lower = [Curve(run.error.time, error[:, k], name, COLOURS[k], 0.8) for k, name in named]
-    panels = [Panel(upper, y_label="joint velocity, rad/s"), Panel(lower, "", "time, s", "position error, mrad")]
-    return Plot(panels, share_x=True)
-
-
-def friction_plot(run: RunAnalysis) -> Plot:
-    """Show the seven friction torques against time, and against velocity."""
-    torque, velocity = field(run.friction, "effort"), field(run.friction, "velocity")
-    named = list(enumerate(run.friction.names))
-    upper = [Curve(run.friction.time, torque[:, k], name, COLOURS[k]) for k, name in named]
-    lower = [Curve(velocity[:, k], torque[:, k], name, COLOURS[k], 0.8) for k, name in named]
-    return Plot(
-        [
-            Panel(upper, "", "time, s", "friction torque, Nm"),
-            Panel(lower, "", "input velocity, rad/s", "friction torque, Nm"),
-        ]
-    )
-
-
-def effort_plot(run: RunAnalysis) -> Plot:
-    """Show the drive torques at the joints against time."""
-    effort = field(run.joints, "effort")
-    curves = [Curve(run.joints.time, effort[:, k], name, COLOURS[k], 0.8) for k, name in enumerate(run.joints.names)]
-    return Plot([Panel(curves, "", "time, s", "drive torque, Nm")])
-
-
 @dataclass(frozen=True)
-class RunFacts:
-    """How the recorded run went.
+class RunAnalysis:
+    """A recorded run of a line.
 
     Attributes:
-        real_time_factor: simulated time over wall time.
-        paced: the real-time factor that was asked for; 0 for none.
-        composed: whether simulation and controller shared a process.
-        messages: recorded messages by topic.
-        bag: the recorded bag.
-        baseline: the bag it was compared with.
+        joints: the bag's joint_states.
+        friction: the bag's friction_states.
+        error: the bag's tracking_error.
+        path: path error of the recorded run.
+        path_without: path error of the same task with FF and dq_r off, computed without ROS.
     """
 
-    real_time_factor: float
-    paced: float
-    composed: bool
-    messages: dict[str, int]
-    bag: Path
-    baseline: Path
+    joints: JointSeries
+    friction: JointSeries
+    error: JointSeries
+    path: PathAccuracy
+    path_without: PathAccuracy
+
+
+def analyse(bag: Path, setup: Setup, task: LineTask, start_time: float) -> RunAnalysis:
+    """Read a recorded run, whose trajectory started at `start_time` s, and compute what the report shows.
+
+    Raises:
+        BagError: if a topic is missing.
+    """
+    joints = read_joint_states(bag, "joint_states", setup.robot.joint_names)
+    friction = read_joint_states(bag, "friction_states", setup.friction.names)
+    error = read_joint_states(bag, "rx90_controller/tracking_error", setup.robot.joint_names)
+    path = path_accuracy(setup.robot, task, joints.time, joints.fields["position"], start_time)
+    controller = dataclasses.replace(setup.controller, feed_forward=FeedForward.off())
+    without = run_line(dataclasses.replace(setup, controller=controller), task).path_accuracy
+    return RunAnalysis(joints, friction, error, path, without)
 
 
 def write_report(
-    path: Path, setup: Setup, task: LineTask, run: RunAnalysis, comparison: BagComparison, facts: RunFacts
+    page: Path,
+    setup: Setup,
+    task: LineTask,
+    run: RunAnalysis,
+    comparison: BagComparison,
+    real_time_factor: float,
+    pace: float,
+    *,
+    composed: bool,
+    bag: Path,
+    baseline: Path,
 ) -> None:
     """Write the page.
+
+    Args:
+        page: the file.
+        setup: of the run.
+        task: the line.
+        run: what was recorded.
+        comparison: of the two bags.
+        real_time_factor: simulated time over wall time.
+        pace: the real-time factor that was asked for; 0 for none.
+        composed: whether simulation and controller shared a process.
+        bag: the recorded bag.
+        baseline: the bag it was compared with.
 
     Raises:
         Rx90Error: if the file cannot be written.
     """
-    page = render_page(
+    files = setup.files
+    text = render_page(
         "rx90_emulator.demo",
         "report.html.j2",
         robot=setup.robot.model.name,
-        provenance={} if setup.files is None else _provenance(setup.files),
+        provenance={} if files is None else {getattr(files, k).name: v for k, v in provenance_of(files).items()},
         task=task,
         run=run,
-        facts=facts,
+        real_time_factor=real_time_factor,
+        pace=pace,
+        composed=composed,
+        messages=sum(topic.count for topic in summarise(bag).topics),
+        bag=bag,
+        baseline=baseline,
         limit=PATH_LIMIT,
         switched_off=SWITCHED_OFF,
         top=max(PATH_LIMIT, run.path.worst),
-        animation=animate(run, setup.robot, task),
+        animation=animate(run.joints, run.path, setup.robot, task),
         same=comparison.verdict is Verdict.SAME,
         topics=comparison.topics,
         largest=[max((v.maximum for v in topic.values), default=0.0) for topic in comparison.topics],
         joints=_joint_rows(run),
         friction=list(zip(setup.friction.names, setup.friction.elements, strict=True)),
-        plots={
-            "path": path_error_plot(run, PATH_LIMIT),
-            "tracking": tracking_plot(run),
-            "friction": friction_plot(run),
-            "effort": effort_plot(run),
-        },
+        plots=_plots(run),
     )
-    write_text(path, page)
+    write_text(page, text)
 
 
-def _provenance(files: RobotFiles) -> dict[str, list[str]]:
-    """Return what each file says of where its numbers come from, by its name."""
-    return {getattr(files, role).name: said for role, said in provenance_of(files).items()}
+def _plots(run: RunAnalysis) -> dict[str, Plot]:
+    """Return path error along the line, velocities and position errors, friction, and drive torques."""
+    joints, friction, names = run.joints, run.friction.fields, run.friction.names
+    path = [
+        Curve(path.along * 1e3, path.perpendicular * 1e3, label, colour, 1.2)
+        for path, label, colour in ((run.path_without, SWITCHED_OFF, COLOURS[1]), (run.path, "recorded", COLOURS[0]))
+    ]
+    limit = Level(PATH_LIMIT * 1e3, "asked for laser welding", INK, "dashed")
+    velocities = _curves(joints.time, joints.fields["velocity"], joints.names)
+    errors = _curves(run.error.time, run.error.fields["position"] * 1e3, joints.names, 0.8)
+    over_time = _curves(run.friction.time, friction["effort"], names)
+    over_velocity = _curves(friction["velocity"], friction["effort"], names, 0.8)
+    efforts = _curves(joints.time, joints.fields["effort"], joints.names, 0.8)
+    return {
+        "path": Plot([Panel([*path, limit], "", "distance along the line, mm", "path error, mm", from_zero=True)]),
+        "tracking": Plot(
+            [Panel(velocities, y_label="joint velocity, rad/s"), Panel(errors, "", "time, s", "position error, mrad")],
+            share_x=True,
+        ),
+        "friction": Plot(
+            [
+                Panel(over_time, "", "time, s", "friction torque, Nm"),
+                Panel(over_velocity, "", "input velocity, rad/s", "friction torque, Nm"),
+            ]
+        ),
+        "effort": Plot([Panel(efforts, "", "time, s", "drive torque, Nm")]),
+    }
+
+
+def _curves(x: Array, y: Array, names: tuple[str, ...], width: float = Curve.width) -> list[Curve]:
+    """Return the curves of the columns of `y`, (n, k), over `x`, (n,) or (n, k)."""
+    return [Curve(x if x.ndim == 1 else x[:, k], y[:, k], name, COLOURS[k], width) for k, name in enumerate(names)]
 
 
 def _joint_rows(run: RunAnalysis) -> list[tuple[str, float, float, float, float]]:
     """Return per joint: fastest rad/s, worst and RMS position error mrad, largest drive torque Nm."""
-    error = field(run.error, "position")
     moving = (run.error.time >= run.path.times[0]) & (run.error.time <= run.path.times[-1])
-    return [
-        (
-            name,
-            float(np.abs(field(run.joints, "velocity")[:, k]).max()),
-            float(np.abs(error[moving, k]).max()) * 1e3,
-            float(np.sqrt(np.mean(error[moving, k] ** 2))) * 1e3,
-            float(np.abs(field(run.joints, "effort")[:, k]).max()),
-        )
-        for k, name in enumerate(run.joints.names)
-    ]
+    error = run.error.fields["position"][moving]
+    columns = (
+        np.abs(run.joints.fields["velocity"]).max(axis=0),
+        np.abs(error).max(axis=0) * 1e3,
+        np.sqrt(np.mean(error**2, axis=0)) * 1e3,
+        np.abs(run.joints.fields["effort"]).max(axis=0),
+    )
+    return list(zip(run.joints.names, *(column.tolist() for column in columns), strict=True))

@@ -7,7 +7,7 @@ from pathlib import Path
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import FILES, shipped_robots
 from rx90_emulator.configuration.kinds import KINDS
-from rx90_emulator.configuration.node_file import NODE_FILE
+from rx90_emulator.configuration.nodes import NODE_FILE
 
 EVERY_KIND = (*KINDS, NODE_FILE)
 

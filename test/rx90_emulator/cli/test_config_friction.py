@@ -155,8 +155,7 @@ def test_refusals_name_what_is_accepted(
 
 def test_curves_have_a_panel_for_each_name_and_a_colour_for_each_file() -> None:
     """Elements of one name share a panel, single ones and those of one file all one; the curves are their torque."""
-    from rx90_emulator.configuration.friction_comparison import comparison_plot
-    from rx90_emulator.configuration.friction_sets import FrictionChoice
+    from rx90_emulator.configuration.friction import FrictionChoice, comparison_plot
 
     def panels(*words: str) -> list[Any]:
         return list(comparison_plot([FrictionChoice.named(word) for word in words], 2.0).panels)

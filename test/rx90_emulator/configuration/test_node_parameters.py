@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from rx90_common.base.errors import ConfigError
-from rx90_emulator.configuration.node_parameters import NODES, declared
+from rx90_emulator.configuration.nodes import NODES, declared
 
 PAGE = Path(__file__).resolve().parents[3] / "docs/reference/parameters.md"
 

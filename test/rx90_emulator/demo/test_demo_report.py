@@ -14,9 +14,8 @@ from rx90_common.bags.comparison import compare_bags
 from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.demo.analysis import SWITCHED_OFF, RunAnalysis, analyse
 from rx90_emulator.demo.animation import Animation, animate
-from rx90_emulator.demo.report import RunFacts, write_report
+from rx90_emulator.demo.report import SWITCHED_OFF, RunAnalysis, analyse, write_report
 from rx90_emulator.loop.setup import Setup
 
 MODELS = Path(__file__).parents[3] / "docs" / "explanation" / "models.md"
@@ -39,16 +38,15 @@ def run(bag: Path, shipped: Setup, task: rx.LineTask) -> RunAnalysis:
 @pytest.fixture(scope="module")
 def animation(run: RunAnalysis, shipped: Setup, task: rx.LineTask) -> Animation:
     """Return its animation."""
-    return animate(run, shipped.robot, task)
+    return animate(run.joints, run.path, shipped.robot, task)
 
 
 @pytest.fixture(scope="module")
 def pages(bag: Path, run: RunAnalysis, shipped: Setup, task: rx.LineTask) -> list[Path]:
     """Return the report, written twice."""
-    facts = RunFacts(1.0, 0.0, False, {"/joint_states": 7}, bag, bag)
     found = [bag.parent / "report.html", bag.parent / "again.html"]
     for page in found:
-        write_report(page, shipped, task, run, compare_bags(bag, bag), facts)
+        write_report(page, shipped, task, run, compare_bags(bag, bag), 1.0, 0.0, composed=False, bag=bag, baseline=bag)
     return found
 
 
@@ -81,7 +79,7 @@ def test_an_arm_of_meshes_is_animated(run: RunAnalysis, task: rx.LineTask, tmp_p
     text = re.sub(r"<visual.*?</visual>", mesh, RobotFiles().urdf.read_text(encoding="utf-8"), flags=re.DOTALL)
     urdf = tmp_path / "robot.urdf"
     urdf.write_text(text, encoding="utf-8")
-    found = animate(run, load_robot(urdf, RobotFiles().tool), task)
+    found = animate(run.joints, run.path, load_robot(urdf, RobotFiles().tool), task)
     assert len(found.outlines(found.still)) > 6
 
 

@@ -1,0 +1,350 @@
+"""The parameters of the nodes without starting any: what each declares, parameter files, and what a setup comes to.
+
+It needs ROS for the types that the nodes' declarations use. Parameter files are those that `--params-file` and launch
+files take: `NODE: {ros__parameters: {…}}`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from friction_bench.node.bench_node import declare_bench_parameters
+from rx90_common.base.config import load_yaml, yaml_lines, yaml_value
+from rx90_common.base.entries import Entry, Integer, JsonSchema, Number, Numbers, Switch, Text
+from rx90_common.base.errors import ConfigError, Rx90Error
+from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.base.rates import Rates
+from rx90_common.base.section import Section
+from rx90_common.description.robot import load_robot
+from rx90_common.description.robot_files import FILES, RobotFiles
+from rx90_common.exchange.endpoints import PREFIX
+from rx90_common.exchange.lifecycle import declare_autostart
+from rx90_common.exchange.parameters import OF_ROS, declare_rates, declare_robot_files
+from rx90_controller.node.parameters import FILE_PARAMETERS as CONTROLLER_FILES
+from rx90_controller.node.parameters import (
+    LAW_ENTRIES,
+    LawParameters,
+    declare_decimation,
+    declare_goal_parameters,
+    declare_horizon,
+    has_no_use,
+)
+from rx90_emulator.configuration.kinds import NODE_PARAMETERS, FileKind
+from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, ShownValue, rig_values, setup_values, steps_value
+from rx90_emulator.loop.recorded_run import OF_LAW
+from rx90_emulator.loop.setup import Setup
+from rx90_sim.node.parameters import FILE_PARAMETERS as SIMULATION_FILES
+from rx90_sim.node.parameters import declare_step_ticks, read_parameters
+
+ARM_NODES = ("rx90_sim", "rx90_controller")
+RIG_NODE = "friction_bench"
+_PARAMETERS = "ros__parameters"
+_LARGEST_INTEGER = 2**63 - 1
+_OF_ROBOT = ("robot", "urdf", "drives", "controller", "rig")
+"""What decides which parameters there are."""
+_CONSTRAINTS = "constraints"
+"""Below it stand names of joints, which are the robot's."""
+_EVERY_NODE = "**"
+_SHARED = ("robot", "base_rate", "position_rate", "urdf", "drives")
+_SECTION: JsonSchema = {"anyOf": [{"required": [_PARAMETERS]}, {"additionalProperties": {"type": "object"}}]}
+"""What is no section of a node is a namespace, and holds such sections."""
+
+
+class DeclaredParameters:
+    """Stands in for a node: keeps what is declared, with the values that are given.
+
+    Args:
+        given: values by name.
+
+    Attributes:
+        entries: of the parameters by name, their defaults among them.
+        values: by name.
+    """
+
+    def __init__(self, given: Mapping[str, Any]) -> None:
+        self.entries: dict[str, Entry] = {}
+        self.values: dict[str, Any] = {}
+        self._parameter_overrides = {
+            name: SimpleNamespace(name=name, value=value, type_=None) for name, value in given.items()
+        }
+
+    def has_parameter(self, name: str) -> bool:
+        """Return whether a parameter is declared."""
+        return name in self.entries
+
+    def get_parameter(self, name: str) -> SimpleNamespace:
+        """Return a parameter."""
+        return SimpleNamespace(value=self.values[name])
+
+    def declare_parameter(self, name: str, default: Any, descriptor: Any) -> SimpleNamespace:
+        """Declare a parameter; a given value that it cannot have is refused."""
+        entry = self.entries[name] = _entry(default, descriptor)
+        value = default
+        if name in self._parameter_overrides:
+            given = self._parameter_overrides[name].value
+            try:
+                value = entry.take(Section({name: given}, Path("parameter")), name)
+            except ConfigError as error:
+                raise ConfigError(str(error).replace("parameter: ", "parameter ", 1)) from error
+        self.values[name] = value = list(value) if isinstance(value, tuple) else value
+        return SimpleNamespace(value=value)
+
+
+def _entry(default: Any, descriptor: Any) -> Entry:
+    about = f"{descriptor.description[:1].upper()}{descriptor.description[1:]}."
+    if isinstance(default, bool):
+        return Switch(about, default=default)
+    if isinstance(default, int):
+        low, high = _range(descriptor.integer_range, -_LARGEST_INTEGER, _LARGEST_INTEGER)
+        return Integer(about, low=int(low), high=int(high), default=default)
+    if isinstance(default, float):
+        low, high = _range(descriptor.floating_point_range, -float("inf"), float("inf"))
+        return Number(about, low=low, high=high, default=default)
+    if isinstance(default, str):
+        return Text(about, default=default)
+    return Numbers(about, count=len(default), default=tuple(default))
+
+
+def _range(ranges: Any, low: float, high: float) -> tuple[float, float]:
+    return (ranges[0].from_value, ranges[0].to_value) if ranges else (low, high)
+
+
+def _declare_simulation(node: Any) -> None:
+    declare_autostart(node)
+    read_parameters(node)
+    declare_robot_files(node, *SIMULATION_FILES)
+    declare_step_ticks(node)
+
+
+def _declare_controller(node: Any) -> None:
+    declare_autostart(node)
+    rates = declare_rates(node)
+    files = declare_robot_files(node, *CONTROLLER_FILES)
+    declare_horizon(node)
+    declare_decimation(node)
+    LawParameters(node, files.controller, lambda _: None)
+    for name, entry in LAW_ENTRIES.items():  # which say more than a descriptor: the range of each number
+        node.entries[name] = replace(entry, default=node.entries[name].default)
+    declare_goal_parameters(node, load_robot(files.urdf).joint_names, rates)
+
+
+NODES: dict[str, Callable[[Any], object]] = {
+    "rx90_sim": _declare_simulation,
+    "rx90_controller": _declare_controller,
+    RIG_NODE: declare_bench_parameters,
+}
+"""What each node declares until it is active."""
+
+
+def declared(node: str, given: Mapping[str, Any] | None = None) -> DeclaredParameters:
+    """Return the parameters of a node, one of NODES, with the values that they are given.
+
+    Raises:
+        ConfigError: naming parameter or file, value and what is accepted.
+    """
+    parameters = DeclaredParameters(given or {})
+    NODES[node](parameters)
+    # What is still there: a node takes out what it has no use for.
+    for name in parameters._parameter_overrides:
+        if name not in parameters.entries and name not in OF_ROS and not name.startswith(PREFIX):
+            raise ConfigError(f"parameter {plain(name)} is unknown to {node}; accepted: {listed(parameters.entries)}")
+    return parameters
+
+
+_declared_by_default = cache(declared)
+
+
+def _flat(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Return parameters by their whole names: mappings in mappings stand for names with dots; an empty one stays."""
+    found: dict[str, Any] = {}
+    for key, value in content.items():
+        found |= _flat(value, f"{before}{key}.") if isinstance(value, dict) and value else {f"{before}{key}": value}
+    return found
+
+
+def _sections_of(root: Section) -> Iterator[tuple[str, Section]]:
+    """Yield the name of each node, its last part without a namespace, and its parameters."""
+    for name in root:
+        section = root.section(name)
+        if _PARAMETERS in section:
+            yield name.rpartition("/")[2], section.section(_PARAMETERS)
+        else:
+            yield from _sections_of(section)
+
+
+@dataclass(frozen=True)
+class NodeFile(Entry):
+    """A parameter file: sections of this project's nodes are checked, those of others are left alone."""
+
+    def read(self, root: Section) -> None:
+        """Check a file.
+
+        Raises:
+            ConfigError: naming file, node, parameter, value and what is accepted.
+        """
+        nodes: list[tuple[str, Section]] = []
+        root.attempt(lambda: nodes.extend(_sections_of(root)))
+        for node, section in nodes:
+            if node in NODES:
+                _check_section(node, section)
+
+    def rules(self) -> JsonSchema:
+        """Return the parameters of each node, in any namespace."""
+        nodes: JsonSchema = {f"(^|/){node}$": _node_schema(node) for node in NODES}
+        other = {"type": "object", "properties": {_PARAMETERS: {"type": "object"}}, **_SECTION}
+        return {"type": "object", "patternProperties": nodes, "additionalProperties": other}
+
+
+def _check_section(node: str, section: Section) -> None:
+    """Check the parameters of a node one by one and, if there is nothing wrong with them, together."""
+    entries = dict(_declared_by_default(node).entries)
+    given = {name: value for name, value in _flat(section.content).items() if value != {} or name in entries}
+    chosen = {name: given[name] for name in _OF_ROBOT if name in given and name in entries}
+    if chosen:
+        section.attempt(lambda: entries.update(declared(node, chosen).entries))
+    names = Section(dict(given), section.file, section.path, [])
+    fine = True
+    for name in given:
+        if name in OF_ROS or name.startswith(PREFIX) or (node == "rx90_controller" and has_no_use(name)):
+            continue
+        try:
+            if name not in entries:
+                names.fault(name, f" is unknown to {node}; accepted: {listed(entries)}")
+            entries[name].take(names, name)
+        except ConfigError as error:
+            fine = False
+            section.attempt(_refuse, error)
+    if fine:
+        try:
+            declared(node, given)
+        except Rx90Error as error:
+            text = str(error).removeprefix("parameter ").removeprefix("parameter: ")
+            section.attempt(_refuse, ConfigError(f"{section.file}: {section.path}.{text}"))
+
+
+def _refuse(error: ConfigError) -> None:
+    raise error
+
+
+def _node_schema(node: str) -> JsonSchema:
+    entries = _declared_by_default(node).entries
+    parameters = _names_schema({name: entry.schema() for name, entry in entries.items()})
+    parameters["properties"] |= {name: {"description": "Of every ROS node."} for name in OF_ROS}
+    parameters["patternProperties"] = {f"^({PREFIX[:-1]}|{_CONSTRAINTS})(\\.|$)": {}}
+    return {
+        "description": f"Parameters of the node {node}.",
+        "type": "object",
+        "properties": {_PARAMETERS: parameters},
+        **_SECTION,
+    }
+
+
+def _names_schema(schemas: Mapping[str, JsonSchema]) -> JsonSchema:
+    """Return the schema of a mapping of these names, in which any dot may be a mapping in a mapping instead."""
+    properties = dict(schemas)
+    for prefix in {name[:i] for name in schemas for i, letter in enumerate(name) if letter == "."}:
+        inner = {name[len(prefix) + 1 :]: schema for name, schema in schemas.items() if name.startswith(f"{prefix}.")}
+        properties[prefix] = _names_schema(inner)
+        if prefix.partition(".")[0] == _CONSTRAINTS:
+            properties[prefix]["additionalProperties"] = True
+    return {"type": "object", "properties": dict(sorted(properties.items())), "additionalProperties": False}
+
+
+_ENTRY = NodeFile("Parameters of nodes: a section for each, NODE: {ros__parameters: {...}}, in any namespace.")
+NODE_FILE = FileKind(NODE_PARAMETERS, _ENTRY, lambda path: _ENTRY.read(load_yaml(path)))
+"""The kind of parameter files."""
+
+Given = dict[str, dict[str, tuple[Any, str]]]
+"""By node and name: the value that a parameter is given, and where."""
+
+
+def given_parameters(files: Iterable[Path], rules: Iterable[str]) -> Given:
+    """Return what parameter files and rules [NODE:]NAME:=VALUE give the nodes, as ROS takes them: later ones win.
+
+    Raises:
+        ConfigError: naming file or rule, value and what is accepted.
+    """
+    given: Given = {node: {} for node in NODES}
+    for path in files:
+        NODE_FILE.read(path)
+        lines = yaml_lines(path)
+        for node, section in _sections_of(load_yaml(path)):
+            for name, value in _flat(section.content).items():
+                if value == {}:  # a name's beginning with nothing behind it
+                    continue
+                origin = f"{path}:{lines.get(f'{section.path}.{name}', 0)}"
+                for each in ARM_NODES if node == _EVERY_NODE else (node,):
+                    if each in given:
+                        _give(given[each], name, value, origin)
+    for rule in rules:
+        left, sign, text = rule.partition(":=")
+        node, _, name = left.rpartition(":")
+        if not sign or not name or (node and node not in NODES):
+            accepted = f"[NODE:]NAME:=VALUE, NODE one of {', '.join(NODES)}"
+            raise ConfigError(f"-p {quoted(rule)}; accepted: {accepted}")
+        nodes = [node] if node else [each for each in ARM_NODES if name in _declared_by_default(each).entries]
+        if not nodes:
+            raise ConfigError(
+                f"-p {quoted(rule)}: no parameter of {' or '.join(ARM_NODES)}; accepted: those in rx90_config show"
+            )
+        for each in nodes:
+            _give(given[each], name, yaml_value(text), COMMAND_LINE)
+    return given
+
+
+def _give(given: dict[str, tuple[Any, str]], name: str, value: Any, origin: str) -> None:
+    if value == "" and name in FILES:  # an empty file name is none
+        given.pop(name, None)
+    else:
+        given[name] = value, origin
+
+
+def node_setup(given: Given) -> list[ShownValue]:
+    """Return what both nodes of the arm and the rig's come to, as they would read it.
+
+    Raises:
+        ConfigError: for what a node would refuse, and for nodes that do not fit each other.
+    """
+    found: list[ShownValue] = []
+    files: dict[str, str] = {}
+    shared: dict[str, Any] = {}
+    chosen: dict[str, str] = {}
+    law: dict[str, tuple[Any, str]] = {}
+    substeps: int | None = None
+    for node in ARM_NODES:
+        parameters = _values_of(node, given)
+        substeps = substeps or parameters.get("substeps")
+        for name, value in parameters.items():
+            _, origin = given[node].get(name, (value, OF_CODE))
+            if name in _SHARED and shared.setdefault(name, value) != value:
+                raise ConfigError(f"{name}: {shared[name]} and {value}; accepted: the same for both nodes")
+            if name in FILES:
+                origin = f"robot {parameters['robot']}" if origin == OF_CODE else origin
+                files[name] = value
+                chosen.setdefault(name, origin)
+            if not name.startswith(OF_LAW):
+                found.append(ShownValue(f"{node}.{name}", value, "", origin))
+            elif origin != OF_CODE:
+                law[f"controller.{name}"] = value, origin
+    robot = RobotFiles.named(shared["robot"], **files)
+    for one in setup_values(robot, chosen):
+        value, origin = law.get(one.name, (one.value, ""))
+        found.append(one._replace(value=value, origin=origin, provenance="", source="") if origin else one)
+    setup = Setup.load(robot, Rates(shared["base_rate"], shared["position_rate"]))
+    found.append(steps_value(setup, substeps or None))
+    of_rig = _values_of(RIG_NODE, given)
+    rig = str(of_rig["rig"])
+    origins = {name: given[RIG_NODE].get(name, (value, OF_CODE))[1] for name, value in of_rig.items()}
+    if "baud" not in given[RIG_NODE]:  # what the node takes where it is given none
+        origins["baud"] = f"rig {rig}"
+    found += [ShownValue(f"{RIG_NODE}.{name}", value, "", origins[name]) for name, value in of_rig.items()]
+    return found + rig_values(rig, origins["rig"])
+
+
+def _values_of(node: str, given: Given) -> dict[str, Any]:
+    return declared(node, {name: value for name, (value, _) in given[node].items()}).values
