@@ -76,6 +76,11 @@ def test_services_deaths_and_the_end_are_those_of_two_processes(processes: Proce
         for heard in (states, commands):
             assert [seconds(message) for message in heard] == pytest.approx([k * 250e-6 for k in range(16)])
         client.spin_until(lambda: len({m.status[0].name for m in diagnostics}) == 2, "diagnostics of both nodes")
+        client.simulation.reset()
+        states.clear()
+        client.simulation.step()
+        client.spin_until(lambda: len({seconds(m) for m in states}) == 8, "8 ticks")
+        assert seconds(states[0]) == 0.0
         cell.signal(signal.SIGKILL)
         cell.wait()
 

@@ -1,39 +1,21 @@
-"""Pause, single steps, reset and enable, over the real services."""
+"""What a user asks of a running pair: trajectories, power, limits that cut it, diagnostics."""
 
 from __future__ import annotations
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from processes import Processes
+from rclpy.time import Time
 from ros_client import Client, seconds
 from trajectory_msgs.msg import JointTrajectory
-
-PAUSED = ("--ros-args", "-p", "paused:=true", "-p", "real_time_factor:=0.0", "-p", "step_ticks:=8")
-
-
-@pytest.mark.ros
-def test_step_runs_exactly_the_ticks_asked_for_and_reset_begins_again(processes: Processes, client: Client) -> None:
-    """Two calls of step with 8 ticks publish 16 motor states; after a reset the stamps begin at 0 again."""
-    processes.start("rx90_sim", *PAUSED)
-    processes.start("rx90_controller")
-    states = client.listen("motor_states")
-    client.known_to("rx90_sim", "rx90_controller")  # which are up then: a step waits five seconds for its commands
-    for _ in range(2):
-        client.simulation.step()
-    client.spin_until(lambda: len({seconds(m) for m in states}) == 16, "16 ticks")
-    assert seconds(states[-1]) == pytest.approx(15 * 250e-6)
-    client.simulation.reset()
-    states.clear()
-    client.simulation.step()
-    client.spin_until(lambda: len({seconds(m) for m in states}) == 8, "8 ticks")
-    assert seconds(states[0]) == 0.0
 
 
 @pytest.mark.ros
 def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, client: Client) -> None:
     """Refused trajectories leave the motion that runs alone; without power the brakes hold; diagnostics tell the rate.
 
-    The nodes run with integers where reals are asked for.
+    Beyond a supervised limit: one line and an ERROR that name joint, value, limit and time; `enable` brings the arm
+    back. The nodes run with integers where reals are asked for.
     """
     pose = [0.0, 0.8, 0.8, 0.0, 0.5, 0.0]
     given = ("-p", "real_time_factor:=0", "-p", "initial_position:=[0.0, 0.8, 0.8, 0.0, 0.5, 0.0]")
@@ -72,12 +54,34 @@ def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, c
     client.enable(True)
     client.spin_until(lambda: len(commands[-1].effort) == 6, "commands with torque again")
 
-    # The controller's rate is that of the ticks it answers.
+    # A limit of the supervision that the next motion exceeds.
     heard = client.listen("/diagnostics", DiagnosticArray)
+
+    def of_controller(since: Time) -> list[DiagnosticStatus]:
+        newer = [message.status[0] for message in heard if Time.from_msg(message.header.stamp) > since]
+        return [status for status in newer if status.name == "rx90_controller"]
+
+    assert client.set_parameters("rx90_controller", supervision__following_error=[5e-4] * 6) == [""]
+    begun_at = client.node.get_clock().now()
+    client.send([(0.4, [angle + 0.1 for angle in pose])])
+    controller.wait_for(r"joint_\d: following error .* rad at .* s; accepted: up to 0.0005 rad; torque off")
+
+    def errors() -> list[str]:
+        return [one.message for one in of_controller(begun_at) if one.level == DiagnosticStatus.ERROR]
+
+    client.spin_until(lambda: bool(errors()), "the diagnostics")
+    assert "accepted: up to 0.0005 rad" in errors()[0]
+    assert sum("following error" in line for line in controller.lines) == 1
+    client.enable(True)
+    enabled = client.node.get_clock().now()  # diagnostics from before may come after the answer
+    client.send([(5.0, list(reference[-1].position))])
+    client.spin_until(lambda: bool(of_controller(enabled)), "diagnostics")
+    assert DiagnosticStatus.ERROR not in [one.level for one in of_controller(enabled)]
+
+    # The controller's rate is that of the ticks it answers.
     assert client.set_parameters("rx90_sim", real_time_factor=0.1) == [""]
 
     def rates() -> list[float]:
-        of_controller = [m.status[0] for m in heard if m.status[0].name == "rx90_controller"]
-        return [float(pair.value) for status in of_controller for pair in status.values if pair.key == "rate, Hz"]
+        return [float(pair.value) for one in of_controller(enabled) for pair in one.values if pair.key == "rate, Hz"]
 
     client.spin_until(lambda: any(300.0 < rate < 500.0 for rate in rates()), "a rate near 400 Hz")
