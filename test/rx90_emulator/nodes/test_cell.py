@@ -50,7 +50,7 @@ def test_one_process_gives_the_closed_loops_bits(
     """
     friction = write_with_parts(shipped.friction.file, tmp_path / "friction.yaml")
     setup = rx.load_setup(friction=friction, seed=11)
-    comparison = run_both_ways(processes, client, setup, tmp_path, composed=True, rests=3)
+    comparison = run_both_ways(processes, client, setup, tmp_path, composed=True, rests=2)
     assert {topic.topic for topic in comparison.topics} == {*TOPICS, "/temperatures"}
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     recorded, simulated = (_temperatures(tmp_path / name) for name in ("recorded", "closed_loop"))
