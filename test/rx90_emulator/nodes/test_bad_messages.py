@@ -89,12 +89,20 @@ def test_bad_messages_in_free_running_time_are_a_line_each(processes: Processes,
     joints = client.listen("joint_states", depth=1)
     reference = client.listen("rx90_controller/reference", depth=1)
     client.spin_until(lambda: bool(reference) and bool(joints), "the controller to hold")
-    controller.signal(signal.SIGSTOP)
-    stopped = seconds(joints[-1])
-    client.spin_until(lambda: seconds(joints[-1]) > stopped + 1.0, "the simulation to run ahead")
-    controller.signal(signal.SIGCONT)
-    controller.wait_for("behind the simulation|the loops rest")
-    client.spin_until(lambda: seconds(reference[-1]) > stopped + 1.0, "the controller to run on")
+
+    def lags() -> int:
+        return len(re.findall("behind the simulation|the loops rest", controller.output))
+
+    before = lags()
+    for _ in range(10):  # on a busy machine there may have been such a line, which keeps the next one back for 5 s
+        controller.signal(signal.SIGSTOP)
+        later = seconds(joints[-1]) + 1.0
+        client.spin_until(lambda: seconds(joints[-1]) > later, "the simulation to run ahead")  # noqa: B023 - called at once
+        controller.signal(signal.SIGCONT)
+        client.spin_until(lambda: seconds(reference[-1]) > later, "the controller to run on")  # noqa: B023
+        if lags() > before:
+            break
+    assert lags() > before
     assert "Traceback" not in controller.output
     publisher = client.node.create_publisher(JointState, "motor_commands", TICK_QOS.profile)
     raw = JointStateCodec(MOTOR_NAMES).encode(0)
