@@ -220,18 +220,23 @@ def test_a_controller_that_comes_later_gets_the_whole_trajectory(
 
 @pytest.mark.ros
 @pytest.mark.usefixtures("warm")
+@pytest.mark.parametrize("listener", ["/cell"], indirect=True)
 def test_approach_comes_first_where_the_arm_stands_elsewhere(
     shipped: Setup, listener: Listener, start_line: Callable[..., subprocess.Popen[str]]
 ) -> None:
-    """From another pose the first point, the start of the line, comes after the time a joint move takes."""
+    """From another pose the first point, the start of the line, comes after the time a joint move takes.
+
+    For a controller that is named with its namespace the joint states of that namespace are asked.
+    """
     plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
     here = plan.start_pose + np.array([0.1, -0.2, 0.3, 0.0, 0.1, -0.4])
     listener.tell(shipped.robot.joint_names, here)
     listener.listen()
-    process = start_line("--approach", "--timeout", str(PATIENCE))
+    process = start_line("--approach", "--node", "/cell/rx90_controller", "--timeout", str(PATIENCE))
     out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, err
     assert "approach: " in out
+    assert "points to /cell/rx90_controller/joint_trajectory" in out
     listener.wait(lambda: bool(listener.taken))
     first = listener.taken[0].points[0]
     assert np.array_equal(first.positions, plan.start_pose)
@@ -281,22 +286,6 @@ def test_ctrl_c_while_waiting(start_line: Callable[..., subprocess.Popen[str]]) 
     _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert err == "rx90_line: interrupted\n"
-
-
-@pytest.mark.ros
-@pytest.mark.usefixtures("warm")
-@pytest.mark.parametrize("listener", ["/cell"], indirect=True)
-def test_a_controller_in_a_namespace_has_its_arm_beside_it(
-    shipped: Setup, listener: Listener, start_line: Callable[..., subprocess.Popen[str]]
-) -> None:
-    """For a controller that is named with its namespace the joint states of that namespace are asked."""
-    plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
-    listener.tell(shipped.robot.joint_names, plan.start_pose)
-    listener.listen()
-    process = start_line("--node", "/cell/rx90_controller", "--timeout", str(PATIENCE))
-    out, err = process.communicate(timeout=2 * PATIENCE)
-    assert process.returncode == 0, err
-    assert "sent 72 points to /cell/rx90_controller/joint_trajectory" in out
 
 
 def test_an_empty_controller_name_is_refused() -> None:

@@ -56,36 +56,29 @@ def test_numbers_are_those_of_one_process_with_a_slow_recorder_on_a_busy_machine
     assert_quiet(simulation, controller, recorder, *burners)
 
 
-def test_a_killed_controller_that_comes_back_is_taken_up_again(start: Start) -> None:
-    """Time stands still while the controller is away, with one line, and runs on with another one when it is back."""
-    controller = start("control")
-    simulation = start("simulate", 3000, 0.0005)
-    simulation.wait_for("tick 500")
-    controller.signal(signal.SIGKILL)
-    simulation.wait_for("time stands still")
-    again = start("control")
-    again.wait_for(r"begin [1-9]")
-    simulation.wait_for("the controller answers")
-    simulation.wait_for("final")
-    assert simulation.wait() == 0
-    assert len(waits_since(simulation, "tick 500")) == 1, simulation.output
-    assert_quiet(simulation, again)
+def test_either_side_is_killed_and_comes_back(start: Start) -> None:
+    """Time stands still while the controller is away, a line at each end of that; a restarted simulation begins at 0.
 
-
-def test_a_killed_simulation_that_comes_back_begins_again(start: Start) -> None:
-    """The controller begins anew at tick 0 of a restarted simulation, and the numbers are those of a first run."""
+    Its numbers are then those of a first run.
+    """
     ticks = 1000
     controller = start("control")
     first = start("simulate", 100_000, 0.0005)
     first.wait_for("tick 500")
+    controller.signal(signal.SIGKILL)
+    first.wait_for("time stands still")
+    again = start("control")
+    again.wait_for(r"begin [1-9]")
+    first.wait_for("the controller answers")
+    first.wait_for("tick")
+    assert len(waits_since(first, "tick 500")) == 1, first.output
     first.signal(signal.SIGKILL)
     first.wait()
     second = start("simulate", ticks, 0)
-    controller.wait_for("begin 0")
-    controller.wait_for("begin 0")
+    again.wait_for("begin 0")
     assert int(second.wait_for(r"final (\d+)")[0].split()[1]) == expected(ticks)
     assert second.wait() == 0
-    assert_quiet(second, controller)
+    assert_quiet(first, second, again)
 
 
 def test_a_killed_recorder_does_not_stop_the_ticks(start: Start) -> None:

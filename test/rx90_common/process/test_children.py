@@ -57,17 +57,18 @@ def test_a_process_that_ignores_ctrl_c_is_killed_with_its_children() -> None:
 
 
 def test_the_last_lines_of_a_process_are_there_once_it_has_ended(tmp_path: Path) -> None:
-    """Where this process is late at reading them, too: here its log cannot be opened for two seconds."""
+    """Where this process is late at reading them, too: here its log cannot be opened for a second."""
     os.mkfifo(tmp_path / "log")
     child = ChildProcess("late", [sys.executable, "-c", "print('first'); print('last')"], tmp_path / "log")
-    opened = threading.Timer(2.0, (tmp_path / "log").read_text)
+    opened = threading.Timer(1.0, (tmp_path / "log").read_text)
     opened.start()
     assert (child.wait(), child.lines) == (0, ["first", "last"])
     opened.join()
 
 
-def test_an_end_does_not_wait_for_who_holds_the_stream_open() -> None:
+def test_an_end_does_not_wait_for_who_holds_the_stream_open(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a process has started may live on with its output; what the process itself had said is there."""
+    monkeypatch.setattr("rx90_common.process.children._LAST_LINES_S", 1.0)
     child = ChildProcess("parent", ["sh", "-c", "echo last; sleep 600 & exit 3"])
     assert (child.wait(), child.lines) == (3, ["last"])
     os.killpg(child.pid, signal.SIGKILL)

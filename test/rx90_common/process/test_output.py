@@ -13,8 +13,6 @@ from rx90_common.process.children import executable
 
 TOOLS = {
     "rx90_line": ["--from-file", "robots/rx90b/task.yaml", "--dry-run"],
-    "rx90_bag": ["info", str(Path(__file__).parents[2] / "reference/reference_task")],
-    "rx90_run": ["--help"],
     "rx90_sim": ["--help"],
 }
 # Stands for a tool that prints more than a buffer holds, and has something to end in order.

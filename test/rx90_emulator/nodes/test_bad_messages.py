@@ -89,12 +89,20 @@ def test_bad_messages_in_free_running_time_are_a_line_each(processes: Processes,
     joints = client.listen("joint_states", depth=1)
     reference = client.listen("rx90_controller/reference", depth=1)
     client.spin_until(lambda: bool(reference) and bool(joints), "the controller to hold")
-    controller.signal(signal.SIGSTOP)
-    stopped = seconds(joints[-1])
-    client.spin_until(lambda: seconds(joints[-1]) > stopped + 1.0, "the simulation to run ahead")
-    controller.signal(signal.SIGCONT)
-    controller.wait_for("behind the simulation|the loops rest")
-    client.spin_until(lambda: seconds(reference[-1]) > stopped + 1.0, "the controller to run on")
+
+    def lags() -> int:
+        return len(re.findall("behind the simulation|the loops rest", controller.output))
+
+    before = lags()
+    for _ in range(10):  # on a busy machine there may have been such a line, which keeps the next one back for 5 s
+        controller.signal(signal.SIGSTOP)
+        later = seconds(joints[-1]) + 1.0
+        client.spin_until(lambda: seconds(joints[-1]) > later, "the simulation to run ahead")  # noqa: B023 - called at once
+        controller.signal(signal.SIGCONT)
+        client.spin_until(lambda: seconds(reference[-1]) > later, "the controller to run on")  # noqa: B023
+        if lags() > before:
+            break
+    assert lags() > before
     assert "Traceback" not in controller.output
     publisher = client.node.create_publisher(JointState, "motor_commands", TICK_QOS.profile)
     raw = JointStateCodec(MOTOR_NAMES).encode(0)
@@ -103,21 +111,11 @@ def test_bad_messages_in_free_running_time_are_a_line_each(processes: Processes,
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize(
-    ("mode", "rate", "complaint"),
-    [
-        (
-            MODES[0],
-            "position_rate:=500",
-            r"rx90_controller: position_rate is 500 Hz here and 1000 Hz in the simulation",
-        ),
-        (MODES[1], "base_rate:=2000", r"rx90_controller: base_rate is 2000 Hz here and 4000 Hz in the simulation"),
-    ],
-)
-def test_other_rates_in_the_controller_end_it(processes: Processes, mode: str, rate: str, complaint: str) -> None:
+def test_other_rates_in_the_controller_end_it(processes: Processes) -> None:
     """A controller whose rates are not the simulation's ends with one line that names both values."""
-    processes.start("rx90_sim", "--ros-args", "-p", mode)
-    controller = processes.start("rx90_controller", "--ros-args", "-p", rate)
-    controller.wait_for(complaint)
-    assert controller.wait() == 3
-    assert "Traceback" not in controller.output
+    processes.start("rx90_sim", "--ros-args", "-p", MODES[1])
+    for rate, other, ours in (("position_rate", 500, 1000), ("base_rate", 2000, 4000)):
+        controller = processes.start("rx90_controller", "--ros-args", "-p", f"{rate}:={other}")
+        controller.wait_for(f"rx90_controller: {rate} is {other} Hz here and {ours} Hz in the simulation")
+        assert controller.wait() == 3
+        assert "Traceback" not in controller.output

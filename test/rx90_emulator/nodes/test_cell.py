@@ -50,7 +50,7 @@ def test_one_process_gives_the_closed_loops_bits(
     """
     friction = write_with_parts(shipped.friction.file, tmp_path / "friction.yaml")
     setup = rx.load_setup(friction=friction, seed=11)
-    comparison = run_both_ways(processes, client, setup, tmp_path, composed=True, rests=3)
+    comparison = run_both_ways(processes, client, setup, tmp_path, composed=True, rests=2)
     assert {topic.topic for topic in comparison.topics} == {*TOPICS, "/temperatures"}
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     recorded, simulated = (_temperatures(tmp_path / name) for name in ("recorded", "closed_loop"))
@@ -76,6 +76,11 @@ def test_services_deaths_and_the_end_are_those_of_two_processes(processes: Proce
         for heard in (states, commands):
             assert [seconds(message) for message in heard] == pytest.approx([k * 250e-6 for k in range(16)])
         client.spin_until(lambda: len({m.status[0].name for m in diagnostics}) == 2, "diagnostics of both nodes")
+        client.simulation.reset()
+        states.clear()
+        client.simulation.step()
+        client.spin_until(lambda: len({seconds(m) for m in states}) == 8, "8 ticks")
+        assert seconds(states[0]) == 0.0
         cell.signal(signal.SIGKILL)
         cell.wait()
 

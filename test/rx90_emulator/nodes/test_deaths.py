@@ -42,8 +42,10 @@ def test_either_node_is_killed_and_comes_back(processes: Processes, client: Clie
     second.wait_for("waiting for a simulation")
     before = second.output.count("waiting for a simulation")
     client.spin_until(lambda: _drained(client, heard), "the last messages")
-    processes.start("rx90_sim", *UNPACED)
-    client.spin_until(lambda: seconds(heard[-1]) < 0.5, "time to begin again")
+    # Paused, so that its first sample is heard however long the client takes to find it.
+    processes.start("rx90_sim", *UNPACED, "-p", "paused:=true")
+    client.spin_until(lambda: seconds(heard[-1]) == 0.0, "time to begin again")
+    client.simulation.pause(False)
     client.spin_until(lambda: seconds(heard[-1]) > 0.6, "time to run again")
     assert second.output.count("waiting for a simulation") - before <= 1
 

@@ -1,4 +1,4 @@
-"""250 goals of one seed over DDS, by clients in another process than the nodes: refused with a reason, or followed.
+"""150 goals of one seed over DDS, by clients in another process than the nodes: refused with a reason, or followed.
 
 The environment variable ACTION_SEED gives other ones.
 """
@@ -28,7 +28,7 @@ from rx90_emulator.loop.setup import Setup
 
 pytestmark = pytest.mark.ros
 
-SEED, GOALS, TOGETHER = int(os.environ.get("ACTION_SEED", "20")), 250, 25
+SEED, GOALS, TOGETHER = int(os.environ.get("ACTION_SEED", "20")), 150, 25
 STEP = 0.01  # s
 NODES = (
     *("-p", "rx90_sim:paused:=true", "-p", f"rx90_sim:step_ticks:={round(STEP * 4000)}"),
