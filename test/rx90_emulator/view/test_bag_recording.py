@@ -10,13 +10,13 @@ from bag_making import joint_state, write_ros2
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from rx90_common.bags import decoding
 from rx90_common.base.errors import BagError, Rx90Error
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.task import load_task
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.loop.line import path_accuracy
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view import recording as reading
 from rx90_emulator.view.player import path_error_text
 from rx90_emulator.view.recording import Recording, open_recording
 from rx90_emulator.view.track import path_error_track
@@ -46,7 +46,7 @@ def positions(path: Path, topic: str) -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_bag_of_the_suite_is_read_whole(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
     """Joint angles, set-points and friction are those that rosbags reads, however the messages fall into blocks."""
-    monkeypatch.setattr(reading, "_BLOCK", 37)
+    monkeypatch.setattr(decoding, "_BLOCK", 37)
     recording = opened(REFERENCE, shipped)
     assert recording.lacking == ()
     assert recording.reference is not None
