@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
@@ -17,7 +17,7 @@ from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import panel as jog_sliders
 from rx90_emulator.view.page import NewestOnly
-from rx90_emulator.view.panel import JogSliders, JogTarget, jog, slider_range
+from rx90_emulator.view.panel import JogSliders, jog, slider_range
 
 ZERO = np.zeros(6)
 
@@ -49,48 +49,6 @@ def test_a_jog_in_mid_motion_is_as_gentle(shipped: Setup) -> None:
     # A move begins with the acceleration that the last one has there, which the page does not know.
     assert 0.9 * gentle.acceleration < peak < 1.3 * gentle.acceleration
     np.testing.assert_allclose(generator.setpoints(last, 1)[0, 0], target, atol=1e-12)
-
-
-def test_the_sliders_show_where_the_arm_goes_and_then_where_it_is() -> None:
-    """A second joint that is dragged leaves the first one's target; arrived, stuck or told so, the arm is shown."""
-    target, arm = JogTarget(), np.arange(6) * 0.1
-    np.testing.assert_array_equal(target.shown(arm, 0.0), arm)
-    first = target.drag(1, 0.7, arm, 0.0)
-    both = target.drag(4, -0.5, arm + 0.01, 0.1)
-    assert (first[1], both[1], both[4], both[0]) == (0.7, 0.7, -0.5, 0.0)
-    np.testing.assert_array_equal(target.shown(arm + 0.02, 0.2), both)
-    np.testing.assert_array_equal(target.shown(both + 1e-4, 0.3), both + 1e-4)  # arrived
-    np.testing.assert_array_equal(target.shown(arm, 0.4), arm)
-    both = target.drag(0, 1.0, arm, 1.0)
-    np.testing.assert_array_equal(target.shown(arm, 2.5), both)
-    np.testing.assert_array_equal(target.shown(arm, 4.0), arm)  # it does not move
-    target.drag(0, 1.0, arm, 5.0)
-    target.forget()
-    np.testing.assert_array_equal(target.shown(arm, 5.1), arm)
-
-
-def test_a_joint_that_rests_where_it_was_sent_is_not_moved_by_the_next_jog() -> None:
-    """Friction holds the arm 1 mrad beside: another joint's jog leaves each sent to where it was sent."""
-    target, arm = JogTarget(), np.arange(6) * 0.1
-    first = target.drag(1, 0.7, arm, 0.0)
-    held = first + 1e-3
-    target.shown(held, 1.0)
-    second = target.drag(0, 0.2, held, 2.0)
-    np.testing.assert_array_equal(second, np.concatenate([[0.2], first[1:]]))
-
-
-@pytest.mark.parametrize("elsewhere", [True, False])
-def test_a_joint_that_something_else_has_moved_stays_where_it_is(elsewhere: bool) -> None:
-    """After a trajectory of others, or one that makes the page forget, a jog leaves the other joints as they are."""
-    target, arm = JogTarget(), np.arange(6) * 0.1
-    held = target.drag(1, 0.7, arm, 0.0) + 1e-3
-    target.shown(held, 1.0)
-    if elsewhere:
-        target.shown(held + 0.1, 2.0)
-        target.shown(held, 3.0)
-    else:
-        target.forget()
-    np.testing.assert_array_equal(target.drag(0, 0.3, held, 4.0), np.concatenate([[0.3], held[1:]]))
 
 
 def test_sliders_end_within_the_limits(shipped: Setup) -> None:
@@ -173,11 +131,71 @@ class _Jogs:
         page: Any = SimpleNamespace(gui=SimpleNamespace(add_slider=add_slider), later=self.waiting.append)
         self.parts = JogSliders(page, setup.controller.limits(setup.robot), self.sent.put)
 
-    def follow(self, angle: float) -> Any:
-        """Have them follow an arm with all joints at an angle, rad; return it."""
-        arm: Any = SimpleNamespace(position=np.full(6, angle), velocity=ZERO)
+    def follow(self, position: float | np.ndarray) -> Any:
+        """Have them follow an arm with its joints at an angle, or angles, rad; return it."""
+        arm: Any = SimpleNamespace(position=np.broadcast_to(position, 6), velocity=ZERO)
         self.parts.follow(arm, ready=True)
         return arm
+
+    def shown(self, position: np.ndarray, now: float) -> list[float]:
+        """Return what they show of an arm at a time, s, deg."""
+        self.now = 100.0 + now
+        self.follow(position)
+        return [slider.value for slider in self.sliders]
+
+    def drag(self, joint: int, angle: float, arm: np.ndarray, now: float) -> np.ndarray:
+        """Return where all joints are sent when a user moves one to an angle, deg, while the arm is there, deg."""
+        self.shown(arm, now)
+        self.sliders[joint].move(angle)
+        self.waiting.pop()()
+        return np.degrees(self.sent.get(timeout=60.0).position[-1])
+
+
+ARM = np.radians([0.0, 5.0, 10.0, 15.0, 20.0, 25.0])
+
+
+@pytest.fixture
+def jogs(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> Iterator[_Jogs]:
+    """Give sliders of the shipped robot."""
+    made = _Jogs(shipped, monkeypatch)
+    yield made
+    made.parts.close()
+
+
+def test_the_sliders_show_where_the_arm_goes_and_then_where_it_is(jogs: _Jogs) -> None:
+    """A second joint that is dragged leaves the first one's target; arrived, stuck or told so, the arm is shown."""
+    there = np.degrees(ARM).round(1).tolist()
+    assert jogs.shown(ARM, 0.0) == there
+    first = jogs.drag(1, 40.0, ARM, 0.0)
+    both = jogs.drag(4, -30.0, ARM + 0.01, 0.1)
+    np.testing.assert_allclose([first[1], both[1], both[4], both[0]], [40.0, 40.0, -30.0, 0.0], atol=1e-9)
+    assert jogs.shown(ARM + 0.02, 0.2) == both.round(1).tolist()
+    jogs.shown(np.radians(both) + 1e-4, 0.3)  # arrived
+    assert jogs.shown(ARM, 0.4) == there
+    both = jogs.drag(0, 60.0, ARM, 1.0)
+    assert jogs.shown(ARM, 2.5) == both.round(1).tolist()
+    assert jogs.shown(ARM, 4.0) == there  # it does not move
+    jogs.drag(0, 60.0, ARM, 5.0)
+    jogs.parts.forget()
+    assert jogs.shown(ARM, 5.1) == there
+
+
+@pytest.mark.parametrize("meanwhile", ["nothing", "moved by others", "told to forget"])
+def test_a_joint_that_rests_where_it_was_sent_is_not_moved_by_the_next_jog(jogs: _Jogs, meanwhile: str) -> None:
+    """Friction holds the arm 1 mrad beside: another joint's jog leaves each sent to where it was sent.
+
+    After a trajectory of others, or one that makes the page forget, it leaves the other joints where they are.
+    """
+    sent = jogs.drag(1, 40.0, ARM, 0.0)
+    held = np.radians(sent) + 1e-3
+    jogs.shown(held, 1.0)
+    if meanwhile == "moved by others":
+        jogs.shown(held + 0.1, 2.0)
+        jogs.shown(held, 3.0)
+    elif meanwhile == "told to forget":
+        jogs.parts.forget()
+    expected = sent if meanwhile == "nothing" else np.degrees(held)
+    np.testing.assert_allclose(jogs.drag(0, 12.0, held, 4.0), [12.0, *expected[1:]], atol=1e-9)
 
 
 @pytest.mark.parametrize("overwritten", [False, True])

@@ -19,15 +19,15 @@ from processes import Processes, wait_until
 from ros_client import JOINTS, Client, seconds
 
 from rx90_common.base.share import config_path
+from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.arm_watch import JointSample
 from rx90_common.exchange.client_node import client_node
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_controller.lines.plan import plan_line
+from rx90_controller.lines.plan import LinePlan, plan_line
 from rx90_controller.lines.task import TOOL_DOWN, LineTask
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view import element_form
+from rx90_emulator.view import element_form, line_form
 from rx90_emulator.view.element_form import ElementForm
-from rx90_emulator.view.line_form import LineChecker, LinePreview, TypedLine
 from rx90_emulator.view.live import LiveSource
 from rx90_emulator.view.operator import NodeNames
 from rx90_emulator.view.page import NewestOnly, Page, put
@@ -99,21 +99,22 @@ def _no_verdict_is_of_other_values(shown: BrowserPage, page: Page, monkeypatch: 
     shown.wait_until(lambda: bool(verdict.search(shown.text())), "the first verdict")
     begun = {speed: threading.Event() for speed in ("0.2", "0.4")}
     may_end = {speed: threading.Event() for speed in begun}
-    plan = LineChecker.preview
 
-    def slowly(checker: LineChecker, typed: TypedLine, here: Any) -> LinePreview:
-        if typed.speed in begun:
-            begun[typed.speed].set()
-            assert may_end[typed.speed].wait(60.0)
-        return plan(checker, typed, here)
+    def slowly(robot: RobotModel, task: LineTask, period: float) -> LinePlan:
+        speed = f"{task.speed:g}"
+        if speed in begun:
+            begun[speed].set()
+            assert may_end[speed].wait(60.0)
+        return plan_line(robot, task, period)
 
     give, taken = NewestOnly.give, list[str]()
 
     def note(self: NewestOnly[Any], item: Any) -> None:
         give(self, item)
-        taken.extend(part.speed for part in item if isinstance(part, TypedLine))
+        if isinstance(item[0], tuple) and len(item[0]) == 5:  # a typed line
+            taken.append(item[0][2])
 
-    monkeypatch.setattr(LineChecker, "preview", slowly)
+    monkeypatch.setattr(line_form, "plan_line", slowly)
     monkeypatch.setattr(NewestOnly, "give", note)
     fill(shown, page, "speed", "0.2")
     assert begun["0.2"].wait(60.0)
@@ -127,7 +128,7 @@ def _no_verdict_is_of_other_values(shown: BrowserPage, page: Page, monkeypatch: 
     assert verdict.search(shown.text()) is None
     may_end["0.4"].set()
     shown.wait_until(lambda: "checking" not in shown.text(), "the verdict")
-    monkeypatch.setattr(LineChecker, "preview", plan)
+    monkeypatch.setattr(line_form, "plan_line", plan_line)
     monkeypatch.setattr(NewestOnly, "give", give)
 
 
