@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from time import monotonic
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.interpolate import interp1d
@@ -83,19 +88,35 @@ def test_envelope_shows_a_gap_and_a_steep_line_as_they_are() -> None:
 
 def test_time_of_a_playback() -> None:
     """Time runs at the chosen speed while it plays, stops at the end or begins again, and stays within the record."""
-    play = Playback(end=10.0)
-    play.advance(1.0)
+    fields = [SimpleNamespace(value=value, label="", on_update=id, on_click=id) for value in (0.0, "", "1", False)]
+    _, button, speed, loop = fields
+    handlers: list[Any] = []
+    button.on_click = handlers.append
+    adders = ("add_slider", "add_button", "add_dropdown", "add_checkbox")
+    gui = {adder: lambda *_, field=field, **__: field for adder, field in zip(adders, fields, strict=True)}
+    page: Any = SimpleNamespace(gui=SimpleNamespace(**gui), later=lambda function: function())
+    play = Playback(page, 10.0, [])
+
+    def press() -> None:
+        with suppress(StopIteration):  # a coroutine that waits for nothing
+            handlers[0](SimpleNamespace(client_id=1)).send(None)
+
+    start = monotonic() + 10.0
+    play.advance(start)
     assert play.time == 0.0
-    play.play()
-    play.speed = 0.5
-    play.advance(4.0)
+    press()
+    speed.value = "0.5"
+    play.advance(start + 4.0)
     assert play.time == pytest.approx(2.0)
-    play.seek(99.0)
-    assert (play.time, play.playing) == (10.0, True)
-    play.advance(1.0)
+    play.go_to(99.0)
     assert (play.time, play.playing) == (10.0, False)
-    play.play()  # at its end: from the beginning
-    play.loop, play.speed = True, 10.0
-    play.advance(2.3)
+    press()  # at its end: from the beginning
+    assert (play.time, play.playing) == (0.0, True)
+    speed.value = "10"
+    play.advance(start + 14.0)
+    assert (play.time, play.playing) == (10.0, False)
+    press()
+    loop.value = True
+    play.advance(start + 16.3)
     assert play.time == pytest.approx(3.0)
     assert play.playing
