@@ -187,7 +187,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         velocity[:, poor] = _differentiated(time, position[:, poor])
         _check_velocity(where, layout, time, position, velocity)
     joints = layout.joint_side({"position": position, "velocity": velocity, "effort": effort})
-    columns = time, *joints.values()
+    columns = time, joints["position"], joints["velocity"], joints["effort"]
     size = 1 if rate is None or len(time) < 2 else round((len(time) - 1) / (time[-1] - time[0]) / rate)
     if size > 1:
         count = len(time) // size

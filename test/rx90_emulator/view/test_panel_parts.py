@@ -1,21 +1,41 @@
-"""Jogged joints: moves within the limits, sliders that show the right thing, no flood."""
+"""The parts of the panel: jogged joints, a typed line, a friction element, against equations written otherwise."""
 
 from __future__ import annotations
 
+import math
 import queue
+import re
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from lugre_oracle import LuGreOracle
 
+from rx90_common.base.errors import ConfigError, LineError
+from rx90_common.friction import FrictionElement
+from rx90_common.friction.element import FRICTION_PARAMETERS
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.lines.plan import Approach
+from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import panel as jog_sliders
+from rx90_emulator.view.element_form import (
+    break_away,
+    changed,
+    presliding_loop,
+    read_values,
+    stribeck_curve,
+    typed_values,
+)
+from rx90_emulator.view.line_form import LinePreview, preview_line, typed_line
 from rx90_emulator.view.page import NewestOnly
 from rx90_emulator.view.panel import JogSliders, jog, slider_range
 
@@ -243,3 +263,122 @@ def test_a_page_that_may_show_something_older_is_told_again(shipped: Setup, monk
             jogs.follow(0.1)
         jogs.parts.close()
         assert slider.sent[sent:] == ([slider.min, 12.3] if again else [])
+
+
+TYPED = {"start": "0.6 -0.1 0.2", "end": "0.6, 0.1, 0.2", "speed": "0.25", "acceleration": "2", "tool": "0 180 0"}
+
+
+def preview(setup: Setup, *typed: str, here: np.ndarray | None = None) -> LinePreview:
+    """Plan and check a typed line of the shipped robot."""
+    limits = setup.controller.limits(setup.robot)
+    return preview_line(setup.robot, limits, 1e-3, load_task().branch, typed, here)  # type: ignore[arg-type]
+
+
+def test_a_line_is_shown_with_what_it_comes_to(shipped: Setup) -> None:
+    """The approach leads the tip from where Pinocchio has it to the start; time and speeds are the motion's own."""
+    here = np.array([0.4, 0.3, 1.2, 0.1, 0.5, 0.2])
+    found, robot = preview(shipped, *TYPED.values(), here=here), shipped.robot
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, here)
+    tip = data.oMf[robot.model.getFrameId(robot.tcp_frame)].translation
+    np.testing.assert_allclose(found.approach[[0, -1]], [tip, [0.6, -0.1, 0.2]], atol=1e-9)
+    assert "0.200 m in 0.93 s" in found.text()  # 0.2 m / 0.25 m/s and 0.25 m/s / 2 m/s^2
+    # The set-points as the controller makes them, against the speed limits.
+    generator = TrajectoryGenerator(shipped.controller.limits(robot), 1e-3, here)
+    end = generator.accept(found.line.points, 0, None).end
+    speeds = np.abs(generator.setpoints(0, end)[:, 1])[int(found.line.approach * 1e3) :]
+    np.testing.assert_allclose(found.share, speeds.max(axis=0) / robot.max_velocity, atol=1e-3)
+    assert end * 1e-3 == pytest.approx(found.line.duration, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"start": "0.6 -0.1"}, "start is '0.6 -0.1'; accepted: 3 numbers, m"),
+        ({"speed": ""}, "speed is ''; accepted: a number, m/s"),
+        ({"speed": "-1"}, "the line's speed is -1 m/s; accepted: a number > 0"),
+        ({"acceleration": "nan"}, "acceleration is 'nan'; accepted: a number, m/s^2"),
+        ({"start": "1e308 1e308 1e308"}, "start is '1e308 1e308 1e308'; accepted: 3 numbers up to 1e+06, m"),
+        ({"acceleration": "1e308"}, "accepted: a number up to 1e+06, m/s^2"),
+        ({"tool": "0 180 -1e300"}, "tool is '0 180 -1e300'; accepted: 3 numbers up to 1e+06, deg"),
+        ({"tool": "down"}, "tool is 'down'; accepted: 3 numbers, deg"),
+        ({"end": "2 0 0"}, "at 0.300 m from its start (21%): elbow singularity, margin 0.0232; accepted: >= 0.05"),
+        ({"speed": "30", "acceleration": "900"}, "rad/s (a line speed of about"),
+        ({"acceleration": "900"}, "the controller would refuse the line"),
+    ],
+)
+def test_a_line_that_cannot_be_travelled_is_one_sentence(shipped: Setup, change: dict[str, str], said: str) -> None:
+    """The refusal names the value, or the place on the line, and what is accepted."""
+    with pytest.raises(LineError, match=re.escape(said)) as refused:
+        preview(shipped, *(TYPED | change).values())
+    assert "accepted" in str(refused.value)
+
+
+def test_the_fields_begin_with_the_reference_task(shipped: Setup) -> None:
+    """What stands in the form at first is the robot's own line."""
+    task = load_task()
+    found = preview(shipped, *typed_line(task))
+    assert replace(found.plan.task, rest_before=task.rest_before, rest_after=task.rest_after) == task
+    assert found.line.approach == 0.0
+
+
+ELEMENT = FrictionElement(25.0, 24.0, 32.0, 36.0, 0.05, 1.3, 1e5, 100.0, 14.0, alpha=0.7)
+
+
+def test_the_curve_is_that_of_the_equations() -> None:
+    """At every velocity the curve is equation 18 with the deflection at which equation 17 stands still."""
+    velocity, torque = stribeck_curve(ELEMENT, 1.0)
+    moving = velocity != 0.0
+    assert (velocity[0], velocity[-1], np.diff(velocity).min() > 0.0) == (-1.0, 1.0, True)
+    oracle = LuGreOracle([ELEMENT])
+    for v, expected in zip(velocity[moving][::20], torque[moving][::20], strict=True):
+        speed = np.array([v])
+        at_rest = np.sign(speed) * oracle.stribeck(speed) / ELEMENT.c0
+        assert oracle.rates(at_rest, speed)[1][0] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0, 4.0])
+def test_the_loop_is_the_periodic_solution_of_equation_17(share: float) -> None:
+    """Between two reversals at +-a the deflection is s - (s + s tanh(a/s)) exp(-x/s), s that of steady sliding."""
+    element = replace(ELEMENT, tau_c_negative=25.0, tau_s_negative=32.0, c1=40.0)
+    way = share * break_away(element)
+    displacement, forth, back = presliding_loop(element, way)
+    speed = 2.0 * way  # to and fro in 2 s
+    oracle = LuGreOracle([element])
+    sliding = float(oracle.stribeck(np.array([speed]))[0]) / element.c0
+    start = sliding * math.tanh(way / sliding)
+    z = sliding - (sliding + start) * np.exp(-(displacement + way) / sliding)
+    expected = [float(oracle.rates(np.array([each]), np.array([speed]))[1][0]) for each in z]
+    np.testing.assert_allclose(forth, expected, atol=1e-3 * abs(element.tau_s_positive))
+    np.testing.assert_allclose(back, -np.array(forth[::-1]), rtol=1e-6, atol=1e-6)
+
+
+def test_a_changed_element_is_marked_and_read_back(tmp_path: Path, shipped: Setup) -> None:
+    """The file with a change says which values were changed by hand, is assumed, and gives the element back."""
+    assert shipped.friction.file is not None
+    file = replace(FrictionFile.read(shipped.friction.file), provenance="identified", identification={"bags": 3})
+    after = changed(file, "joint_2", {"tau_s_negative": 41.5, "c1": 100.0})
+    assert after.elements["joint_2"] == replace(file.elements["joint_2"], tau_s_negative=41.5)
+    assert (after.provenance, after.identification) == ("assumed", None)
+    assert str(after.source).startswith(
+        "changed by hand: joint_2.tau_s_negative from 36 to 41.5 Nm; the other values identified"
+    )
+    path = tmp_path / "friction.yaml"
+    path.write_text(after.text(), encoding="utf-8")
+    assert FrictionFile.read(path) == after
+    assert changed(file, "joint_2", {"c1": 100.0}) is file
+
+
+def test_typed_values_come_back_and_others_are_refused() -> None:
+    """What the fields show is what they are read as, also per sign and infinite; the rest names value and range."""
+    element = replace(ELEMENT, omega_d=math.inf)
+    texts = list(typed_values(element))
+    assert FrictionElement(**read_values(texts)) == element
+    assert texts[:2] == ["25 24", "32 36"]
+    assert [p.name for p in FRICTION_PARAMETERS][4] == "c0"
+    texts[4] = "1e5 x"
+    with pytest.raises(ConfigError, match="c0 is '1e5 x'; accepted: a number > 0"):
+        read_values(texts)
+    texts[4], texts[0] = "1e5", "33 24"
+    with pytest.raises(ConfigError, match=r"tau_s_positive is 32.0; accepted: a number >= tau_c_positive = 33.0 Nm"):
+        replace(element, **read_values(texts))
