@@ -6,7 +6,6 @@ import html
 import queue
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -29,7 +28,6 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.view.page import Page, block
 from rx90_sim.node.simulation_client import pause_request, reset_request, step_request
 
-_LINES = 6
 _ACTIVE = ("active",)
 _CONFIGURED = ("active", "inactive")
 
@@ -230,20 +228,6 @@ class NodeControls:
         button.on_click(lambda _: self._operator.ask(asked))
         of_simulation = asked.service.startswith(f"{self._operator.names.simulation}/")
         self._buttons.append((button, of_simulation, accepted))
-
-
-class NodeLog:
-    """The newest lines of what the nodes say and of what was refused here."""
-
-    def __init__(self, page: Page) -> None:
-        self._lines: deque[str] = deque(maxlen=_LINES)
-        self._shown = page.gui.add_html(block("nothing yet"))
-
-    def say(self, who: str, text: str, wrong: bool) -> None:
-        """Show a line."""
-        colour = "color:#c92a2a" if wrong else ""
-        self._lines.appendleft(f'<div style="{colour}"><b>{html.escape(who)}</b> {html.escape(text)}</div>')
-        self._shown.content = block("".join(self._lines))
 
 
 def _state_line(node: str, state: str) -> str:

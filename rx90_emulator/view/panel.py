@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import math
 import time
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 
@@ -21,8 +23,8 @@ from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.view.element_form import ElementForm
 from rx90_emulator.view.line_form import LineForm, LinePreview, preview_line
-from rx90_emulator.view.operator import NodeControls, NodeLog, NodeNames, Operator
-from rx90_emulator.view.page import NewestOnly, Page, from_user, on_change, put
+from rx90_emulator.view.operator import NodeControls, NodeNames, Operator
+from rx90_emulator.view.page import NewestOnly, Page, block, from_user, on_change, put
 
 _STEP = 0.1  # deg
 _INTERVAL = 0.2  # s from one trajectory to the next while a slider is dragged
@@ -174,6 +176,7 @@ class JogSliders:
 _PERIOD = 0.2  # s
 _SET_POINT = 1e-3  # s, from one set-point of the controller to the next
 _REFUSED = "rejected"
+_LINES = 6
 
 
 class DoPanel:
@@ -204,6 +207,7 @@ class DoPanel:
             lambda *both: page.later(lambda: self._nodes.states(*both)),
         )  # fmt: skip
         self._joints = limits.names
+        self._lines: deque[str] = deque(maxlen=_LINES)  # the newest of what the nodes say and of what was refused here
         gui = page.gui
         with page.tab("Move"):
             with gui.add_folder("Straight line"):
@@ -214,7 +218,7 @@ class DoPanel:
             self._stop = gui.add_button("Stop the arm", color="red")
             self._stop.on_click(from_user(lambda: self._send(None), page))
             with gui.add_folder("What the nodes say"):
-                self._log = NodeLog(page)
+                self._log = gui.add_html(block("nothing yet"))
             with gui.add_folder("Nodes"):
                 self._nodes = NodeControls(page, self._operator)
         with page.tab("Element"):
@@ -259,7 +263,9 @@ class DoPanel:
         self._operator.configure_again("friction", path, ended)
 
     def _said(self, node: str, line: str, wrong: bool) -> None:
-        self._log.say(node, line, wrong)
+        colour = "color:#c92a2a" if wrong else ""
+        self._lines.appendleft(f'<div style="{colour}"><b>{html.escape(node)}</b> {html.escape(line)}</div>')
+        self._log.content = block("".join(self._lines))
         if wrong and _REFUSED in line:
             self._sliders.forget()
 

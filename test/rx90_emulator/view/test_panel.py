@@ -253,6 +253,16 @@ def _another_element_is_chosen(shown: BrowserPage, page: Page, title: str) -> No
     shown.wait_until(doubled, "its curves")
 
 
+def use(page: Page, *fields: Any) -> None:
+    """Do on the page's thread what follows when a user has changed these fields, or pressed these buttons."""
+    for field in fields:
+        for callback in field._impl.update_cb:
+            with suppress(StopIteration):  # a coroutine that waits for nothing
+                callback(SimpleNamespace(client_id=1)).send(None)
+    while not page._handed_over.empty():
+        page._handed_over.get()()
+
+
 def test_what_is_given_right_after_a_choice_is_kept() -> None:
     """The factor goes back to 1 with another parameter, and the fields to the file's values with another element.
 
@@ -267,12 +277,7 @@ def test_what_is_given_right_after_a_choice_is_kept() -> None:
         fields = [next(inputs[label] for label in inputs if label.startswith(key)) for key in changes]
         for field, given in zip(fields, changes.values(), strict=True):
             put(field, given)
-        for field in fields:
-            for callback in field._impl.update_cb:
-                with suppress(StopIteration):  # a coroutine that waits for nothing
-                    callback(SimpleNamespace(client_id=1)).send(None)
-        while not page._handed_over.empty():
-            page._handed_over.get()()
+        use(page, *fields)
 
     give(slide="c2", times=2.0)
     assert inputs["times the file's"].value == 2.0
@@ -297,11 +302,7 @@ def test_a_file_that_is_there_is_replaced_only_when_confirmed(tmp_path: Path) ->
 
     def press(button: Any, name: str) -> str:
         put(form._files.name, name)
-        for callback in button._impl.update_cb:
-            with suppress(StopIteration):
-                callback(SimpleNamespace(client_id=1)).send(None)
-        while not page._handed_over.empty():
-            page._handed_over.get()()
+        use(page, button)
         return form._files.said.content
 
     assert "exists; accepted: a new name beneath" in press(form._start, "there.yaml")
