@@ -83,10 +83,13 @@ class SeriesBuilder:
         deserialize: the general path, by rosbags; gives an object with the message's fields.
         cdr: whether the messages are CDR, so that the fast path may be tried.
         effort_unit: as in JointSeries.
+        fields: which arrays are kept, where the messages carry them.
     """
 
-    def __init__(self, topic: str, deserialize: Deserialize, *, cdr: bool, effort_unit: str = "") -> None:
-        self._topic, self._effort_unit = topic, effort_unit
+    def __init__(
+        self, topic: str, deserialize: Deserialize, *, cdr: bool, effort_unit: str = "", fields: Sequence[str] = FIELDS
+    ) -> None:
+        self._topic, self._effort_unit, self._fields = topic, effort_unit, fields
         self._deserialize, self._cdr = deserialize, cdr
         self._pending: list[bytes] = []
         self._times: list[int] = []
@@ -139,7 +142,7 @@ class SeriesBuilder:
             stamp = np.array(self._times, dtype=np.int64)[place]
         arrays = {  # one after the other: of a long bag all of them twice would be a lot of memory
             field: np.concatenate([rows.values[:, k][:, columns] for rows, columns in parts])[order]
-            for k, field in enumerate(fields)
+            for k, field in enumerate(field for field in fields if field in self._fields)
         }
         return JointSeries(self._topic, names, stamp[order], **arrays, effort_unit=self._effort_unit)
 
@@ -159,8 +162,14 @@ class SeriesBuilder:
                 pattern = self._patterns[tried]
                 tried += 1
                 if pattern.length == length and (fits := pattern.matches(block)).any():
-                    self._rows.setdefault(pattern.layout, []).append(pattern.decode(block[fits], left[fits] + start))
+                    self._keep(pattern.layout, pattern.decode(block[fits], left[fits] + start))
                     left, block = left[~fits], block[~fits]
+
+    def _keep(self, layout: _Layout, rows: _Rows) -> None:
+        kept = [k for k, field in enumerate(layout.fields) if field in self._fields]
+        if len(kept) < len(layout.fields):
+            rows = rows._replace(values=rows.values[:, kept])
+        self._rows.setdefault(layout, []).append(rows)
 
     def _decode_one(self, raw: bytes, index: NDArray[np.intp]) -> None:
         """Decode a message by the general path; keep its pattern if that is worth keeping."""
@@ -171,7 +180,7 @@ class SeriesBuilder:
         self._check(names, arrays, stamp_ns)
         layout = _Layout(names, tuple(field for field, array in zip(FIELDS, arrays, strict=True) if len(array)))
         values = np.array([array for array in arrays if len(array)]).reshape(1, -1, len(names))
-        self._rows.setdefault(layout, []).append(_Rows(index, np.array([stamp_ns], dtype=np.int64), values))
+        self._keep(layout, _Rows(index, np.array([stamp_ns], dtype=np.int64), values))
         if self._cdr and len(self._patterns) < _MAX_PATTERNS:
             with suppress(ExchangeError):
                 self._patterns.append(_MessagePattern(raw, layout, message.header.frame_id))

@@ -23,7 +23,7 @@ from rx90_common.bags.decoding import SeriesBuilder, TemperatureBuilder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping, is_table
 from rx90_common.bags.storage_files import ACCEPTED, BagTopic, DamagedError, StorageFile, full_type, open_storage
-from rx90_common.bags.topics import EFFORT_UNIT, absolute
+from rx90_common.bags.topics import EFFORT_UNIT, FIELDS, absolute
 from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.quoting import listed, plain
@@ -140,12 +140,12 @@ class BagReader:
                 f"({type(error).__name__})"
             ) from error
 
-    def series_builder(self, topic: BagTopic) -> SeriesBuilder | TemperatureBuilder:
-        """Return what makes series of the messages of a topic that holds them."""
+    def series_builder(self, topic: BagTopic, fields: Sequence[str] = FIELDS) -> SeriesBuilder | TemperatureBuilder:
+        """Return what makes series of the messages of a topic that holds them, of joint states with these fields."""
         deserialize = partial(self.deserialize, topic)
         if topic.is_joint_state:
             unit = self.effort_units.get(topic.name, "")
-            return SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit)
+            return SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit, fields=fields)
         return TemperatureBuilder(topic.name, deserialize)
 
     def series_topics(self, topics: Sequence[str] | None = None) -> list[BagTopic]:

@@ -179,8 +179,6 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         if most > _MAX_VALUE or (name == "effort" and 0.0 < most < 1.0 / _MAX_VALUE):
             least = f"{1.0 / _MAX_VALUE:g} to " if name == "effort" else "up to "
             raise IdentificationError(f"{where}: the largest {name} is {most:.3g}; accepted: {least}{_MAX_VALUE:g}")
-    if layout.torque_constant is not None:
-        effort = effort * layout.torque_constant
     if velocity is None:
         velocity = _differentiated(time, position)
     else:
@@ -188,12 +186,8 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         poor = [k for k, column in enumerate(velocity.T) if len(np.unique(column)) < fewest]
         velocity[:, poor] = _differentiated(time, position[:, poor])
         _check_velocity(where, layout, time, position, velocity)
-    if layout.turns is not None:
-        inverse = np.linalg.inv(layout.turns)
-        position, velocity, effort = position @ inverse.T, velocity @ inverse.T, effort @ layout.turns
-    if layout.zero is not None:
-        position = position - layout.zero
-    columns = time, position, velocity, effort
+    joints = layout.joint_side({"position": position, "velocity": velocity, "effort": effort})
+    columns = time, joints["position"], joints["velocity"], joints["effort"]
     size = 1 if rate is None or len(time) < 2 else round((len(time) - 1) / (time[-1] - time[0]) / rate)
     if size > 1:
         count = len(time) // size

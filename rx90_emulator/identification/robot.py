@@ -6,7 +6,7 @@ map, for bags and tables alike: `arm_layout` makes one layout of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, TypeAlias, TypeVar
@@ -75,6 +75,18 @@ class BagLayout:
             raise IdentificationError(f"{found}; accepted: each name once")
         if self.turns is not None and abs(np.linalg.det(self.turns)) < 1e-9:
             raise IdentificationError(f"gears times coupling: {self.turns.tolist()}; accepted: an invertible matrix")
+
+    def joint_side(self, fields: Mapping[str, Array]) -> dict[str, Array]:
+        """Return position, rad, velocity, rad/s, and effort, Nm, of the joints, as far as the messages have them."""
+        found = dict(fields)
+        if self.torque_constant is not None and "effort" in found:
+            found["effort"] = found["effort"] * self.torque_constant
+        if self.turns is not None:
+            inverse = np.linalg.inv(self.turns).T
+            found = {field: v @ (self.turns if field == "effort" else inverse) for field, v in found.items()}
+        if self.zero is not None:
+            found["position"] = found["position"] - self.zero
+        return found
 
 
 def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMapping | None]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from html import escape
-from typing import NamedTuple
 
 import numpy as np
 from viser import uplot
@@ -19,7 +18,6 @@ from rx90_emulator.view.track import Difference, Track, since
 
 _ALL = "all joints"
 _SPANS = ("0.02", "0.1", "0.5", "2", "10", "60")
-_MM, _MRAD = 1e3, 1e3
 _LEAST = {"[mm]": 0.01, "[mrad]": 0.01, "[rad]": 0.01, "[rad/s]": 0.02, "[Nm]": 1.0}
 _HINT = "Each point of a plot is the least or largest value in its share of the width: no peak is left out."
 _OF_THE_TIP = "#111111"
@@ -29,72 +27,54 @@ _CURSOR = "#888888"
 _MOST_PARTS = 8  # of a curve with gaps
 
 
-class RecordedCurve(NamedTuple):
-    """One column of a field of a track.
-
-    Attributes:
-        label: in the plot's legend and for `choose`.
-        track: with the values.
-        field: of the track.
-        column: of the field.
-        scale: what values are multiplied by, to the unit of the plot.
-        color: as #rrggbb.
-        dashed: for the second recording.
-    """
-
-    label: str
-    track: Track
-    field: str
-    column: int
-    scale: float
-    color: str
-    dashed: bool = False
-
-
 class CurvesPlot:
-    """Curves over a span of time, with a vertical line at the time that is shown.
+    """A field of one track or of several, the second one's dashed, with a vertical line at the time that is shown.
+
+    What is less than the eye is to see, as noise at rest, is flat, by the unit of the title.
 
     Args:
         page: to draw in, within a `plot_tab`.
         title: with the unit.
-        curves: at least one.
+        tracks: at least one.
+        field: that all of them have.
         origin_ns: where the abscissa is 0.
-        least: length of the ordinate; what is less than the eye is to see, as noise at rest, is flat.
-        height: pixels.
+        scale: what values are multiplied by, to the unit of the plot.
     """
 
     def __init__(
-        self,
-        page: Page,
-        title: str,
-        curves: Sequence[RecordedCurve],
-        origin_ns: int,
-        *,
-        least: float = 1.0,
-        height: int = 185,
+        self, page: Page, title: str, tracks: Sequence[Track], field: str, origin_ns: int, scale: float = 1.0
     ) -> None:
-        self._curves, self._origin, self._least = tuple(curves), origin_ns, least
-        self._title = title
+        self._title, self._tracks, self._field, self._origin, self._scale = title, tracks, field, origin_ns, scale
+        self._least = next((length for unit, length in _LEAST.items() if title.endswith(unit)), 1.0)
+        self._curves = [  # label, colour, whether dashed
+            (name, COLOURS[column % len(COLOURS)] if len(track.names) > 1 else _OF_THE_TIP, number > 0)
+            for number, track in enumerate(tracks)
+            for column, name in enumerate(track.names)
+        ]
         self._chosen = [True] * len(self._curves)
-        self._parts = min(_MOST_PARTS, 1 + max(len(curve.track.gaps()) for curve in self._curves))
-        self._span = (0, 0)
+        self._parts = min(_MOST_PARTS, 1 + max(len(track.gaps()) for track in tracks))
+        self._drawn: tuple[int, int, int | None] = 0, 0, None  # beginning, end, and time that is shown, ns
         self._points: tuple[Array, list[Array]] = (np.zeros(0), [])
-        self._plot = add_plot(page, title, self.panel, self._series(), height=height)
+        self._plot = add_plot(page, title, self.panel, self._series(), height=185)
 
     def choose(self, wanted: Callable[[str], bool]) -> None:
         """Show those curves alone whose label `wanted` holds for; all, where it holds for none."""
-        chosen = [wanted(curve.label) for curve in self._curves]
+        chosen = [wanted(label) for label, _, _ in self._curves]
         self._chosen = chosen if any(chosen) else [True] * len(chosen)
         self._plot.series = self._series()
+        self._drawn = (*self._drawn[:2], None)
 
     def draw(self, begin_ns: int, end_ns: int, shown_ns: int) -> None:
-        """Draw the span from `begin_ns` to `end_ns`, with the line at `shown_ns`."""
-        if (begin_ns, end_ns) != self._span:
-            self._span = (begin_ns, end_ns)
-            self._points = self._envelopes(begin_ns, end_ns)
+        """Draw the span from `begin_ns` to `end_ns`, with the line at `shown_ns`, unless that is what was drawn."""
+        if (begin_ns, end_ns, shown_ns) == self._drawn:
+            return
+        if (begin_ns, end_ns) != self._drawn[:2]:
+            found = [track.envelope(self._field, begin_ns, end_ns, _BUCKETS) for track in self._tracks]
+            columns = [self._scale * column for _, values in found for column in values.T]
+            self._points = (found[0][0] - self._origin) / NANOSECONDS, columns
+        self._drawn = begin_ns, end_ns, shown_ns
         time, values = self._points
-        seen = [part[np.isfinite(part)] for part, chosen in zip(values, self._chosen, strict=True) if chosen]
-        finite = np.concatenate(seen)
+        finite = np.concatenate([v[np.isfinite(v)] for v, chosen in zip(values, self._chosen, strict=True) if chosen])
         low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
         short = max(0.0, self._least - (high - low)) / 2.0
         low, high = low - short, high + short
@@ -102,32 +82,22 @@ class CurvesPlot:
         place = int(np.searchsorted(time, shown))
         line, extent = np.full(len(time) + 2, np.nan), np.full(len(time) + 2, low)
         line[place : place + 2] = extent[:2] = low, high
-        columns = []
-        for curve in values:
-            for part in parts_of(curve, self._parts):
-                columns.append(np.insert(part, place, [np.interp(shown, time, part)] * 2))
+        columns = [
+            np.insert(part, place, [np.interp(shown, time, part)] * 2)
+            for curve in values
+            for part in parts_of(curve, self._parts)
+        ]
         self._plot.data = (np.insert(time, place, [shown, shown]), extent, *columns, line)
 
     def panel(self) -> Panel:
         """Return what is to be seen as a plot for a file: the least and the largest values of each pixel's time."""
         time, values = self._points
         marks = [
-            Curve(time, value, f"{curve.label}{' (second bag)' * curve.dashed}", curve.color, 1.0,
-                  "dashed" if curve.dashed else "solid")
-            for curve, value, chosen in zip(self._curves, values, self._chosen, strict=False)
+            Curve(time, value, f"{label}{' (second bag)' * dashed}", color, 1.0, "dashed" if dashed else "solid")
+            for (label, color, dashed), value, chosen in zip(self._curves, values, self._chosen, strict=False)
             if chosen
-        ]  # fmt: skip
+        ]
         return Panel(marks, "", "time [s]", self._title)
-
-    def _envelopes(self, begin_ns: int, end_ns: int) -> tuple[Array, list[Array]]:
-        found = {}
-        for curve in self._curves:
-            key = (id(curve.track), curve.field)
-            if key not in found:
-                found[key] = curve.track.envelope(curve.field, begin_ns, end_ns, _BUCKETS)
-        time_ns = found[id(self._curves[0].track), self._curves[0].field][0]
-        columns = [curve.scale * found[id(curve.track), curve.field][1][:, curve.column] for curve in self._curves]
-        return (time_ns - self._origin) / NANOSECONDS, columns
 
     def _series(self) -> tuple[uplot.Series, ...]:
         """Return how the columns are drawn: time, what the ordinate must show, the parts of each curve, and the line.
@@ -135,11 +105,9 @@ class CurvesPlot:
         uPlot draws a line across NaN, hence the parts.
         """
         lines = []
-        for curve, chosen in zip(self._curves, self._chosen, strict=True):
-            series = uplot.Series(
-                label=curve.label, stroke=curve.color, width=1.5, show=chosen, auto=False, points={"show": False}
-            )
-            if curve.dashed:
+        for (label, color, dashed), chosen in zip(self._curves, self._chosen, strict=True):
+            series = uplot.Series(label=label, stroke=color, width=1.5, show=chosen, auto=False, points={"show": False})
+            if dashed:
                 series["dash"] = (6, 4)
             lines += [series] * self._parts
         shown = uplot.Series(label="shown", stroke=_CURSOR, width=1.0, auto=False, points={"show": False})
@@ -166,96 +134,63 @@ class BagPlots:
         span_ns: tuple[int, int],
     ) -> None:
         self._span = span_ns
-        self._joints = recordings[0].arm.names
-        whole = []
-        if difference is not None:
-            whole.append(("distance of the tips [mm]", _curves([difference.tip], "position", _MM)))
-            whole.append(("difference of the joints [mrad]", _curves([difference.joints], "position", _MRAD)))
-        if path_errors:
-            whole.append(("path error at the tip [mm]", _curves(path_errors, "position", _MM)))
-        whole.append(("joint angles [rad]", _curves([recording.arm for recording in recordings], "position")))
-        legend = _legend(recordings)
+        arms = [recording.arm for recording in recordings]
+        frictions = [recording.friction for recording in recordings if recording.friction is not None]
+
+        def plots(*wanted: tuple[str, Sequence[Track], str, float]) -> list[CurvesPlot]:
+            made = []
+            for title, tracks, field, scale in wanted:
+                held = [track for track in tracks if field in track.values]
+                if held:
+                    made.append(CurvesPlot(page, title, held, field, span_ns[0], scale))
+            return made
+
+        legend = _legend(arms[0] if recordings[0].friction is None else recordings[0].friction, len(arms))
+
         with page.plot_tab("Whole length"):
             page.gui.add_html(legend)
-            self._whole = [CurvesPlot(page, title, curves, span_ns[0], least=_least(title)) for title, curves in whole]
+            self._whole = plots(
+                ("distance of the tips [mm]", [] if difference is None else [difference.tip], "position", 1e3),
+                ("difference of the joints [mrad]", [] if difference is None else [difference.joints], "position", 1e3),
+                ("path error at the tip [mm]", path_errors, "position", 1e3),
+                ("joint angles [rad]", arms, "position", 1.0),
+            )
             page.gui.add_markdown(_HINT)
+        units = sorted({unit for arm in arms if (unit := arm.units.get("effort", "Nm")) != "Nm"})
         with page.plot_tab("Around the time"):
             page.gui.add_html(legend)
-            joint = page.gui.add_dropdown("joint", (_ALL, *self._joints), initial_value=_ALL)
+            joint = page.gui.add_dropdown("joint", (_ALL, *arms[0].names), initial_value=_ALL)
             self._width = page.gui.add_dropdown("width, s", _SPANS, initial_value="2")
-            self._around = [
-                CurvesPlot(page, title, curves, span_ns[0], least=_least(title))
-                for title, curves in _states(recordings)
-                if curves
-            ]
-        joint.on_update(lambda _: page.later(lambda: self._choose(joint.value)))
-        self._width.on_update(lambda _: page.later(self.forget))
-        self._drawn: int | None = None
-        self._drawn_whole: int | None = None
+            self._around = plots(
+                (f"effort [{' and '.join(units)}]" if units else "drive torque [Nm]", arms, "effort", 1.0),
+                ("friction torque [Nm]", frictions, "effort", 1.0),
+                ("velocity [rad/s]", arms, "velocity", 1.0),
+                ("position [rad]", arms, "position", 1.0),
+            )
 
-    def forget(self) -> None:
-        """Draw what was around the time at the next call, even if that is the same."""
-        self._drawn = None
+        def choose() -> None:
+            for plot in self._around:
+                plot.choose(lambda name: joint.value in (_ALL, name))
+
+        joint.on_update(lambda _: page.later(choose))
 
     def draw_whole(self, shown_ns: int) -> None:
         """Show a time in the plots of the whole length, if it is another one than before."""
-        if shown_ns != self._drawn_whole:
-            self._drawn_whole = shown_ns
-            for plot in self._whole:
-                plot.draw(*self._span, shown_ns)
+        for plot in self._whole:
+            plot.draw(*self._span, shown_ns)
 
     def draw_around(self, shown_ns: int) -> None:
-        """Draw what was around a time, if it is another one than before."""
-        if shown_ns != self._drawn:
-            self._drawn = shown_ns
-            half = round(float(self._width.value) * NANOSECONDS / 2)
-            for plot in self._around:
-                plot.draw(shown_ns - half, shown_ns + half, shown_ns)
-
-    def _choose(self, joint: str) -> None:
+        """Draw what was around a time, if it is another one than before, or the width is."""
+        half = round(float(self._width.value) * NANOSECONDS / 2)
         for plot in self._around:
-            plot.choose(lambda name: joint in (_ALL, name))
-        self.forget()
+            plot.draw(shown_ns - half, shown_ns + half, shown_ns)
 
 
-def _least(title: str) -> float:
-    """Return the least length of a plot's ordinate, in its unit, by the title."""
-    return next(length for unit, length in _LEAST.items() if title.endswith(unit))
-
-
-def _legend(recordings: Sequence[Recording]) -> str:
+def _legend(track: Track, bags: int) -> str:
     """Return the colours of joints and friction elements, as HTML."""
-    first = recordings[0]
-    names = first.arm.names if first.friction is None else first.friction.names
     parts = [
         f'<span style="color:{COLOURS[number % len(COLOURS)]}">&#9632;</span>&nbsp;{escape(name)}'
-        for number, name in enumerate(names)
+        for number, name in enumerate(track.names)
     ]
-    text = " ".join([*parts, *[f"({_SECOND})"] * (len(recordings) - 1)])
+    text = " ".join([*parts, *[f"({_SECOND})"] * (bags - 1)])
     return f'<div style="padding:0.4em 0.8em 0;font-size:0.8em">{text}</div>'
-
-
-def _states(recordings: Sequence[Recording]) -> list[tuple[str, list[RecordedCurve]]]:
-    arms = [recording.arm for recording in recordings]
-    frictions = [recording.friction for recording in recordings if recording.friction is not None]
-    units = sorted({unit for arm in arms if (unit := arm.units.get("effort", "Nm")) != "Nm"})
-    return [
-        (f"effort [{' and '.join(units)}]" if units else "drive torque [Nm]", _curves(arms, "effort")),
-        ("friction torque [Nm]", _curves(frictions, "effort")),
-        ("velocity [rad/s]", _curves(arms, "velocity")),
-        ("position [rad]", _curves(arms, "position")),
-    ]
-
-
-def _curves(tracks: Sequence[Track], field: str, scale: float = 1.0) -> list[RecordedCurve]:
-    """Return the columns of tracks; those of the second are dashed."""
-    return [
-        RecordedCurve(name, track, field, column, scale, _color(track, column), dashed=number > 0)
-        for number, track in enumerate(tracks)
-        if field in track.values
-        for column, name in enumerate(track.names)
-    ]
-
-
-def _color(track: Track, column: int) -> str:
-    return COLOURS[column % len(COLOURS)] if len(track.names) > 1 else _OF_THE_TIP

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -27,40 +27,6 @@ _STANDS, _ELSEWHERE = 1e-4, 1e-2  # rad, from one look to the next; from where i
 
 _DRAWN = 60  # points of the approach
 _LARGEST = 1e6  # of what is typed, in its unit; far beyond any arm, and far from what overflows
-
-
-@dataclass(frozen=True)
-class TypedLine:
-    """What stands in the form: start and end (three numbers each, m), speed (m/s), acceleration (m/s²), tool (deg)."""
-
-    start: str
-    end: str
-    speed: str
-    acceleration: str
-    tool_rpy: str
-
-    @classmethod
-    def of(cls, task: LineTask) -> TypedLine:
-        """Return a line as one would type it."""
-        turn = [math.degrees(angle) for angle in task.start_rpy]
-        return cls(*(_typed(values) for values in (task.start, task.end, [task.speed], [task.acceleration], turn)))
-
-    def task(self, branch: Branch) -> LineTask:
-        """Return the line that it says, for one solution of the inverse kinematics.
-
-        Raises:
-            LineError: naming what is typed and what is accepted.
-        """
-        turn = tuple(math.radians(angle) for angle in _numbers("tool", self.tool_rpy, 3, "deg"))
-        return LineTask(
-            start=_numbers("start", self.start, 3, "m"),
-            end=_numbers("end", self.end, 3, "m"),
-            speed=_numbers("speed", self.speed, 1, "m/s")[0],
-            acceleration=_numbers("acceleration", self.acceleration, 1, "m/s^2")[0],
-            start_rpy=turn,
-            end_rpy=turn,
-            branch=branch,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,44 +60,57 @@ class LinePreview:
         return f"{said}. Fastest: {name[fastest]}. Peak joint speeds, as shares of their limits: {shares}."
 
 
-@dataclass(frozen=True, eq=False)
-class LineChecker:
-    """What a line is checked against.
+Typed = tuple[str, str, str, str, str]
+"""What stands in the form: start and end (three numbers each, m), speed (m/s), acceleration (m/s²), tool (deg)."""
 
-    Attributes:
+
+def typed_line(task: LineTask) -> Typed:
+    """Return a line as one would type it."""
+    turn = [math.degrees(angle) for angle in task.start_rpy]
+    start, end, speed, acceleration, tool = (
+        " ".join(f"{value:.6g}" for value in values)
+        for values in (task.start, task.end, [task.speed], [task.acceleration], turn)
+    )
+    return start, end, speed, acceleration, tool
+
+
+def preview_line(
+    robot: RobotModel, limits: JointLimits, period: float, branch: Branch, typed: Typed, here: Array | None
+) -> LinePreview:
+    """Plan and check a typed line.
+
+    Args:
         robot: the arm with its tool.
         limits: the controller's.
         period: of its set-points, s.
         branch: the solution of the inverse kinematics that is taken.
+        typed: the line.
+        here: where the arm stands, rad, shape (6,); None: nobody knows, it is at the line's start.
+
+    Raises:
+        LineError: naming a value and what is accepted, or where on the line the arm cannot go and why.
     """
-
-    robot: RobotModel
-    limits: JointLimits
-    period: float
-    branch: Branch
-
-    def preview(self, typed: TypedLine, here: Array | None) -> LinePreview:
-        """Plan a typed line, from where the arm stands, rad, shape (6,); None: nobody knows, it is at its start.
-
-        Raises:
-            LineError: naming a value and what is accepted, or where on the line the arm cannot go and why.
-        """
-        plan = plan_line(self.robot, typed.task(self.branch), self.period)
-        check_plan(plan, self.limits, self.period, plan.start_pose)
-        line = approached(plan, plan.start_pose if here is None else here, self.limits, self.period, Approach())
-        return LinePreview(plan, line, self._approach(plan, line, here))
-
-    def _approach(self, plan: LinePlan, line: ApproachedLine, here: Array | None) -> Array:
-        if here is None or line.approach == 0.0:
-            return np.empty((0, 3))
-        times = np.array([0.0, line.approach])
-        rest, ends = np.zeros((2, 6)), np.stack([here, plan.start_pose])
-        way = interpolate(times, ends, rest, rest).sample(np.linspace(0.0, line.approach, _DRAWN))
-        return forward(self.robot.chain, way[:, 0]).position
-
-
-def _typed(values: Sequence[float]) -> str:
-    return " ".join(f"{value:.6g}" for value in values)
+    start, end, speed, acceleration, tool = typed
+    turn = tuple(math.radians(angle) for angle in _numbers("tool", tool, 3, "deg"))
+    task = LineTask(
+        start=_numbers("start", start, 3, "m"),
+        end=_numbers("end", end, 3, "m"),
+        speed=_numbers("speed", speed, 1, "m/s")[0],
+        acceleration=_numbers("acceleration", acceleration, 1, "m/s^2")[0],
+        start_rpy=turn,
+        end_rpy=turn,
+        branch=branch,
+    )
+    plan = plan_line(robot, task, period)
+    check_plan(plan, limits, period, plan.start_pose)
+    line = approached(plan, plan.start_pose if here is None else here, limits, period, Approach())
+    way = np.empty((0, 3))
+    if here is not None and line.approach > 0.0:
+        times, rest = np.array([0.0, line.approach]), np.zeros((2, 6))
+        motion = interpolate(times, np.stack([here, plan.start_pose]), rest, rest)
+        sampled = motion.sample(np.linspace(0.0, line.approach, _DRAWN))
+        way = forward(robot.chain, sampled[:, 0]).position
+    return LinePreview(plan, line, way)
 
 
 def _numbers(what: str, text: str, count: int, unit: str) -> tuple[float, ...]:
@@ -155,29 +134,26 @@ class LineForm:
 
     Args:
         page: to build in, within a tab.
-        checker: checks.
+        check: plans and checks what is typed, from where the arm stands, as `preview_line`; on a thread of its own.
         task: what stands in the fields at first.
         send: takes a line that was checked, when the button is pressed.
     """
 
-    def __init__(self, page: Page, checker: LineChecker, task: LineTask, send: Callable[[LinePreview], None]) -> None:
-        self._checker, self._send = checker, send
+    def __init__(
+        self,
+        page: Page,
+        check: Callable[[Typed, Array | None], LinePreview],
+        task: LineTask,
+        send: Callable[[LinePreview], None],
+    ) -> None:
+        self._preview_of, self._send = check, send
         self._here: Array | None = None
         self._checked_from: Array | None = None
         self._missing = ""
         self._wanted = False
         self.preview: LinePreview | None = None
-        first = TypedLine.of(task)
-        self._fields = [
-            page.gui.add_text(label, text)
-            for label, text in (
-                ("start, m", first.start),
-                ("end, m", first.end),
-                ("speed, m/s", first.speed),
-                ("acceleration, m/s²", first.acceleration),
-                ("tool rpy, deg", first.tool_rpy),
-            )
-        ]
+        labels = "start, m", "end, m", "speed, m/s", "acceleration, m/s²", "tool rpy, deg"
+        self._fields = [page.gui.add_text(*given) for given in zip(labels, typed_line(task), strict=True)]
         self._verdict = page.gui.add_html("")
         self._button = page.gui.add_button("Send the line", disabled=True)
         self._reason = page.gui.add_html("")
@@ -185,7 +161,7 @@ class LineForm:
             page.add_lines(f"/panel/{name}", np.zeros((1, 2, 3)), PLANNED, thickness, visible=False)
             for name, thickness in (("line", 3.0), ("approach", 1.5))
         ]
-        self._checking: NewestOnly[tuple[TypedLine, Array | None]] = NewestOnly(page, self._check, _CHECKS)
+        self._checking: NewestOnly[tuple[Typed, Array | None]] = NewestOnly(page, self._check, _CHECKS)
         for field in self._fields:
             on_change(field, self._typed, page)
         self._button.on_click(from_user(self._pressed, page))
@@ -221,12 +197,12 @@ class LineForm:
         self._verdict.content = sentence("checking ...")
         self._enable()
         self._checked_from = self._here
-        self._checking.give((TypedLine(*(field.value for field in self._fields)), self._here))
+        start, end, speed, acceleration, tool = (field.value for field in self._fields)
+        self._checking.give(((start, end, speed, acceleration, tool), self._here))
 
-    def _check(self, item: tuple[TypedLine, Array | None]) -> Callable[[], None]:
-        """Check on a thread of its own."""
+    def _check(self, item: tuple[Typed, Array | None]) -> Callable[[], None]:
         try:
-            return partial(self._accept, self._checker.preview(*item))
+            return partial(self._accept, self._preview_of(*item))
         except LineError as error:
             return partial(self._refuse, str(error))
 

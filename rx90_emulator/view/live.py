@@ -9,7 +9,6 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-import viser
 
 from rx90_common.base.quoting import plain
 from rx90_common.description.kinematics import tip_position
@@ -294,23 +293,21 @@ class LiveView:
             self._status = page.gui.add_html("")
             if self._line is not None:
                 page.gui.add_html(legend_html("line and approach of the form"))
-                self._add_trace_choice(page, self._line)
+                magnified = page.gui.add_dropdown(
+                    "error drawn \u00d7",
+                    _MAGNIFIED,
+                    hint="the trace is drawn so many times as far from the line as it was",
+                )
+                clear = page.gui.add_button("Clear the trace")
+                trace = self._line
+                magnified.on_update(lambda _: page.later(lambda: trace.magnify(float(magnified.value))))
+                clear.on_click(lambda _: page.later(trace.clear))
             self._plots.add_choice()
             with page.gui.add_folder("Diagnostics", expand_by_default=False):
                 self._diagnostics = page.gui.add_html("")
         # A simulation that hurries needs the processors more than the eye needs smoothness.
         for period, show in ((_POSE_PERIOD, self._update), (_PLOT_PERIOD, self._draw), (_STATUS_PERIOD, self._tell)):
             page.every(period, show, hurries=lambda now: source.pace(now) > MAX_DISPLAY_RTF)
-
-    def _add_trace_choice(self, page: Page, line: LineScene) -> None:
-        magnified = page.gui.add_dropdown(
-            "error drawn \u00d7",
-            _MAGNIFIED,
-            hint="the trace is drawn so many times as far from the line as it was",
-        )
-        clear = page.gui.add_button("Clear the trace")
-        magnified.on_update(lambda _: page.later(lambda: line.magnify(float(magnified.value))))
-        clear.on_click(lambda _: page.later(line.clear))
 
     def lay_line(self, task: LineTask) -> None:
         """Show a line that was sent; from now on the spot's path error is its distance from this one."""
@@ -339,20 +336,16 @@ class LiveView:
             if self.state is not None and states[0].time < self.state.time:
                 self._line.clear()
                 self._line.meter.begin_again()
-            self._follow(self._line)
+            trajectory = self._source.watch.trajectory
+            if trajectory is not self._followed:  # which the line does not know yet
+                self._followed = trajectory
+                _, times, position, at_rest = trajectory or _NO_TRAJECTORY
+                self._line.meter.follow(times, tip_position(self._chain, position), at_rest)
             tips = tip_position(self._chain, np.array([state.position for state in states]))
             error = self._line.add(np.array([state.time for state in states]), tips)
         self.state = newest
         self._plots.add(newest, self._source.elements, error)
         self._plots.add_to_loop(self._source.friction, at_ticks=self._source.watch.listens_at_ticks)
-
-    def _follow(self, line: LineScene) -> None:
-        """Tell the line of a trajectory that it does not know yet."""
-        trajectory = self._source.watch.trajectory
-        if trajectory is not self._followed:
-            self._followed = trajectory
-            _, times, position, at_rest = trajectory or _NO_TRAJECTORY
-            line.meter.follow(times, tip_position(self._chain, position), at_rest)
 
     def _draw(self, _now: float) -> None:
         self._plots.draw()
@@ -368,10 +361,9 @@ class LiveView:
         seen = self._plots.shows_loop and bool(self._page.server.get_clients())
         watch.at_ticks(wanted=seen and self._source.pace(now) < fastest)
         error = "no line" if self._line is None else self._line.meter.words()
-        self._set(self._status, status_html(self._source, self.state, error, now))
-        self._set(self._diagnostics, diagnostics_html(self._source.watch.diagnostics))
-
-    @staticmethod
-    def _set(shown: viser.GuiHtmlHandle, content: str) -> None:
-        if shown.content != content:
-            shown.content = content
+        for shown, content in (
+            (self._status, status_html(self._source, self.state, error, now)),
+            (self._diagnostics, diagnostics_html(watch.diagnostics)),
+        ):
+            if shown.content != content:
+                shown.content = content

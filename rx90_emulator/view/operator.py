@@ -6,7 +6,6 @@ import html
 import queue
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +13,6 @@ from viser import GuiButtonHandle
 
 from rx90_common.base.errors import ExchangeError
 from rx90_common.exchange.client_node import (
-    ClientNode,
     NodeWatch,
     Outcome,
     ServiceCalls,
@@ -30,7 +28,6 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.view.page import Page, block
 from rx90_sim.node.simulation_client import pause_request, reset_request, step_request
 
-_LINES = 6
 _ACTIVE = ("active",)
 _CONFIGURED = ("active", "inactive")
 
@@ -77,9 +74,10 @@ class Operator:
 
     def __init__(self, names: NodeNames, said: Said, states: States, timeout: float = TIMEOUT) -> None:
         self.names, self._said, self._states, self._timeout = names, said, states, timeout
-        self._waiting: queue.SimpleQueue[Callable[[_NodeClients], None]] = queue.SimpleQueue()
+        self._waiting: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._ended = threading.Event()
         self._wake: Callable[[], object] = _nothing
+        self._answer_by: float | None = None  # when the controller must have said something of a trajectory
         self._thread = threading.Thread(target=self._run, name="operator", daemon=True)
         self._thread.start()
 
@@ -91,18 +89,24 @@ class Operator:
 
     def ask(self, asked: ServiceRequest) -> None:
         """Call a service; what it says, or that it says nothing, is heard."""
-        self._put(lambda nodes: nodes.calls.ask(asked, nodes.tell(asked.service)))
+        node = asked.service.rpartition("/")[0]
+
+        def tell(outcome: str | ExchangeError) -> None:
+            self._said(node, str(outcome), isinstance(outcome, ExchangeError))
+
+        self._put(lambda: self._calls.ask(asked, tell))
 
     def send(self, joints: tuple[str, ...], points: TrajectoryPoints | None) -> None:
         """Have a trajectory followed that starts now, or stop the arm for None; the controller's log line is heard."""
 
-        def publish(nodes: _NodeClients) -> None:
+        def publish() -> None:
             try:
-                nodes.trajectories.offer(joints, points)
+                self._trajectories.offer(joints, points)
             except ExchangeError as error:
                 self._said(self.names.controller, str(error), True)
             else:
-                nodes.expect_answer()
+                if self._answer_by is None:
+                    self._answer_by = time.monotonic() + self._timeout
 
         self._put(publish)
 
@@ -113,100 +117,69 @@ class Operator:
         """
         node = self.names.simulation
 
-        def told(outcome: str | ExchangeError) -> None:
+        def tell(outcome: str | ExchangeError) -> None:
             wrong = isinstance(outcome, ExchangeError)
             self._said(node, str(outcome), wrong)
             ended(f"{node} {'is not started again' if wrong else 'runs again, from time 0'}: {outcome}", wrong)
 
-        def begin(nodes: _NodeClients, state: str | ExchangeError) -> None:
+        def begin(state: str | ExchangeError) -> None:
             if isinstance(state, ExchangeError) or state not in _PATH:
                 known = "unknown" if isinstance(state, ExchangeError) else state
-                told(ExchangeError(f"its state is {known}; accepted: a simulation that runs"))
+                tell(ExchangeError(f"its state is {known}; accepted: a simulation that runs"))
                 return
             steps = [transition_request(node, label) for label in _PATH[state]]
             steps.append(parameter_request(node, parameter, value))
             steps += [transition_request(node, label) for label in ("configure", "activate")]
-            nodes.one_by_one(steps, told)
+            self._one_by_one(steps, tell)
 
         # Asked for: what was heard of its transitions may be older than the answer to the last one.
-        self._put(lambda nodes: nodes.calls.ask(state_request(node), lambda state: begin(nodes, state)))
+        self._put(lambda: self._calls.ask(state_request(node), begin))
 
-    def _put(self, request: Callable[[_NodeClients], None]) -> None:
+    def _one_by_one(self, steps: list[ServiceRequest], tell: Outcome) -> None:
+        """Call services, each after the one before it has said yes; tell the last one's answer, or the first no."""
+
+        def then(outcome: str | ExchangeError) -> None:
+            if isinstance(outcome, ExchangeError) or len(steps) == 1:
+                tell(outcome)
+            else:
+                self._one_by_one(steps[1:], tell)
+
+        self._calls.ask(steps[0], then)
+
+    def _put(self, request: Callable[[], None]) -> None:
         self._waiting.put(request)
         self._wake()
 
     def _run(self) -> None:
+        names = self.names.simulation, self.names.controller
         with client_node("rx90_view_panel", self._timeout, lambda _line: None, self.names.ros_args) as client:
-            nodes = _NodeClients(client, self.names, self._said, self._states)
+            self._calls = ServiceCalls(client)
+            self._trajectories = TrajectoryClient(client, self.names.controller)
+            simulation, controller = watches = [NodeWatch(client, self._calls, name) for name in names]
+            hear_log(client, names, self._log_line)
             # The executor's own `wake` does not end a wait.
             self._wake = lambda: client.executor.create_task(_nothing)
+            known, next_look = None, 0.0
             while not self._ended.is_set():
                 while not self._waiting.empty():
-                    self._waiting.get()(nodes)
+                    self._waiting.get()()
                 client.spin(_LONGEST_WAIT)
-                nodes.look()
+                self._calls.look()
+                now = time.monotonic()
+                if now >= next_look:
+                    next_look = now + _LOOKS
+                    for watch in watches:
+                        watch.look()
+                if known != (known := (simulation.state, controller.state)):
+                    self._states(*known)
+                if self._answer_by is not None and now >= self._answer_by:
+                    self._answer_by = None
+                    text = f"has said nothing of the trajectory within {self._timeout:g} s"
+                    self._said(self.names.controller, text, True)
             self._wake = _nothing
 
-
-class _NodeClients:
-    """The clients of both nodes, and what is still to be answered; for the operator's thread alone."""
-
-    def __init__(self, client: ClientNode, names: NodeNames, said: Said, states: States) -> None:
-        self._names, self._said, self._states, self._timeout = names, said, states, client.timeout
-        self.calls = ServiceCalls(client)
-        self.trajectories = TrajectoryClient(client, names.controller)
-        self.simulation, self.controller = (
-            NodeWatch(client, self.calls, name) for name in (names.simulation, names.controller)
-        )
-        hear_log(client, (names.simulation, names.controller), self._log_line)
-        self._last_states: tuple[str, str] | None = None
-        self._next_look = 0.0
-        self._answer_by: float | None = None
-
-    def look(self) -> None:
-        """Do what is due."""
-        now = time.monotonic()
-        self.calls.look()
-        if now >= self._next_look:
-            self._next_look = now + _LOOKS
-            self.simulation.look()
-            self.controller.look()
-        states = self.simulation.state, self.controller.state
-        if states != self._last_states:
-            self._last_states = states
-            self._states(*states)
-        if self._answer_by is not None and now >= self._answer_by:
-            self._answer_by = None
-            text = f"has said nothing of the trajectory within {self._timeout:g} s"
-            self._said(self._names.controller, text, True)
-
-    def expect_answer(self) -> None:
-        """Complain if the controller logs nothing within the timeout."""
-        if self._answer_by is None:
-            self._answer_by = time.monotonic() + self._timeout
-
-    def tell(self, service: str) -> Outcome:
-        """Return what tells how a call has ended."""
-        node = service.rpartition("/")[0]
-
-        def tell(outcome: str | ExchangeError) -> None:
-            self._said(node, str(outcome), isinstance(outcome, ExchangeError))
-
-        return tell
-
-    def one_by_one(self, steps: list[ServiceRequest], told: Outcome) -> None:
-        """Call services, each after the one before it has said yes; the last one's answer, or the first no, is told."""
-
-        def then(outcome: str | ExchangeError) -> None:
-            if isinstance(outcome, ExchangeError) or len(steps) == 1:
-                told(outcome)
-            else:
-                self.one_by_one(steps[1:], told)
-
-        self.calls.ask(steps[0], then)
-
     def _log_line(self, node: str, line: str, wrong: bool) -> None:
-        if node == self._names.controller:
+        if node == self.names.controller:
             self._answer_by = None
         self._said(node, line, wrong)
 
@@ -255,20 +228,6 @@ class NodeControls:
         button.on_click(lambda _: self._operator.ask(asked))
         of_simulation = asked.service.startswith(f"{self._operator.names.simulation}/")
         self._buttons.append((button, of_simulation, accepted))
-
-
-class NodeLog:
-    """The newest lines of what the nodes say and of what was refused here."""
-
-    def __init__(self, page: Page) -> None:
-        self._lines: deque[str] = deque(maxlen=_LINES)
-        self._shown = page.gui.add_html(block("nothing yet"))
-
-    def say(self, who: str, text: str, wrong: bool) -> None:
-        """Show a line."""
-        colour = "color:#c92a2a" if wrong else ""
-        self._lines.appendleft(f'<div style="{colour}"><b>{html.escape(who)}</b> {html.escape(text)}</div>')
-        self._shown.content = block("".join(self._lines))
 
 
 def _state_line(node: str, state: str) -> str:

@@ -18,7 +18,7 @@ from collections.abc import Callable, Coroutine, Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import rich
@@ -147,7 +147,8 @@ class Page:
         self.panels: dict[str, Callable[[], Panel]] = {}
         # No SimpleQueue: its wait has no end where a signal is handled until after the time-out.
         self._handed_over: queue.Queue[Callable[[], None]] = queue.Queue()
-        self._timed: list[tuple[float, int, _Repeated]] = []
+        # When the next call is due, a number by which calls of one time are in order, and what `every` was given.
+        self._timed: list[tuple[float, int, float, Callable[[float], None], Callable[[float], bool]]] = []
         self._numbers = itertools.count()
         self._opened = False
         _furnish(self.scene)
@@ -201,7 +202,7 @@ class Page:
 
         While `hurries(now)` holds it is called a third as often.
         """
-        heapq.heappush(self._timed, (time.monotonic(), next(self._numbers), _Repeated(period, function, hurries)))
+        heapq.heappush(self._timed, (time.monotonic(), next(self._numbers), period, function, hurries))
 
     def later(self, function: Callable[[], None]) -> None:
         """Call `function()` once on the page's thread; from any thread."""
@@ -246,23 +247,17 @@ class Page:
         now = time.monotonic()
         wait = _LONGEST_WAIT
         if self._timed:
-            due, _, repeated = self._timed[0]
+            due, _, period, function, hurries = self._timed[0]
             if due <= now:
-                period = repeated.period * (_LESS_OFTEN if repeated.hurries(now) else 1)
-                heapq.heapreplace(self._timed, (max(due + period, now), next(self._numbers), repeated))
+                next_due = max(due + period * (_LESS_OFTEN if hurries(now) else 1), now)
+                heapq.heapreplace(self._timed, (next_due, next(self._numbers), period, function, hurries))
                 with self.server.atomic():
-                    repeated.function(now)
+                    function(now)
                 wait = 0.0
             else:
                 wait = min(wait, due - now)
         with suppress(queue.Empty):
             self._handed_over.get(timeout=wait)()
-
-
-class _Repeated(NamedTuple):
-    period: float  # s
-    function: Callable[[float], None]
-    hurries: Callable[[float], bool]
 
 
 def reached_by_others(host: str) -> bool:

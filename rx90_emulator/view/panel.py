@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import math
 import time
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 
@@ -20,9 +22,9 @@ from rx90_controller.lines.task import TOOL_DOWN, USUAL_ACCELERATION, USUAL_SPEE
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.view.element_form import ElementForm
-from rx90_emulator.view.line_form import LineChecker, LineForm, LinePreview
-from rx90_emulator.view.operator import NodeControls, NodeLog, NodeNames, Operator
-from rx90_emulator.view.page import NewestOnly, Page, from_user, on_change, put
+from rx90_emulator.view.line_form import LineForm, LinePreview, preview_line
+from rx90_emulator.view.operator import NodeControls, NodeNames, Operator
+from rx90_emulator.view.page import NewestOnly, Page, block, from_user, on_change, put
 
 _STEP = 0.1  # deg
 _INTERVAL = 0.2  # s from one trajectory to the next while a slider is dragged
@@ -68,50 +70,6 @@ def _exceeds(duration: float, positions: Array, velocities: Array, top: Array, m
     return bool((sampled[:, 1] > top * (1.0 + _ROUNDING)).any() or (sampled[:, 2] > most).any())
 
 
-class JogTarget:
-    """Where the joints are to go, and what their sliders show: that, while the arm is on its way, else the arm."""
-
-    def __init__(self) -> None:
-        self._target: Array | None = None
-        self._reached: Array | None = None
-        self._seen: Array | None = None
-        self._moved_at = 0.0
-
-    def drag(self, joint: int, angle: float, arm: Array, now: float) -> Array:
-        """Return where all joints are to go when one is sent to an angle, rad; the others go on to where they were.
-
-        A joint that rests where it was sent stays sent there: friction holds it a little beside, and to send it to
-        where it is would move it a little with each jog of another joint.
-
-        Args:
-            joint: its index.
-            angle: rad.
-            arm: where the arm is, rad, shape (6,).
-            now: time on any clock that does not go back, s.
-        """
-        begun = self._target if self._target is not None else self._reached
-        target = (arm if begun is None else begun).copy()
-        target[joint] = angle
-        self._target, self._moved_at = target, now
-        return target
-
-    def forget(self) -> None:
-        """Show the arm again: something else moves it, or the move was refused."""
-        self._target = self._reached = None
-
-    def shown(self, arm: Array, now: float) -> Array:
-        """Return what the sliders show, rad, shape (6,)."""
-        if self._seen is None or np.abs(arm - self._seen).max() > _MOVED:
-            self._seen, self._moved_at = arm.copy(), max(now, self._moved_at)
-        if self._target is not None and _is_at(arm, self._target):
-            self._reached, self._target = self._target, None
-        elif now - self._moved_at > _PATIENCE:
-            self._target = None
-        if self._reached is not None and not _is_at(arm, self._reached):
-            self._reached = None  # something else has moved it
-        return arm if self._target is None else self._target
-
-
 def _is_at(arm: Array, target: Array) -> bool:
     return bool(np.abs(arm - target).max() < ARRIVED)
 
@@ -135,7 +93,11 @@ class JogSliders:
     def __init__(self, page: Page, limits: JointLimits, send: Callable[[TrajectoryPoints], None]) -> None:
         self._limits, self._gentle = limits, Approach()
         self._arm: JointSample | None = None
-        self._target = JogTarget()
+        # Where the joints are to go, and where they have come to and rest since, rad; where the arm was last seen.
+        self._target: Array | None = None
+        self._reached: Array | None = None
+        self._arm_was: Array | None = None
+        self._moved_at = 0.0
         self._sending: NewestOnly[tuple[JointSample, Array]] = NewestOnly(
             page, lambda item: send(jog(item[0].position, item[0].velocity, item[1], limits, self._gentle)), _INTERVAL
         )
@@ -160,7 +122,7 @@ class JogSliders:
         self._arm = arm
         if arm is not None:
             now = time.monotonic()
-            for joint, angle in enumerate(np.degrees(self._target.shown(arm.position, now))):
+            for joint, angle in enumerate(np.degrees(self._shown(arm.position, now))):
                 self._show(joint, float(angle), now)
         for slider in self._sliders:
             if slider.disabled != (arm is None or not ready):
@@ -168,7 +130,19 @@ class JogSliders:
 
     def forget(self) -> None:
         """Show the arm again: something else was sent, or the move was refused."""
-        self._target.forget()
+        self._target = self._reached = None
+
+    def _shown(self, arm: Array, now: float) -> Array:
+        """Return what the sliders show, rad: where the joints are to go, while the arm is on its way, else the arm."""
+        if self._arm_was is None or np.abs(arm - self._arm_was).max() > _MOVED:
+            self._arm_was, self._moved_at = arm.copy(), max(now, self._moved_at)
+        if self._target is not None and _is_at(arm, self._target):
+            self._reached, self._target = self._target, None
+        elif now - self._moved_at > _PATIENCE:
+            self._target = None
+        if self._reached is not None and not _is_at(arm, self._reached):
+            self._reached = None  # something else has moved it
+        return arm if self._target is None else self._target
 
     def _show(self, joint: int, angle: float, now: float) -> None:
         """Move a slider to an angle, deg, unless a user has just moved it."""
@@ -190,13 +164,19 @@ class JogSliders:
         if now < self._put_at[joint] + _ON_ITS_WAY:
             self._unsure.add(joint)
         if self._arm is not None:
-            angle = float(np.radians(self._seen[joint]))
-            self._sending.give((self._arm, self._target.drag(joint, angle, self._arm.position, now)))
+            # The others go on to where they were sent. One that rests there stays sent there: friction holds it a
+            # little beside, and to send it to where it is would move it a little with each jog of another joint.
+            begun = self._target if self._target is not None else self._reached
+            target = (self._arm.position if begun is None else begun).copy()
+            target[joint] = np.radians(self._seen[joint])
+            self._target, self._moved_at = target, now
+            self._sending.give((self._arm, target))
 
 
 _PERIOD = 0.2  # s
 _SET_POINT = 1e-3  # s, from one set-point of the controller to the next
 _REFUSED = "rejected"
+_LINES = 6
 
 
 class DoPanel:
@@ -227,16 +207,18 @@ class DoPanel:
             lambda *both: page.later(lambda: self._nodes.states(*both)),
         )  # fmt: skip
         self._joints = limits.names
+        self._lines: deque[str] = deque(maxlen=_LINES)  # the newest of what the nodes say and of what was refused here
         gui = page.gui
         with page.tab("Move"):
             with gui.add_folder("Straight line"):
-                self._line = LineForm(page, LineChecker(robot, limits, _SET_POINT, task.branch), task, self._send_line)
+                check = partial(preview_line, robot, limits, _SET_POINT, task.branch)
+                self._line = LineForm(page, check, task, self._send_line)
             with gui.add_folder("Joints"):
                 self._sliders = JogSliders(page, limits, lambda points: self._operator.send(self._joints, points))
             self._stop = gui.add_button("Stop the arm", color="red")
             self._stop.on_click(from_user(lambda: self._send(None), page))
             with gui.add_folder("What the nodes say"):
-                self._log = NodeLog(page)
+                self._log = gui.add_html(block("nothing yet"))
             with gui.add_folder("Nodes"):
                 self._nodes = NodeControls(page, self._operator)
         with page.tab("Element"):
@@ -281,7 +263,9 @@ class DoPanel:
         self._operator.configure_again("friction", path, ended)
 
     def _said(self, node: str, line: str, wrong: bool) -> None:
-        self._log.say(node, line, wrong)
+        colour = "color:#c92a2a" if wrong else ""
+        self._lines.appendleft(f'<div style="{colour}"><b>{html.escape(node)}</b> {html.escape(line)}</div>')
+        self._log.content = block("".join(self._lines))
         if wrong and _REFUSED in line:
             self._sliders.forget()
 

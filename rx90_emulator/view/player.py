@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 
@@ -23,50 +22,6 @@ from rx90_emulator.view.plots import add_plot_export
 from rx90_emulator.view.recording import Recording, open_recording
 from rx90_emulator.view.scene import ArmScene, legend_html, line_colors
 from rx90_emulator.view.track import Difference, Track, difference, path_error_track, seconds, since, tip_path
-
-SLOWEST, FASTEST = 0.01, 10.0
-
-
-@dataclass
-class Playback:
-    """A time between the beginning and the end of what is played.
-
-    Attributes:
-        end: s; the beginning is 0.
-        time: s.
-        speed: recorded seconds for each second of the wall clock.
-        playing: whether time runs.
-        loop: whether it begins again at its end.
-    """
-
-    end: float
-    time: float = 0.0
-    speed: float = 1.0
-    playing: bool = False
-    loop: bool = False
-
-    def seek(self, time: float) -> None:
-        """Go to a time; before the beginning or after the end to these."""
-        self.time = min(max(time, 0.0), self.end)
-
-    def play(self) -> None:
-        """Let time run; from the beginning, where it is at the end."""
-        if self.time >= self.end:
-            self.time = 0.0
-        self.playing = True
-
-    def advance(self, elapsed: float) -> None:
-        """Let `elapsed` s of the wall clock go by; at the end time stops, or begins again."""
-        if not self.playing:
-            return
-        time = self.time + self.speed * elapsed
-        if time < self.end:
-            self.time = time
-        elif self.loop and self.end > 0.0:
-            self.time = time % self.end
-        else:
-            self.time, self.playing = self.end, False
-
 
 _POSE_PERIOD = 1.0 / 30.0  # s
 _AROUND_PERIOD = 0.15
@@ -166,24 +121,27 @@ def _escaped(text: str) -> str:
     return "".join(f"\\{c}" if c in r"\`*_{}[]<>()#+-!|" else c for c in plain(text))
 
 
-class PlayControls:
-    """Slider, buttons and choices for a playback.
+class Playback:
+    """A time between the beginning and the end of what is played, with slider, buttons and choices.
 
     Args:
         page: to draw in, within a `tab`.
-        playback: that they control.
+        end: s; the beginning is 0.
         marks: times, s, that stand below the slider.
+
+    Attributes:
+        time: that is shown, s.
+        playing: whether time runs.
     """
 
-    def __init__(self, page: Page, playback: Playback, marks: Sequence[float]) -> None:
+    def __init__(self, page: Page, end: float, marks: Sequence[float]) -> None:
         gui = page.gui
-        self._playback = playback
-        self._moved_at = 0.0
-        self._set_to = 0.0
+        self._end, self.time, self.playing = end, 0.0, False
+        self._moved_at = self._set_to = 0.0
+        self._now = monotonic()
         self._slider = gui.add_slider(
-            "time, s", 0.0, max(playback.end, _STEP), _STEP, initial_value=0.0,
-            marks=tuple(marks[:_MOST_MARKS]) or None,
-        )  # fmt: skip
+            "time, s", 0.0, max(end, _STEP), _STEP, initial_value=0.0, marks=tuple(marks[:_MOST_MARKS]) or None
+        )
         self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
         self._speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1", hint="recorded seconds in each second")
         self._loop = gui.add_checkbox("loop", initial_value=False, hint="begin again at the end")
@@ -192,21 +150,25 @@ class PlayControls:
 
     def go_to(self, time: float) -> None:
         """Show a time, s, and stay there."""
-        self._playback.playing = False
-        self._playback.seek(time)
-        self._set(self._playback.time)
+        self.playing, self.time = False, min(max(time, 0.0), self._end)
+        self._set(self.time)
 
-    def follow(self, now: float) -> None:
-        """Take what was chosen on the page, and show what the playback does; `now` is the steady clock's time, s."""
-        self._playback.speed = float(self._speed.value)
-        self._playback.loop = bool(self._loop.value)
+    def advance(self, now: float) -> None:
+        """Let the steady clock come to `now`, s; at the end time stops, or begins again."""
+        elapsed, self._now = now - self._now, now
+        if self.playing:
+            self.time += float(self._speed.value) * elapsed
+            if self.time >= self._end and self._loop.value and self._end > 0.0:
+                self.time %= self._end
+            elif self.time >= self._end:
+                self.time, self.playing = self._end, False
         # Another value than was set is one that a user has just chosen, and is taken first.
         if self._slider.value == self._set_to and now - self._moved_at > _HOLDS_STILL:
-            self._set(self._playback.time)
-        label = "Pause" if self._playback.playing else "Play"
+            self._set(self.time)
+        label = "Pause" if self.playing else "Play"
         if self._play.label != label:
             self._play.label = label
-            self._play.icon = viser.Icon.PLAYER_PAUSE if self._playback.playing else viser.Icon.PLAYER_PLAY
+            self._play.icon = viser.Icon.PLAYER_PAUSE if self.playing else viser.Icon.PLAYER_PLAY
 
     def _set(self, time: float) -> None:
         self._set_to = round(time, _DIGITS)
@@ -214,13 +176,12 @@ class PlayControls:
 
     def _scrubbed(self) -> None:
         self._set_to, self._moved_at = self._slider.value, monotonic()
-        self._playback.seek(self._set_to)
+        self.time = min(max(self._set_to, 0.0), self._end)
 
     def _toggle(self) -> None:
-        if self._playback.playing:
-            self._playback.playing = False
-        else:
-            self._playback.play()
+        if not self.playing and self.time >= self._end:
+            self.time = 0.0
+        self.playing = not self.playing
 
 
 class BagPlayer:
@@ -247,7 +208,7 @@ class BagPlayer:
         end = max(recording.arm.end_ns for recording in recordings)
         self._origin = begin
         self._difference = difference
-        self.playback = Playback((end - begin) / NANOSECONDS)
+        self._lasting = (end - begin) / NANOSECONDS
         self.arms = [ArmScene(page, "/arm", robot)]
         if len(recordings) > 1:
             self.arms.append(ArmScene(page, "/ghost", robot, ghost=_GHOST))
@@ -276,7 +237,6 @@ class BagPlayer:
             add_plot_export(page)
         self._shown: float | None = None
         self._hidden = False  # the ghost
-        self._before: float | None = None
         page.every(_POSE_PERIOD, self._update)
         page.every(_AROUND_PERIOD, lambda _: self._plots.draw_around(self.shown_ns))
         page.every(_WHOLE_PERIOD, lambda _: self._plots.draw_whole(self.shown_ns))
@@ -290,11 +250,11 @@ class BagPlayer:
         gui = page.gui
         changes = sorted({change.stamp_ns for recording in self._recordings for change in recording.changes})
         marks = [since(stamp, self._origin) for stamp in changes]
-        self._controls = PlayControls(page, self.playback, [mark for mark in marks if 0.0 <= mark <= self.playback.end])
+        self.playback = Playback(page, self._lasting, [mark for mark in marks if 0.0 <= mark <= self._lasting])
         if self._difference is not None:
             worst = self._difference.worst_tip.time_ns
             button = gui.add_button("Jump to the worst difference", icon=viser.Icon.TARGET_ARROW)
-            button.on_click(lambda _: page.later(lambda: self._controls.go_to(since(worst, self._origin))))
+            button.on_click(lambda _: page.later(lambda: self.playback.go_to(since(worst, self._origin))))
             ghost = gui.add_checkbox("ghost", initial_value=True, hint="draw the second bag's arm")
             ghost.on_update(lambda _: page.later(lambda: self._draw_ghost(ghost.value)))
         self._status = gui.add_markdown("")
@@ -312,10 +272,7 @@ class BagPlayer:
             page.add_lines("/path", pieces[there], np.repeat(colors[there, None], 2, axis=1), 4.0)
 
     def _update(self, now: float) -> None:
-        if self._before is not None:
-            self.playback.advance(now - self._before)
-        self._before = now
-        self._controls.follow(now)
+        self.playback.advance(now)
         if self.playback.time != self._shown:
             self._shown = self.playback.time
             self._show()

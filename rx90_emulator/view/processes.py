@@ -148,26 +148,21 @@ class Tour:
             self._thread.join(_TIMEOUT)
         self._group.__exit__()
 
-    def _leave_at_the_end(self) -> None:
-        if self._ending.is_set():
-            raise ExchangeError("the page has ended")
-
     def _send_again_and_again(self) -> None:
-        said = ""
+        def leave_at_the_end() -> None:
+            if self._ending.is_set():
+                raise ExchangeError("the page has ended")
+
+        said, view = "", self._view
+        assert view is not None
         while not self._ending.is_set():
             try:
                 with client_node("rx90_view_line", _TIMEOUT, lambda _: None) as client:
-                    leaving = replace(client, check_interrupt=self._leave_at_the_end)
-                    deliver(leaving, self._plan, self._delivery)
+                    deliver(replace(client, check_interrupt=leave_at_the_end), self._plan, self._delivery)
             except Rx90Error as error:  # torque off, somebody else's motion: the next time it may go
                 if str(error) != said and not self._ending.is_set():
                     said = str(error)
                     print(f"rx90_view: the line was not sent: {said}", flush=True)
             self._ending.wait(_REST)
-            while not self._ending.wait(_LOOK) and not self._rests():
+            while not self._ending.wait(_LOOK) and not view.rests(_REST):  # after the trajectory that was accepted last
                 pass
-
-    def _rests(self) -> bool:
-        """Tell whether the trajectory that was accepted last is over."""
-        assert self._view is not None
-        return self._view.rests(_REST)

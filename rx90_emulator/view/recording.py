@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES, SAMPLED
 from rx90_emulator.identification.options import MeasuredLayout
-from rx90_emulator.identification.robot import BagLayout, arm_layout, with_signals
+from rx90_emulator.identification.robot import arm_layout, with_signals
 from rx90_emulator.view.track import Track
 
 _FRICTION, _REFERENCE = "friction_states", "reference"
@@ -35,94 +35,8 @@ _SLACK = 0.05  # rad beyond a joint's range: end stops give way
 _STEP = 8192  # messages between two looks at the progress bar
 _JOINT_STATES = "joint_states"
 _ONCE_MORE = f"/{SAMPLED}/{_JOINT_STATES}"
-_BLOCK = 1 << 16  # messages
-
-
-class SeriesCollector:
-    """Gathers some arrays of one set of joints of a topic, block by block.
-
-    Args:
-        bag: open.
-        topic: of it.
-        fields: which arrays, where the messages carry them.
-        names: the joints, in this order; None for those of the first message.
-        record_time: whether the times at which messages were recorded are taken for their stamps.
-    """
-
-    def __init__(
-        self, bag: BagReader, topic: BagTopic, fields: Sequence[str], names: Sequence[str] | None, record_time: bool
-    ) -> None:
-        self.topic = topic
-        self._make = partial(bag.series_builder, topic)
-        self._builder = self._make()
-        self._pending = 0
-        self._fields = fields
-        self._names = names
-        self._record_time = record_time
-        self._other_names: tuple[str, ...] = ()
-        self._parts: list[JointSeries] = []
-
-    def add(self, log_ns: int, message: bytes) -> None:
-        """Add the next message.
-
-        Raises:
-            BagError: if it is no JointState whose arrays are of one length.
-        """
-        self._builder.add(message, log_ns if self._record_time else None)
-        self._pending += 1
-        if self._pending == _BLOCK:
-            self._take_block()
-
-    def series(self) -> JointSeries | None:
-        """Return what was gathered; None if there are no messages.
-
-        Raises:
-            BagError: if no message names the wanted joints, or an array is there in some messages and not in others.
-        """
-        self._take_block()
-        if not self._parts:
-            if self._other_names and self._names is not None:
-                other = len(self._other_names) != len(self._names)
-                raise BagError(
-                    f"{self.topic.name} is of {listed(self._other_names)}; accepted: a bag with "
-                    f"{listed(self._names)}, --robot with the bag's, or --names with what it calls these joints"
-                    + other
-                    * f"; every arm here has {len(self._names)} joints"
-                )
-            return None
-        return self._joined()
-
-    def _take_block(self) -> None:
-        found, self._builder, self._pending = self._builder.build(), self._make(), 0
-        for series in found:
-            if self._names is None:
-                self._names = series.names
-            if set(self._names) <= set(series.names):
-                chosen = series.select(self._names)
-                fields = {field: values for field, values in chosen.fields.items() if field in self._fields}
-                unit = chosen.effort_unit
-                self._parts.append(JointSeries(chosen.topic, chosen.names, chosen.stamp_ns, **fields, effort_unit=unit))
-                return
-            self._other_names = series.names
-
-    def _joined(self) -> JointSeries:
-        """Return one series; each part is let go of as it is copied."""
-        fields = tuple(self._parts[0].fields)
-        if any(tuple(part.fields) != fields for part in self._parts):
-            raise BagError(f"{self.topic.name}: carries {', '.join(fields)} in some messages and not in others")
-        count = sum(len(part.stamp_ns) for part in self._parts)
-        stamps = np.empty(count, dtype=np.int64)
-        names, unit = self._parts[0].names, self._parts[0].effort_unit
-        whole = {field: np.empty((count, len(names))) for field in fields}
-        end = 0
-        self._parts.reverse()
-        while self._parts:
-            part = self._parts.pop()
-            rows = slice(end, end := end + len(part.stamp_ns))
-            stamps[rows] = part.stamp_ns
-            for field, values in part.fields.items():
-                whole[field][rows] = values
-        return JointSeries(self.topic.name, names, stamps, **whole, effort_unit=unit)
+Wanted = tuple[Sequence[str], Sequence[str] | None]
+"""Fields, where the messages carry them, and joints of a topic; None for those of its first message."""
 
 
 def _topic(bag: BagReader, wanted: str | None) -> BagTopic:
@@ -214,13 +128,12 @@ def open_recording(path: Path, robot: RobotModel, files: RobotFiles, options: Me
         layout = arm_layout(topic.name, robot.joint_names, options, lambda: load_drives(files.drives).gear, mapping)
         topics = bag.topics
         arm = next(topic for topic in topics if topic.name == layout.topic and topic.is_joint_state)
-        collectors = {arm: SeriesCollector(bag, arm, FIELDS, layout.messages, layout.record_time)}
+        wanted: dict[BagTopic, Wanted] = {arm: (FIELDS, layout.messages)}
         for name, fields in _SHOWN.items():
             shown = _beside(arm, topics, name)
             if shown is not None:
-                wanted = robot.joint_names if name == _REFERENCE else None
-                collectors[shown] = SeriesCollector(bag, shown, fields, wanted, layout.record_time)
-        changes, series = _read(bag, collectors)
+                wanted[shown] = fields, robot.joint_names if name == _REFERENCE else None
+        changes, series = _read(bag, wanted, record_time=layout.record_time)
         notes = [*bag.notes]
         kind = " of ".join(part for part in (bag.storage, bag.compression) if part)
     states = series.pop(arm)
@@ -230,7 +143,9 @@ def open_recording(path: Path, robot: RobotModel, files: RobotFiles, options: Me
     if not finite.all():
         notes.append(f"{len(finite) - finite.sum():,} messages of {layout.topic} without finite positions are left out")
         states = states.take(finite)
-    track = _track(path, _on_joint_side(states, layout), notes)
+    unit = states.effort_unit if layout.torque_constant is None else ""
+    sides: dict[str, Any] = layout.joint_side(states.fields)
+    track = _track(path, replace(states, names=layout.names, effort_unit=unit, **sides), notes)
     notes += _beyond_range(track, robot)
     others = {topic.name.rpartition("/")[2]: _track(path, one, notes) for topic, one in series.items() if one}
     return Recording(
@@ -251,41 +166,44 @@ def _beside(arm: BagTopic, topics: Sequence[BagTopic], name: str) -> BagTopic | 
 
 
 def _read(
-    bag: BagReader, collectors: dict[BagTopic, SeriesCollector]
+    bag: BagReader, wanted: dict[BagTopic, Wanted], *, record_time: bool
 ) -> tuple[list[ParameterChange], dict[BagTopic, JointSeries | None]]:
-    """Hand each message to its collector; return the changes of parameters, and the series of each topic."""
+    """Return the changes of parameters, and of each topic the wanted fields of the wanted joints."""
+    builders = {topic: bag.series_builder(topic, fields) for topic, (fields, _) in wanted.items()}
     telling = [topic for topic in bag.topics if tells_changes(topic.name, topic.msgtype)]
     changes: list[ParameterChange] = []
-    total = sum(topic.count for topic in (*collectors, *telling))
+    total = sum(topic.count for topic in (*wanted, *telling))
     try:
         with tqdm(total=total, unit=" messages", unit_scale=True, delay=0.5, disable=None, file=sys.stderr, leave=False,
                   desc=f"reading {plain(bag.path.name, 40)}") as bar:  # fmt: skip
-            for number, (topic, log_ns, data) in enumerate(bag.messages([*collectors, *telling]), 1):
-                collector = collectors.get(topic)
-                if collector is None:
+            for number, (topic, log_ns, data) in enumerate(bag.messages([*wanted, *telling]), 1):
+                builder = builders.get(topic)
+                if builder is None:
                     changes += changes_of(bag.deserialize(topic, data))
                 else:
-                    collector.add(log_ns, data)
+                    builder.add(data, log_ns if record_time else None)
                 if number % _STEP == 0:
                     bar.update(_STEP)
-        return changes, {topic: collector.series() for topic, collector in collectors.items()}
+        return changes, {topic: _series_of(builders.pop(topic).build(), wanted[topic][1]) for topic in wanted}
     except BagError as error:
         text, name = str(error), plain(bag.path)
         raise error if text.startswith(name) else BagError(f"{name}: {text}") from error
 
 
-def _on_joint_side(series: JointSeries, layout: BagLayout) -> JointSeries:
-    """Return the joints' states, in the order of the robot's joints."""
-    fields, unit = dict(series.fields), series.effort_unit
-    if layout.torque_constant is not None and "effort" in fields:
-        fields["effort"], unit = fields["effort"] * layout.torque_constant, ""
-    if layout.turns is not None:
-        inverse = np.linalg.inv(layout.turns).T
-        for field, values in fields.items():
-            fields[field] = values @ (layout.turns if field == "effort" else inverse)
-    if layout.zero is not None:
-        fields["position"] = fields["position"] - layout.zero
-    return JointSeries(series.topic, layout.names, series.stamp_ns, **fields, effort_unit=unit)
+def _series_of(found: Sequence[JointSeries], names: Sequence[str] | None) -> JointSeries | None:
+    """Return the first series that has these joints (None: any), in their order; None without messages."""
+    for series in found:
+        if names is None or series.names == tuple(names):
+            return series
+        if set(names) <= set(series.names):
+            return series.select(names)
+    if not found or names is None:
+        return None
+    other = f"; every arm here has {len(names)} joints" * (len(found[-1].names) != len(names))
+    raise BagError(
+        f"{found[-1].topic} is of {listed(found[-1].names)}; accepted: a bag with {listed(names)}, --robot with the "
+        f"bag's, or --names with what it calls these joints{other}"
+    )
 
 
 def _beyond_range(track: Track, robot: RobotModel) -> list[str]:

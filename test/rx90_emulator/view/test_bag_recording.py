@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
+from time import monotonic
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from bag_making import joint_state, write_ros2
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
+from scipy.interpolate import interp1d
 
+from rx90_common.bags import decoding
+from rx90_common.bags.comparison import compare_bags
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.recorded import START, ParameterChange, time_shift
+from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError, Rx90Error
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.task import load_task
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.loop.line import path_accuracy
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view import recording as reading
-from rx90_emulator.view.player import path_error_text
+from rx90_emulator.view.player import Playback, difference_text, path_error_text, recording_text
 from rx90_emulator.view.recording import Recording, open_recording
-from rx90_emulator.view.track import path_error_track
+from rx90_emulator.view.track import Track, difference, path_error_track, tip_path
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reference" / "reference_task"
-JOINTS = [f"joint_{k}" for k in range(1, 7)]
+JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
 MOTORS = [f"motor_{k}" for k in range(1, 7)]
 STEP = 1_000_000
 
@@ -44,9 +55,14 @@ def positions(path: Path, topic: str) -> tuple[np.ndarray, np.ndarray]:
     return np.array(stamps), np.array(found)
 
 
+def track(stamps: np.ndarray, values: np.ndarray) -> tuple[Track, int]:
+    """Return a track of positions, shape (n, k), and how often its time goes back."""
+    return Track.of(JointSeries("/joint_states", JOINTS[: values.shape[1]], stamps.astype(np.int64), values))
+
+
 def test_a_bag_of_the_suite_is_read_whole(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
     """Joint angles, set-points and friction are those that rosbags reads, however the messages fall into blocks."""
-    monkeypatch.setattr(reading, "_BLOCK", 37)
+    monkeypatch.setattr(decoding, "_BLOCK", 37)
     recording = opened(REFERENCE, shipped)
     assert recording.lacking == ()
     assert recording.reference is not None
@@ -164,3 +180,219 @@ def test_times_of_recording_take_the_place_of_stamps(tmp_path: Path, shipped: Se
     messages = [("/joint_states", 5 * k * STEP, joint_state(0, JOINTS, [0.1 * k] * 6)) for k in range(4)]
     recording = opened(write_ros2(tmp_path / "bag", messages), shipped, record_time=True)
     np.testing.assert_array_equal(recording.arm.time_ns, 5 * STEP * np.arange(4))
+
+
+def test_states_between_samples_and_in_gaps() -> None:
+    """A sample is given as it is, a time between two as on the line between them, and nothing in a gap or outside."""
+    random = np.random.default_rng(1)
+    stamps = np.array([0, 1, 2, 3, 4, 5, 9, 10, 11]) * STEP + 10**18  # of the wall clock; three are missing
+    values = random.normal(size=(9, 2))
+    found, resets = track(stamps, values)
+    assert resets == 0
+    np.testing.assert_array_equal(found.at("position", stamps), values)
+    wanted = np.sort(random.integers(stamps[0] - 2 * STEP, stamps[-1] + 2 * STEP, 500))
+    oracle = interp1d(
+        (stamps - stamps[0]).astype(float), values, axis=0, bounds_error=False, fill_value=np.nan
+    )((wanted - stamps[0]).astype(float))  # fmt: skip
+    oracle[(wanted > stamps[5]) & (wanted < stamps[6])] = np.nan
+    np.testing.assert_allclose(found.at("position", wanted), oracle, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(found.gaps(), [[stamps[5], stamps[6]]])
+
+
+def test_messages_out_of_order_repeated_and_after_a_reset() -> None:
+    """Messages are put in order of time, repetitions count once, and after a reset what comes before it is left out."""
+    before = np.arange(50) * STEP
+    after = np.array([0, 1, 1, 1, 3, 2, 4, 5, 6, 7]) * STEP
+    stamps = np.concatenate([before, after])
+    found, resets = track(stamps, np.arange(60.0)[:, None])
+    assert resets == 1
+    np.testing.assert_array_equal(found.time_ns, np.arange(8) * STEP)
+    np.testing.assert_array_equal(found.values["position"][:, 0], [50, 51, 55, 54, 56, 57, 58, 59])
+
+
+@pytest.mark.parametrize(("count", "buckets"), [(100_000, 40), (37, 40), (1000, 999)])
+def test_envelope_keeps_every_peak(count: int, buckets: int) -> None:
+    """However few points a curve is drawn with, it passes through the extremes of all samples of each bucket."""
+    random = np.random.default_rng(count)
+    values = random.normal(size=(count, 2))
+    values[count // 3, 0], values[count // 2, 1] = 50.0, -70.0
+    found, _ = track(np.arange(count) * STEP, values)
+    end = (count - 1) * STEP
+    time, curve = found.envelope("position", 0, end, buckets)
+    assert len(time) == 2 * buckets
+    assert (np.diff(time) > 0).all()
+    assert (curve[:, 0].max(), curve[:, 1].min()) == (50.0, -70.0)
+    edges = [end * k // buckets for k in range(buckets + 1)]
+    for k in range(buckets):
+        inside = values[(np.arange(count) * STEP >= edges[k]) & (np.arange(count) * STEP < edges[k + 1])]
+        pair = curve[2 * k : 2 * k + 2]
+        assert edges[k] == time[2 * k]
+        if len(inside):
+            assert (pair.max(axis=0) >= inside.max(axis=0)).all()
+            assert (pair.min(axis=0) <= inside.min(axis=0)).all()
+
+
+def test_envelope_shows_a_gap_and_a_steep_line_as_they_are() -> None:
+    """Where samples are missing a curve has nothing, and where it has more points than samples it is the line."""
+    stamps = np.concatenate([np.arange(100), np.arange(200, 300)]) * STEP
+    found, _ = track(stamps, 3e-9 * stamps[:, None].astype(float))
+    time, curve = found.envelope("position", 0, 299 * STEP, 60)
+    inside = (time > 105 * STEP) & (time < 195 * STEP)
+    assert np.isnan(curve[inside]).all()
+    assert inside.sum() > 30
+    time, curve = found.envelope("position", 10 * STEP, 20 * STEP, 100)
+    np.testing.assert_allclose(curve[:, 0], 3e-9 * time, rtol=0, atol=4e-9)
+
+
+def test_time_of_a_playback() -> None:
+    """Time runs at the chosen speed while it plays, stops at the end or begins again, and stays within the record."""
+    fields = [SimpleNamespace(value=value, label="", on_update=id, on_click=id) for value in (0.0, "", "1", False)]
+    _, button, speed, loop = fields
+    handlers: list[Any] = []
+    button.on_click = handlers.append
+    adders = ("add_slider", "add_button", "add_dropdown", "add_checkbox")
+    gui = {adder: lambda *_, field=field, **__: field for adder, field in zip(adders, fields, strict=True)}
+    page: Any = SimpleNamespace(gui=SimpleNamespace(**gui), later=lambda function: function())
+    play = Playback(page, 10.0, [])
+
+    def press() -> None:
+        with suppress(StopIteration):  # a coroutine that waits for nothing
+            handlers[0](SimpleNamespace(client_id=1)).send(None)
+
+    start = monotonic() + 10.0
+    play.advance(start)
+    assert play.time == 0.0
+    press()
+    speed.value = "0.5"
+    play.advance(start + 4.0)
+    assert play.time == pytest.approx(2.0)
+    play.go_to(99.0)
+    assert (play.time, play.playing) == (10.0, False)
+    press()  # at its end: from the beginning
+    assert (play.time, play.playing) == (0.0, True)
+    speed.value = "10"
+    play.advance(start + 14.0)
+    assert (play.time, play.playing) == (10.0, False)
+    press()
+    loop.value = True
+    play.advance(start + 16.3)
+    assert play.time == pytest.approx(3.0)
+    assert play.playing
+
+
+def tip(setup: Setup, q: np.ndarray) -> np.ndarray:
+    """Return where Pinocchio has the tip, m."""
+    model, data = setup.robot.model, setup.robot.model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    return np.array(data.oMf[model.getFrameId(setup.robot.tcp_frame)].translation)
+
+
+def motion(time: np.ndarray) -> np.ndarray:
+    """Return smooth joint angles, (n, 6) rad, at times in s."""
+    return np.stack([0.4 * np.sin((0.5 + 0.3 * k) * time + k) for k in range(6)], axis=1)
+
+
+def test_worst_differences_are_those_of_the_comparison(tmp_path: Path, shipped: Setup) -> None:
+    """Per joint, value and time of the largest difference are those of `rx90_bag compare`; at the tip Pinocchio's."""
+    random = np.random.default_rng(4)
+    stamps = np.arange(300) * STEP
+    values = [motion(stamps * 1e-9) + 1e-4 * random.normal(size=(300, 6)) for _ in range(2)]
+    for name, value in zip("ab", values, strict=True):
+        write_joint_states(tmp_path / name, [JointSeries("/joint_states", JOINTS, stamps, value)])
+    first, second = (opened(tmp_path / name, shipped) for name in "ab")
+    found = difference(first.arm, second.arm, shipped.robot.chain, (first.path, second.path))
+    compared = compare_bags(tmp_path / "a", tmp_path / "b").topics[0].values
+    for worst, value in zip(found.worst_joints, compared, strict=True):
+        assert (abs(worst.value), worst.time_ns) == (value.maximum, value.at_ns)
+    distances = [np.linalg.norm(tip(shipped, b) - tip(shipped, a)) for a, b in zip(*values, strict=True)]
+    np.testing.assert_allclose(found.tip.values["position"][:, 0], distances, rtol=0, atol=1e-12)
+    assert found.worst_tip.time_ns == stamps[int(np.argmax(distances))]
+    assert found.exact == 1.0
+
+
+def test_bags_of_other_times_are_aligned(tmp_path: Path, shipped: Setup) -> None:
+    """A run that was recorded later is the same once both begin together, and its changes come at their times."""
+    stamps = np.arange(50) * STEP
+    for name, later in (("a", 0), ("b", 7 * 10**9)):
+        series = [
+            JointSeries(topic, JOINTS, stamps + later, motion(stamps * 1e-9))
+            for topic in ("/joint_states", "/friction_states", "/rx90_controller/reference")
+        ]
+        write_joint_states(tmp_path / name, series)
+    first, second = (opened(tmp_path / name, shipped) for name in "ab")
+    second = replace(second, changes=(ParameterChange("/rx90_controller", "servo.kp", "[1, 2]", 7_020_000_000),))
+    shift = time_shift(START, first, second)
+    assert shift == -7 * 10**9
+    second = second.moved(shift)
+    assert second.friction is not None
+    assert second.reference is not None
+    assert {track.begin_ns for track in (second.arm, second.friction, second.reference)} == {0}
+    found = difference(first.arm, second.arm, shipped.robot.chain, (first.path, second.path))
+    assert (found.worst_tip.value, found.exact) == (0.0, 1.0)
+    said = recording_text(second, "arm", 0)
+    assert r"| 0.020 | /rx90\_controller servo.kp | \[1, 2\] |" in said
+    assert "/joint\\_states: 50, 1000 Hz" in said
+    assert "-7.000000000 s" in difference_text(found, ("a", "b"), 0, shift)
+
+
+def test_other_rates_and_gaps(shipped: Setup) -> None:
+    """A recording of another rate is compared where both are, between its samples too, and not in its gaps."""
+    first = track(np.arange(1000) * STEP, motion(np.arange(1000) * 1e-3))[0]
+    stamps = np.concatenate([np.arange(100, 200), np.arange(220, 500)]) * 3_000_000 + 1
+    second = track(stamps, motion(stamps * 1e-9) + 2e-3)[0]
+    found = difference(first, second, shipped.robot.chain, (Path("a"), Path("b")))
+    joints = found.joints.values["position"]
+    assert (found.joints.begin_ns, found.joints.end_ns) == (301 * STEP, 999 * STEP)
+    inside = (found.joints.time_ns > stamps[99]) & (found.joints.time_ns < stamps[100])
+    assert np.isnan(joints[inside]).all()
+    np.testing.assert_allclose(joints[~inside], 2e-3, rtol=0, atol=2e-6)  # of lines between samples 3 ms apart
+    assert found.exact == 0.0
+
+
+@pytest.mark.parametrize("apart", [10_000, 999])
+def test_disjoint_times_are_refused(shipped: Setup, apart: int) -> None:
+    """Recordings without a time in common, or with one message alone in a gap, are refused with both spans."""
+    stamps = np.arange(500)
+    first = track(stamps * STEP, motion(stamps * 1e-3))[0]
+    later = np.concatenate([[0], np.arange(apart, apart + 100)]) if apart == 999 else stamps + apart
+    second = track(later * STEP + 1, motion(later * 1e-3))[0]
+    with pytest.raises(BagError, match=r"a from 0\.000 to 0\.499 s and b from .* no time in common; accepted: --align"):
+        difference(first, second, shipped.robot.chain, (Path("a"), Path("b")))
+
+
+def test_path_error_is_the_distance_across_the_path(shipped: Setup, tmp_path: Path) -> None:
+    """What a tip lags behind its set-points is no path error, moving or at rest; what is across it is Pinocchio's.
+
+    Before the first motion nothing counts, nor later than 0.2 s after its end.
+    """
+    stamps = np.arange(600)
+    time = stamps * 1e-3
+    target = np.zeros((600, 6))
+    target[:, 0] = 0.5 * np.clip(time, 0.05, 0.3)  # rest, an arc about the base, rest
+    target[:, 1:] = [0.3, 1.2, 0.1, 0.4, 0.2]
+    arm = target.copy()
+    arm[:, 0] = np.minimum(arm[:, 0], 0.5 * np.clip(time - 0.002, 0.05, 0.298))  # 2 ms late, and never quite there
+    for row in (20, 150, 350, 510):
+        arm[row, 1] += 1e-3
+    series = [
+        JointSeries("/joint_states", JOINTS, stamps * STEP, arm),
+        JointSeries("/rx90_controller/reference", JOINTS, stamps * STEP, target),
+    ]
+    write_joint_states(tmp_path / "bag", series)
+    recording = opened(tmp_path / "bag", shipped)
+    found = path_error_track(recording.arm, recording.reference, shipped.robot.chain)
+    assert found is not None
+    error = found.values["position"][:, 0]
+    lag = np.linalg.norm(tip(shipped, arm[100]) - tip(shipped, target[100]))
+    assert lag > 3e-4
+    np.testing.assert_array_equal(np.isfinite(error), (stamps >= 50) & (stamps <= 500))
+    assert np.nanmax(np.delete(error, [150, 350])) < lag**2  # of an arc with a radius of some 0.7 m
+    for row in (150, 350):
+        off = tip(shipped, arm[row]) - tip(shipped, target[row])
+        tangent = np.cross([0.0, 0.0, 1.0], tip(shipped, target[row]))
+        across = off - (off @ tangent) * tangent / (tangent @ tangent)
+        assert error[row] == pytest.approx(np.linalg.norm(across), rel=5e-3)
+    points, largest = tip_path(recording.arm, found, shipped.robot.chain, 40)
+    assert np.nanmax(largest) == np.nanmax(error)
+    np.testing.assert_allclose(points[0], tip(shipped, arm[0]), atol=1e-12)
+    np.testing.assert_allclose(points[-1], tip(shipped, arm[-1]), atol=1e-12)

@@ -1,11 +1,13 @@
-"""rx90_view on running nodes, as a browser shows it: they come, move, go, come again, and are of another robot."""
+"""rx90_view on running nodes, as a browser shows it: they come and go, move, and each fact stands in its place."""
 
 from __future__ import annotations
 
 import re
 import signal
 import threading
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,12 +20,18 @@ from processes import Processes
 from rosbags.rosbag2 import Reader as Rosbag2Reader
 from short_task import SHORT_TASK
 
-from rx90_common.exchange.arm_watch import JointSample, Trajectory
+from rx90_common.description.kinematics import tip_position
+from rx90_common.exchange.arm_watch import JointSample, NodeStatus, Trajectory
 from rx90_common.process.children import ChildProcess
+from rx90_controller.lines.plan import Approach, approached
+from rx90_controller.lines.task import load_task
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.line import path_accuracy, plan_line
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import live as live_module
-from rx90_emulator.view.live import LivePlots
+from rx90_emulator.view.live import LivePlots, LiveView
 from rx90_emulator.view.page import Page
+from rx90_emulator.view.scene import PathErrorMeter
 
 Open = Callable[..., BrowserPage]
 ARM = "/arm/" + "/".join(f"joint_{k}" for k in range(1, 7)) + "/tip"
@@ -198,3 +206,191 @@ def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypat
     error = np.array(made["path error of the laser spot [mm]"].data[2])
     np.testing.assert_array_equal(np.isfinite(error), times > 1.0)
     np.testing.assert_allclose(error[times > 1.0], 0.05)
+
+
+PACE = 0.25
+GOOD, WARNING, ERROR = "rgb(43, 138, 62)", "rgb(230, 119, 0)", "rgb(201, 42, 42)"
+ROW = (
+    "name => [...document.querySelectorAll('tr')].find(row => row.cells[0].innerText == name)?.cells[1].innerText ?? ''"
+)
+COLOUR = """text => getComputedStyle([...document.querySelectorAll('td span')].find(
+    span => span.innerText == text) ?? document.body).color"""
+
+
+class Nodes:
+    """Stand for `ArmWatch`: nodes whose time runs at PACE, and what they say."""
+
+    def __init__(self) -> None:
+        self._began = time.monotonic()
+        self.trajectory: Trajectory | None = None
+        self.listens_at_ticks = False
+        self.publishers, self.robot, self.problem, self.topic = 1, None, "", "/joint_states"
+        self.diagnostics = {
+            "rx90_sim": NodeStatus(1, "late", {"brakes": "closed"}),
+            "rx90_controller": NodeStatus(0, "holding", {"enabled": "true"}),
+        }
+
+    @property
+    def time(self) -> float:
+        """Return the simulated time, s."""
+        return 100.0 + PACE * (time.monotonic() - self._began)
+
+    def joints(self) -> list[JointSample]:
+        """Return an arm that stands at the time."""
+        return [JointSample(self.time, *np.zeros((3, 6)))]
+
+    def elements(self) -> list[JointSample]:
+        """Have no friction."""
+        return []
+
+    def look_around(self) -> None:
+        """Do nothing."""
+
+    def at_ticks(self, *, wanted: bool) -> None:
+        """Take that a page is open."""
+        self.wanted = wanted
+
+
+def followed(begin: float, end: float) -> Trajectory:
+    """Return a trajectory from when to when, s."""
+    return Trajectory(begin, np.array([end]), np.zeros((1, 6)), np.array([True]))
+
+
+def test_each_fact_stands_in_its_row(shipped: Setup, open_page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Brakes, controller, pace and trajectory are the nodes' own; a warning and an error have their colours."""
+    nodes = Nodes()
+    monkeypatch.setattr(live_module, "ArmWatch", lambda *_: nodes)
+    # What is drawn in software takes time: an arm is not looked at here.
+    monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: np.zeros(3)))
+    live = live_module.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
+    page = Page("test", port=0)
+    LiveView(page, live, shipped.robot, load_task())
+    with served(page):
+        shown = open_page(page.address, (420, 400))
+
+        def row(name: str, said: str) -> None:
+            shown.wait_until(lambda: said == shown.page.evaluate(ROW, name), f"{name}: {said}")
+
+        def colour(text: str, wanted: str) -> None:
+            shown.wait_until(lambda: shown.page.evaluate(COLOUR, text) == wanted, f"the colour of {text}")
+
+        row("brakes", "closed")
+        row("simulation", "late")
+        row("controller", "holding")
+        row("trajectory", "none")
+        colour("late", WARNING)
+        colour("holding", GOOD)
+
+        def pace() -> bool:
+            seconds, _, factor = shown.page.evaluate(ROW, "time").partition(" s, ")
+            if not factor:  # the page's thread has not run for a while: it says that nothing comes
+                return False
+            return abs(float(seconds) - nodes.time) < 5.0 and abs(float(factor.split()[0]) - PACE) <= 0.01
+
+        shown.wait_until(pace, "time and pace")
+        assert nodes.wanted  # friction at the tick, while a page is open and time does not hurry
+        begin = nodes.time - 40.0
+        nodes.trajectory = followed(begin, begin + 1000.0)
+
+        def progress() -> bool:
+            done, _, length = shown.page.evaluate(ROW, "trajectory").partition(" of ")
+            return bool(length == "1000.0 s" and 40.0 <= float(done) <= nodes.time - begin + 0.1)
+
+        shown.wait_until(progress, "the trajectory's progress and length")
+        nodes.trajectory = followed(begin, begin + 39.0)
+        row("trajectory", "none")
+        nodes.diagnostics = {
+            "rx90_sim": NodeStatus(0, "running", {"brakes": "open"}),
+            "rx90_controller": NodeStatus(2, "joint_2: following error", {"enabled": "false"}),
+        }
+        row("brakes", "open")
+        row("simulation", "running")
+        colour("joint_2: following error", ERROR)
+        legend = "path error of the laser spot, mm\n0\n0.05\n≥ 0.1"
+        shown.wait_until(lambda: shown.text().count(legend) == 1, "the legend")
+    assert (shown.complaints, shown.foreign_requests) == ([], [])
+
+
+START, END = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
+REST = np.array([True, True])
+LATE = 90  # samples before the trajectory is known
+
+
+def test_the_largest_is_that_of_the_run(shipped: Setup) -> None:
+    """Of an approach, a rest and a line what counts on the page is what `path_accuracy` counts, sample by sample.
+
+    The word of the trajectory may come later than the line's first samples.
+    """
+    task = replace(load_task(), rest_before=0.05)
+    plan = plan_line(shipped, task)
+    limits = shipped.controller.limits(shipped.robot)
+    here = plan.start_pose + 0.05
+    line = approached(plan, here, limits, shipped.rates.position_period, Approach())
+    run = simulate(shipped, line.points, here)
+    times, position = run.times[::10], run.slow.joint_states[::10, 0]
+    expected = path_accuracy(shipped.robot, task, times, position, line.approach)
+    chain = shipped.robot.chain
+    meter = PathErrorMeter(np.array(task.start), np.array(task.end))
+    tips = tip_position(chain, position)
+    seen = np.concatenate([meter.add(times[k : k + 3], tips[k : k + 3]) for k in range(0, LATE, 3)])
+    assert np.isnan(seen).all()
+    assert times[LATE - 1] > line.approach + task.rest_before + 0.3
+    assert meter.words() == "not on the line"
+    points = line.points
+    meter.follow(points.times, tip_position(chain, points.position), np.equal(points.velocity, 0.0).all(axis=1))
+    seen = np.concatenate([meter.add(times[k : k + 3], tips[k : k + 3]) for k in range(LATE, len(times), 3)])
+    found = meter.run
+    assert found is not None
+    count = len(expected.times)
+    assert len(found.times) - count <= 1  # the trajectory's last knot is half a set-point behind the line's end
+    np.testing.assert_allclose(found.times[:count], expected.times)
+    np.testing.assert_allclose(found.perpendicular[:count], expected.perpendicular, atol=1e-15)
+    assert np.isfinite(seen).sum() == (found.times >= times[LATE]).sum()
+    assert found.worst == pytest.approx(expected.worst)
+    at = expected.along[np.argmax(expected.perpendicular)]
+    beyond = expected.perpendicular[expected.along > 0.01].max()
+    largest = f"{1e3 * expected.worst:.3f} mm, {1e3 * at:.0f} mm from the start"
+    assert meter.words() == f"not on the line; last run {largest} (beyond 10 mm: {1e3 * beyond:.3f} mm)"
+
+
+def spot(times: np.ndarray, begin: float, error: float) -> np.ndarray:
+    """Return a spot that goes along the line in 4 s, and is so far from it, m."""
+    share = np.clip((times - begin) / 4.0, 0.0, 1.0)[:, None]
+    return np.asarray(START + share * (END - START) + [0.0, 0.0, error])
+
+
+def test_a_run_stays_until_the_next_one_begins() -> None:
+    """Neither the end of a run nor a new beginning of time takes it away; no sample of it counts for the next one."""
+    meter = PathErrorMeter(START, END)
+    times = np.arange(0.0, 8.0, 0.01)
+    ends = np.stack([START, END])
+    for error in (3e-5, 1e-5):
+        meter.follow(np.array([2.0, 6.0]), ends, REST)
+        meter.add(times, spot(times, 2.0, error))
+        run = meter.run
+        assert run is not None
+        assert (run.worst, run.rms, run.times[0], run.times[-1]) == pytest.approx((error, error, 2.0, 6.0))
+        meter.begin_again()
+        meter.add(times, spot(times, 2.0, 1.0))
+        assert meter.run is not None
+        assert meter.run.worst == pytest.approx(error)
+    meter.follow(np.array([2.0, 6.0]), ends[::-1], REST)  # back
+    assert np.isnan(meter.add(times + 8.0, spot(times, 2.0, 1.0))).all()
+    assert meter.run is not None
+    assert meter.run.worst == pytest.approx(1e-5)
+
+
+def test_a_long_run_keeps_its_largest() -> None:
+    """Of an hour at 100 Hz the memory is that of a minute, and the largest error is still known."""
+    meter = PathErrorMeter(START, END)
+    meter.follow(np.array([0.0, 3600.0]), np.stack([START, END]), REST)
+    times = np.arange(0.0, 3600.0, 0.01)
+    tips = START + times[:, None] / 3600.0 * (END - START) + [0.0, 0.0, 1e-5]
+    tips[7, 2] += 1e-4
+    for k in range(0, len(times), 1000):
+        meter.add(times[k : k + 1000], tips[k : k + 1000])
+    run = meter.run
+    assert run is not None
+    assert run.worst == pytest.approx(1.1e-4)
+    assert len(run.times) < 10_000
+    assert run.along[[0, -1]] == pytest.approx([0.0, 0.4], abs=1e-3)

@@ -1,14 +1,20 @@
-"""The page in a real browser: the arm where Pinocchio says, plots that move, nothing from another machine."""
+"""The page in a real browser: arms where Pinocchio says, plots, its loop, and what it writes."""
 
 from __future__ import annotations
 
+import csv
 import io
 import logging
+import queue
+import signal
 import socket
 import threading
+import time
 import webbrowser
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
+from types import FrameType, SimpleNamespace
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -21,10 +27,12 @@ from processes import wait_until
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.errors import ConfigError
+from rx90_common.report.plot import Curve, Panel
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.bag_plots import CurvesPlot, RecordedCurve
-from rx90_emulator.view.page import Page, reached_by_others
-from rx90_emulator.view.plots import LoopPlot, RollingPlot
+from rx90_emulator.view import page as page_module
+from rx90_emulator.view.bag_plots import CurvesPlot
+from rx90_emulator.view.page import ExistingFileError, OutputFolder, Page, reached_by_others
+from rx90_emulator.view.plots import LoopPlot, RollingPlot, RunComparison, add_plot_export, table
 from rx90_emulator.view.scene import ArmScene, LineScene, error_colors
 from rx90_emulator.view.track import Track
 
@@ -39,9 +47,9 @@ PIXEL = 1e-6  # m; positions go to the page as single precision
 
 
 @pytest.fixture
-def page() -> Iterator[Page]:
-    """Serve a page on any free port."""
-    with served(Page("test", port=0)) as page:
+def page(tmp_path: Path) -> Iterator[Page]:
+    """Serve a page on any free port, which writes beneath a new folder."""
+    with served(Page("test", port=0, output=tmp_path)) as page:
         yield page
 
 
@@ -77,9 +85,9 @@ def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
     angle = np.linspace(0.0, 4.0 * np.pi, 100)
 
     def feed() -> None:
-        for time in np.arange(0.0, 5.0, 0.1):
-            rolling.add(time, np.array([time, -time]))
-            broken.add(time, [np.nan if time < 0.25 or 1.95 < time < 3.05 else 1.0 + time])
+        for at in np.arange(0.0, 5.0, 0.1):
+            rolling.add(at, np.array([at, -at]))
+            broken.add(at, [np.nan if at < 0.25 or 1.95 < at < 3.05 else 1.0 + at])
         for a in angle:
             loop.add(np.cos([a]), np.sin([a]))
         rolling.draw()
@@ -122,7 +130,7 @@ def test_noise_at_rest_reads_as_noise(page: Page, open_page: Open) -> None:
         rolling = RollingPlot(page, "rest", ("joint_1",), least=0.01)
         known = RollingPlot(page, "seldom known", ("error",), least=0.01, low=0.0, gaps=1)
         loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]", least=(0.01, 1.0))
-        curves = CurvesPlot(page, "recorded", [RecordedCurve("", track, "position", 0, 1.0, "#000000")], 0, least=0.01)
+        curves = CurvesPlot(page, "recorded [rad]", [track], "position", 0)
     for k, value in enumerate(noise):
         rolling.add(k * 0.01, [value])
         known.add(k * 0.01, [abs(value) if k > 50 else np.nan])
@@ -300,3 +308,201 @@ def test_on_a_telephone_the_arm_is_above_the_panels(shipped: Setup, page: Page, 
         wait_until(partial(lambda *of: len(seen) == of[0] and looks(*of[1:]), count, away, lower), "the page's camera")
         if lower:
             check_drawer(shown)
+
+
+class Clock:
+    """Time that goes on by what is waited for, s; stands for the queue of what is handed over, too."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def get(self, timeout: float) -> None:
+        """Wait in vain."""
+        self.now += timeout
+        raise queue.Empty
+
+
+@pytest.fixture
+def idle() -> Iterator[Page]:
+    """Give a page that no thread runs."""
+    page = Page("test", port=0)
+    yield page
+    page.close()
+
+
+def test_while_time_hurries_calls_come_a_third_as_often(idle: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of calls every 0.1 s, in 6 s of a hurry every third is made, and later all, on time."""
+    clock, made = Clock(), list[float]()
+    monkeypatch.setattr(page_module, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr(idle, "_handed_over", clock)
+    idle.every(0.1, made.append, hurries=lambda now: now < 105.95)
+    idle.run(until=lambda: clock.now >= 110.02)
+    expected = np.concatenate([np.arange(100.0, 106.1, 0.3), np.arange(106.1, 110.05, 0.1)])
+    np.testing.assert_allclose(made, expected, atol=1e-6)
+
+
+def test_a_signal_that_is_handled_beyond_the_wait_does_not_stop_the_page(idle: Page) -> None:
+    """It waits 50 ms at most for what is handed over, also where a signal takes longer than what is left of them."""
+    handled, helped = [], threading.Event()
+
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        handled.append(time.monotonic())
+        time.sleep(0.1)
+
+    rescue = threading.Timer(10.0, lambda: idle.later(helped.set))
+    rescue.start()
+    before = signal.signal(signal.SIGALRM, handle)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.02)
+        idle.run(until=lambda: bool(handled) and time.monotonic() > handled[0] + 0.5)
+    finally:
+        signal.signal(signal.SIGALRM, before)
+        rescue.cancel()
+    assert not helped.is_set()
+
+
+START, END = np.array([0.5, 0.0, 0.2]), np.array([0.7, 0.0, 0.2])
+SHARE = np.linspace(0.0, 1.0, 401)
+ALONG = "path error along the line [mm]"
+UNITS = "torque [Nm]"
+
+
+def run(line: LineScene, begin: float, largest: float) -> None:
+    """Lead the tip along the line within 4 s, half a sine beside it, `largest` m in the middle."""
+    times = begin + 4.0 * SHARE
+    line.meter.follow(times[[0, -1]], np.stack([START, END]), np.array([True, True]))
+    line.add(times, START + SHARE[:, None] * (END - START) + np.outer(largest * np.sin(np.pi * SHARE), [0, 1.0, 0]))
+
+
+def test_two_runs_are_compared_along_the_line(page: Page, open_page: Open) -> None:
+    """The run that is held stays while others come: curves, largest, place, RMS and ratio; another line lets it go."""
+    line, runs = LineScene(page, "/line", START, END), RunComparison(page)
+    page.every(0.05, lambda _: runs.draw(line))
+    shown = open_page(page.address, (1000, 700))
+    hold, release = (shown.page.get_by_role("button", name=words) for words in ("Hold the", "Let the held"))
+    assert hold.is_disabled()
+    page.later(lambda: run(line, 1.0, 1e-4))
+    # A half sine of 0.1 mm: RMS of 0.1 / sqrt(2), the largest in the middle of 200 mm.
+    shown.wait_until(lambda: "newest\t0.1000\t100\t0.0706" in shown.text(), "the first run")
+    hold.click()
+    shown.wait_until(release.is_visible, "that it is held")
+    page.later(lambda: run(line, 10.0, 2.5e-5))
+    shown.wait_until(lambda: "newest\t0.0250\t100\t0.0177" in shown.text(), "the second run")
+    assert "held\t0.1000\t100\t0.0706" in shown.text()
+    assert "newest / held\t0.250\t\t0.250" in shown.text()
+    way, _, held, newest = (np.array(column, float) for column in shown.plots()[ALONG]["data"])
+    half = np.sin(np.pi * way / 200.0)
+    np.testing.assert_allclose(held, 0.1 * half, atol=1e-3)
+    np.testing.assert_allclose(newest, 0.025 * half, atol=3e-4)
+    files = {curve.label: curve for curve in runs.panel().marks if isinstance(curve, Curve)}
+    np.testing.assert_allclose(files["held"].y, 0.1 * np.sin(np.pi * files["held"].x / 200.0), atol=1e-6)
+    assert list(files) == ["held", "newest"]
+    page.later(lambda: line.place(START, END + 0.1))
+    shown.wait_until(lambda: not release.is_visible(), "that it was let go")
+    assert "0.1000" not in shown.text()
+    assert shown.complaints == []
+
+
+def test_a_plot_is_written_as_picture_and_table(page: Page, open_page: Open, tmp_path: Path) -> None:
+    """What stands on the page stands in the files to the bit; a file that is there is replaced once that is said."""
+    plot = RollingPlot(page, UNITS, ["joint_1", "joint_2"], window=1.0)
+    rows = np.array([[0.1 * k, np.sin(k), 1.0 / (k + 1)] for k in range(40)])
+    with page.tab("Files"):
+        add_plot_export(page)
+    shown = open_page(page.address, (1000, 700))
+
+    def press(words: str) -> None:
+        shown.page.get_by_role("button", name=words).click()
+
+    def add() -> None:
+        for row in rows:
+            plot.add(row[0], row[1:])
+
+    press("Write the CSV")
+    shown.wait_until(lambda: "plot.csv" in shown.text(), "an empty table")
+    assert (tmp_path / "plot.csv").read_text() == f"time [s],joint_1: {UNITS},joint_2: {UNITS}\n"
+    page.later(add)
+    press("Write the CSV")
+    shown.wait_until(lambda: "plot.csv exists" in shown.text(), "the refusal")
+    assert len((tmp_path / "plot.csv").read_text().splitlines()) == 1
+    press("Replace the file")
+    shown.wait_until(lambda: len((tmp_path / "plot.csv").read_text().splitlines()) > 1, "the table")
+    head, *body = csv.reader((tmp_path / "plot.csv").read_text().splitlines())
+    window = rows[rows[:, 0] >= rows[-1, 0] - 1.0]
+    assert head == ["time [s]", f"joint_1: {UNITS}", f"joint_2: {UNITS}"]
+    assert np.array(body, float).tolist() == window.tolist()
+    press("Write the PNG")
+    shown.wait_until((tmp_path / "plot.png").exists, "the picture")
+    shown.wait_until(lambda: "written: " in shown.text(), "the word")
+    with Image.open(tmp_path / "plot.png") as picture:
+        colours = {pixel for _, pixel in picture.convert("RGB").getcolors(1 << 20) or []}
+    assert {(0, 0x72, 0xB2), (0xD5, 0x5E, 0)} <= colours  # both curves
+    shown.page.locator("input[type=text], input:not([type])").last.fill("../plot")
+    press("Write the PNG")
+    shown.wait_until(lambda: "../plot.png" in shown.text(), "the refusal of a way out")
+    assert not (tmp_path.parent / "plot.png").exists()
+    assert shown.complaints == []
+
+
+def test_curves_with_times_of_their_own_have_columns_of_their_own() -> None:
+    """Each abscissa stands before its first curve; where there is no number nothing stands."""
+    near, far = np.array([0.0, 0.1]), np.array([0.0, 0.5, 1.0])
+    panel = Panel(
+        [Curve(near, near + 1.0, "a"), Curve(near, np.array([np.nan, 1 / 3]), "b"), Curve(far, far, "c")], "", "t", "y"
+    )
+    assert list(csv.reader(table(panel).splitlines())) == [
+        ["t", "a: y", "b: y", "c: t", "c: y"],
+        ["0.0", "1.0", "", "0.0", "0.0"],
+        ["0.1", "1.1", repr(1 / 3), "0.5", "0.5"],
+        ["", "", "", "1.0", "1.0"],
+    ]
+
+
+@pytest.fixture
+def output(tmp_path: Path) -> OutputFolder:
+    """Return a folder with files, folders and links in it, and a file beside it."""
+    (tmp_path / "beside.yaml").write_text("beside")
+    folder = tmp_path / "page"
+    (folder / "sub").mkdir(parents=True)
+    (folder / "there.yaml").write_text("there")
+    (folder / "out").symlink_to(tmp_path)
+    (folder / "link.yaml").symlink_to(tmp_path / "beside.yaml")
+    (folder / "nowhere.yaml").symlink_to(tmp_path / "nowhere.yaml")
+    return OutputFolder(folder)
+
+
+@pytest.mark.parametrize("name", ["new.yaml", "sub/new.yaml", "two words.yaml", "~", "sub//new.yaml"])
+def test_new_names_beneath_the_folder_are_taken(output: OutputFolder, name: str) -> None:
+    """A name that is free gives a path beneath the folder, in which nothing is made."""
+    path = output.path_for(name)
+    assert path.parent in {output.folder, output.folder / "sub"}
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("replace", [False, True])
+@pytest.mark.parametrize(
+    "name",
+    ["", " ", "..", ".", "../beside.yaml", "sub/../../beside.yaml", "sub/../there.yaml", "/etc/passwd", "/", ".bashrc",
+     "sub/.git", "out/beside.yaml", "out/new.yaml", "link.yaml", "nowhere.yaml", "sub", "missing/new.yaml",
+     "there.yaml/new.yaml", "a\0b", "a\nb", "x" * 300, "x" * 300 + "/y"],
+)  # fmt: skip
+def test_what_leads_elsewhere_is_refused_also_when_confirmed(output: OutputFolder, name: str, replace: bool) -> None:
+    """No `..`, absolute path, hidden name, link or folder is taken; the refusal is one line that says what is."""
+    with pytest.raises(ConfigError, match="; accepted: a new name beneath") as refusal:
+        output.path_for(name, replace=replace)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_file_that_is_there_is_taken_only_when_confirmed(output: OutputFolder) -> None:
+    """Without a confirmation the refusal names the file, and is told from the others."""
+    with pytest.raises(ExistingFileError, match=r"there\.yaml exists; accepted: a new name beneath"):
+        output.path_for("there.yaml")
+    assert output.path_for("there.yaml", replace=True).read_text() == "there"
+
+
+def test_a_folder_is_made_or_refused(tmp_path: Path) -> None:
+    """A folder that is missing is made; a file in its place is one line."""
+    assert OutputFolder(tmp_path / "a" / "b").folder.is_dir()
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match=r"file: cannot be written \(.*\); accepted: a folder that exists or can"):
+        OutputFolder(tmp_path / "file")

@@ -19,15 +19,15 @@ from processes import Processes, wait_until
 from ros_client import JOINTS, Client, seconds
 
 from rx90_common.base.share import config_path
+from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.arm_watch import JointSample
 from rx90_common.exchange.client_node import client_node
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_controller.lines.plan import plan_line
+from rx90_controller.lines.plan import LinePlan, plan_line
 from rx90_controller.lines.task import TOOL_DOWN, LineTask
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view import element_form
+from rx90_emulator.view import element_form, line_form
 from rx90_emulator.view.element_form import ElementForm
-from rx90_emulator.view.line_form import LineChecker, LinePreview, TypedLine
 from rx90_emulator.view.live import LiveSource
 from rx90_emulator.view.operator import NodeNames
 from rx90_emulator.view.page import NewestOnly, Page, put
@@ -99,21 +99,22 @@ def _no_verdict_is_of_other_values(shown: BrowserPage, page: Page, monkeypatch: 
     shown.wait_until(lambda: bool(verdict.search(shown.text())), "the first verdict")
     begun = {speed: threading.Event() for speed in ("0.2", "0.4")}
     may_end = {speed: threading.Event() for speed in begun}
-    plan = LineChecker.preview
 
-    def slowly(checker: LineChecker, typed: TypedLine, here: Any) -> LinePreview:
-        if typed.speed in begun:
-            begun[typed.speed].set()
-            assert may_end[typed.speed].wait(60.0)
-        return plan(checker, typed, here)
+    def slowly(robot: RobotModel, task: LineTask, period: float) -> LinePlan:
+        speed = f"{task.speed:g}"
+        if speed in begun:
+            begun[speed].set()
+            assert may_end[speed].wait(60.0)
+        return plan_line(robot, task, period)
 
     give, taken = NewestOnly.give, list[str]()
 
     def note(self: NewestOnly[Any], item: Any) -> None:
         give(self, item)
-        taken.extend(part.speed for part in item if isinstance(part, TypedLine))
+        if isinstance(item[0], tuple) and len(item[0]) == 5:  # a typed line
+            taken.append(item[0][2])
 
-    monkeypatch.setattr(LineChecker, "preview", slowly)
+    monkeypatch.setattr(line_form, "plan_line", slowly)
     monkeypatch.setattr(NewestOnly, "give", note)
     fill(shown, page, "speed", "0.2")
     assert begun["0.2"].wait(60.0)
@@ -127,7 +128,7 @@ def _no_verdict_is_of_other_values(shown: BrowserPage, page: Page, monkeypatch: 
     assert verdict.search(shown.text()) is None
     may_end["0.4"].set()
     shown.wait_until(lambda: "checking" not in shown.text(), "the verdict")
-    monkeypatch.setattr(LineChecker, "preview", plan)
+    monkeypatch.setattr(line_form, "plan_line", plan_line)
     monkeypatch.setattr(NewestOnly, "give", give)
 
 
@@ -252,6 +253,16 @@ def _another_element_is_chosen(shown: BrowserPage, page: Page, title: str) -> No
     shown.wait_until(doubled, "its curves")
 
 
+def use(page: Page, *fields: Any) -> None:
+    """Do on the page's thread what follows when a user has changed these fields, or pressed these buttons."""
+    for field in fields:
+        for callback in field._impl.update_cb:
+            with suppress(StopIteration):  # a coroutine that waits for nothing
+                callback(SimpleNamespace(client_id=1)).send(None)
+    while not page._handed_over.empty():
+        page._handed_over.get()()
+
+
 def test_what_is_given_right_after_a_choice_is_kept() -> None:
     """The factor goes back to 1 with another parameter, and the fields to the file's values with another element.
 
@@ -266,12 +277,7 @@ def test_what_is_given_right_after_a_choice_is_kept() -> None:
         fields = [next(inputs[label] for label in inputs if label.startswith(key)) for key in changes]
         for field, given in zip(fields, changes.values(), strict=True):
             put(field, given)
-        for field in fields:
-            for callback in field._impl.update_cb:
-                with suppress(StopIteration):  # a coroutine that waits for nothing
-                    callback(SimpleNamespace(client_id=1)).send(None)
-        while not page._handed_over.empty():
-            page._handed_over.get()()
+        use(page, *fields)
 
     give(slide="c2", times=2.0)
     assert inputs["times the file's"].value == 2.0
@@ -296,11 +302,7 @@ def test_a_file_that_is_there_is_replaced_only_when_confirmed(tmp_path: Path) ->
 
     def press(button: Any, name: str) -> str:
         put(form._files.name, name)
-        for callback in button._impl.update_cb:
-            with suppress(StopIteration):
-                callback(SimpleNamespace(client_id=1)).send(None)
-        while not page._handed_over.empty():
-            page._handed_over.get()()
+        use(page, button)
         return form._files.said.content
 
     assert "exists; accepted: a new name beneath" in press(form._start, "there.yaml")
