@@ -14,9 +14,8 @@ changes no torque, and is never blamed.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise, product
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.least_squares import solve, time_blocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.zeros import QUARTERS, SMALLEST, STEP, ZeroCheck, encoder_error
+from rx90_emulator.identification.zeros import SMALLEST, STEP, ZeroCheck, encoder_error, quarter_turns
 
 _WRONG_SIGN_SE = 6.0  # deviations
 
@@ -61,16 +60,6 @@ def check_signs(problem: ExcitationProblem) -> None:
                 f"{deviation[coulomb]:.2g} Nm); accepted: efforts of the sign with which the drive moves the joint "
                 "(check the signs of gears and torque constants)"
             )
-
-
-def coulomb_viscous_law(parameters: Array) -> Callable[[Array], Array]:
-    """Return the elements' torques as a function of their velocities, both of shape (n_el,).
-
-    Args:
-        parameters: tau_c and c2 of each element, as the columns are sorted, shape (2 n_el,).
-    """
-    coulomb, viscous = parameters.reshape(-1, 2).T
-    return lambda velocity: np.asarray(np.sign(velocity) * coulomb + viscous * velocity)
 
 
 _SCREENING_ROWS = 2500  # that quarter turns are compared on, at most: evenly taken from all
@@ -155,9 +144,12 @@ class _Search:
         squares = self._squares(best)
         joints = np.flatnonzero(told).tolist()
         for _ in joints:
-            one = self._best(best, [(j,) for j in joints])
-            two = self._best(best, [(a, b) for a, b in pairwise(joints) if b == a + 1])
-            shift, less = two if two[1].sum() < one[1].sum() - _MIN_SECOND_JOINT_GAIN * squares.sum() else one
+            single, double = quarter_turns(best, joints)
+            shift, less = self._least(single)
+            if double:
+                two = self._least(double)
+                if two[1].sum() < less.sum() - _MIN_SECOND_JOINT_GAIN * squares.sum():
+                    shift, less = two
             if not _clearly_less(less, squares):
                 break
             best, squares = shift, less
@@ -205,16 +197,9 @@ class _Search:
         left = target - basis @ (basis.T @ target)
         return np.asarray(np.bincount(self.block[rows], left**2, int(self.block.max()) + 1), dtype=np.float64)
 
-    def _best(self, start: Array, groups: Sequence[tuple[int, ...]]) -> tuple[Array, Array]:
-        """Return the quarter turns of one group of joints that leave least, and the squares they leave."""
-        found = (start, np.full(int(self.block.max()) + 1, math.inf))
-        for group in groups:
-            for turns in product(QUARTERS, repeat=len(group)):
-                shift = start.copy()
-                shift[list(group)] += turns
-                squares = self._squares(shift)
-                found = (shift, squares) if squares.sum() < found[1].sum() else found
-        return found
+    def _least(self, shifts: Sequence[Array]) -> tuple[Array, Array]:
+        """Return those of some angles that leave least, and the squares they leave in each block."""
+        return min(((one, self._squares(one)) for one in shifts), key=lambda found: float(found[1].sum()))
 
     def _derivatives(self, shift: Array) -> tuple[Array, Array]:
         """Return the columns of the simple model, shape (r, q), and the derivatives by the angles, shape (r, n)."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from rx90_common.base.arrays import Array
+from rx90_common.friction.held_out import HeldOutErrors
 from rx90_emulator.identification.excitation.friction.fit import SeparableFit, WeightedProblem
 from rx90_emulator.identification.excitation.friction.law import LINEAR
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
@@ -161,10 +162,15 @@ class Scored:
     def validations(self, against: Scored | None = None) -> tuple[CrossValidation, CrossValidation | None]:
         """Return the figures by blocks and by runs, with the gain over another model."""
         other = self if against is None else against
-        blocks = _validation(self.by_blocks, other.by_blocks, self.rows, self.relative[0])
+
+        def figures(own: Array, its: Array, relative: float) -> CrossValidation:
+            errors = HeldOutErrors({"own": own, "other": its}, self.rows)
+            return CrossValidation(*errors.rms("own"), relative, *errors.gain("own", "other"))
+
+        blocks = figures(self.by_blocks, other.by_blocks, self.relative[0])
         if self.by_runs is None or other.by_runs is None:
             return blocks, None
-        return blocks, _validation(self.by_runs, other.by_runs, self.rows, self.relative[1])
+        return blocks, figures(self.by_runs, other.by_runs, self.relative[1])
 
     def better_than(self, other: Scored) -> bool:
         """Return whether this model predicts better: by blocks, and by runs where there are several.
@@ -175,22 +181,6 @@ class Scored:
         """
         blocks, runs = self.validations(other)
         return blocks.gain > blocks.gain_deviation and (runs is None or runs.gain > -runs.gain_deviation)
-
-
-def _validation(squares: Array, other: Array, rows: Array, relative: float) -> CrossValidation:
-    """Return the figures of sums of squares in blocks against those of another model, each shape (b,)."""
-    count = float(rows.sum())
-    error, before = float(np.sqrt(squares.sum() / count)), float(np.sqrt(other.sum() / count))
-    gain = before - error
-    # Sums over blocks that are independent; the error is the root of their mean.
-    own = (squares - rows * squares.sum() / count) / (2.0 * count * max(error, 1e-300))
-    its = (other - rows * other.sum() / count) / (2.0 * count * max(before, 1e-300))
-    return CrossValidation(error, _sum_deviation(own), relative, gain, _sum_deviation(its - own))
-
-
-def _sum_deviation(parts: Array) -> float:
-    """Return the standard deviation of a sum of independent parts less their means."""
-    return float(np.sqrt(len(parts) / (len(parts) - 1.0) * np.sum(parts**2)))
 
 
 def _relative(problem: ExcitationProblem, residual: Array) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,9 @@ import pytest
 from excitation_arms import all_columns, plain_arm, rigid_arm, runs_of, truth
 
 from benchmarks.excitation_runs import NOISE, NOTHING, Disturbances
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.excitation.checks import coulomb_viscous, coulomb_viscous_law
+from rx90_emulator.identification.excitation.checks import coulomb_viscous
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.excitation.gains import drive_gains, with_gains
 from rx90_emulator.identification.excitation.instruments import with_instruments
@@ -29,6 +31,12 @@ def problem(tmp_path_factory: pytest.TempPathFactory) -> ExcitationProblem:
     return ExcitationProblem.of(
         rigid_arm(arm, tmp_path_factory.mktemp("arm")), runs_of(arm, 200.0, NOISE, Bandwidths(40.0, 15.0), (1, 2))
     )
+
+
+def _sliding_law(parameters: Array) -> Callable[[Array], Array]:
+    """Return the elements' torques at their velocities for tau_c and c2 of each element, shape (2 n_el,)."""
+    coulomb, viscous = parameters.reshape(-1, 2).T
+    return lambda velocity: np.asarray(np.sign(velocity) * coulomb + viscous * velocity)
 
 
 def test_intervals_hold_the_truth_where_noise_is_correlated(tmp_path: Path) -> None:
@@ -142,7 +150,7 @@ def test_instruments_undo_the_bias_of_a_closed_loop(tmp_path: Path) -> None:
     runs = runs_of(arm, 125.0, Disturbances(feedback=1e-3), Bandwidths(37.0, 18.0), (100,), 1)
     problem = ExcitationProblem.of(rigid_arm(arm, tmp_path), runs)
     size = len(problem.names)
-    found = with_instruments(problem, all_columns, lambda values: coulomb_viscous_law(values[size:]))
+    found = with_instruments(problem, all_columns, lambda values: _sliding_law(values[size:]))
     expected = truth(problem, arm)
     missed = np.abs(found.least_squares.value - expected) / found.least_squares.deviation
     held = np.abs(found.instrumental.value - expected) / found.instrumental.deviation
@@ -160,7 +168,7 @@ def test_least_squares_are_taken_where_instruments_agree(tmp_path: Path) -> None
     runs = [replace(run, reference=None) for run in runs_of(arm, 125.0, NOISE, seeds=(300,), periods=1)]
     problem = ExcitationProblem.of(rigid_arm(arm, tmp_path), runs)
     size = len(problem.names)
-    found = with_instruments(problem, all_columns, lambda values: coulomb_viscous_law(values[size:]))
+    found = with_instruments(problem, all_columns, lambda values: _sliding_law(values[size:]))
     assert found.taken is found.least_squares
     assert found.settled
     assert "the measured path" in str(found.controller)
