@@ -1,4 +1,4 @@
-"""Short names for types of arrays; docstrings say their shapes."""
+"""Short names for types of arrays, whose shapes docstrings say, and the extremes of groups of their rows."""
 
 from __future__ import annotations
 

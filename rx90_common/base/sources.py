@@ -1,4 +1,4 @@
-"""The project's own source files, and a hash of those that something is made of."""
+"""The project's own source files, a hash of those that something is made of, and its versions."""
 
 from __future__ import annotations
 

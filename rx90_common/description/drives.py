@@ -1,5 +1,8 @@
 """The drives: gears, motors, encoders, brakes, springs, and how motor 6 turns with joints 5 and 6.
 
+The wrist coupling of the RX family is q_m5 = n5 q5 and q_m6 = n6 (q5 + q6), hence tau5 = n5 tau_m5 + n6 tau_m6 and
+tau6 = n6 tau_m6. The same sum drives friction element 7, whose torque acts on both joints.
+
 Elasticity, cogging, windings and current sensors are blocks of their own; what a file leaves out of them is ideal.
 """
 

@@ -1,4 +1,8 @@
-"""Forward kinematics of the arm: poses of the tool, path errors along a line, and the transforms from link to link."""
+"""Kinematics of the tool centre point, for one pose or many at once, path errors, and transforms from link to link.
+
+Every function takes joint angles of shape (..., 6) and broadcasts over the leading axes. `tip_position`, for
+evaluations, is fast, and does not give the same bits on every machine.
+"""
 
 from __future__ import annotations
 

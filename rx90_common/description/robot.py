@@ -1,4 +1,7 @@
-"""URDF and tool file to the constants that compiled code, the nodes and the tests share."""
+"""URDF and tool file to the constants that compiled code, the nodes and the tests share.
+
+The tool on the flange becomes links `tool` and `tcp` of the URDF.
+"""
 
 from __future__ import annotations
 

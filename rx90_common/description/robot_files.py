@@ -1,4 +1,4 @@
-"""The files that describe a robot: those of a robot folder, and those that a user names instead."""
+"""The files that describe a robot, those of a folder or those that a user names, and where their numbers come from."""
 
 from __future__ import annotations
 

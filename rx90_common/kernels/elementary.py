@@ -18,6 +18,8 @@ from numba.core import types
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes, LanesType, Mask, Number, Operation, absolute, any_lane, fma, select
 
+# A double WHOLE + k holds the integer k in its lowest bits. A shift brings them to the place of another number's
+# exponent or sign, so that a conversion to integers, which AVX2 lacks for lanes of doubles, is not needed.
 WHOLE = 1.5 * 2.0**52
 _WHOLE_BITS = 0x4338 << 48
 _SQRT_HALF_BITS = 0x3FE6A09E667F3BCD

@@ -1,4 +1,11 @@
-"""Parameters of a setup and a task by paths such as friction.joint_2.c0: what there is, and how values are set."""
+"""Parameters of a setup and a task by dotted paths: what there is, and how values are set.
+
+`friction.joint_2.c0`, `friction.*.tau_c`, `drives.rotor_inertia[1]`, `drives.elasticity.stiffness[0]`,
+`controller.kp[*]`, `arm.link_3.mass`, `controller.feed_forward.coulomb`, `task.speed`, `arm.seed`, and where an element
+has that part `friction.joint_2.load.driving` or `friction.joint_2.ripple.motor_amplitude[0]`, and where motors cog
+`drives.cogging.amplitude[1][0]`, of the second wave and motor 1. A `*` stands for every name or index in its place; an
+index counts from 0. `tau_c` and `tau_s` stand for both signs of the velocity.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""What a sweep consists of: blocks of runs, each the product of a grid and of random draws."""
+"""What a sweep consists of: blocks of runs, each the product of a grid and of random draws.
+
+The values of a parameter come from a list or from a distribution.
+"""
 
 from __future__ import annotations
 

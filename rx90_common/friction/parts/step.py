@@ -1,4 +1,4 @@
-"""Elements with parts, compiled: what their parameters are at a moment, then the step of each one's bristles.
+"""Elements with parts, compiled: constants and state, the parameters at a moment, and the step of the bristles.
 
 `width`, a literal, is the number of elements in the records; velocity and angle are lanes of that width.
 """
