@@ -303,7 +303,6 @@ def _received(payload: bytes) -> Sweep:
     sweep: Sweep = pickle.loads(payload)
     sweep.check_sources()
     sweep.warm_up()
-    _keep_memory()
     return sweep
 
 
