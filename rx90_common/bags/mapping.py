@@ -32,7 +32,7 @@ from typing import Any, Final, TypeAlias
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import SERIES_FIELDS, quantities
 from rx90_common.base.config import load_yaml, yaml_text
-from rx90_common.base.entries import LEFT_OUT, Integer, ListOf, Number, Other, Switch, Text, Texts
+from rx90_common.base.entries import LEFT_OUT, Integer, ListOf, Number, Numbers, Other, Switch, Text, Texts
 from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import plain
@@ -191,11 +191,9 @@ class FieldMapping:
             section.refuse("columns", list(columns), f"a list of {count}, one for each name")
 
         def each(key: str) -> tuple[float, ...]:
-            single = not isinstance(section.content.get(key), list)
-            values = (section.number(key),) * count if single else section.numbers(key, count)
-            if 0.0 in values:
-                section.refuse(key, 0.0, "numbers other than 0")
-            return values
+            if not isinstance(section.content.get(key), list):
+                return (Number("", nonzero=True).take(section, key),) * count
+            return tuple(Numbers("", nonzero=True, count=count).take(section, key))
 
         factor = each("factor") if "factor" in section else (1.0,) * count
         in_counts = unit.startswith(COUNTS)

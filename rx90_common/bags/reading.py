@@ -25,6 +25,7 @@ from rx90_common.bags.mapping import LogMapping, is_table
 from rx90_common.bags.storage_files import ACCEPTED, BagTopic, DamagedError, StorageFile, full_type, open_storage
 from rx90_common.bags.topics import EFFORT_UNIT, FIELDS, absolute
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import Integer, Text, Texts
 from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.quoting import listed, plain
 
@@ -35,7 +36,7 @@ Progress = Callable[[int, int], None]
 FILE = "metadata.yaml"
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _PART = re.compile(r"(.+)_([0-9]+)(\..+)", re.DOTALL)  # of a recording that was split: NAME_0.mcap, NAME_1.mcap, ...
-_MAX_MESSAGES = 1 << 62
+_MESSAGES = Integer("", low=0, high=1 << 62)
 _STEP = 8192  # messages between two reports of progress
 _typestore = cache(get_typestore)
 
@@ -209,10 +210,10 @@ class BagReader:
             counts: Counter[tuple[str, str]] = Counter()
             for topic in root.sections("topics_with_message_count"):
                 about = topic.section("topic_metadata")
-                count = topic.integer("message_count", 0, _MAX_MESSAGES)
-                counts[about.text("name"), full_type(about.text("type"))] += count
-            self.files = [self.path / PurePosixPath(file).name for file in root.texts("relative_file_paths")]
-            total = root.integer("message_count", 0, _MAX_MESSAGES)
+                count = _MESSAGES.take(topic, "message_count")
+                counts[Text("").take(about, "name"), full_type(Text("").take(about, "type"))] += count
+            self.files = [self.path / PurePosixPath(file).name for file in Texts("").take(root, "relative_file_paths")]
+            total = _MESSAGES.take(root, "message_count")
         except ConfigError as error:
             raise BagError(f"{plain(self.path)}: {str(error).removeprefix(f'{plain(self.path)}/')}") from error
         custom = root.content.get("custom_data")

@@ -17,14 +17,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, fields, replace
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, Integer, Number, Numbers
+from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, Integer, NotAccepted, Number, Numbers
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group, Variants
-from rx90_common.base.section import Section
+from rx90_common.base.quoting import quoted
 
 _Self = TypeVar("_Self", bound="Declared")
 
@@ -86,17 +86,17 @@ class Declared:
     blocks: ClassVar[Mapping[str, str]] = {}
 
     def __post_init__(self) -> None:
-        section = None  # most values are what they should be; a sweep makes thousands of elements
         for one in declarations(type(self)).values():
             value = getattr(self, one.name)
-            plain = tuple(value.tolist()) if isinstance(value, np.ndarray) else value
-            if one.in_python is None or one.in_python.holds(plain) or one.by_owner or _same(value, one.default):
+            if one.in_python is None or one.by_owner or _same(value, one.default):
                 continue
-            section = section or _Fields({}, Path(self.name))
-            section.content[one.name] = in_file(value)
-            taken = one.in_python.take(section, one.name)
+            try:
+                checked = one.in_python.check(in_file(value))
+            except NotAccepted as fault:
+                place = f"{self.name}{': ' * bool(self.name)}{one.name}{fault.place}"
+                raise ConfigError(f"{place} is {quoted(fault.value)}; accepted: {fault.accepted}") from None
             if one.kind is not _ARRAY:  # as a file gives it: no NumPy scalar, which writers do not know
-                object.__setattr__(self, one.name, taken)
+                object.__setattr__(self, one.name, checked)
 
     @classmethod
     def group(cls, default: Any = REQUIRED) -> Group:
@@ -120,13 +120,6 @@ class Declared:
     def units(cls) -> dict[str, str]:
         """Return the units of the fields, 1 for a pure number."""
         return {one.name: one.entry.unit or "1" for one in declarations(cls).values() if one.entry is not None}
-
-
-class _Fields(Section):
-    """Values of fields; messages name their owner, if it has a name, instead of a file."""
-
-    def where(self, key: str) -> str:
-        return f"{self.file}: {key}" if self.file.name else key
 
 
 _known: dict[type[Any], dict[str, Declaration]] = {}

@@ -10,7 +10,8 @@ import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, Final, TypeAlias
+from numbers import Real
+from typing import Any, Final, NoReturn, TypeAlias
 
 from rx90_common.base.section import Section
 
@@ -20,6 +21,14 @@ REQUIRED: Final = object()
 """Default of a key that may not be left out."""
 LEFT_OUT: Final = object()
 """Default of a key that may be left out, and then is not in what `read` returns."""
+
+
+class NotAccepted(Exception):  # noqa: N818 - caught by whoever knows the value's place
+    """A value that an entry does not accept; `place` is that of the value in a list, such as `[2]`, else empty."""
+
+    def __init__(self, value: object, accepted: str, place: str = "") -> None:
+        super().__init__(value, accepted, place)
+        self.value, self.accepted, self.place = value, accepted, place
 
 
 @dataclass(frozen=True)
@@ -37,17 +46,33 @@ class Entry:
     _: KW_ONLY
     default: Any = REQUIRED
 
+    def acceptance(self) -> str:
+        """Return in words what is accepted."""
+        raise NotImplementedError
+
+    def check(self, value: Any) -> Any:
+        """Return a value as readers get it.
+
+        Raises:
+            NotAccepted: for one that may not stand here.
+        """
+        raise NotImplementedError
+
     def take(self, section: Section, key: str) -> Any:
         """Return the value under `key`, checked.
 
         Raises:
             ConfigError: naming file, key, value and what is accepted.
         """
-        raise NotImplementedError
+        value = section.get(key, self.acceptance())
+        try:
+            return self.check(value)
+        except NotAccepted as fault:
+            section.refuse(f"{key}{fault.place}", fault.value, fault.accepted)
 
-    def holds(self, value: object) -> bool:  # noqa: ARG002 - of numbers
-        """Return True for a value that `take` would return as it is; False leaves the question to `take`."""
-        return False
+    def refuse(self, value: object) -> NoReturn:
+        """Raise NotAccepted for the whole value."""
+        raise NotAccepted(value, self.acceptance())
 
     def rules(self) -> JsonSchema:
         """Return what a value must keep, as a JSON schema."""
@@ -71,17 +96,28 @@ class Number(Entry):
     nonzero: bool = False
     infinite: bool = False
 
-    def holds(self, value: object) -> bool:
-        """Return whether it is a finite float in the range."""
-        inside = type(value) is float and self.low <= value <= self.high and abs(value) < math.inf
-        return inside and not (self.above and value == self.low) and not (self.nonzero and value == 0.0)
+    def acceptance(self) -> str:
+        """Return the range in words."""
+        return range_text(self.low, self.high, self.above)
 
-    def take(self, section: Section, key: str) -> float:
-        """Return the number."""
-        value = section.number(key, self.low, self.high, above=self.above, infinite=self.infinite)
-        if self.nonzero and value == 0.0:
-            section.refuse(key, value, "a finite number other than 0")
-        return value
+    def check(self, value: Any) -> Any:
+        """Return the number as a float."""
+        return self._number(value, self.acceptance)
+
+    def _number(self, value: Any, acceptance: Callable[[], str], place: str = "") -> float:
+        if type(value) is float and self.low < value < self.high and value:  # most are: a sweep checks thousands
+            return value
+        if self.infinite and value == math.inf:
+            return math.inf
+        number = as_number(value)
+        if math.isinf(number) or (isinstance(value, float) and math.isnan(value)):  # infinity is > 0, too
+            raise NotAccepted(value, acceptance().replace("a number >", "a finite number >"), place)
+        if not self.low <= number <= self.high or (self.above and number == self.low):
+            raise NotAccepted(value, acceptance(), place)
+        if self.nonzero and number == 0.0:
+            accepted = acceptance().partition("each ")
+            raise NotAccepted(value, f"{''.join(accepted[:2]) * bool(accepted[1])}a finite number other than 0", place)
+        return number
 
     def rules(self) -> JsonSchema:
         """Return the range; what is not finite is beyond the largest number, where that is refused."""
@@ -100,21 +136,29 @@ class Numbers(Number):
     _: KW_ONLY
     count: int
 
-    def holds(self, value: object) -> bool:
-        """Return whether it is a tuple of so many of these."""
-        return type(value) is tuple and len(value) == self.count and all(map(super().holds, value))
+    def acceptance(self) -> str:
+        """Return count and range in words."""
+        return f"{self.count} numbers, each {super().acceptance()}"
 
-    def take(self, section: Section, key: str) -> Any:
+    def check(self, value: Any) -> Any:
         """Return them as a tuple."""
-        values = section.numbers(key, self.count, self.low, self.high, above=self.above, infinite=self.infinite)
-        for i, value in enumerate(values):
-            if self.nonzero and value == 0.0:
-                section.refuse(f"{key}[{i}]", value, f"{self.count} numbers, each a finite number other than 0")
-        return values
+        if not isinstance(value, list | tuple) or len(value) != self.count:
+            self.refuse(value)
+        return tuple(self._number(each, self.acceptance, f"[{i}]") for i, each in enumerate(value))
 
     def rules(self) -> JsonSchema:
         """Return length and items."""
         return {"type": "array", "minItems": self.count, "maxItems": self.count, "items": super().rules()}
+
+
+def _checked_items(values: list[Any], item: Entry) -> tuple[Any, ...]:
+    checked = []
+    for i, value in enumerate(values):
+        try:
+            checked.append(item.check(value))
+        except NotAccepted as fault:
+            raise NotAccepted(fault.value, fault.accepted, f"[{i}]{fault.place}") from None
+    return tuple(checked)
 
 
 @dataclass(frozen=True)
@@ -124,9 +168,15 @@ class Rows(Entry):
     _: KW_ONLY
     count: int
 
-    def take(self, section: Section, key: str) -> tuple[tuple[float, ...], ...]:
+    def acceptance(self) -> str:
+        """Return the size of a row."""
+        return f"a list of rows of {self.count} numbers"
+
+    def check(self, value: Any) -> tuple[tuple[float, ...], ...]:
         """Return the rows."""
-        return section.rows(key, self.count)
+        if not isinstance(value, list) or not value:
+            self.refuse(value)
+        return _checked_items(value, Numbers("", count=self.count))
 
     def rules(self) -> JsonSchema:
         """Return length and rows."""
@@ -141,9 +191,15 @@ class Integer(Entry):
     low: int
     high: int
 
-    def take(self, section: Section, key: str) -> int:
+    def acceptance(self) -> str:
+        """Return the range in words."""
+        return f"an integer in [{self.low}, {self.high}]"
+
+    def check(self, value: Any) -> int:
         """Return the integer."""
-        return section.integer(key, self.low, self.high)
+        if not isinstance(value, int) or isinstance(value, bool) or not self.low <= value <= self.high:
+            self.refuse(value)
+        return int(value)
 
     def rules(self) -> JsonSchema:
         """Return the range."""
@@ -154,9 +210,15 @@ class Integer(Entry):
 class Switch(Entry):
     """True or false."""
 
-    def take(self, section: Section, key: str) -> bool:
+    def acceptance(self) -> str:
+        """Return both."""
+        return "true or false"
+
+    def check(self, value: Any) -> bool:
         """Return it."""
-        return section.boolean(key)
+        if not isinstance(value, bool):
+            self.refuse(value)
+        return bool(value)
 
     def rules(self) -> JsonSchema:
         """Return the type."""
@@ -170,9 +232,15 @@ class Text(Entry):
     _: KW_ONLY
     choices: tuple[str, ...] = ()
 
-    def take(self, section: Section, key: str) -> str:
+    def acceptance(self) -> str:
+        """Return the choices."""
+        return f"one of {', '.join(self.choices)}" if self.choices else "a text"
+
+    def check(self, value: Any) -> str:
         """Return the text."""
-        return section.text(key, self.choices or None)
+        if not isinstance(value, str) or (self.choices and value not in self.choices):
+            self.refuse(value)
+        return str(value)
 
     def rules(self) -> JsonSchema:
         """Return type or choices."""
@@ -186,12 +254,17 @@ class Texts(Entry):
     _: KW_ONLY
     once: bool = False
 
-    def take(self, section: Section, key: str) -> tuple[str, ...]:
+    def acceptance(self) -> str:
+        """Return what the items are."""
+        return "a list of texts"
+
+    def check(self, value: Any) -> tuple[str, ...]:
         """Return the texts."""
-        texts = section.texts(key)
-        if self.once and (not texts or len(set(texts)) < len(texts)):
-            section.refuse(key, list(texts), "one name or more, each once")
-        return texts
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            self.refuse(value)
+        if self.once and (not value or len(set(value)) < len(value)):
+            raise NotAccepted(value, "one name or more, each once")
+        return tuple(value)
 
     def rules(self) -> JsonSchema:
         """Return what the items are."""
@@ -214,11 +287,14 @@ class Other(Entry):
     good: Callable[[Any], bool]
     fragment: Mapping[str, Any]
 
-    def take(self, section: Section, key: str) -> Any:
+    def acceptance(self) -> str:
+        """Return it."""
+        return self.accepted
+
+    def check(self, value: Any) -> Any:
         """Return the value."""
-        value = section.value(key, self.accepted)
         if not self.good(value):
-            section.refuse(key, value, self.accepted)
+            self.refuse(value)
         return value
 
     def rules(self) -> JsonSchema:
@@ -235,9 +311,19 @@ class ListOf(Entry):
     accepted: str
     least: int = 0
 
-    def take(self, section: Section, key: str) -> tuple[Any, ...]:
+    def acceptance(self) -> str:
+        """Return it."""
+        return self.accepted
+
+    def check(self, value: Any) -> tuple[Any, ...]:
         """Return the items."""
-        values = section.value(key, self.accepted)
+        if not isinstance(value, list) or len(value) < self.least:
+            self.refuse(value)
+        return _checked_items(value, self.item)
+
+    def take(self, section: Section, key: str) -> tuple[Any, ...]:
+        """Return the items, which may be mappings with places of their own."""
+        values = section.get(key, self.accepted)
         if not isinstance(values, list) or len(values) < self.least:
             section.refuse(key, values, self.accepted)
         return tuple(self.item.take(section.item(key, i, value), f"{key}[{i}]") for i, value in enumerate(values))
@@ -245,3 +331,22 @@ class ListOf(Entry):
     def rules(self) -> JsonSchema:
         """Return length and items."""
         return {"type": "array", "minItems": self.least, "items": self.item.schema()}
+
+
+def as_number(value: object) -> float:
+    """Return a number, NumPy's scalars included, as a float, an integer beyond the largest as infinity; else NaN."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return math.nan
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def range_text(low: float, high: float, above: bool) -> str:
+    """Return an interval in words; `above` for one that does not hold its least number."""
+    if math.isinf(low) and math.isinf(high):
+        return "a finite number"
+    if math.isinf(high):
+        return f"a number {'>' if above else '>='} {low:g}"
+    return f"a number in {'(' if above else '['}{low:g}, {high:g}]"

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, ClassVar, Final
 
-from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, JsonSchema
+from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, JsonSchema, Text
 from rx90_common.base.section import ABOUT, PROVENANCE, Section
 
 DEFINITIONS: Final[Mapping[str, JsonSchema]] = {
@@ -194,7 +194,7 @@ class Variants(Entry):
     def take(self, section: Section, key: str) -> dict[str, Any]:
         """Return the values by their keys, `key` among them."""
         inner = section.section(key)
-        chosen = inner.text(self.key, tuple(self.groups))
+        chosen = Text("", choices=tuple(self.groups)).take(inner, self.key)
         return {self.key: chosen, **self.groups[chosen].read(inner)}
 
     def rules(self) -> JsonSchema:

@@ -18,7 +18,6 @@ from rx90_common.base.declared import Declared, declarations
 from rx90_common.base.entries import REQUIRED, Entry, Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Either, Group
-from rx90_common.base.section import range_text
 from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay, viscous_torque
 from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY, BristlesPart
 from rx90_common.friction.parts.load import LoadPart
@@ -209,7 +208,7 @@ class FrictionParameter:
     @property
     def accepted(self) -> str:
         """Return its range in words."""
-        return range_text(self.number.low, self.number.high, self.number.above)
+        return self.number.acceptance()
 
     @property
     def unit(self) -> str:

@@ -172,7 +172,8 @@ class ModelFiles:
         found: dict[str, Path | None] = {}
         for role in ROLES:
             if role in named:
-                found[role] = None if role == "tool" and named.text(role) == NO_TOOL else _resolved(named, role)
+                name = Text("").take(named, role)
+                found[role] = None if (role, name) == ("tool", NO_TOOL) else _resolved(named, role, name)
             else:
                 beside = root.file.parent / FILES[role]
                 found[role] = None if role == "tool" and not beside.is_file() else beside
@@ -198,9 +199,8 @@ class ModelFiles:
         return ArmModel(manipulator_record(robot.chain, drives), known, drives)
 
 
-def _resolved(named: Section, role: str) -> Path:
+def _resolved(named: Section, role: str, name: str) -> Path:
     """Return a file that a controller file names: the same one from whatever folder a program is started."""
-    name = named.text(role)
     try:
         own = Path(name).expanduser()
         found = own if own.is_absolute() else named.file.parent / own

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from rx90_common.base.declared import Declared, declarations, in_file
-from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, ListOf, Number
-from rx90_common.base.section import range_text
+from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, ListOf, Number, range_text
 
 LEAST_SPEED: Final = 1e-9
 """Of Stribeck and fading velocities, rad/s: an arm that goes so far in a second stands, and 1 / v is still a number."""

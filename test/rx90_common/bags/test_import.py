@@ -188,7 +188,11 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
             "1,2,3",
             "position.counts_per_turn stands beside unit: rad; accepted: beside counts or counts/s",
         ),
-        (("unit: rad", "unit: rad, factor: [1, 0]"), "1,2,3", "position.factor is 0.0; accepted: numbers other than 0"),
+        (
+            ("unit: rad", "unit: rad, factor: [1, 0]"),
+            "1,2,3",
+            "position.factor[1] is 0; accepted: 2 numbers, each a finite number other than 0",
+        ),
         (("unit: rad", "unit: rad, file: 2"), "1,2,3", ": 1 log; accepted: 2, those that "),
         (
             ("[2, 3]", "[2, 2]"),

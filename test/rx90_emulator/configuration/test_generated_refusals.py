@@ -15,7 +15,20 @@ from config_samples import shipped, written
 
 from rx90_common.base.config import load_yaml
 from rx90_common.base.declared import Declared, declarations
-from rx90_common.base.entries import REQUIRED, Entry, Integer, ListOf, Number, Numbers, Other, Rows, Switch, Text, Texts
+from rx90_common.base.entries import (
+    REQUIRED,
+    Entry,
+    Integer,
+    ListOf,
+    NotAccepted,
+    Number,
+    Numbers,
+    Other,
+    Rows,
+    Switch,
+    Text,
+    Texts,
+)
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Either, Entries, Group, Variants
 from rx90_common.base.quoting import quoted
@@ -55,12 +68,21 @@ def bad_numbers(entry: Number) -> list[Any]:
     return bad + [0.0] * entry.nonzero
 
 
+def accepts(entry: Entry, value: Any) -> bool:
+    """Return whether a declaration accepts a value."""
+    try:
+        entry.check(value)
+    except NotAccepted:
+        return False
+    return True
+
+
 def bad_values(entry: Entry) -> list[Any]:
     """Return values that a declaration excludes by its own words."""
     match entry:
         case Numbers():
             ends = (1.0, 0.5, 0.1, entry.low, entry.high)
-            good = [next(x for x in ends if entry.holds((float(x),) * entry.count))] * (entry.count - 1)
+            good = [next(x for x in ends if accepts(entry, (float(x),) * entry.count))] * (entry.count - 1)
             lengths = [good, [*good, good[0], good[0]]]
             bad = [*WRONG_KINDS[:3], {}, *lengths, *([*good, one] for one in bad_numbers(entry))]
         case Number():
