@@ -73,16 +73,18 @@ def test_drives_and_law_in_python_are_those_of_the_plant_and_the_cs7b(shipped: S
     controller.reset(plant.motor_states()[0])
     controller.trajectory.accept(work.points, 0, 0)
     drives, law = PythonDrives(shipped, work.start.tolist()), PythonLaw(shipped)
+    off = np.zeros(3)  # largest differences; compared once, for 4,800 comparisons by pytest take a minute
     for tick in range(ticks):
         position, velocity, _ = plant.motor_states()
-        assert drives.position == pytest.approx(position, abs=1e-12)
-        assert drives.velocity == pytest.approx(velocity, abs=1e-9)
         if tick % ratio == 0:
             law.position_loop(rows[tick // ratio], drives.position)
+        seen = drives.position - position, drives.velocity - velocity
         command = controller.step(position, velocity)
-        assert law.velocity_loop(drives.velocity) == pytest.approx(command, abs=1e-9)
+        differences = *seen, law.velocity_loop(drives.velocity) - command
+        off = np.maximum(off, [np.abs(each).max() for each in differences])
         plant.step(command)
         drives.sample(plant.joint_states()[0].tolist())
+    assert (off < [1e-12, 1e-9, 1e-9]).all()
     assert np.abs(plant.joint_states()[1]).max() > 0.01
 
 
