@@ -14,6 +14,7 @@ from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import Numbers
 from rx90_common.base.errors import DONE, REFUSED, ConfigError, IdentificationError
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identification_job
@@ -232,7 +233,7 @@ def test_each_run_is_for_what_those_before_leave_uncertain(tx40: Setup, monkeypa
     monkeypatch.setattr(RunSearch, "best", small)
     plan = plan_excitation(tx40, ExcitationOptions(runs=4, harmonics=3, period=3.0, periods=2, steps=2))
     assert tx40.files is not None
-    home = load_yaml(tx40.files.required("poses")).section("home").numbers("position", 6)
+    home = Numbers("", count=6).take(load_yaml(tx40.files.required("poses")).section("home"), "position")
     for one in plan.experiments:
         assert one.points.position[[0, -1]] == pytest.approx(np.array([home, home]), abs=1e-12)
     assert [one.speed for one in searches] == pytest.approx([0.8, 0.4, 0.16, 0.8, 0.56])
