@@ -231,8 +231,7 @@ class RunSearch:
             if len(noise) != n:
                 raise IdentificationError(f"--torque-noise: {len(noise)} values; accepted: {n}, one per joint")
         arm = RigidArm.from_setup(setup)
-        springs = [name for name, k in zip(arm.names, arm.spring.tolist(), strict=True) if k]
-        standard = StandardColumns.with_springs_on(arm, springs)
+        standard = StandardColumns.of(arm)
         columns = ExcitationColumns(arm, standard, BaseGroups.of(standard), noise)
         nothing = np.zeros((len(columns.names), len(columns.names)))
         workspace = Workspace(setup.robot, options.walls, home)

@@ -26,9 +26,8 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
-from rx90_emulator.identification.excitation.bodies import InertialPrior
-from rx90_emulator.identification.excitation.consistency import BaseEstimate, consistent_inertias
 from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
+from rx90_emulator.identification.excitation.physical import BaseEstimate, InertialPrior, consistent_inertias
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot_files import (
     Identified,

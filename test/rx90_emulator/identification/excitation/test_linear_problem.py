@@ -19,7 +19,7 @@ from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns, described_inertials
 from rx90_emulator.identification.excitation.payload import Payload
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, SlidingState, element_states
-from rx90_emulator.identification.excitation.torques import undetermined
+from rx90_emulator.identification.excitation.result import undetermined
 
 
 @pytest.mark.parametrize(("seed", "joints", "coupled"), [(3, 4, True), (5, 3, False)])

@@ -16,20 +16,18 @@ from scipy.optimize import least_squares
 from benchmarks.excitation_runs import Disturbances
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.bodies import (
+from rx90_emulator.identification.excitation.least_squares import solve
+from rx90_emulator.identification.excitation.physical import (
+    BaseEstimate,
+    ConsistentInertias,
     InertialPrior,
+    base_information,
     central,
+    consistent_inertias,
     inertial_parameters,
     is_body,
     pseudo_inertia,
 )
-from rx90_emulator.identification.excitation.consistency import (
-    BaseEstimate,
-    ConsistentInertias,
-    base_information,
-    consistent_inertias,
-)
-from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 Array = NDArray[np.float64]
@@ -232,9 +230,9 @@ def test_bodies_predict_unseen_runs_better_than_least_squares(tmp_path: Path) ->
     identified, bodies = [], []
     for seed in (0, 4, 8, 13):
         arm = plain_arm(seed, 3 + seed % 4, coupled=False)
-        rigid, springs = rigid_arm(arm, tmp_path), [n for n, k in zip(arm.names, arm.spring, strict=True) if k]
+        rigid = rigid_arm(arm, tmp_path)
         seen, unseen = (
-            ExcitationProblem.of(rigid, runs_of(arm, 500.0, worse, seeds=(k,), periods=1), springs)
+            ExcitationProblem.of(rigid, runs_of(arm, 500.0, worse, seeds=(k,), periods=1))
             for k, worse in ((0, Disturbances(coloured=0.05, ripple=0.05, load=0.2)), (7, Disturbances()))
         )
         fit, count = solve(seen, all_columns(seen)[1]), len(seen.names)
