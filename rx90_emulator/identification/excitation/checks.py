@@ -15,6 +15,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.excitation.law import COULOMB, VISCOUS, ElementShape, joint_columns
 from rx90_emulator.identification.excitation.least_squares import solve, time_blocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.zeros import SMALLEST, STEP, ZeroCheck, encoder_error, quarter_turns
@@ -28,9 +29,8 @@ def coulomb_viscous(problem: ExcitationProblem) -> tuple[tuple[str, ...], Array]
     The sign is of the filtered velocity at the full rate, where the torque was recorded, and is filtered with it.
     """
     names = tuple(f"{name}.{part}" for name in problem.arm.element_names for part in ("tau_c", "c2"))
-    inputs = [run.torque_velocity @ problem.arm.element_matrix.T for run in problem.runs]
-    along = [np.stack([np.sign(velocity), velocity], axis=2) for velocity in inputs]
-    return names, problem.element_rows([run.evened(one) for run, one in zip(problem.runs, along, strict=True)])
+    columns = joint_columns(problem, [ElementShape()] * len(problem.arm.element_names))
+    return names, columns[:, :, [COULOMB, VISCOUS]].reshape(len(problem), -1)
 
 
 def check_signs(problem: ExcitationProblem) -> None:

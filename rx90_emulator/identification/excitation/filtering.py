@@ -199,6 +199,11 @@ class FilteredRun:
         """Return values at the full rate, shape (m, ...), low-passed as the torque is, at the rows, shape (k, ...)."""
         return low_pass(values, self.taps, self.down)
 
+    def smooth(self, values: Array, bandwidth: float) -> Array:
+        """Return values at the full rate without delay below another bandwidth, Hz, shape (m, n)."""
+        sections = butter(_FILTER_ORDER, bandwidth, fs=self.rate, output="sos")
+        return np.asarray(sosfiltfilt(sections, values, axis=0))
+
     def blocks(self) -> Iterator[tuple[slice, slice]]:
         """Yield pairs of samples and of the rows that `parallel` makes of them, so that memory stays bounded."""
         count, size = len(self.rows), max(1, _BLOCK_SAMPLES // self.down)

@@ -160,8 +160,11 @@ class WeightedProblem:
             inner: the friction's parameters, whose columns follow the regressor. Those of non-linear parameters belong
                 to their changes.
         """
-        columns = [self.column(fit.shapes, fit.linear, key) / self.weight for key in inner]
-        return np.column_stack([self.problem.regressor, *columns])
+        return np.hstack([self.problem.regressor, self._friction(fit, inner) / self.weight[:, None]])
+
+    def _friction(self, fit: SeparableFit, inner: Sequence[Key]) -> Array:
+        columns = [self.column(fit.shapes, fit.linear, key) for key in inner]
+        return np.stack(columns, axis=1) if columns else np.empty((len(self.weight), 0))
 
     def linearised(self, fit: SeparableFit) -> tuple[Array, Array]:
         """Return weighted residuals of a fit, shape (r,), and the model's tangent there, shape (r, k).
@@ -170,9 +173,7 @@ class WeightedProblem:
         length 1: the basis of the regressor, then friction.
         """
         inner = fit.inner()
-        friction = np.empty((len(self.weight), len(inner)))
-        for column, key in enumerate(inner):
-            friction[:, column] = self.column(fit.shapes, fit.linear, key)
+        friction = self._friction(fit, inner)
         linear = np.array([fit.linear[e, LINEAR.index(name)] if name in LINEAR else 0.0 for e, name in inner])
         without = self.problem.torque * self.weight - friction @ linear
         size = np.linalg.norm(friction, axis=0)

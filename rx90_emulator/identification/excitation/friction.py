@@ -27,17 +27,16 @@ from rx90_emulator.identification.excitation.law import (
     Part,
     Speeds,
     coulomb,
-    element_rows,
-    friction_torque,
+    joint_columns,
     viscous,
 )
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
-from rx90_emulator.identification.excitation.linear_parameters import Prior
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.problem import ExcitationProblem, Prior
 from rx90_emulator.identification.excitation.unmodelled import blur_shifts, load_dependence, undecided_parts
 from rx90_emulator.identification.records import BagSource
 
 NORMAL_95 = 1.96
+_CURVE_POINTS = 60  # of each direction
 WITHOUT_BRISTLES = (Part.EXPONENT, Part.STRIBECK)
 ALL_PARTS = tuple(Part)
 Refusal = Callable[[Part], str]
@@ -86,12 +85,11 @@ class FittedElement:
     covariance: Array
     ranges: tuple[tuple[float, float], tuple[float, float]]
 
-    def curve(self, velocity: Array | None = None, points: int = 60) -> FrictionCurve:
+    def curve(self, velocity: Array | None = None) -> FrictionCurve:
         """Return the steady friction torque with its deviation.
 
         Args:
             velocity: rad/s, shape (k,); by default over all velocities at which there were data.
-            points: of each direction, by default.
 
         Raises:
             IdentificationError: for a velocity at which there were no data.
@@ -99,7 +97,7 @@ class FittedElement:
         (low, high), (low_back, high_back) = self.ranges
         if velocity is None:
             back, forward = (
-                np.geomspace(*pair, points) if pair[1] > 0.0 else np.empty(0) for pair in self.ranges[::-1]
+                np.geomspace(*pair, _CURVE_POINTS) if pair[1] > 0.0 else np.empty(0) for pair in self.ranges[::-1]
             )
             velocity = np.concatenate([-back[::-1], forward])
         inside = ((velocity >= low) & (velocity <= high)) | ((-velocity >= low_back) & (-velocity <= high_back))
@@ -215,9 +213,10 @@ def identify_friction_parts(
 
 def predicted_torque(selection: FrictionSelection, problem: ExcitationProblem) -> Array:
     """Return the torque of the rows of other runs of the same arm by the selected model, Nm, shape (r,)."""
-    shapes, linear = zip(*((one.shape, one.linear) for one in selection.fitted), strict=True)
+    columns = joint_columns(problem, [one.shape for one in selection.fitted])
+    linear = np.array([one.linear for one in selection.fitted])
     rigid = problem.regressor @ selection.fit.value[: len(problem.names)]
-    return np.asarray(rigid + friction_torque(element_rows(problem), shapes, linear, len(problem)))
+    return np.asarray(rigid + np.tensordot(columns, linear, 2))
 
 
 def linear_columns(selection: FrictionSelection, problem: ExcitationProblem) -> tuple[tuple[str, ...], Array]:
@@ -227,15 +226,10 @@ def linear_columns(selection: FrictionSelection, problem: ExcitationProblem) -> 
         selection: the shapes.
         problem: of the same arm, along whose motion the columns are.
     """
-    names, columns = [], []
-    for one, rows in zip(selection.fitted, element_rows(problem), strict=True):
-        own = rows.columns(replace(one.shape, fixed=frozenset(FITTED)))
-        for k, name in enumerate(LINEAR):
-            if f"{one.element}.{name}" in selection.names:
-                names.append(f"{one.element}.{name}")
-                columns.append(np.zeros(len(problem)))
-                columns[-1][rows.rows] = own[:, k]
-    return tuple(names), np.column_stack([np.empty((len(problem), 0)), *columns])
+    names = [f"{one.element}.{name}" for one in selection.fitted for name in LINEAR]
+    there = [k for k, name in enumerate(names) if name in selection.names]
+    columns = joint_columns(problem, [one.shape for one in selection.fitted]).reshape(len(problem), -1)
+    return tuple(names[k] for k in there), columns[:, there]
 
 
 def with_linear(

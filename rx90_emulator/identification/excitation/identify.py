@@ -31,10 +31,9 @@ from rx90_emulator.identification.excitation.known_payload import (
     identify_gains,
     identify_load_parts,
 )
-from rx90_emulator.identification.excitation.linear_parameters import described_inertials
 from rx90_emulator.identification.excitation.payload import Payload, payloads_of
 from rx90_emulator.identification.excitation.physical import make_consistent
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.problem import ExcitationProblem, described_inertials
 from rx90_emulator.identification.excitation.result import (
     ExcitationIdentification,
     TorqueValidation,

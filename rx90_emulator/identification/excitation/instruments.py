@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from scipy.signal import bilinear, butter, lfilter, sosfiltfilt
+from scipy.signal import bilinear, lfilter
 from scipy.stats import norm
 
 from rx90_common.base.arrays import Array
@@ -39,8 +39,7 @@ from rx90_emulator.identification.excitation.friction import (
 )
 from rx90_emulator.identification.excitation.law import LINEAR
 from rx90_emulator.identification.excitation.least_squares import LinearFit, hac, solve
-from rx90_emulator.identification.excitation.linear_parameters import Prior
-from rx90_emulator.identification.excitation.problem import ExcitationProblem, Motion
+from rx90_emulator.identification.excitation.problem import ExcitationProblem, Motion, Prior
 
 _MAX_ROUNDS = 6
 _CONVERGED = 0.2  # change of a value in its deviations
@@ -94,7 +93,9 @@ def check_closed_loop(
     plain = solve(problem, columns, prior=prior)
     known = [run.reference for run in problem.runs if run.reference is not None]
     recorded = len(known) == len(problem.runs)
-    targets = known if recorded else [_smooth(run) for run in problem.runs]
+    # Most of the noise of velocities and accelerations lies above the band of a path that stands in for set-points.
+    paths = [run.smooth(run.position, _PATH_BANDWIDTH_SHARE * run.bandwidths.torque) for run in problem.runs]
+    targets = known if recorded else paths
     pairs = list(zip(targets, problem.runs, strict=True))
     # That leads nearest to the path.
     bandwidth = min(_LOOP_BANDWIDTHS, key=lambda loop: sum(
@@ -183,12 +184,6 @@ _TABLE_END = 30.0  # rad/s, where it ends
 
 Friction = Callable[[Array], Array]
 """Torque of each element at the elements' velocities, both of shape (n_el,)."""
-
-
-def _smooth(run: FilteredRun) -> Array:
-    """Return the measured path without most of the noise of velocities and accelerations, which lies above."""
-    sections = butter(4, _PATH_BANDWIDTH_SHARE * run.bandwidths.torque, fs=run.rate, output="sos")
-    return np.asarray(sosfiltfilt(sections, run.position, axis=0))
 
 
 def _followed(target: Array, rate: float, loop: float) -> Array:

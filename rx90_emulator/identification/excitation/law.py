@@ -13,7 +13,7 @@ directions is a constant torque, which no motion tells from a joint's offset; ta
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
@@ -343,11 +343,9 @@ def element_rows(problem: ExcitationProblem) -> tuple[ElementRows, ...]:
     return tuple(found)
 
 
-def friction_torque(
-    elements: Sequence[ElementRows], shapes: Sequence[ElementShape], linear: Iterable[Array], count: int
-) -> Array:
-    """Return the friction torque at `count` rows, Nm, for tau_c, c2 and c1 of each element, shape (n_el, 3)."""
-    torque = np.zeros(count)
-    for rows, shape, values in zip(elements, shapes, linear, strict=True):
-        torque[rows.rows] += rows.columns(replace(shape, fixed=frozenset(FITTED)))[:, : len(LINEAR)] @ values
-    return torque
+def joint_columns(problem: ExcitationProblem, shapes: Sequence[ElementShape]) -> Array:
+    """Return the joint torques per unit of tau_c, c2 and c1 of each element with its shape, shape (r, n_el, 3)."""
+    found = np.zeros((len(problem), len(shapes), len(LINEAR)))
+    for e, (rows, shape) in enumerate(zip(element_rows(problem), shapes, strict=True)):
+        found[rows.rows, e] = rows.columns(replace(shape, fixed=frozenset(FITTED)))
+    return found

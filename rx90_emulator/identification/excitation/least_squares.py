@@ -25,8 +25,7 @@ from scipy.linalg import lstsq
 from scipy.signal import fftconvolve
 
 from rx90_common.base.arrays import Array, Index, Mask
-from rx90_emulator.identification.excitation.linear_parameters import Prior
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.problem import ExcitationProblem, Prior
 
 _MAX_ROUNDS = 30
 _CONVERGED = 1e-2  # change of a value in its deviations; what is left to change is some three times as much
@@ -69,11 +68,10 @@ def solve(
     columns: Array,
     torque: Array | None = None,
     *,
-    robust: bool = True,
     prior: Prior | None = None,
     instruments: Array | None = None,
 ) -> LinearFit:
-    """Fit a torque by columns, each joint weighted by its own residuals.
+    """Fit a torque by columns, each joint weighted by its own residuals; rows far off weigh less (Huber).
 
     Solved is instruments^T W (torque - columns @ value) + precision (mean - value) = 0.
 
@@ -81,7 +79,6 @@ def solve(
         problem: r rows of n joints.
         columns: shape (r, q).
         torque: to explain, Nm, shape (r,); by default that of the problem.
-        robust: whether rows far off weigh less (Huber); else all rows of a joint weigh the same.
         prior: of the first of the q parameters.
         instruments: shape (r, q): columns that share the motion with `columns`, but not their noise. By default the
             columns themselves: least squares.
@@ -121,11 +118,9 @@ def solve(
         before, residual = value, target - columns @ value
         for joint, rows in enumerate(joints):
             if len(rows):
-                own = residual[rows]
-                size = 1.4826 * np.median(np.abs(own)) if robust else np.sqrt(np.mean(own**2))
+                size = 1.4826 * np.median(np.abs(residual[rows]))
                 sigma[joint] = max(float(size) / np.sqrt(max(1.0 - float(leverage[joint]), 0.05)), floor)
-        if robust:
-            weights = np.minimum(1.0, _HUBER * sigma[problem.joint] / np.maximum(np.abs(residual), 1e-300))
+        weights = np.minimum(1.0, _HUBER * sigma[problem.joint] / np.maximum(np.abs(residual), 1e-300))
         value, inverse, determined, leverage = solved(weights / sigma[problem.joint] ** 2)
         deviation = np.sqrt(np.maximum(np.abs(np.diag(inverse)), 1e-300))
         if np.max(np.abs(value - before) / deviation, initial=0.0) < _CONVERGED:

@@ -52,26 +52,10 @@ _MOMENTS = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])
 _MIN_EIGENVALUE = 1e-12  # of P scaled to ones on its diagonal: less is rounding
 
 
-def pseudo_inertia(parameters: ArrayLike) -> Array:
-    """Return P, shape (..., 4, 4).
-
-    Args:
-        parameters: m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the origin of the frame, shape (..., 10).
-    """
-    values = np.asarray(parameters, dtype=np.float64)
-    inertia = np.zeros((*values.shape[:-1], 3, 3))
-    inertia[..., _MOMENTS[0], _MOMENTS[1]] = inertia[..., _MOMENTS[1], _MOMENTS[0]] = values[..., 4:]
-    pseudo = np.zeros((*values.shape[:-1], 4, 4))
-    pseudo[..., :3, :3] = _other(inertia, 0.5)
-    pseudo[..., :3, 3] = pseudo[..., 3, :3] = values[..., 1:4]
-    pseudo[..., 3, 3] = values[..., 0]
-    return pseudo
-
-
 def inertial_parameters(pseudo: Array) -> Array:
-    """Return the parameters, shape (..., 10), of pseudo-inertias, shape (..., 4, 4); the inverse of `pseudo_inertia`.
+    """Return m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz, shape (..., 10), of pseudo-inertias, shape (..., 4, 4).
 
-    It is linear: differences of pseudo-inertias give differences of parameters.
+    They are about the origin of the frame, and linear in the pseudo-inertias.
     """
     inertia = _other(pseudo[..., :3, :3], 1.0)[..., _MOMENTS[0], _MOMENTS[1]]
     return np.concatenate([pseudo[..., 3, 3][..., None], pseudo[..., :3, 3], inertia], axis=-1)
@@ -408,7 +392,7 @@ def make_consistent(
     if robot.setup is not None:
         description, rotors = robot.setup.robot.urdf, robot.setup.drives.rotor_inertia
         known = () if (robot.setup.files or RobotFiles()).tool is None else (_TOOL,)
-    prior = InertialPrior.of_urdf(description, arm.names, rotors, arm.spring[list(problem.columns.springs)], known)
+    prior = InertialPrior.of_urdf(description, arm.names, rotors, arm.spring[problem.columns.springs], known)
     information = base_information(problem, linear_columns(friction, problem)[1], fit)
     covariance = fit.covariance[:count, :count]
     estimate = BaseEstimate(problem.base.combination, fit.value[:count], covariance, information)
@@ -450,16 +434,9 @@ def consistent_inertias(
         weight: w, of the prior.
 
     Raises:
-        IdentificationError: for an estimate and a prior of different arms, if nothing is determined, and if the search
-            ends at no minimum.
+        IdentificationError: if nothing is determined, and if the search ends at no minimum.
     """
-    n, k, s = len(prior.joints), len(prior.rotors), len(prior.springs)
     known, mapping = estimate.determined, estimate.mapping
-    if mapping.shape[1] < 10 * n + k + s:
-        raise IdentificationError(
-            f"a mapping of {mapping.shape[1]} parameters; accepted: at least {10 * n + k + s}, of {n} bodies, "
-            f"{k} rotors and {s} springs"
-        )
     if not known.any():
         raise IdentificationError(
             f"none of {len(known)} base parameters is determined; accepted: runs that determine some"
@@ -491,7 +468,8 @@ def consistent_inertias(
     _, sizes, rows = np.linalg.svd(mapping[known] / np.maximum(np.linalg.norm(mapping[known], axis=0), 1e-300))
     null = rows[int((sizes > _MIN_SINGULAR_VALUE * sizes[0]).sum()) :]
     alone = np.asarray(np.linalg.norm(null, axis=0) < _MAX_NULL_ENTRY)
-    rotors, distance = parameters[10 * n : 10 * n + k], estimate.distance(shift)
+    first, distance = 10 * len(prior.joints), estimate.distance(shift)
+    rotors = parameters[first : first + len(prior.rotors)]
     return ConsistentInertias(prior, unknowns.pseudo(u), rotors, parameters, base, shift, distance, alone)
 
 

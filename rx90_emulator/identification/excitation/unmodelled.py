@@ -26,16 +26,15 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import butter, sosfiltfilt
 from scipy.stats import truncnorm
 
 from rx90_common.base.arrays import Array
 from rx90_emulator.identification.excitation.choice import PartKey, Selected, candidates
 from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, best_start
-from rx90_emulator.identification.excitation.law import COULOMB, Part, element_rows, friction_torque
+from rx90_emulator.identification.excitation.law import COULOMB, Part, joint_columns
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
-from rx90_emulator.identification.excitation.linear_parameters import Prior
+from rx90_emulator.identification.excitation.problem import Prior
 
 _RELEVANT_SIZE = {Part.STRIBECK: 0.2, Part.DAMPING: 0.0}  # of tau_c, Nm s/rad: what matters
 _UPPER_SE = 2.0  # deviations
@@ -135,16 +134,15 @@ def load_dependence(
     """
     problem, fit = selected.weighted.problem, selected.fit
     bare = np.abs(problem.regressor @ without.value[: len(problem.names)])
+    coulomb = joint_columns(problem, fit.shapes)[:, :, COULOMB] * fit.linear[:, COULOMB]
     column = np.zeros(len(bare))
-    for e, (rows, shape) in enumerate(zip(selected.weighted.elements, fit.shapes, strict=True)):
+    for e in range(len(fit.shapes)):
         own = problem.joint == np.flatnonzero(problem.arm.element_matrix[e])[-1]
         if own.any():
             # A coupled element carries the torque of the last joint that it acts on, on the rows of all of them.
             load = np.full(problem.sample.max() + 1, float(np.mean(bare[own])))
             load[problem.sample[own]] = bare[own]
-            load /= max(float(np.sqrt(np.mean(bare[own] ** 2))), _MIN_LOAD)
-            coulomb = rows.columns(shape)[:, COULOMB] * fit.linear[e, COULOMB]
-            column[rows.rows] += coulomb * load[problem.sample[rows.rows]]
+            column += coulomb[:, e] * load[problem.sample] / max(float(np.sqrt(np.mean(bare[own] ** 2))), _MIN_LOAD)
     wide = solve(problem, np.column_stack([columns, column]), prior=prior)
     value, deviation = float(wide.value[-1]), float(wide.deviation[-1])
     shift = wide.value[:-1] - without.value
@@ -173,15 +171,20 @@ def blur_shifts(weighted: WeightedProblem, fit: SeparableFit, columns: Array) ->
     """
     if not any({Part.STRIBECK, Part.BRISTLE} & shape.parts for shape in fit.shapes):
         return []
-    problem, count = weighted.problem, len(weighted.weight)
-    sharp = friction_torque(weighted.elements, fit.shapes, fit.linear, count)
+    problem = weighted.problem
+    sharp = joint_columns(problem, fit.shapes)
     size = np.linalg.norm(columns * weighted.weight[:, None], axis=0)
     scale = np.where(size > 0.0, size, 1.0)
     tangent = columns * weighted.weight[:, None] / scale
     shifts = []
-    for blur in (_narrower, lambda values, _: uniform_filter1d(values, _AVERAGED_SAMPLES, axis=0), _every_second):
+    blurs: list[Callable[[Array, FilteredRun], Array]] = [
+        lambda values, run: run.smooth(values, _BLURRED_BANDWIDTH_SHARE * run.bandwidths.position),
+        lambda values, _: np.asarray(uniform_filter1d(values, _AVERAGED_SAMPLES, axis=0)),
+        _every_second,
+    ]
+    for blur in blurs:
         other = replace(problem, runs=tuple(_blurred(run, blur) for run in problem.runs))
-        lost = sharp - friction_torque(element_rows(other), fit.shapes, fit.linear, count)
+        lost = np.tensordot(sharp - joint_columns(other, fit.shapes), fit.linear, 2)
         shifts.append(np.asarray(np.linalg.lstsq(tangent, lost * weighted.weight, rcond=1e-8)[0] / scale))
     return shifts
 
@@ -190,11 +193,6 @@ def _blurred(run: FilteredRun, blur: Callable[[Array, FilteredRun], Array]) -> F
     """Return a run with other positions and velocities; stamps of the torque are as far apart as samples."""
     stamps = None if run.stamps is None else run.stamps._replace(velocity=blur(run.stamps.velocity, run))
     return replace(run, position=blur(run.position, run), velocity=blur(run.velocity, run), stamps=stamps)
-
-
-def _narrower(values: Array, run: FilteredRun) -> Array:
-    sections = butter(4, _BLURRED_BANDWIDTH_SHARE * run.bandwidths.position, fs=run.rate, output="sos")
-    return np.asarray(sosfiltfilt(sections, values, axis=0))
 
 
 def _every_second(values: Array, _: FilteredRun) -> Array:

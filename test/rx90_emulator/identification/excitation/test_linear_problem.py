@@ -16,9 +16,15 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation import filtering
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.excitation.least_squares import solve
-from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns, described_inertials
 from rx90_emulator.identification.excitation.payload import Payload
-from rx90_emulator.identification.excitation.problem import ExcitationProblem, SlidingState, element_states
+from rx90_emulator.identification.excitation.problem import (
+    BaseGroups,
+    ExcitationProblem,
+    SlidingState,
+    StandardColumns,
+    described_inertials,
+    element_states,
+)
 from rx90_emulator.identification.excitation.result import undetermined
 
 
@@ -40,7 +46,7 @@ def test_exact_runs_give_back_every_base_parameter(seed: int, joints: int, coupl
 def test_base_parameters_are_as_many_as_the_torque_tells(tmp_path: Path) -> None:
     """Their number is the rank of the columns by singular values, and their torque is that of all parameters."""
     arm = replace(plain_arm(7, 6, coupled=True), spring=np.array([0.0, 30.0, 0.0, 0.0, 0.0, 0.0]))
-    columns = StandardColumns(rigid_arm(arm, tmp_path), (1,))
+    columns = StandardColumns(rigid_arm(arm, tmp_path))
     base = BaseGroups.of(columns)
     motion = np.random.default_rng(1).uniform(-2.0, 2.0, (3, 80, 6))
     torque = columns.torque(*motion)
