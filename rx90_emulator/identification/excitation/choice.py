@@ -261,28 +261,9 @@ _START_RISE = 0.3  # to start from
 _REVERSAL_MISFIT = 1.2  # RMS residual of reversals over that of other rows, from which on bristles are tried
 
 
-@dataclass(frozen=True, eq=False)
-class Selected:
-    """The model that was selected.
-
-    Attributes:
-        weighted: the rows with their last weights.
-        fit: of the model.
-        rows: of the table of models.
-        blocks: of the cross-validation.
-        refused: why an element does not have a part that was tried on it.
-    """
-
-    weighted: WeightedProblem
-    fit: SeparableFit
-    rows: tuple[ModelRow, ...]
-    blocks: TimeBlocks
-    refused: dict[PartKey, str]
-
-
 def select_parts(
     problem: ExcitationProblem, parts: Sequence[Part], progress: Callable[[str], None] = lambda _: None
-) -> Selected:
+) -> Selection:
     """Try parts in the order given and keep those with which the model predicts better.
 
     `progress` is called with the name of each of `stages(parts)` stages before it.
@@ -294,7 +275,7 @@ def select_parts(
             search.attempt(part, lambda left=left: progress(next(left)))  # type: ignore[misc]
         for stage in left:  # of a part that no element can have
             progress(stage)
-    return Selected(search.weighted, search.now.fit, tuple(search.rows), search.time, search.refused)
+    return search
 
 
 def stages(parts: Sequence[Part]) -> int:
@@ -309,7 +290,15 @@ def _attempts(parts: Sequence[Part]) -> tuple[Part, ...]:
 
 
 class Selection:
-    """The model so far, and the table of what was compared."""
+    """The model so far, and what was compared.
+
+    Attributes:
+        weighted: the rows with their last weights.
+        now: the model.
+        blocks: of the cross-validation.
+        rows: of the table of models.
+        refused: why an element does not have a part that was tried on it.
+    """
 
     def __init__(self, problem: ExcitationProblem, parts: Sequence[Part]) -> None:
         self._problem = problem
@@ -322,9 +311,14 @@ class Selection:
         flat = WeightedProblem.of(problem, elements, np.ones(len(problem)))
         self.weighted = _reweighted(flat, fit_shapes(flat, shapes))
         fit = fit_shapes(self.weighted, shapes)
-        self.time = TimeBlocks.of(problem, self.weighted.linearised(fit)[0])
+        self.blocks = TimeBlocks.of(problem, self.weighted.linearised(fit)[0])
         self.now = self._scored(fit)
         self._add("Coulomb + viscous", self.now, None, kept=True, reason="what the others are compared with")
+
+    @property
+    def fit(self) -> SeparableFit:
+        """Return the fit of the model."""
+        return self.now.fit
 
     def attempt(self, part: Part, stage: Callable[[], None]) -> None:
         """Give a part to all elements, take it from those that do not need it, and keep it where it predicts better.
@@ -364,7 +358,7 @@ class Selection:
         self.now = self.within_bounds(self._scored(fit_shapes(self.weighted, self.now.fit.shapes)))
 
     def _scored(self, fit: SeparableFit) -> Scored:
-        return Scored.of(self.weighted, fit, self.time)
+        return Scored.of(self.weighted, fit, self.blocks)
 
     def _started(self, part: Part) -> list[ElementShape]:
         """Return the shapes with a part, and others tried with it, on every element that moves, from the best start."""

@@ -16,7 +16,7 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.estimates import ElementEstimate, ParameterEstimate
-from rx90_emulator.identification.excitation.choice import ModelRow, Selected, TimeBlocks, select_parts
+from rx90_emulator.identification.excitation.choice import ModelRow, Selection, TimeBlocks, select_parts
 from rx90_emulator.identification.excitation.fit import Key
 from rx90_emulator.identification.excitation.law import (
     FITTED,
@@ -200,7 +200,7 @@ def identify_friction_parts(
     sources = tuple(run.source for run in problem.runs)
     refusals = [_refusal(selected, e, parts, rises.get(e)) for e in range(len(fitted))]
     return FrictionSelection(
-        models=selected.rows,
+        models=tuple(selected.rows),
         blocks=selected.blocks,
         fitted=fitted,
         elements=tuple(element_estimate(*pair, sources) for pair in zip(fitted, refusals, strict=True)),
@@ -272,7 +272,7 @@ _CONSTANT_RESIDUAL = 1e-6  # share of a constant torque that the regressor may l
 
 
 def final_fit(
-    selected: Selected, parts: Sequence[Part], prior: Prior | None = None
+    selected: Selection, parts: Sequence[Part], prior: Prior | None = None
 ) -> tuple[tuple[Key, ...], LinearFit, dict[int, tuple[float, float]], tuple[str, ...]]:
     """Return the friction's parameters and the fit of the whole model, linear around the one selected.
 
@@ -307,10 +307,9 @@ def final_fit(
         closed[: len(problem.names)] = 0.0
         closed[len(problem.names) + np.flatnonzero([e in lost for e, _ in keys])] = 0.0
     loaded, remarks = load_dependence(selected, columns, wide, prior)
-    undecided, covariance = undecided_parts(selected, columns, prior)
+    rises, covariance = undecided_parts(selected, columns, prior)
     shifts = np.column_stack([loaded, closed, *blur_shifts(weighted, fit, columns)])
     known = final.covariance if covariance is None else covariance
-    rises = {e: size for (e, part), size in undecided.items() if part is Part.STRIBECK}
     return keys, replace(final, covariance=known + shifts @ shifts.T), rises, remarks
 
 
@@ -323,7 +322,7 @@ def _block(element: int, inner: Sequence[Key], covariance: Array) -> Array:
     return result
 
 
-def _refusal(selected: Selected, element: int, parts: Sequence[Part], rise: tuple[float, float] | None) -> Refusal:
+def _refusal(selected: Selection, element: int, parts: Sequence[Part], rise: tuple[float, float] | None) -> Refusal:
     """Return the function that says why an element does not have a part; `rise` is a Stribeck rise it may have."""
     low, high = selected.weighted.elements[element].speed_range
 
@@ -343,7 +342,7 @@ def _refusal(selected: Selected, element: int, parts: Sequence[Part], rise: tupl
     return reason
 
 
-def _constant_remarks(problem: ExcitationProblem, selected: Selected, fit: LinearFit) -> Iterable[str]:
+def _constant_remarks(problem: ExcitationProblem, selected: Selection, fit: LinearFit) -> Iterable[str]:
     """Say for which joints tau_c is the mean of both directions: no motion tells their difference from an offset."""
     weighted = selected.weighted
     for joint, name in enumerate(problem.arm.names):

@@ -17,12 +17,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import correlate
 
 from rx90_common.base.arrays import Array, Index, Mask
@@ -244,15 +242,15 @@ class ExcitationProblem:
         acts = arm.element_matrix != 0.0
         kept = []
         for number, one in enumerate(runs):
-            state = element_states(one, arm.element_matrix)
-            joint, place = np.nonzero(~((state == SlidingState.RESTS) @ acts).T)
-            passes = ((state == SlidingState.PASSES) @ acts)[place, joint]
-            kept.append((np.full(len(joint), number), joint, place, one.time[one.rows[place]], passes))
-        run, joint, place, time, passes = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+            rests, passes = element_states(one, arm.element_matrix)
+            joint, place = np.nonzero(~(rests @ acts).T)
+            time, reversal = one.time[one.rows[place]], (passes @ acts)[place, joint]
+            kept.append((np.full(len(joint), number), joint, place, time, reversal))
+        run, joint, place, time, reversal = (np.concatenate(parts) for parts in zip(*kept, strict=True))
         if not len(run):
             raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
         empty = np.empty((len(run), 0))
-        bare = cls(arm, tuple(runs), columns, BaseGroups.of(columns), run, joint, place, time, passes,
+        bare = cls(arm, tuple(runs), columns, BaseGroups.of(columns), run, joint, place, time, reversal,
                    carried, empty, empty, empty, empty)  # fmt: skip
         recorded = bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0]
         regressor, payload = bare.through(np.eye(len(arm.names)))
@@ -361,16 +359,8 @@ _PAUSE_SHARE = 0.5  # share of a slow stretch below a quarter of the threshold: 
 _STOP_SHARE = 0.1  # of the threshold: below it an element that does not change its direction has stopped for an instant
 
 
-class SlidingState(IntEnum):
-    """What an element does."""
-
-    SLIDES = 0
-    PASSES = 1
-    RESTS = 2
-
-
-def element_states(run: FilteredRun, elements: Array) -> NDArray[np.int8]:
-    """Return what each element does at the run's rows, shape (k, n_el).
+def element_states(run: FilteredRun, elements: Array) -> tuple[Mask, Mask]:
+    """Return where each element rests and where it passes through rest at the run's rows, each of shape (k, n_el).
 
     Below 0.05 rad/s (or, on slow arms, a tenth of its usual speed) the torque of an element follows the deflection of
     its bristles rather than its speed. A reversal and a pause both pass below: a reversal at constant acceleration
@@ -382,7 +372,7 @@ def element_states(run: FilteredRun, elements: Array) -> NDArray[np.int8]:
         elements: E, joint velocities to those of the elements, shape (n_el, n).
     """
     reach = math.ceil(0.5 * run.rate / run.bandwidths.torque)
-    state = np.empty((len(run.rows), len(elements)), dtype=np.int8)
+    states = np.empty((2, len(run.rows), len(elements)), dtype=np.bool_)
     for e, velocity in enumerate((run.velocity @ elements.T).T):
         usual = float(np.quantile(np.abs(velocity), 0.9))
         threshold = max(min(_SLOW_SPEED, _SLOW_SHARE * usual), _MIN_SLOW_SPEED)
@@ -391,8 +381,8 @@ def element_states(run: FilteredRun, elements: Array) -> NDArray[np.int8]:
         # Samples within `reach` of one at rest.
         count = np.cumsum(np.concatenate([np.zeros(reach + 1), rests, np.zeros(reach)]))
         near = count[2 * reach + 1 :] - count[: -2 * reach - 1] > 0.0
-        state[:, e] = np.where(near, SlidingState.RESTS, passes * SlidingState.PASSES)[run.rows]
-    return state
+        states[:, :, e] = near[run.rows], (passes & ~near)[run.rows]
+    return states[0], states[1]
 
 
 def _slow_stretches(velocity: Array, threshold: float) -> tuple[Mask, Mask]:

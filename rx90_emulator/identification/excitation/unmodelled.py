@@ -29,7 +29,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import truncnorm
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.identification.excitation.choice import PartKey, Selected, candidates
+from rx90_emulator.identification.excitation.choice import PartKey, Selection, candidates
 from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, best_start
 from rx90_emulator.identification.excitation.law import COULOMB, Part, joint_columns
@@ -42,8 +42,8 @@ _MAX_SIZE = {Part.STRIBECK: 1.0, Part.DAMPING: math.inf}  # of tau_c, Nm s/rad: 
 
 
 def undecided_parts(
-    selected: Selected, columns: Array, prior: Prior | None = None
-) -> tuple[dict[PartKey, tuple[float, float]], Array | None]:
+    selected: Selection, columns: Array, prior: Prior | None = None
+) -> tuple[dict[int, tuple[float, float]], Array | None]:
     """Return rises and bristle damping that may be there, though they were not kept.
 
     Args:
@@ -52,11 +52,10 @@ def undecided_parts(
         prior: of the first parameters.
 
     Returns:
-        Value and standard deviation by element and part, as fitted without bounds, of rises over tau_c, of damping in
-        Nm s/rad; and the covariance of the q parameters with these parts within their bounds, shape (q, q), if there
-        are any.
+        Value and standard deviation of rises over tau_c, as fitted without bounds, by element; and the covariance of
+        the q parameters with rises and damping within their bounds, shape (q, q), if there are any.
     """
-    table = {}
+    table: dict[PartKey, Array] = {}
     for e, part in sorted(selected.refused, key=lambda key: (key[1].value, key[0])):
         there = selected.fit.shapes[e].parts
         beside = part is Part.STRIBECK or (part is Part.DAMPING and Part.BRISTLE in there)
@@ -72,7 +71,8 @@ def undecided_parts(
                 if value + _UPPER_SE * deviation > _RELEVANT_SIZE[key[1]]}  # fmt: skip
         if len(kept) == len(table):
             bounded = bounded_covariance(wide.covariance, sizes, [_MAX_SIZE[part] for _, part in table])
-            return dict(zip(table, sizes, strict=True)), bounded
+            found = zip(table, sizes, strict=True)
+            return {e: size for (e, part), size in found if part is Part.STRIBECK}, bounded
         table = kept
     return {}, None
 
@@ -101,7 +101,7 @@ def bounded_covariance(covariance: Array, sizes: Sequence[tuple[float, float]], 
     return np.asarray(covariance[:count, :count] + slope @ change @ slope.T)
 
 
-def _column(selected: Selected, element: int, part: Part) -> Array:
+def _column(selected: Selection, element: int, part: Part) -> Array:
     """Return the torque per unit of an element's part, a rise with the Stribeck velocity that suits it, shape (r,)."""
     weighted, shapes = selected.weighted, list(selected.fit.shapes)
     begun = replace(shapes[element], parts=shapes[element].parts | {part})
@@ -118,7 +118,7 @@ _LOAD_SE = 2.0  # deviations of the coefficient from 0
 
 
 def load_dependence(
-    selected: Selected, columns: Array, without: LinearFit, prior: Prior | None = None
+    selected: Selection, columns: Array, without: LinearFit, prior: Prior | None = None
 ) -> tuple[Array, tuple[str, ...]]:
     """Test whether friction grows with the load.
 

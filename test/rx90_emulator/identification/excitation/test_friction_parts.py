@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,15 +18,15 @@ from benchmarks.random_arms import FrictionLaw
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.choice import (
+    PartKey,
     Scored,
-    Selected,
     Selection,
     TimeBlocks,
     element_groups,
     left_out,
 )
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
-from rx90_emulator.identification.excitation.fit import WeightedProblem, fit_shapes, nonnegative
+from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, fit_shapes, nonnegative
 from rx90_emulator.identification.excitation.friction import (
     FrictionSelection,
     final_fit,
@@ -95,6 +96,11 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> RigidArm:
 def problem_of(arm: RigidArm, *records: JointRecord) -> ExcitationProblem:
     """Return the equations of runs."""
     return ExcitationProblem.of(arm, [run for one in records for run in filter_record(one, Bandwidths(20.0, 10.0))])
+
+
+def selected(weighted: WeightedProblem, fit: SeparableFit, *refused: PartKey) -> Any:
+    """Return a fit as a selection leaves it that has refused some parts."""
+    return SimpleNamespace(weighted=weighted, fit=fit, refused=dict.fromkeys(refused, ""))
 
 
 LAWS = (power_law(3.0, 2.0, 0.7), power_law(1.0, 0.8, 1.0))
@@ -200,9 +206,8 @@ def test_a_bristle_without_its_damping_has_the_deviation_of_what_it_hides(arm: R
     problem = problem_of(arm, record((along(damped), LAWS[1]), 4))
     weighted = WeightedProblem.of(problem, element_rows(problem), np.full(len(problem), 1.0 / NOISE))
     fit = fit_shapes(weighted, [ElementShape(frozenset({Part.BRISTLE}), stiffness=100.0), ElementShape()])
-    time = TimeBlocks.of(problem, weighted.linearised(fit)[0])
-    tried = Selected(weighted, fit, (), time, {(0, Part.DAMPING): ""})
-    (inner, final, *_), (_, without, *_) = final_fit(tried, ()), final_fit(replace(tried, refused={}), ())
+    tried = selected(weighted, fit, (0, Part.DAMPING))
+    (inner, final, *_), (_, without, *_) = final_fit(tried, ()), final_fit(selected(weighted, fit), ())
     place = len(problem.names) + inner.index((0, "stiffness"))
     off = fit.shapes[0].values[0] + final.value[place] - np.log(damped.c0 / damped.coulomb)
     assert 3.0 * without.deviation[place] < abs(off) < 1.96 * final.deviation[place]
@@ -390,7 +395,7 @@ def test_a_rise_that_ends_at_a_bound_is_tried_with_delta_1(search: Selection, na
     """The rise that is there comes out, and delta is not said to be known."""
     begun = ElementShape(frozenset({Part.STRIBECK}), rise=1.5, omega_s=0.01, delta=0.5)
     fit = fit_shapes(search.weighted, [begun, ElementShape()], ())
-    ended = Scored.of(search.weighted, replace(fit, at_bound=(frozenset({name}), frozenset())), search.time)
+    ended = Scored.of(search.weighted, replace(fit, at_bound=(frozenset({name}), frozenset())), search.blocks)
     shape = search.within_bounds(ended, Part.STRIBECK).fit.shapes[0]
     assert Part.STRIBECK in shape.parts
     assert (shape.delta, shape.fixed) == (1.0, {"delta"})
@@ -402,7 +407,7 @@ def test_an_exponent_at_a_bound_is_no_result(search: Selection) -> None:
     """The part goes, whichever part is being tried, and the reason names the bound."""
     shapes = [ElementShape(), ElementShape(frozenset({Part.EXPONENT}), alpha=2.0)]
     fit = fit_shapes(search.weighted, shapes, ())
-    ended = Scored.of(search.weighted, replace(fit, at_bound=(frozenset(), frozenset({"alpha"}))), search.time)
+    ended = Scored.of(search.weighted, replace(fit, at_bound=(frozenset(), frozenset({"alpha"}))), search.blocks)
     assert search.within_bounds(ended, Part.STRIBECK).fit.shapes == (ElementShape(), ElementShape())
     assert search.refused[1, Part.EXPONENT] == "alpha of two ends at the bound of its range, 2"
 
@@ -419,10 +424,9 @@ def test_a_rise_that_may_be_there_widens_the_deviations(
     weighted = WeightedProblem.of(problem, elements, np.full(len(problem.torque), 1.0 / np.hypot(NOISE, noise)))
     exponent = ElementShape(frozenset({Part.EXPONENT}), alpha=0.8)
     fit = fit_shapes(weighted, [exponent, ElementShape()])
-    time = TimeBlocks.of(problem, weighted.linearised(fit)[0])
-    tried = Selected(weighted, fit, (), time, {(0, Part.STRIBECK): ""})
+    tried = selected(weighted, fit, (0, Part.STRIBECK))
     parts, coulomb = (Part.EXPONENT, Part.STRIBECK), len(problem.names)
-    (_, final, rises, _), (_, without, *_) = final_fit(tried, parts), final_fit(replace(tried, refused={}), parts)
+    (_, final, rises, _), (_, without, *_) = final_fit(tried, parts), final_fit(selected(weighted, fit), parts)
     assert set(rises) == open_ones
     factor = final.deviation[coulomb] / without.deviation[coulomb]
     assert (factor > 1.1) if open_ones else (factor == 1.0)
@@ -433,8 +437,7 @@ def test_a_rise_that_may_be_there_widens_the_deviations(
 def test_an_exponent_left_at_1_has_the_deviation_of_what_it_hides(weighted: WeightedProblem) -> None:
     """Where an exponent of 0.7 is left out, the intervals of alpha and tau_c reach the true values."""
     fit = fit_shapes(weighted, [ElementShape(), ElementShape()])
-    time = TimeBlocks.of(weighted.problem, weighted.linearised(fit)[0])
-    inner, final, *_ = final_fit(Selected(weighted, fit, (), time, {}), (Part.EXPONENT,))
+    inner, final, *_ = final_fit(selected(weighted, fit), (Part.EXPONENT,))
     for key, true in {(0, "alpha"): 0.7, (0, "tau_c"): 3.0}.items():
         place = len(weighted.problem.names) + inner.index(key)
         found = 1.0 if key[1] == "alpha" else final.value[place]
