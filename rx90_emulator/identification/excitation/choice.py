@@ -190,7 +190,7 @@ class Scored:
         for kind, groups in folds.items():
             errors = left_out(residual, tangent, groups)
             relative = np.linalg.norm(errors / weighted.weight) / np.linalg.norm(problem.torque)
-            left[kind] = (np.bincount(time.block, errors**2), float(relative))
+            left[kind] = (np.bincount(time.block, errors**2).astype(np.float64), float(relative))
         return cls(fit, residual / weighted.weight, left, np.bincount(time.block).astype(np.float64))
 
     def validations(self, against: Scored | None = None) -> dict[str, CrossValidation]:

@@ -217,16 +217,21 @@ def fit_shapes(
             found[e] = found[e].with_values(x[first:last])
         return found
 
-    # Residuals and derivatives are asked for at the same values, one after the other.
-    at = lru_cache(1)(lambda x: _projected(weighted, shapes_at(np.array(x)), moving)[2])
+    @lru_cache(1)  # residuals and derivatives are asked for at the same values, one after the other
+    def at(*x: float) -> Array:
+        return _projected(weighted, shapes_at(np.array(x)), moving)[2]
+
     best = list(shapes)
     if edges[-1]:
         start = np.concatenate([shapes[e].values for e in moving])
         low, high = np.array([weighted.bounds(e, name) for e in moving for name in shapes[e].free]).T
-        best = shapes_at(np.asarray(least_squares(
-            lambda x: at(tuple(x))[:, -1], np.clip(start, low, high), lambda x: at(tuple(x))[:, :-1], (low, high),
-            ftol=_TOLERANCE, xtol=_TOLERANCE, max_nfev=_MAX_EVALUATIONS,
-        ).x))  # fmt: skip
+        found = least_squares(
+            lambda x: at(*x)[:, -1],
+            np.clip(start, low, high),
+            lambda x: at(*x)[:, :-1],  # type: ignore[misc]
+            (low, high), ftol=_TOLERANCE, xtol=_TOLERANCE, max_nfev=_MAX_EVALUATIONS,
+        )  # fmt: skip
+        best = shapes_at(np.asarray(found.x))
     at_bound = []
     for e, shape in enumerate(best):
         least, most = np.array([weighted.bounds(e, name) for name in shape.free]).reshape(-1, 2).T
