@@ -37,14 +37,14 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import Rx90Error
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
-from rx90_emulator.identification.excitation.friction.estimates import FrictionSelection
-from rx90_emulator.identification.excitation.friction.identify import (
+from rx90_emulator.identification.excitation.friction import (
     ALL_PARTS,
     WITHOUT_BRISTLES,
+    FrictionSelection,
     identify_friction_parts,
     predicted_torque,
 )
-from rx90_emulator.identification.excitation.friction.law import Part
+from rx90_emulator.identification.excitation.law import Part
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.records import JointRecord
 

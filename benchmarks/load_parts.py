@@ -27,10 +27,9 @@ from rx90_common.description.drives import element_matrix
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
-from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
-from rx90_emulator.identification.excitation.load_parts import LoadParts, identify_load_parts
+from rx90_emulator.identification.excitation.known_payload import LoadParts, identify_load_parts
 from rx90_emulator.identification.excitation.payload import Payload
-from rx90_emulator.identification.excitation.problem import ExcitationProblem, Motion
+from rx90_emulator.identification.excitation.problem import BaseGroups, ExcitationProblem, Motion, StandardColumns
 from rx90_emulator.identification.experiments.excitation import plan_excitation
 from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.records import JointRecord
@@ -89,7 +88,7 @@ def least_deviation(setup: Setup, motions: Sequence[Motion], body: Payload, coef
     Unknown besides are base parameters, Coulomb and viscous torques; what the elements transmit counts as known.
     """
     arm, share = RigidArm.from_setup(setup), element_matrix().T
-    standard = StandardColumns.with_springs_on(arm, [n for n, k in zip(arm.names, arm.spring, strict=True) if k])
+    standard = StandardColumns(arm)
     leading = list(BaseGroups.of(standard).leading)
     information: Array | float = 0.0
     for motion in motions:

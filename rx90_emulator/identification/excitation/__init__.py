@@ -1,6 +1,7 @@
 """From excitation runs, which need no plateaus of constant velocity, to the parameters of the arm's torque.
 
-filtering (runs at an even rate, differentiated) -> linear_parameters (what is linear in the torque) -> problem (the
-stacked rows) -> least_squares, instruments (values and their deviations); gains, load_parts (from known payloads);
-friction/ (which parts each element has) -> bodies, consistency (links that can exist) -> torques, result.
+filtering (runs at an even rate, differentiated) -> problem (the stacked rows and what they are linear in) ->
+least_squares (values and deviations) -> checks (signs, zeros) -> law, fit, choice, unmodelled, friction (which parts
+each element has, and their values) -> known_payload (drive gains, load parts) -> instruments (closed loops) -> physical
+(links that can exist) -> result; identify does all this.
 """

@@ -5,22 +5,21 @@ derivatives of the quintic spline through the filtered samples (central differen
 fifth of the sampling rate, the spline less than a hundredth). The torque is not filtered with them: it passes one
 low-pass together with everything that is to explain it (Gautier 1997, "Dynamic identification of robots with power
 model": parallel filtering), so that the filter distorts both sides of the equation alike.
-
-Compiled sums over samples: a symmetric filter of which every n-th sample is kept, and linear interpolation.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, firwin, kaiserord, sosfiltfilt, welch
+from scipy.sparse import csr_array
 
 from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import IdentificationError
@@ -33,9 +32,7 @@ _STOPBAND_DB = 60.0  # dB, of the parallel filter beyond twice its bandwidth
 _SIGNAL_OVER_FLOOR = 10.0  # power of a motion over the noise of its positions, up to which the filter lets it pass
 _MOVING_PEAK_OVER_FLOOR = 1e3  # power at its peak over that floor, from which a joint counts as moving
 _MIN_SPECTRUM_SAMPLES = 64  # samples of a stretch whose spectrum is looked at
-_POSITION_OVER_MOTION_BAND = (
-    10.0  # bandwidth of the positions over that of the motion, at least: Gautier's rule is 5 to 10
-)
+_POSITION_OVER_MOTION_BAND = 10.0  # bandwidth of the positions over the motion's, at least: Gautier's rule is 5 to 10
 _MAX_BANDWIDTH_OVER_RATE = 0.3  # bandwidth of the positions over the sampling rate, at most
 _ROWS_PER_HZ = 2.5  # rows per second over the bandwidth of the torque: neighbours' noise is nearly independent
 _MAX_ROWS = 30_000  # of all joints and runs: what more of them tell is not worth the time of their fits
@@ -45,27 +42,18 @@ _SPLINE_END = 10  # samples in which the error at a quintic spline's end fades
 _BLOCK_SAMPLES = 8192  # samples whose columns are held at a time
 
 
-@dataclass(frozen=True)
-class Bandwidths:
+class Bandwidths(NamedTuple):
     """Of the two filters.
 
     Attributes:
         position: of the positions' Butterworth filter (both directions together: half the amplitude), Hz.
         torque: of the low-pass that torque and model share (half the amplitude at 1.5 times it), Hz.
         reason: what in the data they come from, one sentence.
-
-    Raises:
-        IdentificationError: for a bandwidth that is not positive.
     """
 
     position: float
     torque: float
     reason: str = "as given"
-
-    def __post_init__(self) -> None:
-        for name in ("position", "torque"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise IdentificationError(f"bandwidth of {name}: {getattr(self, name)} Hz; accepted: above 0")
 
     @classmethod
     def of(cls, records: Sequence[JointRecord]) -> Bandwidths:
@@ -85,16 +73,14 @@ class Bandwidths:
         found = [pair for record in records for pair in _crossings(record)]
         if not found:
             longest = max(stop - start for record in records for start, stop in _pieces(record.time))
-            if longest < _MIN_SPECTRUM_SAMPLES:
-                raise IdentificationError(
-                    f"{records[0].source}: {longest} sample{'s' * (longest != 1)} without a gap; accepted: "
-                    f"{_MIN_SPECTRUM_SAMPLES} or more in a run"
-                )
-            raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
-        crossing, motion = (float(np.median(column)) for column in zip(*found, strict=True))
-        rate = min(_rate(record.time) for record in records)
+            if longest >= _MIN_SPECTRUM_SAMPLES:
+                raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
+            samples = f"{longest} sample{'s' * (longest != 1)} without a gap"
+            said = f"{records[0].source}: {samples}; accepted: {_MIN_SPECTRUM_SAMPLES} or more in a run"
+            raise IdentificationError(said)
+        crossing, motion = np.median(found, axis=0).tolist()
         wanted = max(crossing, _POSITION_OVER_MOTION_BAND * motion)
-        position = min(wanted, _MAX_BANDWIDTH_OVER_RATE * rate)
+        position = min(wanted, _MAX_BANDWIDTH_OVER_RATE * min(_rate(record.time) for record in records))
         source = f"the motion stands out of the positions' noise up to {crossing:.3g} Hz"
         if wanted > crossing:
             source += f", and {_POSITION_OVER_MOTION_BAND:g} times its own band is {wanted:.3g} Hz"
@@ -102,12 +88,10 @@ class Bandwidths:
             source += f"; no more than {_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"
         torque = position / 3.0
         lasting = sum(record.time[-1] - record.time[0] for record in records) * records[0].position.shape[1]
-        carried = max(
-            _MAX_ROWS / (_ROWS_PER_HZ * float(lasting)), min(_POSITION_OVER_MOTION_BAND * motion / 3.0, torque)
-        )
-        if carried < torque:
-            return cls(position, carried, f"{source}; the torque gets what {_MAX_ROWS} rows carry")
-        return cls(position, torque, f"{source}; the torque gets a third of it")
+        least = min(_POSITION_OVER_MOTION_BAND * motion / 3.0, torque)
+        carried = max(_MAX_ROWS / (_ROWS_PER_HZ * float(lasting)), least)
+        gets = f"what {_MAX_ROWS} rows carry" if carried < torque else "a third of it"
+        return cls(position, min(carried, torque), f"{source}; the torque gets {gets}")
 
 
 def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:
@@ -134,8 +118,7 @@ def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:
             yield crossing, float(frequency[np.searchsorted(velocity, 0.95 * velocity[-1])])
 
 
-@dataclass(frozen=True, eq=False)
-class TorqueStamps:
+class TorqueStamps(NamedTuple):
     """Where the torque was recorded, if that is not at a run's even times, and its way from there to these.
 
     A torque that steps at a reversal is resampled to something between both its values, in one sample near it. What is
@@ -143,29 +126,11 @@ class TorqueStamps:
 
     Attributes:
         velocity: of the joints at s stamps, rad/s, shape (s, n).
-        before: the stamp before each of the run's samples, shape (m,).
-        share: of the stamp after it in the resampled value, shape (m,).
+        resampling: linear interpolation from the stamps to the run's samples, sparse, shape (m, s).
     """
 
     velocity: Array
-    before: Index
-    share: Array
-
-    @classmethod
-    def of(cls, stamps: Array, even: Array, velocity_at: Callable[[Array], Array]) -> TorqueStamps:
-        """Return the stamps around even times, s; velocities by time."""
-        first = int(np.searchsorted(stamps, even[0], "right")) - 1
-        last = int(np.searchsorted(stamps, even[-1], "left")) + 1
-        around = stamps[first:last]
-        before = np.clip(np.searchsorted(around, even, "right") - 1, 0, len(around) - 2)
-        share = (even - around[before]) / (around[before + 1] - around[before])
-        return cls(velocity_at(around), before, share)
-
-    def evened(self, values: Array) -> Array:
-        """Return values resampled from the stamps to the run's samples, shapes (s, ...) and (m, ...)."""
-        result = np.empty((len(self.share), math.prod(values.shape[1:])))
-        between(np.ascontiguousarray(values.reshape(len(values), -1)), self.before, self.share, result)
-        return result.reshape(len(self.share), *values.shape[1:])
+    resampling: csr_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,18 +190,19 @@ class FilteredRun:
 
     def evened(self, values: Array) -> Array:
         """Return at the run's samples what is known where the torque was recorded, shapes (m, ...) and (s, ...)."""
-        return values if self.stamps is None else self.stamps.evened(values)
+        if self.stamps is None:
+            return values
+        even = self.stamps.resampling @ values.reshape(len(values), -1)
+        return np.asarray(even).reshape(len(even), *values.shape[1:])
 
     def parallel(self, values: Array) -> Array:
-        """Return the low-pass of values, as that of the torque, at the rows.
+        """Return values at the full rate, shape (m, ...), low-passed as the torque is, at the rows, shape (k, ...)."""
+        return low_pass(values, self.taps, self.down)
 
-        Args:
-            values: at the full rate, shape (m, ...).
-
-        Returns:
-            Shape (k, ...), at the samples `rows`.
-        """
-        return low_pass(np.asarray(values), self.taps, self.down)
+    def smooth(self, values: Array, bandwidth: float) -> Array:
+        """Return values at the full rate without delay below another bandwidth, Hz, shape (m, n)."""
+        sections = butter(_FILTER_ORDER, bandwidth, fs=self.rate, output="sos")
+        return np.asarray(sosfiltfilt(sections, values, axis=0))
 
     def blocks(self) -> Iterator[tuple[slice, slice]]:
         """Yield pairs of samples and of the rows that `parallel` makes of them, so that memory stays bounded."""
@@ -270,13 +236,13 @@ def filter_record(
         )
     edge = math.ceil(1.5 * rate / bandwidths.position) + _SPLINE_END  # three time constants of the slowest pole
     shortest = 2 * edge + len(low_pass_taps(rate, bandwidths.torque)) + 1
-    pieces = [piece for piece in _pieces(record.time) if piece[1] - piece[0] >= shortest]
+    pieces = [slice(*piece) for piece in _pieces(record.time) if piece[1] - piece[0] >= shortest]
     if not pieces:
         raise IdentificationError(
             f"{record.source}: no stretch of {shortest / rate:.3g} s without a gap, which the filters' edges take; "
             "accepted: longer runs, or higher bandwidths"
         )
-    return tuple(_filtered(record, slice(*piece), bandwidths, edge, reference, torque_lead) for piece in pieces)
+    return tuple(_filtered(record, piece, bandwidths, edge, reference, torque_lead) for piece in pieces)
 
 
 def _filtered(
@@ -284,20 +250,24 @@ def _filtered(
 ) -> FilteredRun:
     time = record.time[piece]
     rate = _rate(time)
-    even = _even(time, rate)
-    position = _resampled(time, record.position[piece], even, 5)
-    stamps = time - torque_lead
-    torque = _resampled(stamps, record.torque[piece], even, 1)
-    target = None if reference is None else _resampled(time, reference[piece], even, 5)
+    even, stamps = _even(time, rate), time - torque_lead
+    inner = slice(edge, len(even) - edge)
     sections = butter(_FILTER_ORDER, bandwidths.position, fs=rate, output="sos")
+    position = _resampled(time, record.position[piece], even, 5)
     smooth = sosfiltfilt(sections, position, axis=0, padlen=min(3 * edge, len(even) - 1))
     # From 0 on: stamps of the wall clock are rounded to 0.2 us, which second derivatives at 5 kHz do not bear.
     count = np.arange(len(even)) / rate
-    curve = make_interp_spline(count, smooth, k=5)
-    inner = slice(edge, len(even) - edge)
-    at_torque = None
+    curve, at_torque = make_interp_spline(count, smooth, k=5), None
     if not _is_even(stamps, even):
-        at_torque = TorqueStamps.of(stamps, even[inner], lambda at: np.asarray(curve(at - even[0], 1)))
+        samples = even[inner]
+        first, last = np.searchsorted(stamps, samples[0], "right") - 1, np.searchsorted(stamps, samples[-1]) + 1
+        around = stamps[first:last]
+        before = np.clip(np.searchsorted(around, samples, "right") - 1, 0, len(around) - 2)
+        share = (samples - around[before]) / (around[before + 1] - around[before])
+        pairs = np.column_stack([1.0 - share, share]), np.column_stack([before, before + 1])
+        rows = np.arange(0, 2 * len(samples) + 1, 2)
+        resampling = csr_array((pairs[0].ravel(), pairs[1].ravel(), rows), (len(samples), len(around)))
+        at_torque = TorqueStamps(np.asarray(curve(around - even[0], 1)), resampling)
     return FilteredRun(
         source=record.bag,
         names=record.names,
@@ -305,8 +275,8 @@ def _filtered(
         position=smooth[inner],
         velocity=np.asarray(curve(count[inner], 1)),
         acceleration=np.asarray(curve(count[inner], 2)),
-        torque=torque[inner],
-        reference=None if target is None else target[inner],
+        torque=_resampled(stamps, record.torque[piece], even, 1)[inner],
+        reference=None if reference is None else _resampled(time, reference[piece], even, 5)[inner],
         bandwidths=bandwidths,
         stamps=at_torque,
     )
@@ -341,10 +311,8 @@ def _resampled(time: Array, values: Array, even: Array, degree: int) -> Array:
 
 def _is_even(time: Array, even: Array) -> bool:
     """Return whether stamps are at even times, but for rounding."""
-    rounding = 2.0 * float(np.spacing(np.abs(time[-1])))
-    return (
-        len(time) == len(even) and float(np.abs(time - even).max()) < _STAMP_TOLERANCE * (even[1] - even[0]) + rounding
-    )
+    tolerance = _STAMP_TOLERANCE * (even[1] - even[0]) + 2.0 * float(np.spacing(np.abs(time[-1])))
+    return len(time) == len(even) and float(np.abs(time - even).max()) < tolerance
 
 
 def low_pass_taps(rate: float, bandwidth: float) -> Array:
@@ -400,19 +368,3 @@ def filter_columns(columns: Array, taps: Array, down: int, result: Array) -> Non
             for tap in range(whole, len(taps)):
                 total += taps[tap] * samples[tap]
             result[row, number] = total
-
-
-@kernel
-def between(values: Array, before: NDArray[np.intp], share: Array, result: Array) -> None:
-    """Interpolate linearly.
-
-    Args:
-        values: shape (s, c).
-        before: number of the value before each result, shape (m,).
-        share: of the value after it, shape (m,).
-        result: takes what lies between, shape (m, c).
-    """
-    for row in range(len(result)):
-        first, part = before[row], share[row]
-        for column in range(values.shape[1]):
-            result[row, column] = values[first, column] * (1.0 - part) + values[first + 1, column] * part

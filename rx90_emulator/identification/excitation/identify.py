@@ -16,29 +16,32 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
 from rx90_emulator.identification.excitation.checks import check_signs, check_zeros
-from rx90_emulator.identification.excitation.consistency import make_consistent
+from rx90_emulator.identification.excitation.choice import stages
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
-from rx90_emulator.identification.excitation.friction.identify import (
+from rx90_emulator.identification.excitation.friction import (
     ALL_PARTS,
     WITHOUT_BRISTLES,
     identify_friction_parts,
-    identify_gains,
     predicted_torque,
-    stages,
 )
-from rx90_emulator.identification.excitation.gains import with_gains
-from rx90_emulator.identification.excitation.instruments import check_closed_loop, remark
-from rx90_emulator.identification.excitation.linear_parameters import described_inertials
-from rx90_emulator.identification.excitation.load_parts import identify_load_parts, with_load_parts
+from rx90_emulator.identification.excitation.instruments import check_closed_loop
+from rx90_emulator.identification.excitation.known_payload import (
+    DriveGains,
+    LoadParts,
+    identify_gains,
+    identify_load_parts,
+)
 from rx90_emulator.identification.excitation.payload import Payload, payloads_of
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.physical import make_consistent
+from rx90_emulator.identification.excitation.problem import ExcitationProblem, described_inertials
 from rx90_emulator.identification.excitation.result import (
     ExcitationIdentification,
+    TorqueValidation,
     base_parameters,
+    run_torques,
     simulated_elements,
-    with_other,
+    trends,
 )
-from rx90_emulator.identification.excitation.torques import TorqueValidation, run_torques, trends
 from rx90_emulator.identification.identify import check_given_once, read_records
 from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.records import JointRecord
@@ -88,51 +91,56 @@ def identify_excitation(
         BagError: for a bag that cannot be read.
         ConfigError: for a file of the robot that cannot be used.
     """
-    used, unused = [Path(bag) for bag in bags], [Path(bag) for bag in validation]
-    if not used:
+    by_use = {"excitation": [Path(bag) for bag in bags], "validation": [Path(bag) for bag in validation]}
+    everything = [*by_use["excitation"], *by_use["validation"]]
+    if not by_use["excitation"]:
         raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
-    by_use = {"excitation": used, "validation": unused}
     check_given_once(by_use)
-    carried = payloads_of([*used, *unused], payloads)
+    carried = payloads_of(everything, payloads)
     if robot.torque_delay:
         raise IdentificationError(
             f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
         )
-    source = RecordedRobot.load(robot, [*used, *unused], massless=True)
+    source = RecordedRobot.load(robot, everything, massless=True)
     records = read_records(by_use, source, progress)
-    fitted, unseen = records["excitation"], records["validation"]
     progress("filters and equations")
-    bandwidths = Bandwidths.of(fitted)
-    problem = _problem(fitted, source, bandwidths, carried)
+    bandwidths = Bandwidths.of(records["excitation"])
+
+    def equations(some: Sequence[JointRecord]) -> ExcitationProblem:
+        runs = [run for record in some for run in _filtered(record, source, bandwidths)]
+        return ExcitationProblem.of(source.arm, runs, [carried[run.source.path] for run in runs])
+
+    problem = equations(records["excitation"])
     _check_motion(problem, source)
     check_signs(problem)
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
-    parts, gains = ALL_PARTS if bristles else WITHOUT_BRISTLES, None
-    loads = None
+    parts = ALL_PARTS if bristles else WITHOUT_BRISTLES
+    gains: DriveGains | None = None
+    loads: LoadParts | None = None
     if load_part:
         progress("load parts")
         loads = identify_load_parts(problem, parts, progress)
-        problem = with_load_parts(problem, loads)
     elif np.any(problem.payload):
         progress("drive gains")
         gains = identify_gains(problem, parts, progress)
-        problem = with_gains(problem, gains)
+    changes = [one.applied for one in (gains, loads) if one is not None]
+    for change in changes:
+        problem = change(problem)
     progress("friction")
     friction = identify_friction_parts(problem, parts, known, progress)
     progress("instrumental variables")
     closed_loop, friction = check_closed_loop(problem, friction, known)
-    friction = replace(friction, remarks=(*friction.remarks, remark(closed_loop)))
-    if loads is not None:
-        friction = replace(friction, remarks=(*friction.remarks, loads.remark(problem.arm.element_names)))
+    said = [closed_loop.remark, *([] if loads is None else [loads.remark(problem.arm.element_names)])]
+    friction = replace(friction, remarks=(*friction.remarks, *said))
     progress("consistent inertias")
     consistency = make_consistent(problem, friction, source, robot)
     checks = []
-    for record in unseen:
+    for record in records["validation"]:
         progress(record.source.name)
-        other = _problem([record], source, bandwidths, carried)
-        other = other if gains is None else with_gains(other, gains)
-        other = other if loads is None else with_load_parts(other, loads)
+        other = equations([record])
+        for change in changes:
+            other = change(other)
         predicted = predicted_torque(friction, other)
         (identified,) = run_torques(other, predicted)
         (consistent,) = run_torques(other, predicted + other.regressor @ consistency.inertias.shift)
@@ -144,7 +152,7 @@ def identify_excitation(
         problem=problem,
         friction=friction,
         elements=simulated_elements(friction.elements, source.fallback, loads),
-        base=with_other(base_parameters(problem, friction, consistency), closed_loop),
+        base=base_parameters(problem, friction, consistency, closed_loop),
         consistency=consistency,
         torques=torques,
         validations=tuple(checks),
@@ -163,25 +171,13 @@ def count_steps(bags: int, validation: int, *, bristles: bool = False, payloads:
     return bags + 2 * validation + 3 + choices * (1 + stages(ALL_PARTS if bristles else WITHOUT_BRISTLES))
 
 
-def _problem(
-    records: Sequence[JointRecord],
-    robot: RecordedRobot,
-    bandwidths: Bandwidths,
-    carried: Mapping[Path, Payload | None],
-) -> ExcitationProblem:
-    runs: list[FilteredRun] = []
-    for record in records:
-        if robot.plant_period is None or not _is_simulated(record):
-            runs += filter_record(record, bandwidths)
-            continue
-        # A torque of this project's plant is that of the tick that ends at its stamp; a real arm's is not.
-        runs += filter_record(record, bandwidths, _setpoints(record), 0.5 * robot.plant_period)
-    return ExcitationProblem.of(robot.arm, runs, payloads=[carried[run.source.path] for run in runs])
-
-
-def _is_simulated(record: JointRecord) -> bool:
-    """Return whether a bag holds set-points of this project's controller, which real arms and tables do not have."""
-    return not is_table(record.source) and absolute(_REFERENCE) in topic_names(record.source)
+def _filtered(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths) -> tuple[FilteredRun, ...]:
+    """Return the runs of a record; of this project's plant with set-points, which real arms and tables do not have."""
+    simulated = not is_table(record.source) and absolute(_REFERENCE) in topic_names(record.source)
+    if robot.plant_period is None or not simulated:
+        return filter_record(record, bandwidths)
+    # A torque of this project's plant is that of the tick that ends at its stamp; a real arm's is not.
+    return filter_record(record, bandwidths, _setpoints(record), 0.5 * robot.plant_period)
 
 
 def _setpoints(record: JointRecord) -> Array | None:
@@ -198,12 +194,9 @@ def _setpoints(record: JointRecord) -> Array | None:
 
 def _check_motion(problem: ExcitationProblem, robot: RecordedRobot) -> None:
     """Refuse runs that leave an element at rest, unless there is other friction for it."""
-    matrix = problem.arm.element_matrix
-    still = [
-        name
-        for name, row in zip(problem.arm.element_names, matrix, strict=True)
-        if not np.isin(problem.joint, np.flatnonzero(row)).any()
-    ]
+    moving = np.isin(np.arange(len(problem.arm.names)), problem.joint)
+    elements = zip(problem.arm.element_names, problem.arm.element_matrix, strict=True)
+    still = [name for name, row in elements if not row[moving].any()]
     if still and robot.fallback is None:
         raise IdentificationError(
             f"{listed(still)} at rest in all runs; accepted: runs in which all joints move, or --fallback with a "

@@ -32,6 +32,7 @@ PAYLOADS = Entries(
     ),
 )  # fmt: skip
 """What a payload file holds."""
+_MOMENTS = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]  # which of the six moments of a file each entry of the inertia is
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +60,8 @@ class Payload:
         if centre.shape != (3,) or not np.isfinite(centre).all():
             raise IdentificationError(f"payload's centre of mass: {centre.tolist()}; accepted: 3 numbers, m")
         if inertia.shape != (3, 3) or not np.isfinite(inertia).all() or not np.allclose(inertia, inertia.T):
-            raise IdentificationError(
-                f"payload's inertia: {inertia.tolist()}; accepted: a symmetric 3 x 3 matrix, kg m^2"
-            )
+            said = f"payload's inertia: {inertia.tolist()}; accepted: a symmetric 3 x 3 matrix, kg m^2"
+            raise IdentificationError(said)
         moments = np.linalg.eigvalsh(inertia)
         if moments[0] < 0.0 or 2.0 * moments[2] > moments.sum() * (1.0 + 1e-9):
             raise IdentificationError(
@@ -85,20 +85,17 @@ def read_payloads(path: Path | str) -> dict[str, Payload]:
         ConfigError: for a file that cannot be used.
         IdentificationError: for a body that cannot be.
     """
-    file = load_yaml(Path(path))
-    found = {}
+    file, found = load_yaml(Path(path)), {}
     for name, body in PAYLOADS.read(file).items():
-        xx, xy, xz, yy, yz, zz = body["inertia"]
-        inertia = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
         try:
-            found[name] = Payload(body["mass"], body["centre"], inertia)
+            found[name] = Payload(body["mass"], body["centre"], np.array(body["inertia"])[_MOMENTS])
         except IdentificationError as error:
             raise IdentificationError(f"{file.where(name)}: {error}") from None
     return found
 
 
 def payloads_of(bags: Sequence[Path], payloads: Mapping[str, Payload]) -> dict[Path, Payload | None]:
-    """Return what each bag carried; None for those that are not named.
+    """Return what each bag carried, by its path; None for those that are not named.
 
     Args:
         bags: of all runs.
@@ -112,9 +109,9 @@ def payloads_of(bags: Sequence[Path], payloads: Mapping[str, Payload]) -> dict[P
         meant = [bag for bag in bags if name == bag.name or Path(name).resolve() == bag.resolve()]
         if len(meant) != 1 or carried[meant[0]] is not None:
             how = "two bags are called so, or it is named twice" if meant else "no such run"
+            there = listed(bag.name for bag in bags)
             raise IdentificationError(
-                f"payload of {quoted(name)}: {how}; accepted: each of {listed(bag.name for bag in bags)} once, by name "
-                "or path"
+                f"payload of {quoted(name)}: {how}; accepted: each of {there} once, by name or path"
             )
         carried[meant[0]] = body
     return carried

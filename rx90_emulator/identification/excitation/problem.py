@@ -1,41 +1,182 @@
 """The stacked equations of excitation runs: what each joint's torque was, and what it is linear in.
 
-**Rows.** Torque and columns pass the same low-pass and are kept some two times per period of its bandwidth. A joint's
-equation at an instant is left out while an element that acts on the joint stands still (`standstill`): its torque is
-then anything up to its break-away value. Reversals, in which an element passes through rest, are kept: around them
-alone the bristles show, and Coulomb columns, filtered like the torque, have their step at the right time.
+Friction apart, the torque is linear in standard parameters: those of links, rotors, springs and offsets. Base
+parameters are the combinations of them that it depends on (Gautier 1991, "Numerical calculation of the base inertial
+parameters of robots"): the columns of the torque at random motions are orthogonalised one after the other. A column
+that lies in the space of those before it carries nothing new; its parameter joins the groups of those whose columns
+make it up.
 
-When an element slides, when it rests, and when it passes through rest.
-
-Below 0.05 rad/s (or, on slow arms, a tenth of its usual speed) the torque of an element follows the deflection of its
-bristles rather than its speed. A reversal and a pause both pass below: a reversal at constant acceleration spends a
-quarter of that time below a quarter of the speed, a pause most of it.
-
-Which instants of excitation runs are repetitions of the same motion: periods of a run, runs that are played again.
-
-What a model leaves out (ripple, load, cables) follows the motion and comes back with it. A motion that was recorded ten
-times says no more of its misfit than one recording; deviations that take the repetitions for independent are up to the
-root of ten too small.
+Torque and columns pass the same low-pass and are kept some two times per period of its bandwidth. A joint's equation at
+an instant is left out while an element that acts on the joint stands still: its torque is then anything up to its
+break-away value. Reversals, in which an element passes through rest, are kept: around them alone the bristles show, and
+Coulomb columns, filtered like the torque, have their step at the right time.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import correlate
 
 from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import FilteredRun
-from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
 from rx90_emulator.identification.excitation.payload import Payload
+
+_LINK = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+
+
+class StandardColumns:
+    """The torque of an arm per unit of each standard parameter.
+
+    Args:
+        arm: kinematics and couplings, and which joints have a spring of the torque -k sin(q); of its inertias and of
+            the springs' sizes nothing is used.
+    """
+
+    def __init__(self, arm: RigidArm) -> None:
+        self.arm = arm
+        self.springs = np.flatnonzero(arm.spring).tolist()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of P parameters; numbers are those of the joints, from 1 at the base.
+
+        m kg, mx .. mz kg m and Ixx .. Izz kg m^2 of the links, about the origins of their joints and in their frames;
+        Ia kg m^2, of the motors through their gears; k Nm, of the springs; offset Nm.
+        """
+        joints = range(1, len(self.arm.names) + 1)
+        links = [f"{kind}_{joint}" for joint in joints for kind in _LINK]
+        rotors, offsets = ([f"{kind}_{joint}" for joint in joints] for kind in ("Ia", "offset"))
+        return (*links, *rotors, *(f"k_{joint + 1}" for joint in self.springs), *offsets)
+
+    def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        """Return the columns along a motion, whose arrays have shape (m, n): shape (m, n, P)."""
+        n, turns = len(self.arm.names), self.arm.coupling
+        links = self.arm.regressor(position, velocity, acceleration)
+        # Motor j turns with row j of the coupling; its inertia acts back on every joint of that row.
+        rotors = (acceleration @ turns.T)[:, None, :] * turns.T
+        springs = np.sin(position)[:, :, None] * np.eye(n)[:, self.springs]
+        offsets = np.broadcast_to(np.eye(n), (len(position), n, n))
+        return np.concatenate([links, rotors, springs, offsets], axis=2)
+
+    def values(self) -> Array:
+        """Return the parameters as the arm's description has them, shape (P,): a prior. Offsets are 0."""
+        inverse = np.linalg.inv(self.arm.coupling)
+        rotors = np.diag(inverse.T @ self.arm.rotor @ inverse)
+        parts = self.arm.inertial, rotors, self.arm.spring[self.springs], np.zeros(len(self.arm.names))
+        return np.concatenate(parts)
+
+
+_RANDOM_MOTIONS = 60  # random motions; each gives as many equations as there are joints
+_SEED = 20100
+_INDEPENDENT_SHARE = 1e-5  # of a column outside the space of others; a description with 1.5708 for pi/2 leaves less
+_MIN_COEFFICIENT = 1e-5  # coefficient in a group, for the same reason
+_REGROUPED_KINDS = ("m_", "mz_", "Iyy_")  # kinds that join other groups by Khalil's convention: they come last
+
+
+@dataclass(frozen=True, eq=False)
+class BaseGroups:
+    """Groups of standard parameters.
+
+    Attributes:
+        standard: names of the P standard parameters.
+        leading: the parameter that each of b groups is named after, shape (b,): the columns to take.
+        combination: G, base parameters = G @ standard parameters, shape (b, P); 1 at the leading ones.
+    """
+
+    standard: tuple[str, ...]
+    leading: tuple[int, ...]
+    combination: Array
+
+    @classmethod
+    def of(cls, columns: StandardColumns) -> BaseGroups:
+        """Find the groups of an arm, from random positions, velocities and accelerations (always the same ones)."""
+        rng, names = np.random.default_rng(_SEED), columns.names
+        motion = (rng.uniform(-width, width, (_RANDOM_MOTIONS, len(columns.arm.names))) for width in (np.pi, 2.0, 5.0))
+        matrix = columns.torque(*motion).reshape(-1, len(names))
+        size = np.linalg.norm(matrix, axis=0)
+        basis, chosen = np.zeros((len(matrix), 0)), []
+        for k in sorted(range(len(names)), key=lambda k: (names[k].startswith(_REGROUPED_KINDS), k)):
+            rest = matrix[:, k] - basis @ (basis.T @ matrix[:, k])
+            rest = rest - basis @ (basis.T @ rest)  # once more: rounding of the first pass
+            left = float(np.linalg.norm(rest))
+            if size[k] > _INDEPENDENT_SHARE * size.max() and left > _INDEPENDENT_SHARE * size[k]:
+                basis = np.column_stack([basis, rest / left])
+                chosen.append(k)
+        leading = sorted(chosen)
+        combination = np.asarray(np.linalg.lstsq(matrix[:, leading], matrix, rcond=None)[0], dtype=np.float64)
+        combination[np.abs(combination) < _MIN_COEFFICIENT] = 0.0
+        combination[:, leading] = np.eye(len(leading))
+        return cls(names, tuple(leading), combination)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return short names, shape (b,): of the leading parameter, with an R if others have joined it (Khalil)."""
+        alone = (np.count_nonzero(self.combination, axis=1) == 1).tolist()
+        leading = [self.standard[k] for k in self.leading]
+        return tuple(n if one else n.replace("_", "R_", 1) for n, one in zip(leading, alone, strict=True))
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Return each group in words, shape (b,), such as "mx_2 + 0.45 m_3"; SI units."""
+        texts = []
+        for lead, row in zip(self.leading, self.combination, strict=True):
+            text = self.standard[lead]
+            for k in np.flatnonzero(row).tolist():
+                if k != lead:
+                    size = "" if abs(abs(row[k]) - 1.0) < 1e-6 else f"{abs(row[k]):.4g} "
+                    text += f" {'-' if row[k] < 0.0 else '+'} {size}{self.standard[k]}"
+            texts.append(text)
+        return tuple(texts)
+
+
+_UNINFORMATIVE = 1e4  # deviations of a parameter that is not given, in units of the arm's largest of its kind
+
+
+class Prior(NamedTuple):
+    """A normal distribution of q parameters: its mean, shape (q,), and the inverse of its covariance, (q, q)."""
+
+    value: Array
+    precision: Array
+
+
+def described_inertials(columns: StandardColumns, base: BaseGroups, relative: float) -> Prior:
+    """Return the prior of the base parameters from the inertials of the arm's description.
+
+    Args:
+        columns: with the arm.
+        base: its groups.
+        relative: standard deviation of a link's mass over the mass; that of its first moment is this share of mass
+            times radius, that of its inertia of mass times radius squared. The radius is that of gyration about the
+            joint, at least 1 cm. Rotors and springs vary by the same share where they are given; offsets, and rotors
+            that are not given, are unknown.
+
+    Raises:
+        IdentificationError: for a deviation that is not positive, and for a description without inertials.
+    """
+    if not 0.0 < relative < math.inf:
+        raise IdentificationError(f"relative deviation of the prior: {relative}; accepted: above 0")
+    value, count = columns.values(), 10 * len(columns.arm.names)
+    if not value[:count].any():
+        raise IdentificationError("a prior from a description without <inertial>; accepted: no --prior, or inertials")
+    links = value[:count].reshape(-1, 10)
+    mass = np.maximum(links[:, 0], 1e-6)
+    radius = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(axis=1) / 2.0 / mass, 1e-4))
+    sizes = mass[:, None] * radius[:, None] ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+    deviation = relative * np.concatenate([sizes.ravel(), np.abs(value[count:])])
+    deviation[deviation == 0.0] = _UNINFORMATIVE * float(deviation.max())
+    covariance = (base.combination * deviation**2) @ base.combination.T
+    size = np.sqrt(np.diag(covariance))
+    precision = np.linalg.inv(covariance / np.outer(size, size)) / np.outer(size, size)
+    return Prior(base.combination @ value, precision)
+
 
 Motion = tuple[Array, Array, Array]
 """Position, velocity and acceleration, each of shape (m, n)."""
@@ -52,14 +193,13 @@ class ExcitationProblem:
         base: the groups of them that the columns of the regressor mean.
         run: number of each row's run, shape (r,).
         joint: number of its joint, shape (r,).
-        sample: its sample in the run, shape (r,).
         place: its place among the run's filtered samples, shape (r,).
         time: s, shape (r,).
-        torque: as recorded, less that of known payloads, filtered, Nm, shape (r,).
+        reversal: rows at which an element that acts on the joint passes through rest, shape (r,).
         payloads: of each run.
         payload: their torque, filtered, Nm, shape (r,).
+        torque: as recorded, less that of known payloads, filtered, Nm, shape (r,).
         regressor: filtered columns of the b base parameters, shape (r, b).
-        reversal: rows at which an element that acts on the joint passes through rest, shape (r,).
         uncertain: torques by which that of the rows may be off as a whole, such as by an identified drive gain: k of
             one standard deviation each, independent of each other, Nm, shape (r, k).
     """
@@ -70,55 +210,54 @@ class ExcitationProblem:
     base: BaseGroups
     run: Index
     joint: Index
-    sample: Index
     place: Index
     time: Array
-    torque: Array
+    reversal: Mask
     payloads: tuple[Payload | None, ...]
     payload: Array
+    torque: Array
     regressor: Array
-    reversal: Mask
     uncertain: Array
 
     @classmethod
     def of(
-        cls,
-        arm: RigidArm,
-        runs: Sequence[FilteredRun],
-        springs: Sequence[str] | None = None,
-        payloads: Sequence[Payload | None] | None = None,
+        cls, arm: RigidArm, runs: Sequence[FilteredRun], payloads: Sequence[Payload | None] | None = None
     ) -> ExcitationProblem:
         """Stack the equations of runs.
 
         Args:
-            arm: kinematics, couplings and elements.
+            arm: kinematics, couplings and elements; springs are sought on the joints on which it has one.
             runs: of this arm.
-            springs: joints with a spring; by default those on which the arm's description has one.
             payloads: of each run; by default none.
 
         Raises:
-            IdentificationError: for runs of other joints, payloads of another number, and if no joint moves.
+            IdentificationError: for runs of other joints, and if no joint moves.
         """
+        for one in runs:
+            if one.names != arm.names:
+                there, wanted = ", ".join(one.names), ", ".join(arm.names)
+                raise IdentificationError(f"{one.source.path}: joints {there}; accepted: {wanted}")
         carried = (None,) * len(runs) if payloads is None else tuple(payloads)
-        _check_runs(arm, runs, carried)
-        there = [name for name, k in zip(arm.names, arm.spring.tolist(), strict=True) if k]
-        columns = StandardColumns.with_springs_on(arm, there if springs is None else springs)
-        base = BaseGroups.of(columns)
-        kept = [_kept_rows(number, run, arm) for number, run in enumerate(runs)]
-        rows = {name: np.concatenate([part[name] for part in kept]) for name in kept[0]}
-        if not len(rows["run"]):
+        columns = StandardColumns(arm)
+        acts = arm.element_matrix != 0.0
+        kept = []
+        for number, one in enumerate(runs):
+            rests, passes = element_states(one, arm.element_matrix)
+            joint, place = np.nonzero(~(rests @ acts).T)
+            time, reversal = one.time[one.rows[place]], (passes @ acts)[place, joint]
+            kept.append((np.full(len(joint), number), joint, place, time, reversal))
+        run, joint, place, time, reversal = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+        if not len(run):
             raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
-        empty = np.zeros(len(rows["run"]))
-        bare = cls(
-            arm, tuple(runs), columns, base, **rows, torque=empty, payloads=carried, payload=empty, regressor=empty,
-            uncertain=np.empty((len(empty), 0)),
-        )  # fmt: skip
-        recorded = bare.rows_of([run.torque[:, :, None] for run in runs])[:, 0]
+        empty = np.empty((len(run), 0))
+        bare = cls(arm, tuple(runs), columns, BaseGroups.of(columns), run, joint, place, time, reversal,
+                   carried, empty, empty, empty, empty)  # fmt: skip
+        recorded = bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0]
         regressor, payload = bare.through(np.eye(len(arm.names)))
         return replace(bare, torque=recorded - payload, payload=payload, regressor=regressor)
 
     def __len__(self) -> int:
-        return len(self.torque)
+        return len(self.run)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -126,27 +265,44 @@ class ExcitationProblem:
         return self.base.names
 
     @cached_property
-    def phases(self) -> list[tuple[int, Index]]:
-        """Return for each run the number of its motion and the phase of its filtered samples: see `repetition`."""
+    def sample(self) -> Index:
+        """Return each row's place among the filtered samples of all runs, one run after the other, shape (r,)."""
+        return np.asarray(np.cumsum([0, *(len(run.rows) for run in self.runs)])[self.run] + self.place)
+
+    @cached_property
+    def _phases(self) -> list[tuple[int, Index]]:
         return phases(self.runs)
+
+    @cached_property
+    def motion(self) -> Index:
+        """Return the number of each row's motion, shape (r,): repetitions share it (`phases`)."""
+        return np.array([motion for motion, _ in self._phases])[self.run]
+
+    @cached_property
+    def phase(self) -> Index:
+        """Return each row's place in its motion, in rows, shape (r,): repetitions share it."""
+        return np.concatenate([phase for _, phase in self._phases])[self.sample]
+
+    @cached_property
+    def motion_lengths(self) -> Index:
+        """Return how many phases each motion has."""
+        lengths = np.ones(1 + max(motion for motion, _ in self._phases), dtype=np.intp)
+        for motion, phase in self._phases:
+            lengths[motion] = max(lengths[motion], phase.max(initial=0) + 1)
+        return lengths
 
     @cached_property
     def velocity(self) -> Array:
         """Return the elements' velocities at the rows, rad/s, shape (r, n_el)."""
-        elements = self.arm.element_matrix.T
-        return self._gathered(lambda number, rows: self.runs[number].velocity[self.sample[rows]] @ elements)
+        return np.concatenate([run.velocity[run.rows] for run in self.runs])[self.sample] @ self.arm.element_matrix.T
 
     def rows_of(self, along: Sequence[Array]) -> Array:
-        """Return joint torques at the rows, filtered like the recorded ones.
+        """Return joint torques at the rows, filtered like the recorded ones, shape (r, c).
 
         Args:
             along: for each run c joint torques at its full rate, shape (m, n, c).
-
-        Returns:
-            Shape (r, c).
         """
-        filtered = [run.parallel(values) for run, values in zip(self.runs, along, strict=True)]
-        return self._gathered(lambda number, rows: filtered[number][self.place[rows], self.joint[rows]])
+        return self._filtered(along)[self.sample, self.joint]
 
     def element_rows(self, along: Sequence[Array]) -> Array:
         """Return elements' torques as joint torques at the rows, filtered like the recorded ones.
@@ -157,14 +313,11 @@ class ExcitationProblem:
         Returns:
             E^T times them, shape (r, n_el * c): the c columns of the first element, then those of the next.
         """
-        filtered = [run.parallel(values) for run, values in zip(self.runs, along, strict=True)]
-        share = self.arm.element_matrix.T
+        torque = self._filtered(along)[self.sample] * self.arm.element_matrix.T[self.joint][:, :, None]
+        return np.asarray(torque.reshape(len(torque), -1))
 
-        def rows_of(number: int, rows: Index) -> Array:
-            torque = filtered[number][self.place[rows]] * share[self.joint[rows]][:, :, None]
-            return np.asarray(torque.reshape(len(rows), -1))
-
-        return self._gathered(rows_of)
+    def _filtered(self, along: Sequence[Array]) -> Array:
+        return np.concatenate([run.parallel(values) for run, values in zip(self.runs, along, strict=True)])
 
     def moved(self, motions: Sequence[Motion]) -> ExcitationProblem:
         """Return the same rows with the columns of other motions, one for each run at its times.
@@ -185,61 +338,18 @@ class ExcitationProblem:
             share: of each joint's torque (row) in that of each joint (column), shape (n, n): the identity for all of
                 it, other matrices for the part of one motor.
         """
-        return _stacked(self, share)
-
-    def _gathered(self, rows_of: Callable[[int, Index], Array]) -> Array:
-        """Return rows that are made run by run."""
-        return np.concatenate([rows_of(k, np.flatnonzero(self.run == k)) for k in range(len(self.runs))])
-
-
-def _columns(problem: ExcitationProblem, run: FilteredRun, samples: slice) -> Array:
-    motion = run.position[samples], run.velocity[samples], run.acceleration[samples]
-    return problem.columns.torque(*motion)
-
-
-def _stacked(problem: ExcitationProblem, share: Array) -> tuple[Array, Array]:
-    leading, n = list(problem.base.leading), len(problem.arm.names)
-    regressor, payload = np.zeros((len(problem.run), len(leading))), np.zeros(len(problem.run))
-    for number, (run, body) in enumerate(zip(problem.runs, problem.payloads, strict=True)):
-        for samples, rows in run.blocks():
-            values = _columns(problem, run, samples)
-            inside = (problem.run == number) & (problem.place >= rows.start) & (problem.place < rows.stop)
-            here = np.flatnonzero(inside)
-            place, to = problem.place[here] - rows.start, share[:, problem.joint[here]].T
-            filtered = run.parallel(values[:, :, leading])[place]
-            regressor[here] = np.einsum("rj,rjb->rb", to, filtered)
-            if body is not None:
-                torque = run.parallel(values[:, :, 10 * n - 10 : 10 * n] @ body.parameters())
-                payload[here] = np.sum(to * torque[place], axis=1)
-    return regressor, payload
-
-
-def _kept_rows(number: int, run: FilteredRun, arm: RigidArm) -> dict[str, Array | Index | Mask]:
-    state = element_states(run, arm.element_matrix)
-    acts = arm.element_matrix != 0.0
-    rests = (state == SlidingState.RESTS) @ acts
-    passes = (state == SlidingState.PASSES) @ acts
-    joint, place = np.nonzero(~rests.T)
-    return {
-        "run": np.full(len(joint), number, dtype=np.intp),
-        "joint": joint,
-        "sample": run.rows[place],
-        "place": place,
-        "time": run.time[run.rows[place]],
-        "reversal": passes[place, joint],
-    }
-
-
-def _check_runs(arm: RigidArm, runs: Sequence[FilteredRun], payloads: Sequence[Payload | None]) -> None:
-    if not runs:
-        raise IdentificationError("no excitation run; accepted: one or more")
-    if len(payloads) != len(runs):
-        raise IdentificationError(f"{len(payloads)} payloads for {len(runs)} runs; accepted: one (or none) for each")
-    for run in runs:
-        if run.names != arm.names:
-            raise IdentificationError(
-                f"{run.source.path}: joints {', '.join(run.names)}; accepted: {', '.join(arm.names)}"
-            )
+        leading, n = list(self.base.leading), len(self.arm.names)
+        regressor, payload = np.zeros((len(self), len(leading))), np.zeros(len(self))
+        for number, (run, body) in enumerate(zip(self.runs, self.payloads, strict=True)):
+            for samples, rows in run.blocks():
+                values = self.columns.torque(run.position[samples], run.velocity[samples], run.acceleration[samples])
+                here = np.flatnonzero((self.run == number) & (self.place >= rows.start) & (self.place < rows.stop))
+                place, to = self.place[here] - rows.start, share[:, self.joint[here]].T
+                regressor[here] = np.einsum("rj,rjb->rb", to, run.parallel(values[:, :, leading])[place])
+                if body is not None:
+                    torque = run.parallel(values[:, :, 10 * n - 10 : 10 * n] @ body.parameters())
+                    payload[here] = np.sum(to * torque[place], axis=1)
+        return regressor, payload
 
 
 _SLOW_SPEED = 0.05  # rad/s: on real arms rows below it pull Coulomb friction 10 to 25 % low
@@ -249,41 +359,30 @@ _PAUSE_SHARE = 0.5  # share of a slow stretch below a quarter of the threshold: 
 _STOP_SHARE = 0.1  # of the threshold: below it an element that does not change its direction has stopped for an instant
 
 
-class SlidingState(IntEnum):
-    """What an element does."""
+def element_states(run: FilteredRun, elements: Array) -> tuple[Mask, Mask]:
+    """Return where each element rests and where it passes through rest at the run's rows, each of shape (k, n_el).
 
-    SLIDES = 0
-    PASSES = 1
-    RESTS = 2
-
-
-def element_states(run: FilteredRun, elements: Array) -> NDArray[np.int8]:
-    """Return what each element does at the run's rows, shape (k, n_el).
-
-    The low-pass of the torque reaches half a period of its bandwidth to both sides: a row as near to a pause as that
-    counts as resting.
+    Below 0.05 rad/s (or, on slow arms, a tenth of its usual speed) the torque of an element follows the deflection of
+    its bristles rather than its speed. A reversal and a pause both pass below: a reversal at constant acceleration
+    spends a quarter of that time below a quarter of the speed, a pause most of it. The low-pass of the torque reaches
+    half a period of its bandwidth to both sides: a row as near to a pause as that counts as resting.
 
     Args:
         run: of n joints.
         elements: E, joint velocities to those of the elements, shape (n_el, n).
     """
-    velocity = run.velocity @ elements.T
     reach = math.ceil(0.5 * run.rate / run.bandwidths.torque)
-    state = np.empty((len(run.rows), len(elements)), dtype=np.int8)
-    for e, speed in enumerate(velocity.T):
-        threshold = slow_below(speed)
-        rests, passes = _slow_stretches(speed, threshold)
-        stops, _ = _slow_stretches(speed, _STOP_SHARE * threshold)
-        state[:, e] = np.where(
-            _near(rests | stops, reach)[run.rows], SlidingState.RESTS, passes[run.rows] * SlidingState.PASSES
-        )
-    return state
-
-
-def slow_below(velocity: Array) -> float:
-    """Return the speed below which an element counts as slow, rad/s, from its velocity in a run, shape (m,)."""
-    usual = float(np.quantile(np.abs(velocity), 0.9))
-    return max(min(_SLOW_SPEED, _SLOW_SHARE * usual), _MIN_SLOW_SPEED)
+    states = np.empty((2, len(run.rows), len(elements)), dtype=np.bool_)
+    for e, velocity in enumerate((run.velocity @ elements.T).T):
+        usual = float(np.quantile(np.abs(velocity), 0.9))
+        threshold = max(min(_SLOW_SPEED, _SLOW_SHARE * usual), _MIN_SLOW_SPEED)
+        rests, passes = _slow_stretches(velocity, threshold)
+        rests |= _slow_stretches(velocity, _STOP_SHARE * threshold)[0]
+        # Samples within `reach` of one at rest.
+        count = np.cumsum(np.concatenate([np.zeros(reach + 1), rests, np.zeros(reach)]))
+        near = count[2 * reach + 1 :] - count[: -2 * reach - 1] > 0.0
+        states[:, :, e] = near[run.rows], (passes & ~near)[run.rows]
+    return states[0], states[1]
 
 
 def _slow_stretches(velocity: Array, threshold: float) -> tuple[Mask, Mask]:
@@ -300,12 +399,6 @@ def _slow_stretches(velocity: Array, threshold: float) -> tuple[Mask, Mask]:
     return rests, passes
 
 
-def _near(mask: Mask, reach: int) -> Mask:
-    """Return the samples within `reach` of a true one."""
-    count = np.cumsum(np.concatenate([np.zeros(reach + 1), mask, np.zeros(reach)]))
-    return np.asarray(count[2 * reach + 1 :] - count[: -2 * reach - 1] > 0.0)
-
-
 _SAME_MOTION = 0.95  # similarity of velocities from which on two stretches are the same motion
 _DECORRELATED = 0.5  # similarity below which a lag has left the neighbourhood of 0
 _MIN_OVERLAP = 0.3  # share of the motion's energy that two stretches have in common, at least
@@ -315,49 +408,46 @@ _RATE_TOLERANCE = 0.01  # relative difference between the row rates of runs that
 def phases(runs: Sequence[FilteredRun]) -> list[tuple[int, Index]]:
     """Return for each run the number of its motion and the phase of each of its rows' instants, shape (k,).
 
-    Instants with the same motion and phase are repetitions of each other.
+    Instants with the same motion and phase are repetitions of each other: periods of a run, runs that are played again.
+    What a model leaves out (ripple, load, cables) follows the motion and comes back with it. A motion that was recorded
+    ten times says no more of its misfit than one recording; deviations that take the repetitions for independent are up
+    to the root of ten too small.
     """
     scale = np.sqrt(np.mean(np.concatenate([run.velocity**2 for run in runs]), axis=0))
     scale = np.where(scale > 0.0, scale, 1.0)
-    motions: list[tuple[Array, float, int]] = []
+    motions: list[tuple[Array, float, int]] = []  # velocity, rate and period of the first run of each motion
     found = []
     for run in runs:
         velocity, rate = run.velocity[run.rows] / scale, run.rate / run.down
-        number, shift = _repeated_motion(velocity, rate, motions)
+        repeated = ((k, _shift(velocity, rate, *motion[:2])) for k, motion in enumerate(motions))
+        number, shift = next((pair for pair in repeated if pair[1] is not None), (len(motions), 0))
         if number == len(motions):
             motions.append((velocity, rate, _period(velocity)))
-        place = np.arange(len(velocity)) + shift
-        period = motions[number][2]
+        place, period = np.arange(len(velocity)) + (shift or 0), motions[number][2]
         found.append((number, place % period if period else place))
     # A run that began earlier than the first of its motion has places before 0.
     earliest = {number: min(int(p.min()) for k, p in found if k == number and len(p)) for number, _ in found}
     return [(number, place - earliest[number]) for number, place in found]
 
 
-def _repeated_motion(velocity: Array, rate: float, motions: Sequence[tuple[Array, float, int]]) -> tuple[int, int]:
-    """Return the motion that a run repeats, by how many rows it begins later there; a new number if it repeats none."""
-    for number, (other, its_rate, _) in enumerate(motions):
-        if abs(rate / its_rate - 1.0) < _RATE_TOLERANCE:
-            alike, shared = _similarity(other, velocity)
-            best = int(np.argmax(np.where(shared > _MIN_OVERLAP, alike, -1.0)))
-            if alike[best] > _SAME_MOTION and shared[best] > _MIN_OVERLAP:
-                return number, best - (len(velocity) - 1)
-    return len(motions), 0
+def _shift(velocity: Array, rate: float, other: Array, its_rate: float) -> int | None:
+    """Return by how many rows a run begins later in a motion that it repeats; None if it does not repeat it."""
+    if abs(rate / its_rate - 1.0) >= _RATE_TOLERANCE:
+        return None
+    alike, shared = _similarity(other, velocity)
+    best = int(np.argmax(np.where(shared > _MIN_OVERLAP, alike, -1.0)))
+    return best - (len(velocity) - 1) if alike[best] > _SAME_MOTION and shared[best] > _MIN_OVERLAP else None
 
 
 def _period(velocity: Array) -> int:
     """Return the period of a run in rows, velocities of shape (k, n); 0 if it does not repeat itself."""
-    alike, shared = _similarity(velocity, velocity)
-    alike, shared = alike[len(velocity) - 1 :], shared[len(velocity) - 1 :]
+    alike, shared = (values[len(velocity) - 1 :] for values in _similarity(velocity, velocity))
+    padded = np.pad(alike, 1, constant_values=-np.inf)
+    peak = (alike >= padded[:-2]) & (alike >= padded[2:])
+    repeated = np.flatnonzero(peak & (alike > _SAME_MOTION) & (shared > _MIN_OVERLAP))
     left = np.flatnonzero(alike < _DECORRELATED)
-    candidates = np.flatnonzero(_peaks(alike) & (alike > _SAME_MOTION) & (shared > _MIN_OVERLAP))
-    candidates = candidates[candidates > (left[0] if len(left) else len(alike))]
-    return int(candidates[0]) if len(candidates) else 0
-
-
-def _peaks(values: Array) -> Mask:
-    padded = np.pad(values, 1, constant_values=-np.inf)
-    return np.asarray((values >= padded[:-2]) & (values >= padded[2:]))
+    repeated = repeated[repeated > left[0]] if len(left) else left
+    return int(repeated[0]) if len(repeated) else 0
 
 
 def _similarity(first: Array, second: Array) -> tuple[Array, Array]:

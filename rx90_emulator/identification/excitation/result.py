@@ -1,36 +1,33 @@
-"""What an identification from excitation runs returns.
+"""What an identification from excitation runs returns: parameters, torques and predictions, elements to simulate.
 
-From the identified friction to elements that can be simulated: what the runs do not tell is assumed, and marked.
+How well a fit explains the torque of a run, at each speed, and over time; what the runs did not determine; and the
+identified friction as elements that can be simulated: what the runs do not tell is assumed, and marked.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import t as student
 
+from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
 from rx90_emulator.identification.estimates import ElementEstimate, IdentifiedElement, ParameterEstimate
-from rx90_emulator.identification.excitation.consistency import Consistency
-from rx90_emulator.identification.excitation.friction.estimates import FrictionSelection
-from rx90_emulator.identification.excitation.friction.selection import ModelRow
-from rx90_emulator.identification.excitation.gains import DriveGains
+from rx90_emulator.identification.excitation.choice import ModelRow
+from rx90_emulator.identification.excitation.filtering import FilteredRun
+from rx90_emulator.identification.excitation.friction import FrictionSelection
 from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
-from rx90_emulator.identification.excitation.load_parts import LoadParts
+from rx90_emulator.identification.excitation.known_payload import DriveGains, LoadParts
+from rx90_emulator.identification.excitation.least_squares import LinearFit, time_blocks
+from rx90_emulator.identification.excitation.physical import Consistency
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.excitation.torques import (
-    RunTorques,
-    SpeedResiduals,
-    TorqueValidation,
-    Trend,
-    residuals_by_speed,
-    undetermined,
-)
-from rx90_emulator.identification.options import RobotOptions
+from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.zeros import ZeroCheck
@@ -51,7 +48,7 @@ class BaseParameter:
         estimate: together with the friction, by weighted least squares, or by instrumental variables where these are
             taken.
         consistent: its value by the physically consistent inertias.
-        other: by the other one of least squares and instrumental variables; None where they were not compared.
+        other: by the other one of least squares and instrumental variables.
     """
 
     name: str
@@ -59,7 +56,7 @@ class BaseParameter:
     unit: str
     estimate: ParameterEstimate
     consistent: float
-    other: ParameterEstimate | None = None
+    other: ParameterEstimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,35 +119,299 @@ class ExcitationIdentification:
 
 
 def base_parameters(
-    problem: ExcitationProblem, friction: FrictionSelection, consistency: Consistency
+    problem: ExcitationProblem,
+    friction: FrictionSelection,
+    consistency: Consistency,
+    comparison: InstrumentalComparison,
 ) -> tuple[BaseParameter, ...]:
-    """Return the linear parameters but friction with their deviations."""
-    count, fit = len(problem.names), friction.fit
-    unknown = undetermined(problem, fit)
-    estimates = [
-        ParameterEstimate.unknown(NOT_DETERMINED) if name in unknown else ParameterEstimate(value, deviation)
-        for name, value, deviation in zip(
-            problem.names, fit.value[:count].tolist(), fit.deviation[:count].tolist(), strict=True
+    """Return the linear parameters but friction with their deviations, and by the other fit of a comparison."""
+    fit, other = friction.fit, comparison.least_squares if comparison.biased else comparison.instrumental
+    unknown, none = undetermined(problem, fit), ParameterEstimate.unknown(NOT_DETERMINED)
+    found = []
+    for k, (name, group) in enumerate(zip(problem.names, problem.base.groups, strict=True)):
+        estimate, second = (ParameterEstimate(float(one.value[k]), float(one.deviation[k])) for one in (fit, other))
+        told = name not in unknown
+        second = second if told and math.isfinite(second.deviation) else none
+        unit = UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2")
+        near = float(consistency.inertias.base[k])
+        found.append(BaseParameter(name, group, unit, estimate if told else none, near, second))
+    return tuple(found)
+
+
+def undetermined(problem: ExcitationProblem, fit: LinearFit) -> tuple[str, ...]:
+    """Return the base parameters that these runs do not determine, by name.
+
+    One deviation of such a parameter alone would move torques by more than the torques' own RMS: the data would bear
+    any value that an arm may have.
+
+    Args:
+        problem: r rows.
+        fit: of the base parameters, and of others behind them.
+    """
+    count, size = len(problem.names), float(np.sqrt(np.mean(problem.torque**2)))
+    known = fit.determined[:count]
+    effect = np.where(known, fit.deviation[:count], 0.0) * np.sqrt(np.mean(problem.regressor**2, axis=0))
+    good = (known & (effect < size)).tolist()
+    return tuple(name for name, one in zip(problem.names, good, strict=True) if not one)
+
+
+_DIFFERENCES, _DIFFERENCE_GAIN = 3, 20.0  # the third difference 1, -3, 3, -1 has 20 times the variance of white noise
+_NORMAL_MAD = 0.6745  # median of a standard normal's size
+_MAX_CHI_SQUARE = 1e4  # chi^2 up to which it tells something
+
+
+class JointTorque(NamedTuple):
+    """One joint in one run where it moves; filtered, each of shape (k,).
+
+    Attributes:
+        time: s.
+        velocity: rad/s.
+        recorded: Nm.
+        predicted: Nm.
+    """
+
+    time: Array
+    velocity: Array
+    recorded: Array
+    predicted: Array
+
+    @property
+    def residual(self) -> Array:
+        """Return recorded less predicted torque, Nm, shape (k,)."""
+        return self.recorded - self.predicted
+
+
+@dataclass(frozen=True, eq=False)
+class RunTorques:
+    """Recorded against predicted torques of one bag.
+
+    Attributes:
+        names: n joints.
+        source: the bag.
+        joints: one for each joint; empty arrays for one that stands still.
+        noise: of the filtered torque, standard deviation if the noise is white, Nm, shape (n,).
+    """
+
+    names: tuple[str, ...]
+    source: BagSource
+    joints: tuple[JointTorque, ...]
+    noise: Array
+
+    @property
+    def rms(self) -> Array:
+        """Return the RMS torque difference, Nm, shape (n,); NaN for a joint that stands still."""
+        return _rms([joint.residual for joint in self.joints])
+
+    @property
+    def share(self) -> Array:
+        """Return the RMS difference over the RMS recorded torque, shape (n,)."""
+        return np.asarray(self.rms / _rms([joint.recorded for joint in self.joints]))
+
+    @property
+    def total_share(self) -> float:
+        """Return the same over all joints together."""
+        residual, recorded = (np.concatenate([getattr(one, name) for one in self.joints])
+                              for name in ("residual", "recorded"))  # fmt: skip
+        return float(np.linalg.norm(residual) / np.linalg.norm(recorded))
+
+    @property
+    def chi_square(self) -> Array:
+        """Return the mean square difference over that of the noise, shape (n,): 1 where the model fits.
+
+        NaN for a joint that stands still or whose torque shows no noise.
+        """
+        return np.asarray((self.rms / np.where(self.noise > 0.0, self.noise, np.nan)) ** 2)
+
+    @property
+    def noiseless(self) -> Array:
+        """Return whether the noise is below a hundredth of the difference, shape (n,): chi^2 then tells nothing."""
+        return np.asarray((self.rms > 0.0) & (self.noise < self.rms / math.sqrt(_MAX_CHI_SQUARE)))
+
+
+def _rms(series: Sequence[Array]) -> Array:
+    return np.array([math.sqrt(np.mean(one**2)) if len(one) else math.nan for one in series])
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueValidation:
+    """The verdict of a run that was not used.
+
+    Attributes:
+        torques: of the run, predicted by the identified parameters.
+        consistent: the same, predicted by the inertias that bodies can have, which the robot's files hold.
+        tolerances: what counts as agreement.
+    """
+
+    torques: RunTorques
+    consistent: RunTorques
+    tolerances: ExcitationTolerances
+
+    @property
+    def passed(self) -> bool:
+        """Return whether each joint that moves, and all of them together, agree with both predictions."""
+        limits = self.tolerances
+        return all(
+            not (one.share > limits.joint).any() and one.total_share <= limits.total
+            for one in (self.torques, self.consistent)
         )
-    ]
-    consistent = consistency.inertias.base.tolist()
-    rows = zip(problem.names, problem.base.groups, estimates, consistent, strict=True)
-    return tuple(
-        BaseParameter(name, group, UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2"), estimate, near)
-        for name, group, estimate, near in rows
-    )
 
 
-def with_other(base: Sequence[BaseParameter], comparison: InstrumentalComparison) -> tuple[BaseParameter, ...]:
-    """Return base parameters with their values by the other one of least squares and instrumental variables."""
-    fit = comparison.least_squares if comparison.biased else comparison.instrumental
-    rows = zip(base, fit.value.tolist(), fit.deviation.tolist(), strict=False)  # friction follows the base parameters
-    return tuple(
-        replace(one, other=ParameterEstimate(value, deviation))
-        if one.estimate.identifiable and np.isfinite(deviation)
-        else replace(one, other=ParameterEstimate.unknown(NOT_DETERMINED))
-        for one, value, deviation in rows
-    )
+def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorques, ...]:
+    """Return the torques of each bag of a problem; pieces of a bag with gaps are put together.
+
+    Args:
+        problem: the equations.
+        predicted: torque of each row, known payloads left out, Nm, shape (r,).
+    """
+    velocity = problem.rows_of([run.velocity[:, :, None] for run in problem.runs])[:, 0]
+    table = np.array([problem.time, velocity, problem.torque + problem.payload, predicted + problem.payload])
+    pieces: dict[str, list[int]] = {}
+    for number, run in enumerate(problem.runs):
+        pieces.setdefault(str(run.source.path), []).append(number)
+    found = []
+    for numbers in pieces.values():
+        mine, runs = np.isin(problem.run, numbers), [problem.runs[number] for number in numbers]
+        joints = [JointTorque(*table[:, mine & (problem.joint == j)]) for j in range(len(problem.arm.names))]
+        noise = np.sqrt(np.mean([torque_noise(run) ** 2 for run in runs], axis=0))
+        found.append(RunTorques(problem.arm.names, runs[0].source, tuple(joints), noise))
+    return tuple(found)
+
+
+def torque_noise(run: FilteredRun) -> Array:
+    """Return the standard deviation of the noise of the filtered torque, Nm, shape (n,).
+
+    The median third difference of the recorded torque tells the noise of a sample: motion is smooth between samples,
+    and the steps of friction are rare. Of white noise the filter passes the sum of its squared taps.
+    """
+    size = np.median(np.abs(np.diff(run.torque, _DIFFERENCES, axis=0)), axis=0)
+    return np.asarray(size / (_NORMAL_MAD * math.sqrt(_DIFFERENCE_GAIN)) * math.sqrt(np.sum(run.taps**2)))
+
+
+_MIN_TREND_BLOCKS = 6  # over which a trend is tested
+_TREND_LEVEL = 0.01  # chance of a false trend, over all joints and runs together
+
+
+class Trend(NamedTuple):
+    """A drift of the friction within a run.
+
+    Attributes:
+        bag: name of the run.
+        joint: its name.
+        change: of the friction torque from the first to the last sample, Nm; positive where it grows.
+        deviation: its standard deviation, Nm.
+    """
+
+    bag: str
+    joint: str
+    change: float
+    deviation: float
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        grows = "grows" if self.change > 0.0 else "falls"
+        return (
+            f"in {self.bag} the friction of {self.joint} {grows} by {abs(self.change):.3g} +- {self.deviation:.2g} Nm "
+            "from begin to end"
+        )
+
+
+def trends(runs: Sequence[RunTorques], block: float) -> tuple[Trend, ...]:
+    """Return the drifts of friction that blocks of time show at 1 % over all tests together (Bonferroni).
+
+    A line is fitted to the means of the difference times the sign of the velocity; means over blocks are nearly
+    independent, where neighbouring samples are not.
+
+    Args:
+        runs: to test, joint by joint.
+        block: length of the blocks, s.
+    """
+    tests = [(run, name, joint) for run in runs for name, joint in zip(run.names, run.joints, strict=True)]
+    found = []
+    for run, name, joint in tests:
+        number = ((joint.time - joint.time[:1]) / block).astype(np.intp)
+        count = np.bincount(number)
+        filled = np.flatnonzero(count > 0.5 * count.max(initial=0))
+        if len(filled) < _MIN_TREND_BLOCKS:
+            continue
+        opposing = joint.residual * np.sign(joint.velocity)
+        means, times = (np.bincount(number, values)[filled] / count[filled] for values in (opposing, joint.time))
+        means, times = means - opposing.mean(), times - times.mean()
+        slope = float(times @ means / (times @ times))
+        free = len(filled) - 2
+        deviation = math.sqrt(float(np.sum((means - means.mean() - slope * times) ** 2)) / free / (times @ times))
+        span = float(joint.time[-1] - joint.time[0])
+        if abs(slope) > deviation * student.ppf(1.0 - 0.5 * _TREND_LEVEL / len(tests), free):
+            found.append(Trend(run.source.path.name, name, slope * span, deviation * span))
+    return tuple(found)
+
+
+_SPEED_BINS = 12  # of speed
+_MIN_BIN_ROWS = 5  # rows in a bin
+_MISFIT_LEVEL = 0.05  # chance of a false misfit, over all bins together
+
+
+class SpeedResiduals(NamedTuple):
+    """Mean residuals of an element's joint at several speeds of the element, k bins.
+
+    Attributes:
+        element: its name.
+        velocity: mean in each bin, rad/s, shape (k,).
+        residual: mean, Nm, shape (k,).
+        deviation: of that mean, from the means of blocks of time, Nm, shape (k,); NaN in a bin of one block.
+        blocks: how many of them, shape (k,).
+    """
+
+    element: str
+    velocity: Array
+    residual: Array
+    deviation: Array
+    blocks: Index
+
+
+def residuals_by_speed(problem: ExcitationProblem, residual: Array) -> tuple[SpeedResiduals, ...]:
+    """Return mean residuals over the speed of each element: what its friction curve does not say.
+
+    The joint is the last on which the element acts. Reversals are left out.
+
+    Args:
+        problem: r rows.
+        residual: recorded less predicted torque, Nm, shape (r,).
+    """
+    block = time_blocks(problem)
+    result = []
+    for e, (name, acts) in enumerate(zip(problem.arm.element_names, problem.arm.element_matrix != 0.0, strict=True)):
+        rows = np.flatnonzero((problem.joint == np.flatnonzero(acts)[-1]) & ~problem.reversal)
+        velocity, bins = problem.velocity[rows, e], []
+        if len(rows):
+            edges = np.quantile(velocity, np.linspace(0.0, 1.0, _SPEED_BINS + 1))
+            number = np.clip(np.searchsorted(edges, velocity, "right") - 1, 0, _SPEED_BINS - 1)
+            for some in (rows[number == k] for k in range(_SPEED_BINS)):
+                if len(some) >= _MIN_BIN_ROWS:
+                    means = [residual[some[block[some] == k]].mean() for k in np.unique(block[some])]
+                    spread = np.std(means, ddof=1) / math.sqrt(len(means)) if len(means) > 1 else math.nan
+                    bins.append((problem.velocity[some, e].mean(), residual[some].mean(), spread, len(means)))
+        speed, mean, deviation, blocks = np.array(bins, dtype=np.float64).reshape(-1, 4).T
+        result.append(SpeedResiduals(name, speed, mean, deviation, blocks.astype(np.intp)))
+    return tuple(result)
+
+
+def misfits(speeds: Sequence[SpeedResiduals]) -> list[str]:
+    """Return, in words, each element's largest mean residual that is more than chance (5 % over all bins together)."""
+    found = []
+    tests = sum(len(one.residual) for one in speeds)
+    for one in speeds:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            size = np.nan_to_num(np.abs(one.residual) / one.deviation, posinf=0.0)
+        limit = student.ppf(1.0 - 0.5 * _MISFIT_LEVEL / max(tests, 1), np.maximum(one.blocks - 1, 1))
+        clear = np.flatnonzero(size > limit)
+        if len(clear):
+            worst = clear[np.argmax(np.abs(one.residual[clear]))]
+            found.append(
+                f"the torque of {one.element} is off by {one.residual[worst]:.3g} +- {one.deviation[worst]:.2g} Nm at "
+                f"{one.velocity[worst]:.3g} rad/s"
+            )
+    return found
 
 
 _PRESLIDING_DISTANCE = 2.5e-4  # rad, at break-away where no c0 is known: that of the shipped RX90B's large joints
@@ -158,7 +419,7 @@ ASSUMED_BRISTLES = "no file: bristles that break away after 0.25 mrad are assume
 """Where c0, c1 and omega_d come from without a fallback, in words."""
 _BRISTLE_RELAXATION = 1e-3  # s, c1 over c0 where no c1 is known, as there
 _DAMPING_FADE_SPEED = 1.0  # rad/s, omega_d beside such a c1: the element is passive then at every speed
-_NEUTRAL_STRIBECK = {"omega_s": 0.1, "delta": 1.0}  # of no effect while tau_s = tau_c
+_NEUTRAL = {"omega_s": 0.1, "delta": 1.0, "c2": 0.0}  # of no effect while tau_s = tau_c
 
 
 def simulated_elements(
@@ -179,9 +440,8 @@ def simulated_elements(
     Raises:
         IdentificationError: for an element without an identified Coulomb torque, if there is no fallback.
     """
-    others = fallback or (None,) * len(estimates)
     found = []
-    for number, (one, other) in enumerate(zip(estimates, others, strict=True)):
+    for number, (one, other) in enumerate(zip(estimates, fallback or (None,) * len(estimates), strict=True)):
         element, known = _element(one.element, one.parameters, other), dict(one.parameters)
         if loads is not None:
             element, known = replace(element, load=loads.part(number)), known | loads.estimates(number)
@@ -202,9 +462,7 @@ def _element(name: str, known: Mapping[str, ParameterEstimate], other: FrictionE
                 )
             found[coulomb] = float(getattr(other, coulomb))
         found[f"tau_s_{sign}"] = max(found.get(f"tau_s_{sign}", 0.0), found[coulomb])
-    for parameter, value in _NEUTRAL_STRIBECK.items():
-        found.setdefault(parameter, value)
-    found.setdefault("c2", 0.0)
+    found = _NEUTRAL | found
     mean = 0.5 * (found["tau_c_positive"] + found["tau_c_negative"])
     found.setdefault("c0", mean / _PRESLIDING_DISTANCE if other is None else other.c0)
     if "c1" not in found:

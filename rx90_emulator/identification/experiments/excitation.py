@@ -31,7 +31,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.exchange.topics import MOTOR_NAMES
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
+from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
 from rx90_emulator.identification.experiments.limits import (
     CARRIES,
     TURNS,
@@ -231,8 +231,7 @@ class RunSearch:
             if len(noise) != n:
                 raise IdentificationError(f"--torque-noise: {len(noise)} values; accepted: {n}, one per joint")
         arm = RigidArm.from_setup(setup)
-        springs = [name for name, k in zip(arm.names, arm.spring.tolist(), strict=True) if k]
-        standard = StandardColumns.with_springs_on(arm, springs)
+        standard = StandardColumns(arm)
         columns = ExcitationColumns(arm, standard, BaseGroups.of(standard), noise)
         nothing = np.zeros((len(columns.names), len(columns.names)))
         workspace = Workspace(setup.robot, options.walls, home)

@@ -19,10 +19,14 @@ from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Mark, Panel, Plot
 from rx90_emulator.identification.estimates import ParameterEstimate
-from rx90_emulator.identification.excitation.friction.estimates import FrictionCurve
-from rx90_emulator.identification.excitation.instruments import remark
-from rx90_emulator.identification.excitation.result import ExcitationIdentification
-from rx90_emulator.identification.excitation.torques import JointTorque, RunTorques, SpeedResiduals, misfits
+from rx90_emulator.identification.excitation.friction import FrictionCurve
+from rx90_emulator.identification.excitation.result import (
+    ExcitationIdentification,
+    JointTorque,
+    RunTorques,
+    SpeedResiduals,
+    misfits,
+)
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.output import summary
 from rx90_emulator.identification.output.robot_files import torque_constants
@@ -275,7 +279,7 @@ def excitation_page(
         spectra=_spectra_plot(checked or result.torques),
         by_speed=_speed_plot(result.speeds),
         misfits=misfits(result.speeds),
-        closed_loop=remark(result.instruments),
+        closed_loop=result.instruments.remark,
         other="least squares" if result.instruments.biased else "instruments",
         gains=_gain_rows(result),
         by_time=_time_plot(result.torques, friction.blocks.length),

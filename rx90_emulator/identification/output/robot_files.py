@@ -29,11 +29,14 @@ from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.friction.friction_set import element_names
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate
-from rx90_emulator.identification.excitation.bodies import central
-from rx90_emulator.identification.excitation.consistency import ConsistentInertias
-from rx90_emulator.identification.excitation.friction.cross_validation import CrossValidation
-from rx90_emulator.identification.excitation.result import ASSUMED_BRISTLES, ExcitationIdentification
-from rx90_emulator.identification.excitation.torques import RunTorques, misfits
+from rx90_emulator.identification.excitation.choice import CrossValidation
+from rx90_emulator.identification.excitation.physical import ConsistentInertias, central
+from rx90_emulator.identification.excitation.result import (
+    ASSUMED_BRISTLES,
+    ExcitationIdentification,
+    RunTorques,
+    misfits,
+)
 from rx90_emulator.identification.output.friction_file import elements_text, six_digits
 from rx90_emulator.identification.output.summary import gain_warnings
 from rx90_emulator.identification.records import BagSource

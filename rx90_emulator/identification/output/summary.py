@@ -9,11 +9,9 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from rx90_emulator.identification.estimates import ParameterEstimate
-from rx90_emulator.identification.excitation.friction.law import Part
-from rx90_emulator.identification.excitation.gains import PLAUSIBLE
-from rx90_emulator.identification.excitation.instruments import remark
-from rx90_emulator.identification.excitation.result import ExcitationIdentification
-from rx90_emulator.identification.excitation.torques import TorqueValidation, misfits
+from rx90_emulator.identification.excitation.known_payload import PLAUSIBLE
+from rx90_emulator.identification.excitation.law import Part
+from rx90_emulator.identification.excitation.result import ExcitationIdentification, TorqueValidation, misfits
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.presliding.kinds import decisions
 from rx90_emulator.identification.validation.measured import MeasuredComparison
@@ -176,7 +174,7 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     return "\n".join([
         *lines,
         f"model: {kept_parts(result)}; last step of the choice: {result.model.reason}",
-        f"closed loop: {remark(result.instruments)}",
+        f"closed loop: {result.instruments.remark}",
         *_gain_texts(result),
         *([] if result.loads is None else [result.loads.remark(names)]),
         *(f"misfit: {text}" for text in misfits(result.speeds)),

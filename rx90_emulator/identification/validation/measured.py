@@ -30,7 +30,7 @@ from rx90_emulator.identification.excitation.filtering import (
     low_pass,
     low_pass_taps,
 )
-from rx90_emulator.identification.excitation.problem import SlidingState, element_states
+from rx90_emulator.identification.excitation.problem import element_states
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import JOINT_STATES, BagLayout, arm_layout, recorded_topic, with_signals
@@ -335,7 +335,7 @@ class _Simulated:
 def _moves(run: FilteredRun) -> Mask:
     """Return where each joint moves, and with it every motor and friction element that it turns, shape (k, 6)."""
     matrix = element_matrix()
-    rests = (element_states(run, matrix) == SlidingState.RESTS) @ (matrix != 0.0)
+    rests = element_states(run, matrix)[0] @ (matrix != 0.0)
     return np.asarray(~rests & (np.ptp(run.position, axis=0) > _MIN_TRAVEL))
 
 

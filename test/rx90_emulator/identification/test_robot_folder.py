@@ -26,9 +26,8 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
-from rx90_emulator.identification.excitation.bodies import InertialPrior
-from rx90_emulator.identification.excitation.consistency import BaseEstimate, consistent_inertias
-from rx90_emulator.identification.excitation.linear_parameters import BaseGroups, StandardColumns
+from rx90_emulator.identification.excitation.physical import BaseEstimate, InertialPrior, consistent_inertias
+from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot_files import (
     Identified,
@@ -108,10 +107,10 @@ def case(tmp_path_factory: pytest.TempPathFactory, source: BagSource) -> Case:
     base = replace(shipped, urdf=place / "wrong.urdf", drives=place / "drives.yaml", controller=place / "base.yaml")
     true, before = Setup.load(), Setup.load(base)
     arm = RigidArm.from_setup(before)
-    columns = StandardColumns(arm, (1,))
+    columns = StandardColumns(arm)
     rotors = before.drives.rotor_inertia
     prior = InertialPrior.of_urdf(before.robot.urdf, arm.names, rotors, [90.0], known=["tool"])
-    values = StandardColumns(RigidArm.from_setup(true), (1,)).values()
+    values = StandardColumns(RigidArm.from_setup(true)).values()
     inertias = consistent_inertias(estimate_of(columns, values), prior)
     elements = tuple(element_of(one, source) for one in true.friction.elements)
     robot = IdentifiedRobot(arm, inertias, columns.names, elements, "other.yaml", (source,))

@@ -17,15 +17,25 @@ from scipy.signal import lfilter
 from benchmarks.random_arms import FrictionLaw
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.excitation.choice import (
+    PartKey,
+    Scored,
+    Selection,
+    TimeBlocks,
+    element_groups,
+    left_out,
+)
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
-from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks, _solved
-from rx90_emulator.identification.excitation.friction.estimates import FrictionSelection
-from rx90_emulator.identification.excitation.friction.fit import WeightedProblem, _nonnegative, fit_shapes
-from rx90_emulator.identification.excitation.friction.identify import _final, identify_friction_parts, predicted_torque
-from rx90_emulator.identification.excitation.friction.law import ElementMotion, ElementShape, Part, element_rows
-from rx90_emulator.identification.excitation.friction.selection import Selected, _groups, _Selection, tangent, verdict
-from rx90_emulator.identification.excitation.friction.unmodelled import _bounded, blur_shifts
+from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, fit_shapes, nonnegative
+from rx90_emulator.identification.excitation.friction import (
+    FrictionSelection,
+    final_fit,
+    identify_friction_parts,
+    predicted_torque,
+)
+from rx90_emulator.identification.excitation.law import ElementMotion, ElementShape, Part, element_rows
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.unmodelled import blur_shifts, bounded_covariance
 from rx90_emulator.identification.records import BagSource, JointRecord
 
 Array = NDArray[np.float64]
@@ -86,6 +96,11 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> RigidArm:
 def problem_of(arm: RigidArm, *records: JointRecord) -> ExcitationProblem:
     """Return the equations of runs."""
     return ExcitationProblem.of(arm, [run for one in records for run in filter_record(one, Bandwidths(20.0, 10.0))])
+
+
+def selected(weighted: WeightedProblem, fit: SeparableFit, *refused: PartKey) -> Any:
+    """Return a fit as a selection leaves it that has refused some parts."""
+    return SimpleNamespace(weighted=weighted, fit=fit, refused=dict.fromkeys(refused, ""))
 
 
 LAWS = (power_law(3.0, 2.0, 0.7), power_law(1.0, 0.8, 1.0))
@@ -176,13 +191,13 @@ def test_a_blurred_motion_widens_what_depends_on_it(arm: RigidArm) -> None:
     parts = frozenset({Part.STRIBECK, Part.BRISTLE, Part.DAMPING})
     true = ElementShape(parts, rise=0.5, omega_s=0.1, stiffness=250.0)
     fit = fit_shapes(weighted, [true, ElementShape()])
-    columns = tangent(weighted, fit, fit.inner())
+    columns = weighted.tangent(fit, fit.inner())
     shifts = np.linalg.norm(blur_shifts(weighted, fit, columns), axis=0)[len(problem.names) :]
     found = dict(zip(true.free, fit.shapes[0].values - true.values, strict=True))
     for name in ("rise", "omega_s", "stiffness"):
         assert 1e-4 < abs(found[name]) < 2.0 * shifts[fit.inner().index((0, name))], name
     plain = fit_shapes(weighted, [ElementShape(), ElementShape()], ())
-    assert blur_shifts(weighted, plain, tangent(weighted, plain, plain.inner())) == []
+    assert blur_shifts(weighted, plain, weighted.tangent(plain, plain.inner())) == []
 
 
 def test_a_bristle_without_its_damping_has_the_deviation_of_what_it_hides(arm: RigidArm) -> None:
@@ -191,12 +206,11 @@ def test_a_bristle_without_its_damping_has_the_deviation_of_what_it_hides(arm: R
     problem = problem_of(arm, record((along(damped), LAWS[1]), 4))
     weighted = WeightedProblem.of(problem, element_rows(problem), np.full(len(problem), 1.0 / NOISE))
     fit = fit_shapes(weighted, [ElementShape(frozenset({Part.BRISTLE}), stiffness=100.0), ElementShape()])
-    time = TimeBlocks.of(problem, Linearised.of(weighted, fit).residual)
-    tried = Selected(weighted, fit, (), time.blocks, {(0, Part.DAMPING): ""})
-    final, without = _final(tried, ()), _final(replace(tried, refused={}), ())
-    place = len(problem.names) + final.inner.index((0, "stiffness"))
-    off = fit.shapes[0].values[0] + final.fit.value[place] - np.log(damped.c0 / damped.coulomb)
-    assert 3.0 * without.fit.deviation[place] < abs(off) < 1.96 * final.fit.deviation[place]
+    tried = selected(weighted, fit, (0, Part.DAMPING))
+    (inner, final, *_), (_, without, *_) = final_fit(tried, ()), final_fit(selected(weighted, fit), ())
+    place = len(problem.names) + inner.index((0, "stiffness"))
+    off = fit.shapes[0].values[0] + final.value[place] - np.log(damped.c0 / damped.coulomb)
+    assert 3.0 * without.deviation[place] < abs(off) < 1.96 * final.deviation[place]
 
 
 def test_a_rise_that_may_be_there_lies_between_bounds() -> None:
@@ -208,7 +222,7 @@ def test_a_rise_that_may_be_there_lies_between_bounds() -> None:
     kept = drawn[(drawn[:, 2] >= 0.0) & (drawn[:, 2] <= 1.0)]
     # The values that are written are those for a rise of 0: conditional means of the draws there.
     kept[:, :2] += covariance[:2, 2] / covariance[2, 2] * value
-    assert _bounded(covariance, [(value, deviation)], [1.0]) == pytest.approx(
+    assert bounded_covariance(covariance, [(value, deviation)], [1.0]) == pytest.approx(
         kept[:, :2].T @ kept[:, :2] / len(kept), abs=0.01
     )
 
@@ -287,16 +301,16 @@ def weighted(arm: RigidArm) -> WeightedProblem:
 def test_a_block_is_predicted_by_a_fit_without_it(weighted: WeightedProblem) -> None:
     """The residuals of a block are those of a least-squares fit that has not seen it nor its neighbours."""
     fit = fit_shapes(weighted, [ElementShape(), ElementShape()])
-    around = Linearised.of(weighted, fit)
-    time = TimeBlocks.of(weighted.problem, around.residual)
-    left = around.left_out(time.folds)
+    residual, tangent = weighted.linearised(fit)
+    time = TimeBlocks.of(weighted.problem, residual)
+    left = left_out(residual, tangent, time.folds)
     friction = np.zeros((len(weighted.weight), 4))
     for e, rows in enumerate(weighted.elements):
-        friction[rows.rows, 2 * e : 2 * e + 2] = rows.columns(ElementShape())[0][:, :2]
+        friction[rows.rows, 2 * e : 2 * e + 2] = rows.columns(ElementShape())[:, :2]
     columns = np.hstack([weighted.problem.regressor, friction]) * weighted.weight[:, None]
     target = weighted.problem.torque * weighted.weight
-    assert 8 <= time.blocks.count <= 60
-    when, apart = weighted.problem.time, time.blocks.correlation_time
+    assert 8 <= time.count <= 60
+    when, apart = weighted.problem.time, time.correlation_time
     for rows, near in time.folds[::3]:
         within = (when > when[rows].min() - apart) & (when < when[rows].max() + apart)
         assert np.array_equal(near, np.flatnonzero(within))
@@ -321,8 +335,8 @@ def test_blocks_are_long_against_the_correlation_and_hold_all_repetitions(arm: R
         residual[rows] = lfilter([1.0], [1.0, -r], rng.normal(size=rows.sum()))
     time = TimeBlocks.of(problem, residual)
     row = problem.runs[0].down / problem.runs[0].rate
-    assert time.blocks.correlation_time == pytest.approx(row * (1.0 + r) / (1.0 - r), rel=0.4)
-    assert time.blocks.length == pytest.approx(2.0 * SECONDS / 60.0, rel=0.1)
+    assert time.correlation_time == pytest.approx(row * (1.0 + r) / (1.0 - r), rel=0.4)
+    assert time.length == pytest.approx(2.0 * SECONDS / 60.0, rel=0.1)
     first, again, other = (problem.run == run for run in range(3))
     shared = first & (problem.time > problem.time[again].min() - 1e-9)
     assert np.mean(time.block[shared] == time.block[again]) > 0.99  # at a border rounding decides
@@ -334,67 +348,67 @@ def test_blocks_are_long_against_the_correlation_and_hold_all_repetitions(arm: R
 def test_elements_are_one_group_by_way_of_others() -> None:
     """Of a chain of elements that share a joint each with the next, and one alone, two groups come out."""
     acts = np.array([[1.0, 1, 0, 0, 0], [0, 1, 1, 0, 0], [0, 0, 1, 1, 0], [0, 0, 0, 0, 1]])
-    problem: Any = SimpleNamespace(arm=SimpleNamespace(element_matrix=acts))
-    assert _groups(problem) == [(0, 1, 2), (3,)]
+    assert element_groups(acts) == [(0, 1, 2), (3,)]
 
 
 def test_a_gain_is_judged_by_paired_blocks(weighted: WeightedProblem) -> None:
     """Gain and standard error are those of the blocks' sums of squares, and a model is not better than itself."""
     plain = fit_shapes(weighted, [ElementShape(), ElementShape()])
     free = fit_shapes(weighted, [ElementShape(frozenset({Part.EXPONENT})), ElementShape()])
-    time = TimeBlocks.of(weighted.problem, Linearised.of(weighted, plain).residual)
+    time = TimeBlocks.of(weighted.problem, weighted.linearised(plain)[0])
     small, large = (Scored.of(weighted, fit, time) for fit in (plain, free))
     assert large.better_than(small)
     assert not small.better_than(large)
     assert not small.better_than(small)
-    assert "the error falls by" in verdict(large, small)
-    assert "the error rises by" in verdict(small, large)
-    blocks, runs = large.validations(small)
-    assert runs is None
-    rows = np.bincount(time.block)
-    uneven = np.where(np.arange(len(rows)) % 2, 0.9, 1.1) * rows  # left out by runs: a standard error of some percent
+    assert "the error falls by" in large.verdict(small)
+    assert "the error rises by" in small.verdict(large)
+    figures = large.validations(small)
+    assert list(figures) == ["blocks"]
+    blocks, rows = figures["blocks"], np.bincount(time.block)
+    uneven = np.where(np.arange(len(rows)) % 2, 0.9, 1.1) * rows  # a standard error of some percent
+    even, at = uneven * rows.sum() / uneven.sum(), large.left["blocks"]
     for loss, accepted in ((0.0, True), (0.002, True), (0.2, False)):
-        worse = replace(large, by_runs=rows * (1.0 + loss))
-        assert worse.better_than(replace(small, by_runs=uneven * rows.sum() / uneven.sum())) is accepted
-    even = uneven * rows.sum() / uneven.sum()
+        worse = replace(large, left={"blocks": at, "runs": (rows * (1.0 + loss), 0.0)})
+        assert worse.better_than(replace(small, left={**small.left, "runs": (even, 0.0)})) is accepted
     for gain, better in ((0.002, False), (0.2, True)):  # by blocks, with the same standard error
-        other = replace(large, by_blocks=rows * (1.0 - gain), by_runs=None)
-        assert other.better_than(replace(small, by_blocks=even, by_runs=None)) is better
-    assert blocks.error == pytest.approx(np.sqrt(large.by_blocks.sum() / rows.sum()))
-    assert blocks.gain == pytest.approx(np.sqrt(small.by_blocks.sum() / rows.sum()) - blocks.error)
+        other = replace(large, left={"blocks": (rows * (1.0 - gain), 0.0)})
+        assert other.better_than(replace(small, left={"blocks": (even, 0.0)})) is better
+    sums = [one.left["blocks"][0] for one in (small, large)]
+    assert blocks.error == pytest.approx(np.sqrt(sums[1].sum() / rows.sum()))
+    assert blocks.gain == pytest.approx(np.sqrt(sums[0].sum() / rows.sum()) - blocks.error)
     drawn = np.random.default_rng(0).integers(0, len(rows), (2000, len(rows)))
-    sums = [np.sqrt(m.by_blocks[drawn].sum(axis=1) / rows[drawn].sum(axis=1)) for m in (small, large)]
-    assert np.std(sums[0] - sums[1]) == pytest.approx(blocks.gain_deviation, rel=0.3)
+    errors = [np.sqrt(one[drawn].sum(axis=1) / rows[drawn].sum(axis=1)) for one in sums]
+    assert np.std(errors[0] - errors[1]) == pytest.approx(blocks.gain_deviation, rel=0.3)
 
 
 RISING = (stribeck(2.0, 3.0, 0.1, 1.5), LAWS[1])
 
 
 @pytest.fixture(scope="module")
-def search(arm: RigidArm) -> _Selection:
+def search(arm: RigidArm) -> Selection:
     """Return a search, before any part was tried, along a run whose first element has a Stribeck rise."""
-    return _Selection(problem_of(arm, record(RISING, 9)), (Part.EXPONENT, Part.STRIBECK))
+    return Selection(problem_of(arm, record(RISING, 9)), (Part.EXPONENT, Part.STRIBECK))
 
 
 @pytest.mark.parametrize("name", ["rise", "delta"])
-def test_a_rise_that_ends_at_a_bound_is_tried_with_delta_1(search: _Selection, name: str) -> None:
+def test_a_rise_that_ends_at_a_bound_is_tried_with_delta_1(search: Selection, name: str) -> None:
     """The rise that is there comes out, and delta is not said to be known."""
     begun = ElementShape(frozenset({Part.STRIBECK}), rise=1.5, omega_s=0.01, delta=0.5)
     fit = fit_shapes(search.weighted, [begun, ElementShape()], ())
-    ended = Scored.of(search.weighted, replace(fit, at_bound=(frozenset({name}), frozenset())), search.time)
-    shape = search._within_bounds(ended, Part.STRIBECK).fit.shapes[0]
+    ended = Scored.of(search.weighted, replace(fit, at_bound=(frozenset({name}), frozenset())), search.blocks)
+    shape = search.within_bounds(ended, Part.STRIBECK).fit.shapes[0]
     assert Part.STRIBECK in shape.parts
     assert (shape.delta, shape.fixed) == (1.0, {"delta"})
     assert shape.rise == pytest.approx(0.5, abs=0.15)
     assert shape.omega_s == pytest.approx(0.1, rel=0.3)
 
 
-def test_an_exponent_at_a_bound_is_no_result(search: _Selection) -> None:
+def test_an_exponent_at_a_bound_is_no_result(search: Selection) -> None:
     """The part goes, whichever part is being tried, and the reason names the bound."""
     shapes = [ElementShape(), ElementShape(frozenset({Part.EXPONENT}), alpha=2.0)]
     fit = fit_shapes(search.weighted, shapes, ())
-    ended = Scored.of(search.weighted, replace(fit, at_bound=(frozenset(), frozenset({"alpha"}))), search.time)
-    assert search._within_bounds(ended, Part.STRIBECK).fit.shapes == (ElementShape(), ElementShape())
+    ended = Scored.of(search.weighted, replace(fit, at_bound=(frozenset(), frozenset({"alpha"}))), search.blocks)
+    assert search.within_bounds(ended, Part.STRIBECK).fit.shapes == (ElementShape(), ElementShape())
     assert search.refused[1, Part.EXPONENT] == "alpha of two ends at the bound of its range, 2"
 
 
@@ -410,22 +424,20 @@ def test_a_rise_that_may_be_there_widens_the_deviations(
     weighted = WeightedProblem.of(problem, elements, np.full(len(problem.torque), 1.0 / np.hypot(NOISE, noise)))
     exponent = ElementShape(frozenset({Part.EXPONENT}), alpha=0.8)
     fit = fit_shapes(weighted, [exponent, ElementShape()])
-    time = TimeBlocks.of(problem, Linearised.of(weighted, fit).residual)
-    tried = Selected(weighted, fit, (), time.blocks, {(0, Part.STRIBECK): ""})
+    tried = selected(weighted, fit, (0, Part.STRIBECK))
     parts, coulomb = (Part.EXPONENT, Part.STRIBECK), len(problem.names)
-    final, without = _final(tried, parts), _final(replace(tried, refused={}), parts)
-    assert set(final.rises) == open_ones
-    factor = final.fit.deviation[coulomb] / without.fit.deviation[coulomb]
+    (_, final, rises, _), (_, without, *_) = final_fit(tried, parts), final_fit(selected(weighted, fit), parts)
+    assert set(rises) == open_ones
+    factor = final.deviation[coulomb] / without.deviation[coulomb]
     assert (factor > 1.1) if open_ones else (factor == 1.0)
-    for value, deviation in final.rises.values():
+    for value, deviation in rises.values():
         assert abs(value - 0.5) < 3.0 * deviation
 
 
 def test_an_exponent_left_at_1_has_the_deviation_of_what_it_hides(weighted: WeightedProblem) -> None:
     """Where an exponent of 0.7 is left out, the intervals of alpha and tau_c reach the true values."""
     fit = fit_shapes(weighted, [ElementShape(), ElementShape()])
-    time = TimeBlocks.of(weighted.problem, Linearised.of(weighted, fit).residual)
-    inner, final, *_ = _final(Selected(weighted, fit, (), time.blocks, {}), (Part.EXPONENT,))
+    inner, final, *_ = final_fit(selected(weighted, fit), (Part.EXPONENT,))
     for key, true in {(0, "alpha"): 0.7, (0, "tau_c"): 3.0}.items():
         place = len(weighted.problem.names) + inner.index(key)
         found = 1.0 if key[1] == "alpha" else final.value[place]
@@ -433,8 +445,13 @@ def test_an_exponent_left_at_1_has_the_deviation_of_what_it_hides(weighted: Weig
 
 
 def test_a_column_of_mere_rounding_gets_no_share() -> None:
-    """A column that the regressor explains, whose square rounding makes negative, is 0 beside one that is fitted."""
+    """A column that the regressor explains, whose square rounding makes negative, is 0 beside one that is fitted.
+
+    So is one of zeros in the prediction of a block.
+    """
     gram = np.array([[4.0, 1e-16], [1e-16, -1e-15]])
-    assert _nonnegative(gram, np.array([2.0, 1e-9])) == pytest.approx([0.5, 0.0])
-    assert _solved(np.diag([2.0, 0.0]), np.array([1.0, 0.0])) == pytest.approx([0.5, 0.0])
-    assert _nonnegative(-1e-9 * np.eye(2), np.ones(2)) == pytest.approx([0.0, 0.0])
+    assert nonnegative(gram, np.array([2.0, 1e-9])) == pytest.approx([0.5, 0.0])
+    tangent = np.column_stack([np.full(4, 0.5), np.zeros(4)])
+    left = left_out(np.arange(4.0), tangent, [(np.array([3]), np.array([3]))])
+    assert left[3] == pytest.approx(2.0)  # 3 less the mean of 0, 1 and 2
+    assert nonnegative(-1e-9 * np.eye(2), np.ones(2)) == pytest.approx([0.0, 0.0])

@@ -25,8 +25,8 @@ from rx90_common.base.errors import INTERRUPTED, REFUSED, VERDICT_NO
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
-from rx90_emulator.identification.excitation.friction.law import Part
-from rx90_emulator.identification.excitation.torques import (
+from rx90_emulator.identification.excitation.law import Part
+from rx90_emulator.identification.excitation.result import (
     JointTorque,
     RunTorques,
     TorqueValidation,

@@ -20,9 +20,9 @@ from rx90_common.report import page
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.excitation import instruments
 from rx90_emulator.identification.excitation.filtering import Bandwidths
-from rx90_emulator.identification.excitation.friction.identify import identify_friction_parts
+from rx90_emulator.identification.excitation.friction import identify_friction_parts
 from rx90_emulator.identification.excitation.identify import identify_excitation
-from rx90_emulator.identification.excitation.instruments import check_closed_loop, remark
+from rx90_emulator.identification.excitation.instruments import check_closed_loop
 from rx90_emulator.identification.excitation.payload import payloads_of, read_payloads
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import base_parameters
@@ -186,7 +186,10 @@ def test_a_prior_stands_in_for_what_runs_do_not_tell(tmp_path: Path, monkeypatch
     assert abs(estimate.value - described[k]) < 3.0 * estimate.deviation < 0.2
     assert "mx_2" not in held.undetermined
     alone = replace(
-        held, base=base_parameters(held.problem, identify_friction_parts(held.problem, ()), held.consistency)
+        held,
+        base=base_parameters(
+            held.problem, identify_friction_parts(held.problem, ()), held.consistency, held.instruments
+        ),
     )
     assert "mx_2" in alone.undetermined
     assert f"not determined by these runs: {', '.join(alone.undetermined)};" in rx.excitation_summary(alone)
@@ -200,7 +203,7 @@ def test_instrumental_values_are_written_where_set_points_tell(tmp_path: Path, m
     fitted = identify_friction_parts(problem, ())
     monkeypatch.setattr(instruments, "_MAX_ROUNDS", 2)
     comparison, taken = check_closed_loop(problem, fitted)
-    assert remark(comparison).endswith("all values written are by instrumental variables")
+    assert comparison.remark.endswith("all values written are by instrumental variables")
     expected = dict(zip(problem.names, truth(problem, arm), strict=False))
     held = [
         abs(taken.fit.value[k] - expected[name]) < 2.5 * taken.fit.deviation[k] for k, name in enumerate(problem.names)
@@ -214,4 +217,4 @@ def test_instrumental_values_are_written_where_set_points_tell(tmp_path: Path, m
     monkeypatch.setattr(instruments, "_MAX_ROUNDS", 0)
     comparison, same = check_closed_loop(blind, fitted)
     assert same is fitted
-    assert remark(comparison).endswith("all values written are by least squares")
+    assert comparison.remark.endswith("all values written are by least squares")

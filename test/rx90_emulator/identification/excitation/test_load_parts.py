@@ -94,7 +94,7 @@ def test_no_load_part_is_found_where_there_is_none(tx40: Setup) -> None:
     ("words", "message"),
     [
         ("--load-part", "--load-part without --payload; accepted: with --payload FILE"),
-        ("--load-part --payload same.yaml", "load parts from runs that all carry the same payload"),
+        ("--load-part --payload same.yaml", "load parts: all runs carry the same payload"),
     ],
 )
 def test_load_parts_need_two_payloads(

@@ -16,20 +16,17 @@ from scipy.optimize import least_squares
 from benchmarks.excitation_runs import Disturbances
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.bodies import (
-    InertialPrior,
-    central,
-    inertial_parameters,
-    is_body,
-    pseudo_inertia,
-)
-from rx90_emulator.identification.excitation.consistency import (
+from rx90_emulator.identification.excitation.least_squares import solve
+from rx90_emulator.identification.excitation.physical import (
     BaseEstimate,
     ConsistentInertias,
+    InertialPrior,
     base_information,
+    central,
     consistent_inertias,
+    inertial_parameters,
+    is_body,
 )
-from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 Array = NDArray[np.float64]
@@ -101,11 +98,10 @@ def assert_bodies(result: ConsistentInertias) -> None:
 
 
 def test_pseudo_inertia_is_that_of_point_masses() -> None:
-    """P is the sum of m (r, 1)(r, 1)^T; the ten parameters come back; fewer than four masses are no solid body."""
+    """Of P, the sum of m (r, 1)(r, 1)^T, come the ten parameters; fewer than four masses are no solid body."""
     masses, places = cloud(3.0, np.array([0.1, -0.2, 0.4]), 0.1)
     one = np.column_stack([places, np.ones(6)])
-    pseudo = pseudo_inertia(parameters_of(masses, places))
-    np.testing.assert_allclose(pseudo, (masses * one.T) @ one, atol=1e-14)
+    pseudo = (masses * one.T) @ one
     np.testing.assert_allclose(inertial_parameters(pseudo), parameters_of(masses, places), atol=1e-14)
     mass, center, inertia = central(pseudo)
     about = parameters_of(masses, places - masses @ places / 3.0)[[4, 5, 7, 6, 8, 9]]
@@ -113,7 +109,7 @@ def test_pseudo_inertia_is_that_of_point_masses() -> None:
     np.testing.assert_allclose(center, masses @ places / 3.0)
     np.testing.assert_allclose(inertia[np.triu_indices(3)], about, atol=1e-14)
     assert is_body(pseudo)
-    assert not is_body(pseudo_inertia(parameters_of(masses[:3], places[:3])))
+    assert not is_body((masses[:3] * one[:3].T) @ one[:3])
 
 
 def test_consistent_truth_is_reproduced(arm: Arm) -> None:
@@ -232,9 +228,9 @@ def test_bodies_predict_unseen_runs_better_than_least_squares(tmp_path: Path) ->
     identified, bodies = [], []
     for seed in (0, 4, 8, 13):
         arm = plain_arm(seed, 3 + seed % 4, coupled=False)
-        rigid, springs = rigid_arm(arm, tmp_path), [n for n, k in zip(arm.names, arm.spring, strict=True) if k]
+        rigid = rigid_arm(arm, tmp_path)
         seen, unseen = (
-            ExcitationProblem.of(rigid, runs_of(arm, 500.0, worse, seeds=(k,), periods=1), springs)
+            ExcitationProblem.of(rigid, runs_of(arm, 500.0, worse, seeds=(k,), periods=1))
             for k, worse in ((0, Disturbances(coloured=0.05, ripple=0.05, load=0.2)), (7, Disturbances()))
         )
         fit, count = solve(seen, all_columns(seen)[1]), len(seen.names)
@@ -274,23 +270,21 @@ def test_prior_without_inertials(urdf: str, words: list[str]) -> None:
     np.testing.assert_allclose(np.diag(inertia), mass / 5.0 * np.array([half**2 + radius**2] * 2 + [2 * radius**2]))
 
 
-@pytest.mark.parametrize("wrong", ["nothing", "mapping", "rotor", "joint"])
+@pytest.mark.parametrize("wrong", ["nothing", "rotor", "joint"])
 def test_nonsense_is_refused(arm: Arm, wrong: str) -> None:
-    """Runs that determine nothing and parameters of another arm are refused in one line."""
+    """Runs that determine nothing, impossible rotors and unknown joints are refused in one line."""
     value = arm.mapping @ arm.truth
     good = arm.estimate(value, 1.0)
     rotors, joints = ROTORS, JOINTS
-    mapping, covariance = good.mapping, good.covariance.copy()
+    covariance = good.covariance.copy()
     if wrong == "nothing":
         covariance[np.diag_indices(len(value))] = np.inf
-    elif wrong == "mapping":
-        mapping = mapping[:, :32]
     elif wrong == "rotor":
         rotors = np.array([0.1, -0.1, 0.1])
     else:
         joints = ["a", "b", "d"]
     with pytest.raises(IdentificationError, match="accepted: ") as refusal:
         consistent_inertias(
-            BaseEstimate(mapping, value, covariance, good.information), InertialPrior.of_urdf(URDF, joints, rotors)
+            BaseEstimate(good.mapping, value, covariance, good.information), InertialPrior.of_urdf(URDF, joints, rotors)
         )
     assert "\n" not in str(refusal.value)

@@ -1,4 +1,4 @@
-"""The friction law of one element as the fit writes it: what is linear, what is not, and its derivatives.
+"""The friction law of one element as the fit writes it: what is linear, what is not, and its columns along a motion.
 
 Equations 17 to 19 and the viscous exponent, with the bristle's torque over the Coulomb torque u = c0 z / tau_c:
 
@@ -8,10 +8,6 @@ Equations 17 to 19 and the viscous exponent, with the bristle's torque over the 
 Linear are tau_c, c2 and c1; not linear are alpha, rise = tau_s / tau_c - 1, omega_s, delta and stiffness = c0 / tau_c,
 the inverse of the presliding distance. Without a bristle u is sign(v) h(v). A difference of tau_c between the
 directions is a constant torque, which no motion tells from a joint's offset; tau_c is the mean of both directions.
-
-Compiled deflection of bristles along one motion, several of different parameters at a time.
-
-What the linear parameters of an element multiply along recorded motions: filtered rows, and their derivatives.
 """
 
 from __future__ import annotations
@@ -21,12 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Index
 from rx90_common.friction.bristle import decay
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import exponential
@@ -37,7 +32,9 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 COULOMB, VISCOUS, DAMPING = 0, 1, 2
 """Places of the linear parameters tau_c, c2 and c1."""
 LINEAR = ("tau_c", "c2", "c1")
-FITTED = (*LINEAR, "alpha", "rise", "omega_s", "delta", "stiffness")
+SHAPED = {"alpha": VISCOUS, "rise": COULOMB, "omega_s": COULOMB, "delta": COULOMB, "stiffness": COULOMB}
+"""The other parameters, and which linear parameter's torque each of them shapes."""
+FITTED = (*LINEAR, *SHAPED)
 """All parameters of an element as the fit writes them: omega_s and stiffness stand for their logarithms."""
 
 
@@ -61,6 +58,8 @@ _SHAPE_OF = {
     Part.BRISTLE: ("stiffness",),
     Part.DAMPING: (),
 }
+PART_OF = {name: part for part, names in _SHAPE_OF.items() for name in names}
+"""The part that each parameter of a shape belongs to."""
 _LOGARITHMIC = frozenset({"omega_s", "stiffness"})
 
 
@@ -89,16 +88,18 @@ class ElementShape:
     @property
     def free(self) -> tuple[str, ...]:
         """Return the names of the parameters that its parts leave open, in the order of `values`."""
-        return tuple(n for part in Part if part in self.parts for n in part.shape if n not in self.fixed)
+        return tuple(name for name, part in PART_OF.items() if part in self.parts and name not in self.fixed)
 
     @property
     def values(self) -> Array:
         """Return the free parameters as the fit writes them: logarithms of omega_s and stiffness."""
-        return np.array([_written(name, getattr(self, name)) for name in self.free])
+        pairs = [(name, getattr(self, name)) for name in self.free]
+        return np.array([math.log(value) if name in _LOGARITHMIC else value for name, value in pairs])
 
     def with_values(self, values: Array) -> ElementShape:
         """Return the shape with other free parameters, written as `values`."""
-        changed: dict[str, Any] = {n: _read(n, float(x)) for n, x in zip(self.free, values, strict=True)}
+        pairs = zip(self.free, values.tolist(), strict=True)
+        changed: dict[str, Any] = {name: math.exp(x) if name in _LOGARITHMIC else x for name, x in pairs}
         return replace(self, **changed)
 
     def without(self, part: Part) -> ElementShape:
@@ -109,7 +110,7 @@ class ElementShape:
 
     def opened(self, name: str) -> ElementShape:
         """Return the shape with a parameter among its free ones, its value as it is."""
-        part = next(part for part in Part if name in part.shape)
+        part = PART_OF[name]
         closed = frozenset() if part in self.parts else frozenset(part.shape)
         return replace(self, parts=self.parts | {part}, fixed=(self.fixed | closed) - {name})
 
@@ -120,71 +121,38 @@ LARGEST_POWER = math.log(700.0)
 """Of (|v| / omega_s)^delta, its logarithm: beyond, a Stribeck rise has faded."""
 
 
-def _written(name: str, value: float) -> float:
-    return math.log(value) if name in _LOGARITHMIC else value
-
-
-def _read(name: str, value: float) -> float:
-    return math.exp(value) if name in _LOGARITHMIC else value
-
-
-@dataclass(frozen=True, eq=False)
-class Speeds:
-    """Velocities, rad/s, shape (m,), and what all shapes make use of."""
+class Speeds(NamedTuple):
+    """Velocities, rad/s, shape (m,), and the logarithms of their sizes, bounded so that rest gives no infinity."""
 
     velocity: Array
+    logarithm: Array
 
-    @cached_property
-    def sign(self) -> Array:
-        """Return their signs, shape (m,)."""
-        return np.asarray(np.sign(self.velocity))
-
-    @cached_property
-    def logarithm(self) -> Array:
-        """Return the logarithms of their sizes, shape (m,), bounded from below so that rest gives no infinity."""
-        return np.asarray(np.log(np.maximum(np.abs(self.velocity), _REST)))
-
-
-def stribeck_factor(shape: ElementShape, speeds: Speeds) -> tuple[Array, dict[str, Array]]:
-    """Return h and its derivatives by rise, ln omega_s and delta where the shape has a Stribeck part, each (m,)."""
-    if Part.STRIBECK not in shape.parts:
-        return np.ones_like(speeds.velocity), {}
-    over = speeds.logarithm - math.log(shape.omega_s)
-    ratio = np.exp(np.minimum(shape.delta * over, LARGEST_POWER))
-    decay = np.exp(-ratio)
-    slope = shape.rise * decay * ratio
-    return 1.0 + shape.rise * decay, {"rise": decay, "omega_s": slope * shape.delta, "delta": -slope * over}
+    @classmethod
+    def of(cls, velocity: Array) -> Speeds:
+        """Return velocities with what all shapes make use of."""
+        return cls(velocity, np.log(np.maximum(np.abs(velocity), _REST)))
 
 
 def viscous(shape: ElementShape, speeds: Speeds) -> tuple[Array, Array]:
     """Return |v|^alpha sign(v) and its derivative by alpha, each of shape (m,)."""
-    column = speeds.sign * np.exp(shape.alpha * speeds.logarithm)
+    column = np.sign(speeds.velocity) * np.exp(shape.alpha * speeds.logarithm)
     return column, column * speeds.logarithm
 
 
-def steady_columns(shape: ElementShape, velocity: Array) -> tuple[Array, dict[str, Array]]:
-    """Return what the linear parameters multiply in steady sliding, and its derivatives.
+def coulomb(shape: ElementShape, speeds: Speeds) -> tuple[Array, dict[str, Array]]:
+    """Return sign(v) h(v) and its derivatives by the parameters of a Stribeck part, where there is one, each (m,).
 
-    Args:
-        shape: of the element.
-        velocity: rad/s, shape (m,).
-
-    Returns:
-        Columns of LINEAR, shape (m, 3), and their derivatives by each other parameter in FITTED.
+    The curve is that of `rx90_common.friction.curves`, from the logarithm of the speed, which no fit takes anew.
     """
-    speeds = Speeds(velocity)
-    factor, by_stribeck = stribeck_factor(shape, speeds)
-    column, by_alpha = viscous(shape, speeds)
-    derivatives = {name: np.zeros((len(velocity), 3)) for name in FITTED[len(LINEAR) :]}
-    derivatives["alpha"][:, VISCOUS] = by_alpha
-    for name, slope in by_stribeck.items():
-        derivatives[name][:, COULOMB] = speeds.sign * slope
-    return np.column_stack([speeds.sign * factor, column, np.zeros_like(velocity)]), derivatives
-
-
-def bristle_parameters(shape: ElementShape) -> tuple[float, float, float, float]:
-    """Return rise, ln omega_s, delta and stiffness in 1/rad, as `deflect_bristles` takes them."""
-    return shape.rise, math.log(shape.omega_s), shape.delta, shape.stiffness
+    sign = np.sign(speeds.velocity)
+    if Part.STRIBECK not in shape.parts:
+        return sign, {}
+    over = speeds.logarithm - math.log(shape.omega_s)
+    ratio = np.exp(np.minimum(shape.delta * over, LARGEST_POWER))
+    rest = np.exp(-ratio)
+    slope = shape.rise * rest * ratio
+    slopes = {"rise": rest, "omega_s": slope * shape.delta, "delta": -slope * over}
+    return sign * (1.0 + shape.rise * rest), {name: sign * values for name, values in slopes.items()}
 
 
 @inlined
@@ -247,82 +215,59 @@ _VISIBLE = 0.02  # share of the way of a period after a reversal that a preslidi
 _DIFFERENCE_STEP = 1e-4  # of the bristle's parameters, as the fit writes them: their derivatives are differences
 
 
-@dataclass(frozen=True, eq=False)
-class ElementMotion:
+class ElementMotion(NamedTuple):
     """Motion of one element in one run, at its full rate.
 
     Attributes:
         run: that it is of.
         velocity: at the samples, rad/s, shape (m,).
-        mean: over the step that ends at each sample, rad/s, shape (m,).
-        at_torque: velocity where the torque was recorded, rad/s, shape (s,).
+        mean: velocities over the step that ends at each sample.
+        at_torque: velocities where the torque was recorded.
     """
 
     run: FilteredRun
     velocity: Array
-    mean: Array
-    at_torque: Array
+    mean: Speeds
+    at_torque: Speeds
 
     @classmethod
     def of(cls, run: FilteredRun, share: Array) -> ElementMotion:
         """Return the motion of an element that turns with the joints by these shares, shape (n,)."""
         mean = np.diff(run.position @ share, prepend=run.position[:1] @ share) / (1.0 / run.rate)
-        return cls(run, run.velocity @ share, mean, run.torque_velocity @ share)
-
-    @property
-    def step(self) -> float:
-        """Return the time between two samples, s."""
-        return 1.0 / self.run.rate
-
-    @cached_property
-    def speeds(self) -> tuple[Speeds, Speeds]:
-        """Return the velocities where the torque was recorded, and the means over the steps, as shapes use them."""
-        return Speeds(self.at_torque), Speeds(self.mean)
+        return cls(run, run.velocity @ share, Speeds.of(mean), Speeds.of(run.torque_velocity @ share))
 
     def columns(self, shape: ElementShape) -> dict[int, Array]:
         """Return what the linear parameters multiply, and derivatives by the free parameters, as far as not all 0.
+
+        The bristle's steps give means over each step; the mean of the two around a sample belongs to its time.
 
         Returns:
             Arrays of shape (m,) by their place: that in LINEAR, three further for each free parameter.
         """
         width = len(LINEAR)
         after = {name: width * (k + 1) for k, name in enumerate(shape.free)}
-        speeds = self.speeds[0]
-        column, by_alpha = viscous(shape, speeds)
+        column, by_alpha = viscous(shape, self.at_torque)
         found = {VISCOUS: column}
         if "alpha" in after:
             found[after["alpha"] + VISCOUS] = by_alpha
         if Part.BRISTLE not in shape.parts:
-            factor, slopes = stribeck_factor(shape, speeds)
-            found[COULOMB] = speeds.sign * factor
-            found |= {after[name] + COULOMB: speeds.sign * slopes[name] for name in slopes if name in after}
+            found[COULOMB], by_stribeck = coulomb(shape, self.at_torque)
+            found |= {after[name] + COULOMB: slope for name, slope in by_stribeck.items() if name in after}
         found = {place: self.run.evened(values) for place, values in found.items()}
         if Part.BRISTLE not in shape.parts:
             return found
         names = [name for name in shape.free if name != "alpha"]
-        here, *moved = self._bristles([shape, *(_moved(shape, name) for name in names)])
-        found[COULOMB], found[DAMPING] = here
-        for name, there in zip(names, moved, strict=True):
-            found[after[name] + COULOMB], found[after[name] + DAMPING] = (there - here) / _DIFFERENCE_STEP
-        return found if Part.DAMPING in shape.parts else {k: v for k, v in found.items() if k % width != DAMPING}
-
-    def _bristles(self, shapes: Sequence[ElementShape]) -> Array:
-        """Return u = c0 z / tau_c, and dz/dt in rad/s, for each of b shapes, shape (b, 2, m).
-
-        The simulation's steps are exact for a velocity that is held; they give means over each step, and the mean of
-        the two steps around a sample belongs to its time.
-        """
-        result = np.empty((len(shapes), 2, len(self.mean)))
-        parameters = np.array([bristle_parameters(shape) for shape in shapes])
-        deflect_bristles(self.mean, self.speeds[1].logarithm, parameters, self.step, result)
-        return result
-
-
-def _moved(shape: ElementShape, name: str) -> ElementShape:
-    """Return a shape with one free parameter moved by _DIFFERENCE_STEP."""
-    values = shape.values
-    values[shape.free.index(name)] += _DIFFERENCE_STEP
-    return shape.with_values(values)
+        steps = _DIFFERENCE_STEP * np.eye(len(after))[[shape.free.index(name) for name in names]]
+        shapes = [shape, *(shape.with_values(shape.values + step) for step in steps)]
+        parameters = np.array([(one.rise, math.log(one.omega_s), one.delta, one.stiffness) for one in shapes])
+        result = np.empty((len(shapes), 2, len(self.velocity)))
+        deflect_bristles(*self.mean, parameters, 1.0 / self.run.rate, result)
+        places = (COULOMB, DAMPING) if Part.DAMPING in shape.parts else (COULOMB,)
+        for k, place in enumerate(places):
+            found[place] = result[0, k]
+            slopes = (result[1:, k] - result[0, k]) / _DIFFERENCE_STEP
+            found |= {after[name] + place: slope for name, slope in zip(names, slopes, strict=True)}
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,29 +279,26 @@ class ElementRows:
         rows: of the problem, shape (s,).
         place: of each of them among the filtered samples of all runs, shape (s,).
         factor: joint torque over element torque, shape (s,).
-        speed: velocity of the element at each, rad/s, shape (s,).
     """
 
-    problem: ExcitationProblem
     motions: tuple[ElementMotion, ...]
-    rows: NDArray[np.int64]
-    place: NDArray[np.int64]
+    rows: Index
+    place: Index
     factor: Array
-    speed: Array
 
-    def columns(self, shape: ElementShape) -> tuple[Array, dict[str, Array]]:
-        """Return the joint torques per unit of the linear parameters, shape (s, 3), and their derivatives."""
-        width = len(LINEAR)
-        low = np.zeros((sum(len(run.rows) for run in self.problem.runs), width * (1 + len(shape.free))))
+    def columns(self, shape: ElementShape) -> Array:
+        """Return the joint torques per unit of the linear parameters, shape (s, 3), and their derivatives behind them.
+
+        Those by each free parameter of the shape take three columns: the shape is (s, 3 (1 + number of these)).
+        """
+        low = np.zeros((sum(len(one.run.rows) for one in self.motions), len(LINEAR) * (1 + len(shape.free))))
         first = 0
-        for run, motion in zip(self.problem.runs, self.motions, strict=True):
+        for motion in self.motions:
             # Only what is not 0 is filtered, each column in one piece of memory.
-            columns = motion.columns(shape)
-            last = first + len(run.rows)
-            low[first:last, list(columns)] = run.parallel(np.array(list(columns.values())).T)
+            columns, last = motion.columns(shape), first + len(motion.run.rows)
+            low[first:last, list(columns)] = motion.run.parallel(np.array(list(columns.values())).T)
             first = last
-        rows = low[self.place] * self.factor[:, None]
-        return rows[:, :width], {n: rows[:, width * (k + 1) : width * (k + 2)] for k, n in enumerate(shape.free)}
+        return np.asarray(low[self.place] * self.factor[:, None])
 
     @cached_property
     def speeds(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -364,9 +306,9 @@ class ElementRows:
 
         The outermost percent at both ends is no range of data.
         """
+        velocity = np.concatenate([one.velocity[one.run.rows] for one in self.motions])[self.place]
         ranges = []
-        for sign in (1.0, -1.0):
-            speed = np.abs(self.speed[sign * self.speed > 0.0])
+        for speed in (velocity[velocity > 0.0], -velocity[velocity < 0.0]):
             low, high = np.percentile(speed, (1.0, 99.0)) if len(speed) else (0.0, 0.0)
             ranges.append((float(low), float(high)))
         return ranges[0], ranges[1]
@@ -384,23 +326,26 @@ class ElementRows:
         After a reversal at acceleration a an element passes a t^2 / 2 within the period t of the torque's bandwidth; a
         bristle that slides after a small share of this is a step to the filtered torque, as Coulomb friction is.
         """
-        distances = [
-            _VISIBLE * 0.5 * float(np.sqrt(np.mean(np.gradient(m.velocity, m.step) ** 2))) / run.bandwidths.torque**2
-            for m, run in zip(self.motions, self.problem.runs, strict=True)
-        ]
+        distances = []
+        for run, velocity, *_ in self.motions:
+            acceleration = float(np.sqrt(np.mean(np.gradient(velocity, 1.0 / run.rate) ** 2)))
+            distances.append(_VISIBLE * 0.5 * acceleration / run.bandwidths.torque**2)
         return max(min(distances), 1e-7)
 
 
 def element_rows(problem: ExcitationProblem) -> tuple[ElementRows, ...]:
     """Return the rows of each element of a problem, in the arm's order."""
-    matrix = problem.arm.element_matrix
-    starts = np.cumsum([0, *(len(run.rows) for run in problem.runs)])
-    return tuple(_rows_of(problem, row, starts[problem.run] + problem.place) for row in matrix)
+    found = []
+    for share in problem.arm.element_matrix:
+        rows = np.flatnonzero(share[problem.joint])
+        motions = tuple(ElementMotion.of(run, share) for run in problem.runs)
+        found.append(ElementRows(motions, rows, problem.sample[rows], share[problem.joint[rows]]))
+    return tuple(found)
 
 
-def _rows_of(problem: ExcitationProblem, share: Array, place: NDArray[np.int64]) -> ElementRows:
-    motions = tuple(ElementMotion.of(run, share) for run in problem.runs)
-    velocity = np.concatenate([m.velocity[run.rows] for m, run in zip(motions, problem.runs, strict=True)])
-    factor = share[problem.joint]
-    rows = np.flatnonzero(factor)
-    return ElementRows(problem, motions, rows, place[rows], factor[rows], velocity[place[rows]])
+def joint_columns(problem: ExcitationProblem, shapes: Sequence[ElementShape]) -> Array:
+    """Return the joint torques per unit of tau_c, c2 and c1 of each element with its shape, shape (r, n_el, 3)."""
+    found = np.zeros((len(problem), len(shapes), len(LINEAR)))
+    for e, (rows, shape) in enumerate(zip(element_rows(problem), shapes, strict=True)):
+        found[rows.rows, e] = rows.columns(replace(shape, fixed=frozenset(FITTED)))
+    return found

@@ -1,0 +1,495 @@
+"""Which parts the friction of each element has: those with which the model predicts better what it was not fitted to.
+
+From Coulomb and viscous friction on, parts are tried in the order of their physical plausibility: viscous exponent,
+Stribeck rise, bristle, bristle damping. A part is given to all elements at once, since a part missing on one joint
+disturbs those it is coupled with; then it is taken from one element after the other that predicts as well without it.
+Earlier parts of an element are judged anew with each later one, which may replace them.
+
+A Stribeck rise and a bristle are both in the rows after a reversal, and alone each takes the other's torque for its
+own: bristle, damping and rise are tried together. Asked for or not, bristles are tried where a rise shows, and where
+rows of reversals fit worse than others: left out, a bristle biases all that is fitted.
+
+What a model was not fitted to are blocks of time, and whole runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotrs
+
+from rx90_common.base.arrays import Array, Index
+from rx90_common.friction.held_out import HeldOutErrors
+from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, best_start, fit_shapes
+from rx90_emulator.identification.excitation.law import COULOMB, PART_OF, ElementShape, Part, element_rows
+from rx90_emulator.identification.excitation.least_squares import solve
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+
+_CORRELATION_TIMES = 4.0  # in a block
+_MIN_BLOCKS, _MAX_BLOCKS = 8, 60  # blocks of all runs
+_MAX_LAG_SHARE = 0.2  # of a run
+_CUTOFF = 1e-10  # relative: directions that the remaining rows do not determine stay where they are
+
+Folds = list[tuple[Index, Index]]
+"""Groups of rows to predict, each with the rows that the model does not see then: its own, and their neighbours."""
+
+
+def left_out(residual: Array, tangent: Array, folds: Folds) -> Array:
+    """Return the weighted residuals of each group of rows by the model fitted without it, shape (r,).
+
+    The model without a group is one Gauss-Newton step away from that of all rows; for a model without non-linear
+    parameters that is exact.
+
+    Args:
+        residual: of all rows, shape (r,), and
+        tangent: shape (r, k), as `WeightedProblem.linearised` returns them.
+        folds: the groups.
+    """
+    whole, gradient = tangent.T @ tangent, tangent.T @ residual
+    result = np.empty_like(residual)
+    for rows, near in folds:
+        gram, right = whole - tangent[near].T @ tangent[near], gradient - tangent[near].T @ residual[near]
+        # A Cholesky factor takes a hundredth of the time of singular values, which are left for what it cannot tell.
+        factor, failed = dpotrf(gram, lower=1)
+        if failed or np.diag(factor).min() ** 2 < _CUTOFF:
+            step = np.linalg.lstsq(gram, right, rcond=_CUTOFF)[0]
+        else:
+            step = dpotrs(factor, right, lower=1)[0]
+        result[rows] = residual[rows] - tangent[rows] @ step
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class TimeBlocks:
+    """The rows in blocks of time of about equal length; all joints of a time, and its repetitions, are in one block.
+
+    Attributes:
+        length: of a block, s.
+        correlation_time: time in which the autocorrelation of the residuals fades, s.
+        reason: how the length was chosen, in words.
+        block: number of each row's block, shape (r,).
+        folds: each block's rows, and those with its neighbours within a correlation time on both sides.
+    """
+
+    length: float
+    correlation_time: float
+    reason: str
+    block: Index
+    folds: Folds
+
+    @property
+    def count(self) -> int:
+        """Return how many blocks there are."""
+        return len(self.folds)
+
+    @classmethod
+    def of(cls, problem: ExcitationProblem, residual: Array) -> TimeBlocks:
+        """Choose the blocks from the residuals of a model, shape (r,).
+
+        A block is long against the autocorrelation of the residuals, so that the errors of blocks are independent; and
+        what lies within a correlation time of it is left out with it, so that its neighbours do not tell of it (Burman,
+        Chow and Nolan 1994: h-block cross-validation). A time that is repeated, in another period or run, brings back
+        the same misfit: it is in the block, too.
+        """
+        correlation = _correlation_time(problem, residual)
+        motion = np.unique(problem.motion, return_inverse=True)[1].ravel()
+        time = problem.phase * np.array([run.down / run.rate for run in problem.runs])[problem.run]
+        durations = np.array([rows.max() for rows in _grouped(time, motion)])
+        whole = float(durations.sum())
+        wanted = _CORRELATION_TIMES * correlation
+        length = min(max(wanted, whole / _MAX_BLOCKS), whole / _MIN_BLOCKS)
+        reason = f"{_CORRELATION_TIMES:g} correlation times of the residuals, {correlation:.3g} s"
+        if length > wanted:
+            reason = f"a {_MAX_BLOCKS}th of the motions, more than {reason}"
+        elif length < wanted:
+            reason = f"an {_MIN_BLOCKS}th of the motions, less than {reason}: the motions are short"
+        counts = np.maximum(1, np.round(durations / length)).astype(np.intp)
+        place = (time / durations[motion] * counts[motion]).astype(np.intp)
+        first = np.cumsum(counts) - counts
+        block = np.unique(first[motion] + np.minimum(place, counts[motion] - 1), return_inverse=True)[1].ravel()
+        folds = []
+        for rows in _grouped(np.arange(len(block)), block):
+            near = (time > time[rows].min() - correlation) & (time < time[rows].max() + correlation)
+            folds.append((rows, np.flatnonzero(near & (motion == motion[rows[0]]))))
+        return cls(whole / float(counts.sum()), correlation, reason, block, folds)
+
+
+def _grouped(values: Array | Index, number: Index) -> list[Index]:
+    """Return the values of each group of rows, by the numbers of the groups, both of shape (r,)."""
+    return [values[number == k] for k in range(int(number.max()) + 1)]
+
+
+def _correlation_time(problem: ExcitationProblem, residual: Array) -> float:
+    """Return the integrated autocorrelation time of the residuals, s, of the joint where it is longest.
+
+    It is summed up to the first lag at which the autocorrelation is not positive.
+    """
+    times = [0.0]
+    lags = max(int(_MAX_LAG_SHARE * len(run.rows)) for run in problem.runs)
+    period = problem.runs[-1].down / problem.runs[-1].rate
+    for joint in range(int(problem.joint.max()) + 1):
+        products = np.zeros(lags)  # of residuals so many samples apart, summed over the runs
+        for number, run in enumerate(problem.runs):
+            rows = (problem.run == number) & (problem.joint == joint)
+            series = np.zeros(len(run.rows))
+            series[problem.place[rows]] = residual[rows]
+            size = 2 * len(series)
+            lagged = np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2, size)[: int(_MAX_LAG_SHARE * len(series))]
+            products[: len(lagged)] += lagged
+        if lags and products[0] > 0.0:
+            fading = products / products[0]
+            end = int(np.argmax(fading <= 0.0)) if (fading <= 0.0).any() else lags
+            times.append(period * (2.0 * float(fading[:end].sum()) - 1.0))
+    return max(times)
+
+
+class CrossValidation(NamedTuple):
+    """How well a model predicts what it was not fitted to.
+
+    Attributes:
+        error: weighted RMS of the residuals of what was left out, in noise deviations of the joints.
+        relative: RMS of these residuals over the RMS torque, all joints together.
+        gain: by how much `error` is less than that of the model it is compared with; 0 for the first model.
+        gain_deviation: standard error of `gain`, from paired differences over the blocks.
+    """
+
+    error: float
+    relative: float
+    gain: float
+    gain_deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A model with its errors on what was left out.
+
+    Attributes:
+        fit: to all rows.
+        residual: of all rows, Nm, shape (r,).
+        left: by "blocks", and by "runs" where there are several: squared weighted residuals of what was left out,
+            summed in each block, shape (b,), and their RMS over the RMS torque.
+        rows: in each block, shape (b,).
+    """
+
+    fit: SeparableFit
+    residual: Array
+    left: dict[str, tuple[Array, float]]
+    rows: Array
+
+    @classmethod
+    def of(cls, weighted: WeightedProblem, fit: SeparableFit, time: TimeBlocks) -> Scored:
+        """Score a fit."""
+        residual, tangent = weighted.linearised(fit)
+        problem, folds = weighted.problem, {"blocks": time.folds}
+        if len(problem.runs) > 1:
+            folds["runs"] = [(rows, rows) for rows in _grouped(np.arange(len(problem)), problem.run)]
+        left = {}
+        for kind, groups in folds.items():
+            errors = left_out(residual, tangent, groups)
+            relative = np.linalg.norm(errors / weighted.weight) / np.linalg.norm(problem.torque)
+            left[kind] = (np.bincount(time.block, errors**2).astype(np.float64), float(relative))
+        return cls(fit, residual / weighted.weight, left, np.bincount(time.block).astype(np.float64))
+
+    def validations(self, against: Scored | None = None) -> dict[str, CrossValidation]:
+        """Return the figures by "blocks", and by "runs" where both have them, with the gain over another model."""
+        other, found = self if against is None else against, {}
+        for kind, (own, relative) in self.left.items():
+            if kind in other.left:
+                errors = HeldOutErrors({"own": own, "other": other.left[kind][0]}, self.rows)
+                found[kind] = CrossValidation(errors.rms("own")[0], relative, *errors.gain("own", "other"))
+        return found
+
+    def better_than(self, other: Scored) -> bool:
+        """Return whether this model predicts better: by blocks, and by runs where there are several.
+
+        By blocks the gain must exceed the standard error of the paired differences. One standard error, not two: a part
+        that is there and left out biases all others, a part too much widens their deviations. By runs the loss, if
+        there is one, must lie within that error: few runs say less than many blocks.
+        """
+        figures = self.validations(other)
+        blocks, runs = figures["blocks"], figures.get("runs")
+        return blocks.gain > blocks.gain_deviation and (runs is None or runs.gain > -runs.gain_deviation)
+
+    def verdict(self, against: Scored) -> str:
+        """Return by how much the model predicts better than another one, in words."""
+        texts = []
+        for kind, one in self.validations(against).items():
+            share, deviation = (100.0 * size / (one.error + one.gain) for size in (one.gain, one.gain_deviation))
+            way = f"{'rises' if share < 0.0 else 'falls'} by {abs(share):.2f} %"
+            texts.append(f"by {kind} the error {way} with a standard error of {deviation:.2f} %")
+        return "; ".join(texts)
+
+
+class ModelRow(NamedTuple):
+    """One row of the table of models.
+
+    Attributes:
+        name: of the model.
+        parameters: how many are fitted, rigid body and friction.
+        relative_all: RMS residual over RMS torque, all joints together.
+        by_blocks: cross-validation by blocks of time, with the gain over the last model that was kept.
+        by_runs: cross-validation by runs; None where there is one run.
+        kept: whether the model goes on into the next comparison.
+        reason: why it is kept or not.
+    """
+
+    name: str
+    parameters: int
+    relative_all: float
+    by_blocks: CrossValidation
+    by_runs: CrossValidation | None
+    kept: bool
+    reason: str
+
+
+PartKey = tuple[int, Part]
+"""Number of an element, and a part of its friction."""
+
+_BESIDE = {
+    # Seen without it, a Stribeck rise hides an exponent below 1.
+    Part.STRIBECK: frozenset({Part.EXPONENT}),
+    Part.BRISTLE: frozenset({Part.STRIBECK, Part.DAMPING}),
+}
+"""Which parts are tried together with another one."""
+_STAGES = ("starts", "fit of all elements", "elements without it", "weights")
+"""Of the attempt with each part."""
+_START_COUNT = 5  # Stribeck velocities, and presliding distances, to start from
+_START_RISE = 0.3  # to start from
+_REVERSAL_MISFIT = 1.2  # RMS residual of reversals over that of other rows, from which on bristles are tried
+
+
+def select_parts(
+    problem: ExcitationProblem, parts: Sequence[Part], progress: Callable[[str], None] = lambda _: None
+) -> Selection:
+    """Try parts in the order given and keep those with which the model predicts better.
+
+    `progress` is called with the name of each of `stages(parts)` stages before it.
+    """
+    search = Selection(problem, parts)
+    for part in _attempts(parts):
+        left = iter([f"{part.value}: {stage}" for stage in _STAGES])
+        if part in parts or _wants_bristles(problem, search.now):
+            search.attempt(part, lambda left=left: progress(next(left)))  # type: ignore[misc]
+        for stage in left:  # of a part that no element can have
+            progress(stage)
+    return search
+
+
+def stages(parts: Sequence[Part]) -> int:
+    """Return how many stages of the choice of parts are reported."""
+    return len(_attempts(parts)) * len(_STAGES)
+
+
+def _attempts(parts: Sequence[Part]) -> tuple[Part, ...]:
+    """Return the parts that are tried one after the other, if only where it is needed: bristles come after a rise."""
+    asked = tuple(part for part in parts if part is not Part.DAMPING)
+    return asked if Part.STRIBECK not in asked or Part.BRISTLE in asked else (*asked, Part.BRISTLE)
+
+
+class Selection:
+    """The model so far, and what was compared.
+
+    Attributes:
+        weighted: the rows with their last weights.
+        now: the model.
+        blocks: of the cross-validation.
+        rows: of the table of models.
+        refused: why an element does not have a part that was tried on it.
+    """
+
+    def __init__(self, problem: ExcitationProblem, parts: Sequence[Part]) -> None:
+        self._problem = problem
+        self._allowed = frozenset({*parts, Part.BRISTLE, Part.DAMPING} if Part.STRIBECK in parts else parts)
+        self._groups = element_groups(problem.arm.element_matrix)
+        self.rows: list[ModelRow] = []
+        self.refused: dict[PartKey, str] = {}
+        elements = element_rows(problem)
+        shapes = [ElementShape() for _ in elements]
+        flat = WeightedProblem.of(problem, elements, np.ones(len(problem)))
+        self.weighted = _reweighted(flat, fit_shapes(flat, shapes))
+        fit = fit_shapes(self.weighted, shapes)
+        self.blocks = TimeBlocks.of(problem, self.weighted.linearised(fit)[0])
+        self.now = self._scored(fit)
+        self._add("Coulomb + viscous", self.now, None, kept=True, reason="what the others are compared with")
+
+    @property
+    def fit(self) -> SeparableFit:
+        """Return the fit of the model."""
+        return self.now.fit
+
+    def attempt(self, part: Part, stage: Callable[[], None]) -> None:
+        """Give a part to all elements, take it from those that do not need it, and keep it where it predicts better.
+
+        `stage` is called before each of the stages.
+        """
+        stage()
+        shapes = self._started(part)
+        given = [e for e, shape in enumerate(shapes) if part in shape.parts]
+        keys = [(e, old) for e in given for old in shapes[e].parts if old is not Part.BRISTLE or old is part]
+        if not keys:
+            return
+        stage()
+        # Weights of the larger model: those of the smaller one play down the rows in which the part shows.
+        fit = fit_shapes(self.weighted, shapes)
+        self.weighted = _reweighted(self.weighted, fit)
+        before = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
+        everywhere = self._scored(fit_shapes(self.weighted, fit.shapes))
+        stage()
+        trimmed = self._trimmed(self.within_bounds(everywhere, part), keys)
+        # Without the parts that went, others may have come to a bound.
+        trimmed = self.within_bounds(trimmed, part)
+        left = [e for e, shape in enumerate(trimmed.fit.shapes) if part in shape.parts]
+        kept = bool(left) and trimmed.better_than(before)
+        if trimmed.fit.shapes != everywhere.fit.shapes:
+            gone = "kept on some elements, see below" if kept else "no element predicts better with it"
+            self._add(f"+ {part.value}: all", everywhere, before, kept=False, reason=gone)
+        if left:
+            text, names = trimmed.verdict(before), self._problem.arm.element_names
+            where = "all" if len(left) == len(given) else ", ".join(names[e] for e in left)
+            self._add(f"+ {part.value}: {where}", trimmed, before, kept=kept, reason=text)
+            self.refused |= {} if kept else {(e, part): text for e in left}
+        if kept:
+            self.now = trimmed
+        stage()
+        self.weighted = _reweighted(self.weighted, self.now.fit)
+        self.now = self.within_bounds(self._scored(fit_shapes(self.weighted, self.now.fit.shapes)))
+
+    def _scored(self, fit: SeparableFit) -> Scored:
+        return Scored.of(self.weighted, fit, self.blocks)
+
+    def _started(self, part: Part) -> list[ElementShape]:
+        """Return the shapes with a part, and others tried with it, on every element that moves, from the best start."""
+        tried = {part, *(_BESIDE.get(part, frozenset()) & self._allowed)}
+        shapes = list(self.now.fit.shapes)
+        for e, shape in enumerate(shapes):
+            if len(self.weighted.elements[e].rows):
+                # A rise that was fitted without a bristle has the bristle's torque in it.
+                fresh = shape.without(Part.STRIBECK) if Part.STRIBECK in tried else shape
+                begun = replace(fresh, parts=fresh.parts | tried)
+                shapes[e] = best_start(self.weighted, shapes, e, candidates(self.weighted, begun, e, part))
+        return shapes
+
+    def within_bounds(self, model: Scored, part: Part | None = None) -> Scored:
+        """Return a model of which no parameter ends at a bound of its range: there it says nothing.
+
+        A Stribeck rise is tried again with delta = 1, the exponent that literature gives; then `part`, which is being
+        tried, goes, and else the part that the parameter belongs to.
+        """
+        while any(ended := _ended(model.fit)):
+            shapes = list(model.fit.shapes)
+            for e, bound in enumerate(ended):
+                if bound:
+                    shapes[e] = self._inside(model.fit, e, sorted(bound), part)
+            model = self._scored(fit_shapes(self.weighted, shapes))
+        return model
+
+    def _inside(self, fit: SeparableFit, e: int, bound: Sequence[str], part: Part | None) -> ElementShape:
+        """Return another shape for an element of which these parameters end at a bound."""
+        shape, before = fit.shapes[e], self.now.fit.shapes[e]
+        if Part.STRIBECK in shape.parts and "delta" not in shape.fixed:
+            begun = replace(shape, delta=1.0, fixed=shape.fixed | {"delta"}, alpha=before.alpha)
+            return best_start(self.weighted, fit.shapes, e, candidates(self.weighted, begun, e, Part.STRIBECK))
+        tried = part if part in shape.parts else None
+        own = [name for name in bound if tried is None or name in tried.shape]
+        name = (own or bound)[0]
+        whose = PART_OF[name]
+        beside = (
+            part is not None and whose in _BESIDE.get(part, ()) and (part is Part.BRISTLE or whose not in before.parts)
+        )
+        gone, element = whose if beside else tried or whose, self._problem.arm.element_names[e]
+        self.refused[e, gone] = f"with an exponent no Coulomb torque of {element} is left"
+        if name in fit.at_bound[e]:
+            at = f"{round(getattr(shape, name), 6):.3g}"
+            self.refused[e, gone] = f"{name} of {element} ends at the bound of its range, {at}"
+        return shape.without(gone) if own or beside else before
+
+    def _trimmed(self, model: Scored, keys: Sequence[PartKey]) -> Scored:
+        """Take parts away, the most useless first, until each that is left makes the model predict better.
+
+        Elements that act on no joint together are judged side by side.
+        """
+        todo = {group: [key for key in keys if key[0] in group] for group in self._groups}
+        while any(todo.values()):
+            shapes = list(model.fit.shapes)
+            for group, some in todo.items():
+                there = [(e, part) for e, part in some if part in model.fit.shapes[e].parts]
+                useless = self._most_useless(model, there, group)
+                todo[group] = [] if useless is None else [key for key in there if key != useless]
+                if useless is not None:
+                    shapes[useless[0]] = shapes[useless[0]].without(useless[1])
+            if shapes != list(model.fit.shapes):
+                model = self._scored(fit_shapes(self.weighted, shapes))
+        return model
+
+    def _most_useless(self, model: Scored, keys: Iterable[PartKey], group: Sequence[int]) -> PartKey | None:
+        """Return the part without which the model predicts as well or better, by the most; None if there is none.
+
+        The non-linear parameters of elements that act on none of the group's joints stay: they hardly change.
+        """
+        gains: dict[PartKey, float] = {}
+        for e, part in keys:
+            shapes = list(model.fit.shapes)
+            shapes[e] = shapes[e].without(part)
+            trial = self._scored(fit_shapes(self.weighted, shapes, group))
+            if not model.better_than(trial):
+                self.refused[e, part] = model.verdict(trial)
+                gains[e, part] = model.validations(trial)["blocks"].gain
+        return min(gains, key=lambda key: gains[key], default=None)
+
+    def _add(self, name: str, model: Scored, against: Scored | None, *, kept: bool, reason: str) -> None:
+        """Add a row to the table of models."""
+        relative = float(np.linalg.norm(model.residual) / np.linalg.norm(self._problem.torque))
+        count = self.weighted.basis.shape[1] + len(model.fit.inner())
+        figures = model.validations(against)
+        self.rows.append(ModelRow(name, count, relative, figures["blocks"], figures.get("runs"), kept, reason))
+
+
+def _wants_bristles(problem: ExcitationProblem, model: Scored) -> bool:
+    """Return whether a model has a Stribeck rise, or fits reversals of a joint worse than its other rows."""
+    if any(Part.STRIBECK in shape.parts for shape in model.fit.shapes):
+        return True
+    squares, turns = model.residual**2, problem.reversal
+    for joint in range(len(problem.arm.names)):
+        own = problem.joint == joint
+        at, other = squares[own & turns], squares[own & ~turns]
+        if len(at) and len(other) and np.mean(at) > _REVERSAL_MISFIT**2 * np.mean(other):
+            return True
+    return False
+
+
+def _ended(fit: SeparableFit) -> list[frozenset[str]]:
+    """Return the parameters of each element that end at a bound, or leave no Coulomb torque: an exponent does so."""
+    pairs = zip(fit.shapes, fit.linear[:, COULOMB].tolist(), fit.at_bound, strict=True)
+    return [b | {"alpha"} if Part.EXPONENT in s.parts and tau_c <= 0.0 else b for s, tau_c, b in pairs]
+
+
+def candidates(weighted: WeightedProblem, shape: ElementShape, element: int, part: Part) -> list[ElementShape]:
+    """Return the shapes to start from with a part that an element is given."""
+    if part is Part.EXPONENT:
+        return [shape]
+    low, high = weighted.bounds(element, "omega_s" if part is Part.STRIBECK else "stiffness")
+    points = np.exp(np.linspace(low, high, _START_COUNT + 2)[1:-1]).tolist()
+    if part is Part.STRIBECK:
+        return [replace(shape, rise=_START_RISE, omega_s=value) for value in points]
+    rising = [shape]
+    if Part.STRIBECK in shape.parts and not shape.rise:
+        rising = candidates(weighted, shape, element, Part.STRIBECK)[1::2]
+    return [replace(one, stiffness=value) for value in points for one in rising]
+
+
+def element_groups(elements: Array) -> list[tuple[int, ...]]:
+    """Return elements that act on joints together, directly or by way of others, for E of shape (n_el, n)."""
+    together = (elements != 0.0) @ (elements != 0.0).T
+    for _ in range(len(together)):
+        together = together @ together
+    return sorted({tuple(np.flatnonzero(row).tolist()) for row in together})
+
+
+def _reweighted(weighted: WeightedProblem, fit: SeparableFit) -> WeightedProblem:
+    """Return the rows with the weights of a fit's residuals."""
+    linear = solve(weighted.problem, weighted.tangent(fit, fit.inner()))
+    weight = np.sqrt(linear.weights) / linear.sigma[weighted.problem.joint]
+    return WeightedProblem.of(weighted.problem, weighted.elements, weight)

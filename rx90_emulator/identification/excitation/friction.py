@@ -1,0 +1,427 @@
+"""The friction of all elements from excitation runs: chosen parts, values with deviations, and what is not known.
+
+The selected model is fitted once more, linear around its shapes, with deviations that contain what it leaves out; its
+values become the parameters of FrictionElement, or the reason why one is not known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.estimates import ElementEstimate, ParameterEstimate
+from rx90_emulator.identification.excitation.choice import ModelRow, Selection, TimeBlocks, select_parts
+from rx90_emulator.identification.excitation.fit import Key
+from rx90_emulator.identification.excitation.law import (
+    FITTED,
+    LINEAR,
+    SHAPED,
+    VISCOUS,
+    ElementShape,
+    Part,
+    Speeds,
+    coulomb,
+    joint_columns,
+    viscous,
+)
+from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
+from rx90_emulator.identification.excitation.problem import ExcitationProblem, Prior
+from rx90_emulator.identification.excitation.unmodelled import blur_shifts, load_dependence, undecided_parts
+from rx90_emulator.identification.records import BagSource
+
+NORMAL_95 = 1.96
+_CURVE_POINTS = 60  # of each direction
+WITHOUT_BRISTLES = (Part.EXPONENT, Part.STRIBECK)
+ALL_PARTS = tuple(Part)
+Refusal = Callable[[Part], str]
+"""Says why an element does not have a part."""
+
+
+class FrictionCurve(NamedTuple):
+    """Steady friction torque of an element against its velocity, over velocities at which there were data.
+
+    Attributes:
+        element: its name.
+        velocity: rad/s, shape (k,), increasing, both signs.
+        torque: Nm, shape (k,).
+        deviation: standard deviation of the torque, Nm, shape (k,).
+    """
+
+    element: str
+    velocity: Array
+    torque: Array
+    deviation: Array
+
+    @property
+    def band(self) -> tuple[Array, Array]:
+        """Return lower and upper bound of the torque at 95 %, Nm, each shape (k,)."""
+        return self.torque - NORMAL_95 * self.deviation, self.torque + NORMAL_95 * self.deviation
+
+
+@dataclass(frozen=True, eq=False)
+class FittedElement:
+    """The friction of one element as it was fitted.
+
+    Attributes:
+        element: its name.
+        shape: the parameters that are not linear, and the parts it has.
+        linear: tau_c, c2 and c1, in Nm, Nm (s/rad)^alpha, Nm s/rad; 0 for what it does not have, shape (3,).
+        covariance: of the parameters in FITTED, shape (8, 8); 0 for what is not fitted. The exponent of a viscous
+            part is free in it where the runs were asked for exponents, also if it is left at 1: what is not known of
+            it is not known of tau_c and c2 either.
+        ranges: least and greatest speed of its data in each direction, positive and negative: ((low, high),
+            (low, high)), rad/s; (0, 0) for a direction in which it did not move.
+    """
+
+    element: str
+    shape: ElementShape
+    linear: Array
+    covariance: Array
+    ranges: tuple[tuple[float, float], tuple[float, float]]
+
+    def curve(self, velocity: Array | None = None) -> FrictionCurve:
+        """Return the steady friction torque with its deviation.
+
+        Args:
+            velocity: rad/s, shape (k,); by default over all velocities at which there were data.
+
+        Raises:
+            IdentificationError: for a velocity at which there were no data.
+        """
+        (low, high), (low_back, high_back) = self.ranges
+        if velocity is None:
+            back, forward = (
+                np.geomspace(*pair, _CURVE_POINTS) if pair[1] > 0.0 else np.empty(0) for pair in self.ranges[::-1]
+            )
+            velocity = np.concatenate([-back[::-1], forward])
+        inside = ((velocity >= low) & (velocity <= high)) | ((-velocity >= low_back) & (-velocity <= high_back))
+        if not inside.all():
+            found = f"{self.element}: velocity {velocity[~inside][0]:.4g} rad/s"
+            accepted = f"{-high_back:.4g} to {-low_back:.4g} and {low:.4g} to {high:.4g} rad/s, where there were data"
+            raise IdentificationError(f"{found}; accepted: {accepted}")
+        columns, slopes = steady_columns(self.shape, velocity)
+        by_shape = [
+            slopes[name] * self.linear[place] if name in slopes else 0.0 * velocity for name, place in SHAPED.items()
+        ]
+        matrix = np.column_stack([columns, *by_shape])
+        variance = np.einsum("ki,ij,kj->k", matrix, self.covariance, matrix)
+        return FrictionCurve(self.element, velocity, columns @ self.linear, np.sqrt(np.maximum(variance, 0.0)))
+
+
+def steady_columns(shape: ElementShape, velocity: Array) -> tuple[Array, dict[str, Array]]:
+    """Return what the linear parameters multiply in steady sliding, shape (m, 3), and derivatives of it.
+
+    Args:
+        shape: of the element.
+        velocity: rad/s, shape (m,).
+
+    Returns:
+        Columns of LINEAR, and derivatives by the other parameters of the one that each shapes, as SHAPED has it.
+    """
+    speeds = Speeds.of(velocity)
+    (dry, slopes), (wet, by_alpha) = coulomb(shape, speeds), viscous(shape, speeds)
+    return np.column_stack([dry, wet, np.zeros_like(velocity)]), {"alpha": by_alpha, **slopes}
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionSelection:
+    """The friction of all elements with the parts that predict better, and the models that were compared.
+
+    Attributes:
+        models: rows of the table, in the order in which they were compared.
+        blocks: of the cross-validation.
+        fitted: elements as they were fitted, in the arm's order.
+        elements: their estimates by the names of FrictionElement, with the reason for each that is not identifiable.
+        fit: of the kept model, linear around the non-linear parameters (whose values there are their last changes):
+            the problem's parameters, then the friction's, with HAC covariance. Its last values may be exponents that
+            are left at 1, and whose uncertainty the covariance knows.
+        names: of the values of `fit`; a friction parameter is `element.parameter`.
+        predicted: torque of every row by the kept model, Nm, shape (r,).
+        remarks: what a reader of the figures must know.
+    """
+
+    models: tuple[ModelRow, ...]
+    blocks: TimeBlocks
+    fitted: tuple[FittedElement, ...]
+    elements: tuple[ElementEstimate, ...]
+    fit: LinearFit
+    names: tuple[str, ...]
+    predicted: Array
+    remarks: tuple[str, ...]
+
+    @property
+    def parts(self) -> tuple[frozenset[Part], ...]:
+        """Return the parts that each element has."""
+        return tuple(one.shape.parts for one in self.fitted)
+
+    def curves(self) -> tuple[FrictionCurve, ...]:
+        """Return the curves of all elements, over the velocities at which there were data."""
+        return tuple(one.curve() for one in self.fitted)
+
+
+def identify_friction_parts(
+    problem: ExcitationProblem,
+    parts: Sequence[Part] = WITHOUT_BRISTLES,
+    prior: Prior | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> FrictionSelection:
+    """Identify rigid body and friction together, and choose the friction's parts by cross-validation.
+
+    Args:
+        problem: the rows.
+        parts: to try beside Coulomb and viscous friction, in this order; bristles take several times as long.
+        prior: of the base parameters, for the values; the parts are chosen by the runs alone.
+        progress: called with the name of each stage of the choice before it, `choice.stages(parts)` times.
+
+    Returns:
+        The selection. Parameters that the runs do not tell are unknown, with a reason.
+    """
+    selected = select_parts(problem, parts, progress)
+    inner, final, rises, remarks = final_fit(selected, parts, prior)
+    names, shapes, linear = problem.arm.element_names, list(selected.fit.shapes), selected.fit.linear.copy()
+    moved = [shape.values for shape in shapes]
+    for (e, name), value in zip(inner, final.value[len(problem.names) :].tolist(), strict=True):
+        if name in LINEAR:
+            linear[e, LINEAR.index(name)] = value
+        elif name in shapes[e].free:
+            moved[e][shapes[e].free.index(name)] += value
+    fitted = tuple(
+        FittedElement(name, shape.with_values(values), own, _block(e, inner, final.covariance), rows.speeds)
+        for e, (name, shape, values, own, rows) in enumerate(
+            zip(names, shapes, moved, linear, selected.weighted.elements, strict=True)
+        )
+    )
+    sources = tuple(run.source for run in problem.runs)
+    refusals = [_refusal(selected, e, parts, rises.get(e)) for e in range(len(fitted))]
+    return FrictionSelection(
+        models=tuple(selected.rows),
+        blocks=selected.blocks,
+        fitted=fitted,
+        elements=tuple(element_estimate(*pair, sources) for pair in zip(fitted, refusals, strict=True)),
+        fit=final,
+        names=(*problem.names, *(f"{names[e]}.{name}" for e, name in inner)),
+        predicted=problem.torque - final.residual,
+        remarks=(*_constant_remarks(problem, selected, final), *remarks),
+    )
+
+
+def predicted_torque(selection: FrictionSelection, problem: ExcitationProblem) -> Array:
+    """Return the torque of the rows of other runs of the same arm by the selected model, Nm, shape (r,)."""
+    columns = joint_columns(problem, [one.shape for one in selection.fitted])
+    linear = np.array([one.linear for one in selection.fitted])
+    rigid = problem.regressor @ selection.fit.value[: len(problem.names)]
+    return np.asarray(rigid + np.tensordot(columns, linear, 2))
+
+
+def linear_columns(selection: FrictionSelection, problem: ExcitationProblem) -> tuple[tuple[str, ...], Array]:
+    """Return names and columns of the linear friction parameters that a selection has, by its shapes, shape (r, f).
+
+    Args:
+        selection: the shapes.
+        problem: of the same arm, along whose motion the columns are.
+    """
+    names = [f"{one.element}.{name}" for one in selection.fitted for name in LINEAR]
+    there = [k for k, name in enumerate(names) if name in selection.names]
+    columns = joint_columns(problem, [one.shape for one in selection.fitted]).reshape(len(problem), -1)
+    return tuple(names[k] for k in there), columns[:, there]
+
+
+def with_linear(
+    selection: FrictionSelection, problem: ExcitationProblem, names: Sequence[str], fit: LinearFit
+) -> FrictionSelection:
+    """Return a selection with the linear parameters of another fit, the shapes as they are.
+
+    Args:
+        selection: as it was.
+        problem: the rows of both.
+        names: of the values of the other fit: all linear ones of the selection.
+        fit: for the selection's shapes. What is not known of these is added to its covariance.
+    """
+    covariance, places = selection.fit.covariance.copy(), np.array([selection.names.index(name) for name in names])
+    shapes = np.setdiff1d(np.arange(len(covariance)), places)
+    between = covariance[np.ix_(shapes, shapes)]
+    slope = covariance[np.ix_(places, shapes)] @ np.linalg.pinv(between)
+    covariance[np.ix_(places, places)] = fit.covariance + slope @ between @ slope.T
+    value = np.zeros(len(selection.names))
+    value[places] = fit.value
+    pairs = [name.rpartition(".") for name in selection.names[len(problem.names) :]]
+    inner = [(problem.arm.element_names.index(element), name) for element, _, name in pairs]
+    linear = np.zeros((len(selection.fitted), len(LINEAR)))
+    for (e, name), own in zip(inner, value[len(problem.names) :].tolist(), strict=True):
+        if name in LINEAR:
+            linear[e, LINEAR.index(name)] = own
+    fitted, elements = [], []
+    for e, (one, old) in enumerate(zip(selection.fitted, selection.elements, strict=True)):
+        fitted.append(replace(one, linear=linear[e], covariance=_block(e, inner, covariance)))
+        reasons = {part: old.parameters[name].reason for name, part in _PART_OF.items()}
+        elements.append(element_estimate(fitted[-1], reasons.__getitem__, old.sources))
+    other = replace(selection, fitted=tuple(fitted), elements=tuple(elements), fit=replace(fit, value=value))
+    predicted = predicted_torque(other, problem)
+    whole = replace(other.fit, covariance=covariance, residual=problem.torque - predicted)
+    return replace(other, fit=whole, predicted=predicted)
+
+
+_MAX_EXPONENT_STEP = 0.8  # of an exponent from 1
+_CONSTANT_RESIDUAL = 1e-6  # share of a constant torque that the regressor may leave, to explain it
+
+
+def final_fit(
+    selected: Selection, parts: Sequence[Part], prior: Prior | None = None
+) -> tuple[tuple[Key, ...], LinearFit, dict[int, tuple[float, float]], tuple[str, ...]]:
+    """Return the friction's parameters and the fit of the whole model, linear around the one selected.
+
+    Exponents that were tried and not kept stay at 1, but the covariance is that with them free: the runs say no more of
+    tau_c and c2 because an exponent was left out; the same holds for a Stribeck rise, or the damping of a bristle, that
+    may be there. What the values shift with these exponents, with a growth of friction with the load, and with a motion
+    that is known less sharply, widens the covariance, too.
+
+    Returns:
+        The parameters, whose values follow those of the base in the fit; the fit; value and standard deviation over
+        tau_c of Stribeck rises that may be there, by element; remarks.
+    """
+    weighted, fit = selected.weighted, selected.fit
+    problem, inner = weighted.problem, fit.inner()
+    opened = tuple(
+        (e, "alpha")
+        for e, shape in enumerate(fit.shapes)
+        if Part.EXPONENT in parts and Part.EXPONENT not in shape.parts and fit.linear[e, VISCOUS] > 0.0
+    )
+    keys = (*inner, *opened)
+    columns = weighted.tangent(fit, keys)
+    final = wide = solve(problem, columns, prior=prior)
+    if opened:
+        narrow = solve(problem, columns[:, : -len(opened)], prior=prior)
+        value = np.append(narrow.value, np.zeros(len(opened)))
+        final = replace(wide, value=value, residual=narrow.residual, sigma=narrow.sigma, weights=narrow.weights)
+    closed = np.where(wide.determined, wide.value - final.value, 0.0)
+    # An exponent that would leave its range is not told by the runs: what it shifts has no meaning.
+    steps = zip(opened, closed[len(closed) - len(opened) :].tolist(), strict=True)
+    lost = {e for (e, _), step in steps if abs(step) > _MAX_EXPONENT_STEP}
+    if lost:
+        closed[: len(problem.names)] = 0.0
+        closed[len(problem.names) + np.flatnonzero([e in lost for e, _ in keys])] = 0.0
+    loaded, remarks = load_dependence(selected, columns, wide, prior)
+    rises, covariance = undecided_parts(selected, columns, prior)
+    shifts = np.column_stack([loaded, closed, *blur_shifts(weighted, fit, columns)])
+    known = final.covariance if covariance is None else covariance
+    return keys, replace(final, covariance=known + shifts @ shifts.T), rises, remarks
+
+
+def _block(element: int, inner: Sequence[Key], covariance: Array) -> Array:
+    """Return the covariance of an element's parameters in FITTED, shape (8, 8); 0 for what is not fitted."""
+    result, offset = np.zeros((len(FITTED), len(FITTED))), len(covariance) - len(inner)
+    rows = [offset + k for k, (e, _) in enumerate(inner) if e == element]
+    places = [FITTED.index(name) for e, name in inner if e == element]
+    result[np.ix_(places, places)] = covariance[np.ix_(rows, rows)]
+    return result
+
+
+def _refusal(selected: Selection, element: int, parts: Sequence[Part], rise: tuple[float, float] | None) -> Refusal:
+    """Return the function that says why an element does not have a part; `rise` is a Stribeck rise it may have."""
+    low, high = selected.weighted.elements[element].speed_range
+
+    def reason(part: Part) -> str:
+        if (element, part) in selected.refused:
+            why = selected.refused[element, part]
+            if part is Part.STRIBECK and rise is not None:
+                why += (
+                    f"; a rise may be there, {100.0 * rise[0]:.0f} % of tau_c with a standard error of "
+                    f"{100.0 * rise[1]:.0f} %: the deviations of the other parameters contain that"
+                )
+            return f"no {part.value} shows at speeds from {low:.3g} to {high:.3g} rad/s: {why}"
+        if part is Part.DAMPING and ((element, Part.BRISTLE) in selected.refused or part in parts):
+            return reason(Part.BRISTLE)
+        return f"{part.value} was not tried"
+
+    return reason
+
+
+def _constant_remarks(problem: ExcitationProblem, selected: Selection, fit: LinearFit) -> Iterable[str]:
+    """Say for which joints tau_c is the mean of both directions: no motion tells their difference from an offset."""
+    weighted = selected.weighted
+    for joint, name in enumerate(problem.arm.names):
+        constant = np.where(problem.joint == joint, weighted.weight, 0.0)
+        left = constant - weighted.basis @ (weighted.basis.T @ constant)
+        if constant.any() and np.linalg.norm(left) <= _CONSTANT_RESIDUAL * np.linalg.norm(constant):
+            value = ""
+            if (offset := f"offset_{joint + 1}") in problem.names:
+                k = problem.names.index(offset)
+                value = f", {fit.value[k]:.3g} Nm with a standard deviation of {fit.deviation[k]:.2g} Nm"
+            yield (
+                f"{name}: tau_c is the mean of both directions; their difference is a constant torque, which no motion "
+                f"tells from the offset of the joint{value}"
+            )
+
+
+_MAX_ALPHA_SD = 0.3  # deviation of an exponent that says nothing about it
+_MAX_RELATIVE_SD = {"omega_s": 0.5, "delta": 0.5, "c0": 0.5, "c1": 0.25}
+"""Relative deviation up to which one of these counts as known.
+
+Damping is kept where it happens to come out large: of values that stand out by less than four deviations, most are too
+large.
+"""
+_PART_OF = {
+    "tau_s_positive": Part.STRIBECK, "tau_s_negative": Part.STRIBECK, "omega_s": Part.STRIBECK, "delta": Part.STRIBECK,
+    "c0": Part.BRISTLE, "c1": Part.DAMPING,
+}  # fmt: skip
+
+
+def element_estimate(one: FittedElement, refusal: Refusal, sources: tuple[BagSource, ...]) -> ElementEstimate:
+    """Return the estimates of an element by the names of FrictionElement.
+
+    Args:
+        one: the element as it was fitted.
+        refusal: why it does not have a part.
+        sources: the runs.
+    """
+    shape = one.shape
+    tau_c, c2, c1 = one.linear.tolist()
+    # Values, and their derivatives by the parameters of the fit.
+    dry = (tau_c, {"tau_c": 1.0})
+    static = dry
+    omega_s: tuple[float, dict[str, float]] = (math.nan, {})
+    c0 = omega_s
+    if Part.STRIBECK in shape.parts:
+        static = (tau_c * (1.0 + shape.rise), {"tau_c": 1.0 + shape.rise, "rise": tau_c})
+        omega_s = (shape.omega_s, {"omega_s": shape.omega_s})
+    if Part.BRISTLE in shape.parts:
+        c0 = (tau_c * shape.stiffness, {"tau_c": shape.stiffness, "stiffness": tau_c * shape.stiffness})
+    natural: dict[str, tuple[float, dict[str, float]]] = {
+        "tau_c_positive": dry, "tau_c_negative": dry, "tau_s_positive": static, "tau_s_negative": static,
+        "omega_s": omega_s, "delta": (shape.delta, {"delta": 1.0}), "c2": (c2, {"c2": 1.0}),
+        "alpha": (shape.alpha, {"alpha": 1.0}), "c0": c0, "c1": (c1, {"c1": 1.0}),
+    }  # fmt: skip
+    jacobian = np.array([[slopes.get(name, 0.0) for name in FITTED] for _, slopes in natural.values()])
+    known = np.isfinite(np.diag(one.covariance))
+    covariance = jacobian @ np.where(np.outer(known, known), one.covariance, 0.0) @ jacobian.T
+    deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    deviations[(jacobian[:, ~known] != 0.0).any(axis=1)] = math.inf
+    estimates = {}
+    for (name, (value, _)), deviation in zip(natural.items(), deviations.tolist(), strict=True):
+        reason = _reason(one, name, value, deviation, refusal)
+        estimates[name] = ParameterEstimate.unknown(reason) if reason else ParameterEstimate(value, deviation)
+    return ElementEstimate.of(one.element, estimates, covariance, sources)
+
+
+def _reason(one: FittedElement, name: str, value: float, deviation: float, refusal: Refusal) -> str:
+    """Return why a parameter is not known; empty if it is."""
+    part = _PART_OF.get(name)
+    if part is not None and part not in one.shape.parts:
+        return refusal(part)
+    if name == "delta" and "delta" in one.shape.fixed:
+        return "not told from the size of the rise; 1 was assumed"
+    limit = _MAX_ALPHA_SD if name == "alpha" else _MAX_RELATIVE_SD.get(name, math.inf) * value
+    checks = (
+        (not one.linear.any(), "the element does not move, or at one velocity alone"),
+        (name.startswith("tau") and value <= 0.0, "no Coulomb friction shows: the best value is 0"),
+        (name in ("c2", "alpha") and one.linear[VISCOUS] <= 0.0, "no viscous friction shows: the best value is 0"),
+        (not math.isfinite(value) or not math.isfinite(deviation), "the runs do not determine it"),
+        (deviation > limit, f"standard deviation {deviation:.3g} at a value of {value:.3g}"),
+    )
+    return next((reason for applies, reason in checks if applies), "")
