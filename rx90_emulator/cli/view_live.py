@@ -49,7 +49,6 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
     from rx90_common.exchange.client_node import client_node
     from rx90_controller.lines.task import load_task
     from rx90_emulator.view.live import LiveSource, LiveView
-    from rx90_emulator.view.operator import NodeNames
     from rx90_emulator.view.page import Page
     from rx90_emulator.view.panel import DoPanel
     from rx90_emulator.view.plots import add_plot_export
@@ -72,8 +71,7 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
         with client_node("rx90_view", 1.0, print, options.ros_args) as client:
             source = LiveSource(client, robot, controller)
             view = LiveView(page, source, robot, line)
-            nodes = NodeNames.beside(controller, options.ros_args)
-            ends.callback(DoPanel(page, files, view.newest, nodes, view.lay_line).close)
+            ends.callback(DoPanel(page, client, files, view.newest, controller, view.lay_line).close)
             with page.tab("Files"):  # once all plots are there
                 with page.gui.add_folder("Record a bag"):
                     ends.callback(RecordButton(page, source.watch.namespace, options.ros_args).close)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +34,9 @@ class RunAnalysis:
     """A recorded run of a line.
 
     Attributes:
+        setup: of the run.
+        task: the line.
+        bag: what was recorded.
         joints: the bag's joint_states.
         friction: the bag's friction_states.
         error: the bag's tracking_error.
@@ -42,6 +44,9 @@ class RunAnalysis:
         path_without: path error of the same task with FF and dq_r off, computed without ROS.
     """
 
+    setup: Setup
+    task: LineTask
+    bag: Path
     joints: JointSeries
     friction: JointSeries
     error: JointSeries
@@ -55,66 +60,58 @@ def analyse(bag: Path, setup: Setup, task: LineTask, start_time: float) -> RunAn
     Raises:
         BagError: if a topic is missing.
     """
-    joints = read_joint_states(bag, "joint_states", setup.robot.joint_names)
+    names = setup.robot.joint_names
+    joints = read_joint_states(bag, "joint_states", names)
     friction = read_joint_states(bag, "friction_states", setup.friction.names)
-    error = read_joint_states(bag, "rx90_controller/tracking_error", setup.robot.joint_names)
+    error = read_joint_states(bag, "rx90_controller/tracking_error", names)
     path = path_accuracy(setup.robot, task, joints.time, joints.fields["position"], start_time)
-    controller = dataclasses.replace(setup.controller, feed_forward=FeedForward.off())
-    without = run_line(dataclasses.replace(setup, controller=controller), task).path_accuracy
-    return RunAnalysis(joints, friction, error, path, without)
+    controller = replace(setup.controller, feed_forward=FeedForward.off())
+    without = run_line(replace(setup, controller=controller), task).path_accuracy
+    return RunAnalysis(setup, task, bag, joints, friction, error, path, without)
 
 
 def write_report(
     page: Path,
-    setup: Setup,
-    task: LineTask,
     run: RunAnalysis,
-    comparison: BagComparison,
-    real_time_factor: float,
-    pace: float,
-    *,
-    composed: bool,
-    bag: Path,
     baseline: Path,
+    comparison: BagComparison,
+    *,
+    pace: float,
+    reached: float,
+    composed: bool,
 ) -> None:
     """Write the page.
 
     Args:
         page: the file.
-        setup: of the run.
-        task: the line.
         run: what was recorded.
-        comparison: of the two bags.
-        real_time_factor: simulated time over wall time.
-        pace: the real-time factor that was asked for; 0 for none.
-        composed: whether simulation and controller shared a process.
-        bag: the recorded bag.
         baseline: the bag it was compared with.
+        comparison: of the two bags.
+        pace: the real-time factor that was asked for; 0 for none.
+        reached: the one that was reached, simulated time over wall time.
+        composed: whether simulation and controller shared a process.
 
     Raises:
         Rx90Error: if the file cannot be written.
     """
-    files = setup.files
+    setup, files = run.setup, run.setup.files
     text = render_page(
         "rx90_emulator.demo",
         "report.html.j2",
         robot=setup.robot.model.name,
         provenance={} if files is None else {getattr(files, k).name: v for k, v in provenance_of(files).items()},
-        task=task,
         run=run,
-        real_time_factor=real_time_factor,
+        real_time_factor=reached,
         pace=pace,
         composed=composed,
-        messages=sum(topic.count for topic in summarise(bag).topics),
-        bag=bag,
+        messages=sum(topic.count for topic in summarise(run.bag).topics),
         baseline=baseline,
         limit=PATH_LIMIT,
         switched_off=SWITCHED_OFF,
         top=max(PATH_LIMIT, run.path.worst),
-        animation=animate(run.joints, run.path, setup.robot, task),
+        animation=animate(run.joints, run.path, setup.robot, run.task),
         same=comparison.verdict is Verdict.SAME,
         topics=comparison.topics,
-        largest=[max((v.maximum for v in topic.values), default=0.0) for topic in comparison.topics],
         joints=_joint_rows(run),
         friction=list(zip(setup.friction.names, setup.friction.elements, strict=True)),
         plots=_plots(run),

@@ -15,8 +15,8 @@ made, and has its functions called on that thread:
   confirmed it.
 
 page, guard, scene, plots are for all; live, processes, panel with operator, line_form and element_form are of running
-nodes, whose ROS clients stand in `rx90_common/exchange/` and the rooms' `node/`; track, recording, bag_plots and player
-are of bags. `rx90_emulator/cli/view.py` puts them together.
+nodes, whose ROS clients stand in `rx90_common/exchange/` and the rooms' `node/`; track, recording and player are of
+bags. `rx90_emulator/cli/view.py` puts them together.
 """
 
 OPENED = "the page is open"

@@ -4,31 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-from viser import GuiUplotHandle, uplot
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.element import FRICTION_PARAMETERS, FRICTION_UNITS, FrictionParameter
+from rx90_common.friction.element import FRICTION_PARAMETERS, FRICTION_UNITS
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.tracing import prescribed_torque
 from rx90_common.process.files import write_text
-from rx90_common.report.plot import COLOURS, GREY, Curve, Panel
-from rx90_emulator.view.page import FileFields, NewestOnly, Page, on_change, put, sentence
-from rx90_emulator.view.plots import add_plot
+from rx90_common.report.plot import COLOURS, GREY
+from rx90_emulator.view.page import Checker, FileFields, Page, numbers, on_change, put, sentence
+from rx90_emulator.view.plots import Graph, curves_of
 
-_INTERVAL = 0.05
+_NAMES = [parameter.name for parameter in FRICTION_PARAMETERS]
+_INTERVAL = 0.05  # s
 _TOP = 20.0  # Stribeck velocities, the reach of the curve
 _FACTORS = (0.2, 5.0, 0.01)  # least, largest, step of the slider
 _FILE = "friction_changed.yaml"
 _MICRO = 1e6
 _CURVE = 160  # points for each sign of the velocity
 _LEG = 120  # steps from one reversal to the other
+_COLOURS = {"file": GREY, "changed": COLOURS[0]}
+_Curves = tuple[Array, list[Array]]  # abscissa and ordinates
 _PERIOD = 2.0  # s, of the motion to and fro: so slow that what is seen is the bristle, not c1 and c2
 
 
@@ -83,13 +84,11 @@ def changed(file: FrictionFile, name: str, values: Mapping[str, float]) -> Frict
     return FrictionFile({**file.elements, name: element}, "assumed", source)
 
 
-def typed_values(element: FrictionElement, factor: float = 1.0) -> tuple[str, ...]:
+def typed_values(element: FrictionElement, factor: float = 1.0) -> list[str]:
     """Return what one would type for an element whose values are times a factor, in the order of the table."""
-    texts = []
-    for parameter in FRICTION_PARAMETERS:
-        words = [f"{getattr(element, name) * factor:.6g}" for name in parameter.attributes]
-        texts.append(" ".join(words if len(set(words)) > 1 else words[:1]))
-    return tuple(texts)
+    lists = ([getattr(element, name) for name in parameter.attributes] for parameter in FRICTION_PARAMETERS)
+    texts = ([f"{value * factor:.6g}" for value in values] for values in lists)
+    return [" ".join(dict.fromkeys(words)) for words in texts]
 
 
 def read_values(texts: Sequence[str]) -> dict[str, float]:
@@ -98,19 +97,16 @@ def read_values(texts: Sequence[str]) -> dict[str, float]:
     Raises:
         ConfigError: for what is no number, naming parameter, text and what is accepted.
     """
-    values: dict[str, float] = {}
+    found: dict[str, float] = {}
     for parameter, text in zip(FRICTION_PARAMETERS, texts, strict=True):
-        try:
-            numbers = [float(word) for word in text.replace(",", " ").split()]
-        except ValueError:
-            numbers = []
-        if len(numbers) == 1:
-            numbers *= len(parameter.attributes)
-        if len(numbers) != len(parameter.attributes):
+        values = numbers(text)
+        if len(values) == 1:
+            values *= len(parameter.attributes)
+        if len(values) != len(parameter.attributes):
             pair = ", or two for the signs of the velocity" if parameter.signed else ""
             raise ConfigError(f"{parameter.name} is {quoted(text)}; accepted: {parameter.accepted}{pair}")
-        values |= zip(parameter.attributes, numbers, strict=True)
-    return values
+        found |= zip(parameter.attributes, values, strict=True)
+    return found
 
 
 class ElementForm:
@@ -125,18 +121,28 @@ class ElementForm:
     def __init__(self, page: Page, file: FrictionFile, start_with: Callable[[str], None]) -> None:
         self._file, self._start_with = file, start_with
         self._result, self._missing = file, ""
-        names = list(file.elements)
-        self._element = page.gui.add_dropdown("element", names)
-        self._slid_one = page.gui.add_dropdown("slide", [p.name for p in FRICTION_PARAMETERS])
-        self._factor = page.gui.add_slider("times the file's", *_FACTORS, 1.0)
+        gui = page.gui
+        self._element = gui.add_dropdown("element", list(file.elements))
+        self._slid_one = gui.add_dropdown("slide", _NAMES)
+        self._factor = gui.add_slider("times the file's", *_FACTORS, 1.0)
         self._factor_taken = 1.0  # another value is one that a user has just given, and is taken next
-        self._curve = _plot(page, "steady torque [Nm]", "velocity [rad/s]", ("file", "changed"))
-        labels = ("file, to", "file, fro", "changed, to", "changed, fro")
-        self._loop = _plot(page, "presliding torque [Nm]", "displacement [µrad]", labels)
-        self._way = page.gui.add_slider("way / break-away", 0.1, 5.0, 0.1, 1.0)
-        self._verdict = page.gui.add_html("")
-        self._fields = [page.gui.add_text(_label(p), "", hint=_hint(p)) for p in FRICTION_PARAMETERS]
-        self._yaml = page.gui.add_markdown("")
+        self._graphs = []
+        for title, x, ways in (
+            ("steady torque [Nm]", "velocity [rad/s]", ("",)),
+            ("presliding torque [Nm]", "displacement [µrad]", (", to", ", fro")),
+        ):
+            labels = [(f"{of}{way}", colour) for of, colour in _COLOURS.items() for way in ways]
+            curves = [replace(curves_of([label])[0], colour=colour) for label, colour in labels]
+            self._graphs.append(Graph(page, title, curves, x=x))
+        self._way = gui.add_slider("way / break-away", 0.1, 5.0, 0.1, 1.0)
+        self._checker = Checker(page, self._compute, self._show, _INTERVAL)
+        self.close = self._checker.close
+        self._fields = []
+        for one in FRICTION_PARAMETERS:
+            pair = "; one value, or two: positive and negative" if one.signed else ""
+            label = one.name if one.unit == "1" else f"{one.name}, {one.unit}"
+            self._fields.append(gui.add_text(label, "", hint=f"{one.meaning}; {one.accepted}{pair}"))
+        self._yaml = gui.add_markdown("")
         self._files = FileFields(
             page,
             "friction file",
@@ -144,32 +150,25 @@ class ElementForm:
             {"Write the file": ("", self._save), "Start the simulation again with it": ("", self._save_and_start)},
             "A simulation reads its friction when it is configured: time begins again at 0.",
         )
-        self._write, self._start = self._files.buttons.values()
-        self._drawing: NewestOnly[tuple[str, tuple[str, ...], float]] = NewestOnly(page, self._compute, _INTERVAL)
-        on_change(self._element, self._chosen, page)
+        self._write, self._start = self._files.buttons
+        on_change(self._element, self._choose, page)
         on_change(self._slid_one, self._slide_another, page)
-        on_change(self._factor, self._slid, page)
+        on_change(self._factor, self._slide, page)
         on_change(self._way, self._give, page)
         for field in self._fields:
             on_change(field, self._give, page)
-        self._chosen()
-
-    def close(self) -> None:
-        """End the thread that computes."""
-        self._drawing.close()
+        self._choose()
 
     def follow(self, missing: str) -> None:
         """Take what the simulation cannot be started again without, if anything."""
         self._missing = missing
-        disabled = bool(missing) or self._write.disabled
-        if self._start.disabled != disabled:
-            self._start.disabled = disabled
+        self._start.disabled = bool(missing) or self._write.disabled
 
     def tell(self, text: str, wrong: bool) -> None:
         """Say how a start of the simulation with the file has gone."""
         self._files.said.content = sentence(text, wrong=wrong)
 
-    def _chosen(self) -> None:
+    def _choose(self) -> None:
         for field, text in zip(self._fields, typed_values(self._file.elements[self._element.value]), strict=True):
             put(field, text)
         self._slide_another()
@@ -180,48 +179,41 @@ class ElementForm:
             self._factor_taken = 1.0
             put(self._factor, 1.0)
 
-    def _slid(self) -> None:
+    def _slide(self) -> None:
         self._factor_taken = self._factor.value
-        index = [p.name for p in FRICTION_PARAMETERS].index(self._slid_one.value)
-        texts = typed_values(self._file.elements[self._element.value], self._factor.value)
-        put(self._fields[index], texts[index])
+        index = _NAMES.index(self._slid_one.value)
+        put(self._fields[index], typed_values(self._file.elements[self._element.value], self._factor.value)[index])
         self._give()
 
     def _give(self) -> None:
-        self._verdict.content = sentence("checking ...")
         self._write.disabled = self._start.disabled = True  # the file would be of other values
         self._files.withdraw()
-        texts = tuple(field.value for field in self._fields)
-        self._drawing.give((self._element.value, texts, self._way.value))
+        self._checker.give((self._element.value, [field.value for field in self._fields], self._way.value))
 
-    def _compute(self, item: tuple[str, tuple[str, ...], float]) -> Callable[[], None]:
+    def _compute(self, given: tuple[str, list[str], float]) -> tuple[str, FrictionFile, list[_Curves]]:
         """Compute on a thread of its own: the first time, kernels are compiled."""
-        name, texts, way = item
-        try:
-            file = changed(self._file, name, read_values(texts))
-        except ConfigError as error:
-            return partial(self._refuse, str(error))
+        name, texts, way = given
+        file = changed(self._file, name, read_values(texts))
         before, after = self._file.elements[name], file.elements[name]
         top, amplitude = _TOP * before.omega_s, way * break_away(before)
         curves = [stribeck_curve(element, top) for element in (before, after)]
         loops = [presliding_loop(element, amplitude) for element in (before, after)]
-        torques = (curves[0][0], *(torque for _, torque in curves))
-        loop = (loops[0][0] * _MICRO, *(leg for _, *legs in loops for leg in legs))
-        return partial(self._show, name, file, torques, loop)
+        loop = loops[0][0] * _MICRO, [leg for _, *legs in loops for leg in legs]
+        return name, file, [(curves[0][0], [torque for _, torque in curves]), loop]
 
-    def _refuse(self, text: str) -> None:
-        self._verdict.content = sentence(text, wrong=True)
-
-    def _show(self, name: str, file: FrictionFile, curve: tuple[Array, ...], loop: tuple[Array, ...]) -> None:
-        self._result = file
+    def _show(self, found: tuple[str, FrictionFile, list[_Curves]] | None) -> str:
+        if found is None:
+            return ""
         self._write.disabled = False
         self.follow(self._missing)
-        parts = ", ".join(file.elements[name].parts)
-        without = f"; the plots are without {parts}" * bool(parts)
-        self._verdict.content = sentence(f"{file.provenance or 'unknown'}: {file.source or 'no source'}{without}")
-        self._curve.data, self._loop.data = curve, loop
-        one = FrictionFile({name: file.elements[name]}, file.provenance, file.source).text()
-        self._yaml.content = f"```yaml\n{_without_comments(one)}```"
+        name, file, curves = found
+        element, self._result = file.elements[name], file
+        for graph, curve in zip(self._graphs, curves, strict=True):
+            graph.show(*curve)
+        lines = FrictionFile({name: element}, file.provenance, file.source).text().splitlines(keepends=True)
+        self._yaml.content = f"```yaml\n{''.join(line for line in lines if not line.startswith('#'))}```"
+        without = f"; the plots are without {', '.join(element.parts)}" * bool(element.parts)
+        return f"{file.provenance or 'unknown'}: {file.source or 'no source'}{without}"
 
     def _save(self, path: Path) -> str:
         write_text(path, self._result.text())
@@ -231,29 +223,3 @@ class ElementForm:
         self._save(path)
         self._start_with(str(path))
         return f"written; the simulation is started again ... -p friction:={path}"
-
-
-def _hint(parameter: FrictionParameter) -> str:
-    pair = "; one value, or two: positive and negative" if parameter.signed else ""
-    return f"{parameter.meaning}; {parameter.accepted}{pair}"
-
-
-def _label(parameter: FrictionParameter) -> str:
-    return parameter.name if parameter.unit == "1" else f"{parameter.name}, {parameter.unit}"
-
-
-def _plot(page: Page, title: str, x: str, labels: Sequence[str]) -> GuiUplotHandle:
-    colours = [GREY if label.startswith("file") else COLOURS[0] for label in labels]
-    pairs = list(zip(labels, colours, strict=True))
-    series = [uplot.Series(label=label, stroke=colour, width=1.5) for label, colour in pairs]
-
-    def panel() -> Panel:
-        along, *curves = handle.data
-        return Panel([Curve(along, *rest) for rest in zip(curves, labels, colours, strict=True)], "", x, title)
-
-    handle = add_plot(page, title, panel, (uplot.Series(), *series), x=x, height=165)
-    return handle
-
-
-def _without_comments(text: str) -> str:
-    return "".join(line for line in text.splitlines(keepends=True) if not line.startswith("#"))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,8 +19,10 @@ from rx90_common.description.chain import RigidChain
 from rx90_common.description.kinematics import tip_position
 from rx90_controller.lines.task import SETTLING
 
+TIP, PATH_ERROR = "tip", "path error"
 _AT_REST = 1e-4  # m/s, of the set-points: below it they have no direction of their own
-PATH_ERROR = "path error"
+_GAP = 3.5  # times the median interval: fewer than three messages that are missing are interpolated
+_BLOCK = 1 << 14  # samples; for all of them at once some steps would take too much memory
 
 
 def since(time_ns: int, origin_ns: int) -> float:
@@ -33,27 +35,15 @@ def seconds(time_ns: int) -> str:
     return f"{since(time_ns, 0):.3f}"
 
 
-_GAP = 3.5  # times the median interval: fewer than three messages that are missing are interpolated
-_BLOCK = 1 << 14  # samples
-
-
 @dataclass(frozen=True, eq=False)
-class Track:
-    """Values along time.
+class Track(JointSeries):
+    """A series whose stamps increase, and what is known of the times between them.
 
     Attributes:
-        names: k of them.
-        time_ns: increasing, int64 of shape (n,).
-        values: by field, float64 of shape (n, k).
         gap_ns: an interval longer than this is a gap, in which nothing is known.
-        units: of the fields.
     """
 
-    names: tuple[str, ...]
-    time_ns: Int64Array
-    values: dict[str, Array]
-    gap_ns: int
-    units: Mapping[str, str] = field(default_factory=dict)
+    gap_ns: int = 0
 
     @classmethod
     def of(cls, series: JointSeries) -> tuple[Track, int]:
@@ -68,31 +58,26 @@ class Track:
         gap_ns = int(_GAP * np.median(forward)) if len(forward) else 0
         back = np.flatnonzero(steps < -gap_ns)
         begin = int(back[-1]) + 1 if len(back) else 0
-        if (steps[begin:] > 0).all():
-            series = series.take(slice(begin, None)) if begin else series
-        else:
-            _, first = np.unique(stamps[begin:], return_index=True)
-            series = series.take(begin + first)
-        return cls(series.names, series.stamp_ns, dict(series.fields), gap_ns, series.units), len(back)
+        if not (steps[begin:] > 0).all():
+            series = series.take(begin + np.unique(stamps[begin:], return_index=True)[1])
+        elif begin:
+            series = series.take(slice(begin, None))
+        return cls(**vars(series), gap_ns=gap_ns), len(back)
 
     @property
     def begin_ns(self) -> int:
         """Return the first time."""
-        return int(self.time_ns[0])
+        return int(self.stamp_ns[0])
 
     @property
     def end_ns(self) -> int:
         """Return the last time."""
-        return int(self.time_ns[-1])
-
-    def moved(self, by_ns: int) -> Track:
-        """Return the same values at times that are later by `by_ns`."""
-        return replace(self, time_ns=self.time_ns + by_ns) if by_ns else self
+        return int(self.stamp_ns[-1])
 
     def gaps(self) -> NDArray[np.int64]:
         """Return the last time before and the first one after each gap, shape (m, 2)."""
-        rows = np.flatnonzero(np.diff(self.time_ns) > self.gap_ns)
-        return np.stack([self.time_ns[rows], self.time_ns[rows + 1]], axis=1)
+        rows = np.flatnonzero(np.diff(self.stamp_ns) > self.gap_ns)
+        return np.stack([self.stamp_ns[rows], self.stamp_ns[rows + 1]], axis=1)
 
     def at(self, field: str, time_ns: Int64Array) -> Array:
         """Return a field at any times, shape (m, k): a sample as it is, between two samples the line between them.
@@ -100,16 +85,16 @@ class Track:
         NaN in gaps, before the first sample and after the last one.
         """
         wanted = np.asarray(time_ns, dtype=np.int64)
-        values, last = self.values[field], len(self.time_ns) - 1
-        before = np.clip(np.searchsorted(self.time_ns, wanted, side="right") - 1, 0, last)
+        values, last = self.fields[field], len(self.stamp_ns) - 1
+        before = np.clip(np.searchsorted(self.stamp_ns, wanted, side="right") - 1, 0, last)
         after = np.minimum(before + 1, last)
-        since, step = wanted - self.time_ns[before], self.time_ns[after] - self.time_ns[before]
-        between = (since > 0) & (since < step) & (step <= self.gap_ns)
-        share = np.where(between, since / np.maximum(step, 1), 0.0)[:, None]
+        later, step = wanted - self.stamp_ns[before], self.stamp_ns[after] - self.stamp_ns[before]
+        between = (later > 0) & (later < step) & (step <= self.gap_ns)
+        share = np.where(between, later / np.maximum(step, 1), 0.0)[:, None]
         low = values[before]
         with np.errstate(invalid="ignore"):
             found = np.where(share > 0.0, low + share * (values[after] - low), low)
-        found[~(between | (since == 0))] = np.nan
+        found[~(between | (later == 0))] = np.nan
         return found
 
     def envelope(self, field: str, begin_ns: int, end_ns: int, buckets: int) -> tuple[Int64Array, Array]:
@@ -133,34 +118,23 @@ class Track:
         edge_values = self.at(field, edges)
         rising = edge_values[1:] >= edge_values[:-1]
         least, largest = np.fmin(edge_values[1:], edge_values[:-1]), np.fmax(edge_values[1:], edge_values[:-1])
-        rows = np.searchsorted(self.time_ns, edges)
+        rows = np.searchsorted(self.stamp_ns, edges)
         filled = np.flatnonzero(np.diff(rows))
         if len(filled):
-            inside, starts = self.values[field][: rows[-1]], rows[filled]
-            lowest, highest = least_and_largest(inside, starts)
+            lowest, highest = least_and_largest(self.fields[field][: rows[-1]], rows[filled])
             least[filled], largest[filled] = np.fmin(least[filled], lowest), np.fmax(largest[filled], highest)
         time = np.stack([edges[:-1], edges[1:] - 1], axis=1).reshape(-1)
         ends = [np.where(rising, least, largest), np.where(rising, largest, least)]
         return time, np.stack(ends, axis=1).reshape(2 * count, -1)
 
-
-def blocks(count: int) -> Iterator[slice]:
-    """Yield the rows of `count` samples in pieces, for what would take too much memory for all of them at once."""
-    return (slice(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK))
-
-
-TIP = "tip"
+    def worst(self) -> list[tuple[float, int]]:
+        """Return the largest absolute position of each column, with its sign, and its stamp, ns; NaN does not count."""
+        values = self.fields["position"]
+        rows = np.nanargmax(np.abs(values), axis=0).tolist()
+        return [(float(values[row, column]), int(self.stamp_ns[row])) for column, row in enumerate(rows)]
 
 
-class Worst(NamedTuple):
-    """A largest absolute difference, with its sign, and its time."""
-
-    value: float
-    time_ns: int
-
-
-@dataclass(frozen=True, eq=False)
-class Difference:
+class Difference(NamedTuple):
     """The second recording less the first, at the stamps of the first that both cover.
 
     Attributes:
@@ -174,16 +148,6 @@ class Difference:
     tip: Track
     exact: float
 
-    @property
-    def worst_joints(self) -> tuple[Worst, ...]:
-        """Return the largest difference of each joint."""
-        return tuple(_worst(self.joints, column) for column in range(len(self.joints.names)))
-
-    @property
-    def worst_tip(self) -> Worst:
-        """Return the largest distance of the tips."""
-        return _worst(self.tip, 0)
-
 
 def difference(first: Track, second: Track, chain: RigidChain, paths: tuple[Path, Path]) -> Difference:
     """Compare the positions of two tracks of one arm; the second's times are already moved to the first's.
@@ -192,13 +156,13 @@ def difference(first: Track, second: Track, chain: RigidChain, paths: tuple[Path
         BagError: if they have no time in common outside of gaps.
     """
     begin, end = max(first.begin_ns, second.begin_ns), min(first.end_ns, second.end_ns)
-    low, high = np.searchsorted(first.time_ns, begin), np.searchsorted(first.time_ns, end, side="right")
-    time_ns = first.time_ns[low:high]
-    joints, tip = np.empty((len(time_ns), len(first.names))), np.empty((len(time_ns), 1))
-    for rows in blocks(len(time_ns)):
-        one, other = first.values["position"][low:high][rows], second.at("position", time_ns[rows])
-        joints[rows] = other - one
-        tip[rows, 0] = np.linalg.norm(tip_position(chain, other) - tip_position(chain, one), axis=1)
+    low, high = np.searchsorted(first.stamp_ns, begin), np.searchsorted(first.stamp_ns, end, side="right")
+    stamps, own = first.stamp_ns[low:high], first.fields["position"][low:high]
+    joints, tip = np.empty((len(stamps), len(first.names))), np.empty((len(stamps), 1))
+    for rows in _blocks(len(stamps)):
+        other = second.at("position", stamps[rows])
+        joints[rows] = other - own[rows]
+        tip[rows, 0] = np.linalg.norm(tip_position(chain, other) - tip_position(chain, own[rows]), axis=1)
     known = np.isfinite(tip[:, 0])
     if not known.any():
         spans = " and ".join(
@@ -207,19 +171,10 @@ def difference(first: Track, second: Track, chain: RigidChain, paths: tuple[Path
         )
         raise BagError(f"{spans} have no time in common; accepted: --align start, trajectory, or a time in s")
     if not known.all():
-        time_ns, joints, tip = time_ns[known], joints[known], tip[known]
-    exact = float(np.isin(time_ns, second.time_ns, assume_unique=True).mean())
-    return Difference(
-        Track(first.names, time_ns, {"position": joints}, first.gap_ns),
-        Track((TIP,), time_ns, {"position": tip}, first.gap_ns),
-        exact,
-    )
-
-
-def _worst(track: Track, column: int) -> Worst:
-    values: Array = track.values["position"][:, column]
-    row = int(np.argmax(np.abs(values)))
-    return Worst(float(values[row]), int(track.time_ns[row]))
+        stamps, joints, tip = stamps[known], joints[known], tip[known]
+    exact = float(np.isin(stamps, second.stamp_ns, assume_unique=True).mean())
+    of_joints = Track(first.topic, first.names, stamps, joints, gap_ns=first.gap_ns)
+    return Difference(of_joints, Track(TIP, (TIP,), stamps, tip, gap_ns=first.gap_ns), exact)
 
 
 def path_error_track(arm: Track, reference: Track | None, chain: RigidChain) -> Track | None:
@@ -232,29 +187,28 @@ def path_error_track(arm: Track, reference: Track | None, chain: RigidChain) -> 
     if reference is None:
         return None
     direction, counted = _directions(reference, chain)
-    error = np.empty((len(arm.time_ns), 1))
-    for rows in blocks(len(arm.time_ns)):
-        time_ns = arm.time_ns[rows]
-        target = tip_position(chain, reference.at("position", time_ns))
-        off = tip_position(chain, arm.values["position"][rows]) - target
-        place = np.searchsorted(reference.time_ns, time_ns, side="right") - 1
+    error = np.empty((len(arm.stamp_ns), 1))
+    for rows in _blocks(len(arm.stamp_ns)):
+        stamps = arm.stamp_ns[rows]
+        target = tip_position(chain, reference.at("position", stamps))
+        off = tip_position(chain, arm.fields["position"][rows]) - target
+        place = np.searchsorted(reference.stamp_ns, stamps, side="right") - 1
         across = off - np.sum(off * direction[place], axis=1)[:, None] * direction[place]
         error[rows, 0] = np.where(counted[place] & (place >= 0), np.linalg.norm(across, axis=1), np.nan)
-    return Track((PATH_ERROR,), arm.time_ns, {"position": error}, arm.gap_ns)
+    return Track(PATH_ERROR, (PATH_ERROR,), arm.stamp_ns, error, gap_ns=arm.gap_ns)
 
 
 def _directions(reference: Track, chain: RigidChain) -> tuple[Array, NDArray[np.bool_]]:
     """Return the direction of the path at each set-point, shape (n, 3), and whether its path error counts, (n,)."""
-    count = len(reference.time_ns)
-    tips = np.empty((count, 3))
-    for rows in blocks(count):
-        tips[rows] = tip_position(chain, reference.values["position"][rows])
+    stamps = reference.stamp_ns
+    tips = np.empty((len(stamps), 3))
+    for rows in _blocks(len(stamps)):
+        tips[rows] = tip_position(chain, reference.fields["position"][rows])
     way = np.diff(tips, axis=0, append=tips[-1:])
     length = np.linalg.norm(way, axis=1)
-    moving = length > _AT_REST * np.diff(reference.time_ns, append=reference.time_ns[-1] + 1) / NANOSECONDS
-    last = np.maximum.accumulate(np.where(moving, np.arange(count), -1))
-    ended = reference.time_ns[np.minimum(last + 1, count - 1)]
-    counted = (last >= 0) & (reference.time_ns - ended <= SETTLING * NANOSECONDS)
+    moving = length > _AT_REST * np.diff(stamps, append=stamps[-1] + 1) / NANOSECONDS
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(stamps)), -1))
+    counted = (last >= 0) & (stamps - stamps[np.minimum(last + 1, len(stamps) - 1)] <= SETTLING * NANOSECONDS)
     return np.asarray(way[last] / np.where(length[last] > 0.0, length[last], 1.0)[:, None]), counted
 
 
@@ -263,10 +217,14 @@ def tip_path(arm: Track, error: Track | None, chain: RigidChain, pieces: int) ->
 
     The pieces are of equal time, `pieces` at most.
     """
-    count = max(1, min(pieces, len(arm.time_ns) - 1))
+    count = max(1, min(pieces, len(arm.stamp_ns) - 1))
     edges = arm.begin_ns + ((arm.end_ns - arm.begin_ns) * np.arange(count + 1, dtype=np.int64)) // count
     points = tip_position(chain, arm.at("position", edges))
     if error is None:
         return points, np.full(count, np.nan)
     _, values = error.envelope("position", arm.begin_ns, arm.end_ns, count)
     return points, np.asarray(np.fmax(values[0::2, 0], values[1::2, 0]))
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    return (slice(start, start + _BLOCK) for start in range(0, count, _BLOCK))

@@ -42,11 +42,11 @@ def animation(run: RunAnalysis, shipped: Setup, task: rx.LineTask) -> Animation:
 
 
 @pytest.fixture(scope="module")
-def pages(bag: Path, run: RunAnalysis, shipped: Setup, task: rx.LineTask) -> list[Path]:
+def pages(bag: Path, run: RunAnalysis) -> list[Path]:
     """Return the report, written twice."""
     found = [bag.parent / "report.html", bag.parent / "again.html"]
     for page in found:
-        write_report(page, shipped, task, run, compare_bags(bag, bag), 1.0, 0.0, composed=False, bag=bag, baseline=bag)
+        write_report(page, run, bag, compare_bags(bag, bag), pace=0.0, reached=1.0, composed=False)
     return found
 
 

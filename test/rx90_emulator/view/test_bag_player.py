@@ -119,7 +119,7 @@ def test_scrubbing_shows_what_was_recorded(
     said = text.search(shown.text())
     assert said
     assert (float(said[1]), said[2]) == (pytest.approx(worst, rel=1e-3), "0.700")
-    _, _, *parts, line = shown.page.evaluate(DISTANCES)
+    _, _, *parts, line, _ = shown.page.evaluate(DISTANCES)
     assert np.nanmax(np.array(parts, dtype=float)) == pytest.approx(worst, rel=1e-9)
     assert np.nanmax(np.array(line, dtype=float)) == pytest.approx(worst, rel=1e-9)
     assert len(parts) == 2  # before the gap and after it

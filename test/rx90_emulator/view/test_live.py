@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import signal
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,7 +28,7 @@ from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import path_accuracy, plan_line
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import live as live_module
-from rx90_emulator.view.live import LivePlots, LiveView
+from rx90_emulator.view.live import LiveView
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.scene import PathErrorMeter
 
@@ -167,25 +166,26 @@ def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypat
     watch = SimpleNamespace(
         elements=friction, joints=joints, trajectory=None, elements_at_ticks=ticks, listens_at_ticks=True
     )
+    monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: None))
+    line: Any = SimpleNamespace(add=lambda times, _: 5e-5 if times[-1] > 1.0 else np.nan)
     monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
     live = live_module.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
-    with served(Page("test", port=0)) as page:
-        made: dict[str, Any] = {}
-        add = page.gui.add_uplot
-        monkeypatch.setattr(page.gui, "add_uplot", lambda *a, **k: made.setdefault(k["title"], add(*a, **k)))
-        listed = page.gui.add_dropdown
-        monkeypatch.setattr(page.gui, "add_dropdown", lambda *a: made.setdefault(a[0], listed(*a)))
-        plots = LivePlots(page, shipped.robot)
-        made["joint of the loop"].value, taken = "joint_3", threading.Event()
-        page.later(taken.set)
-        assert taken.wait(60.0)
-        times = np.arange(0.0, 3.0, 0.1)
-        for time in times:
-            now["time"] = float(time)
-            (state,) = live.take(2.0 * time)  # at half the speed of the wall clock
-            plots.add(state, live.elements, 5e-5 if time > 1.0 else np.nan)
-            plots.add_to_loop(live.friction, at_ticks=True)
-        plots.draw()
+    page = Page("test", port=0)
+    made: dict[str, Any] = {}
+    add = page.gui.add_uplot
+    monkeypatch.setattr(page.gui, "add_uplot", lambda *a, **k: made.setdefault(k["title"], add(*a, **k)))
+    listed = page.gui.add_dropdown
+    monkeypatch.setattr(page.gui, "add_dropdown", lambda *a, **k: made.setdefault(a[0], listed(*a, **k)))
+    view = LiveView(page, live, shipped.robot, None)
+    monkeypatch.setattr(view, "_line", line)
+    made["joint of the loop"].value = "joint_3"
+    times = np.arange(0.0, 3.0, 0.1)
+    for time in times:
+        now["time"] = float(time)
+        view._update(2.0 * time)  # at half the speed of the wall clock
+    view._line = None
+    view._draw(0.0)
+    page.close()
     assert live.pace(2.0 * times[-1]) == pytest.approx(0.5)
     wave = np.cos(times)
     for title, factors in (

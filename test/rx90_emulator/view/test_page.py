@@ -30,10 +30,10 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.report.plot import Curve, Panel
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import page as page_module
-from rx90_emulator.view.bag_plots import CurvesPlot
-from rx90_emulator.view.page import ExistingFileError, OutputFolder, Page, reached_by_others
-from rx90_emulator.view.plots import LoopPlot, RollingPlot, RunComparison, add_plot_export, table
-from rx90_emulator.view.scene import ArmScene, LineScene, error_colors
+from rx90_emulator.view import plots
+from rx90_emulator.view.page import ExistingFileError, Page, output_folder, output_path
+from rx90_emulator.view.plots import LoopPlot, RollingPlot, RunComparison, TrackPlot, add_plot_export, table
+from rx90_emulator.view.scene import ArmScene, LineScene
 from rx90_emulator.view.track import Track
 
 Open = Callable[..., BrowserPage]
@@ -76,12 +76,12 @@ def test_arms_are_drawn_where_pinocchio_says(shipped: Setup, tx40: Setup, page: 
     assert (shown.complaints, shown.foreign_requests) == ([], [])
 
 
-def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
+def test_plots_show_what_they_were_given(page: Page, open_page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     """A rolling plot holds the samples of its window; a loop is drawn whole though its abscissa goes back."""
     with page.plot_tab("Plots"):
-        rolling = RollingPlot(page, "speed [rad/s]", ("joint_1", "joint_2"), window=2.0)
-        broken = RollingPlot(page, "broken", ("error",), legend=False, gaps=1)
-        loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]", least=(0.01, 0.01))
+        rolling = RollingPlot(page, "speed [rad/s]", ("joint_1", "joint_2"), (-1.0, 1.0))
+        broken = RollingPlot(page, "broken", ("error",), (-1.0, 1.0), gaps=1)
+        loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]", (0.01, 0.01))
     angle = np.linspace(0.0, 4.0 * np.pi, 100)
 
     def feed() -> None:
@@ -90,8 +90,9 @@ def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
             broken.add(at, [np.nan if at < 0.25 or 1.95 < at < 3.05 else 1.0 + at])
         for a in angle:
             loop.add(np.cos([a]), np.sin([a]))
-        rolling.draw()
         broken.draw()
+        monkeypatch.setattr(plots, "WINDOW", 2.0)
+        rolling.draw()
         loop.draw()
 
     shown = open_page(page.address)
@@ -127,10 +128,10 @@ def test_noise_at_rest_reads_as_noise(page: Page, open_page: Open) -> None:
     noise = 1e-7 * np.sin(np.arange(100.0) * 7.0)
     track, _ = Track.of(JointSeries("/joint_states", JOINTS[:1], np.arange(100) * 10**7, 1.57 + noise[:, None]))
     with page.plot_tab("Plots"):
-        rolling = RollingPlot(page, "rest", ("joint_1",), least=0.01)
-        known = RollingPlot(page, "seldom known", ("error",), least=0.01, low=0.0, gaps=1)
-        loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]", least=(0.01, 1.0))
-        curves = CurvesPlot(page, "recorded [rad]", [track], "position", 0)
+        rolling = RollingPlot(page, "rest", ("joint_1",), (-0.01, 0.01))
+        known = RollingPlot(page, "seldom known", ("error",), (0.0, 0.01), gaps=1)
+        loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]", (0.01, 1.0))
+        curves = TrackPlot(page, "recorded [rad]", [track], "position", 0)
     for k, value in enumerate(noise):
         rolling.add(k * 0.01, [value])
         known.add(k * 0.01, [abs(value) if k > 50 else np.nan])
@@ -158,11 +159,9 @@ def empty(shown: BrowserPage) -> list[list[np.ndarray]]:
 
 def test_the_trace_is_drawn_beside_the_line(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     """Magnified, the trace is so many times as far from the line as it was, blue to red; off it grey, in place."""
-    made = {}
-    add = page.scene.add_line_segments
-    monkeypatch.setattr(
-        page.scene, "add_line_segments", lambda name, *a, **k: made.setdefault(name, add(name, *a, **k))
-    )
+    made: dict[str, Any] = {}
+    add = page.add_lines
+    monkeypatch.setattr(page, "add_lines", lambda name, *a, **k: made.setdefault(name, add(name, *a, **k)))
     start, end = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
     line = LineScene(page, "/line", start, end)
     tips = np.array([[0.5, 0.02, 0.2], [0.5, 0.0, 0.2], [0.6, 0.0, 0.2], [0.7, 1e-4, 0.2], [0.8, 0.0, 0.2]])
@@ -196,7 +195,7 @@ def test_a_trace_has_its_colours_on_a_page_that_was_there_before_it(page: Page, 
         line.draw()
 
     page.later(run)
-    red = np.array(error_colors(np.array([1.0]))[0], dtype=int)
+    red = np.array([213, 60, 0])
 
     def is_drawn() -> bool:
         pixels = Image.open(io.BytesIO(shown.page.screenshot())).convert("RGB")
@@ -249,13 +248,13 @@ def test_a_browser_that_is_waited_for_does_not_hold_the_page(
     assert f"page: {page.address}" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("host", "open_to_others"),
-    [("127.0.0.1", False), ("localhost", False), ("::1", False), ("0.0.0.0", True), ("::", True), ("192.0.2.1", True)],
-)
-def test_a_page_that_others_can_open_is_told(host: str, open_to_others: bool) -> None:
-    """Addresses of this machine alone are told from those that others reach."""
-    assert reached_by_others(host) is open_to_others
+@pytest.mark.parametrize(("host", "others"), [("127.0.0.1", False), ("localhost", False), ("::1", False), ("::", True)])
+def test_a_page_that_others_can_open_is_told(host: str, others: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    """The page warns of other machines only where it is bound to more than this machine's own addresses."""
+    page = Page("test", host, 0)
+    page.announce(browser=False)
+    page.close()
+    assert ("other machines can open the page" in capsys.readouterr().out) is others
 
 
 def check_drawer(shown: BrowserPage) -> None:
@@ -295,7 +294,7 @@ def test_on_a_telephone_the_arm_is_above_the_panels(shipped: Setup, page: Page, 
     page.server.on_client_connect(seen.append)
     with page.plot_tab("Friction"):
         for title in ("torque", "deflection"):
-            RollingPlot(page, title, JOINTS)
+            RollingPlot(page, title, JOINTS, (-1.0, 1.0))
     for size, away, lower in (((390, 844), 0.9 * 844 / 390, True), ((900, 600), 1.0, False)):
         shown = open_page(page.address, size)
 
@@ -335,7 +334,7 @@ def test_while_time_hurries_calls_come_a_third_as_often(idle: Page, monkeypatch:
     clock, made = Clock(), list[float]()
     monkeypatch.setattr(page_module, "time", SimpleNamespace(monotonic=lambda: clock.now))
     monkeypatch.setattr(idle, "_handed_over", clock)
-    idle.every(0.1, made.append, hurries=lambda now: now < 105.95)
+    idle.every(0.1, made.append, busy=lambda now: now < 105.95)
     idle.run(until=lambda: clock.now >= 110.02)
     expected = np.concatenate([np.arange(100.0, 106.1, 0.3), np.arange(106.1, 110.05, 0.1)])
     np.testing.assert_allclose(made, expected, atol=1e-6)
@@ -376,7 +375,9 @@ def run(line: LineScene, begin: float, largest: float) -> None:
 
 def test_two_runs_are_compared_along_the_line(page: Page, open_page: Open) -> None:
     """The run that is held stays while others come: curves, largest, place, RMS and ratio; another line lets it go."""
-    line, runs = LineScene(page, "/line", START, END), RunComparison(page)
+    line = LineScene(page, "/line", START, END)
+    with page.plot_tab("Path"):
+        runs = RunComparison(page)
     page.every(0.05, lambda _: runs.draw(line))
     shown = open_page(page.address, (1000, 700))
     hold, release = (shown.page.get_by_role("button", name=words) for words in ("Hold the", "Let the held"))
@@ -403,9 +404,12 @@ def test_two_runs_are_compared_along_the_line(page: Page, open_page: Open) -> No
     assert shown.complaints == []
 
 
-def test_a_plot_is_written_as_picture_and_table(page: Page, open_page: Open, tmp_path: Path) -> None:
+def test_a_plot_is_written_as_picture_and_table(
+    page: Page, open_page: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What stands on the page stands in the files to the bit; a file that is there is replaced once that is said."""
-    plot = RollingPlot(page, UNITS, ["joint_1", "joint_2"], window=1.0)
+    monkeypatch.setattr(plots, "WINDOW", 1.0)
+    plot = RollingPlot(page, UNITS, ["joint_1", "joint_2"], (-1.0, 1.0))
     rows = np.array([[0.1 * k, np.sin(k), 1.0 / (k + 1)] for k in range(40)])
     with page.tab("Files"):
         add_plot_export(page)
@@ -422,6 +426,7 @@ def test_a_plot_is_written_as_picture_and_table(page: Page, open_page: Open, tmp
     shown.wait_until(lambda: "plot.csv" in shown.text(), "an empty table")
     assert (tmp_path / "plot.csv").read_text() == f"time [s],joint_1: {UNITS},joint_2: {UNITS}\n"
     page.later(add)
+    page.later(plot.draw)
     press("Write the CSV")
     shown.wait_until(lambda: "plot.csv exists" in shown.text(), "the refusal")
     assert len((tmp_path / "plot.csv").read_text().splitlines()) == 1
@@ -459,7 +464,7 @@ def test_curves_with_times_of_their_own_have_columns_of_their_own() -> None:
 
 
 @pytest.fixture
-def output(tmp_path: Path) -> OutputFolder:
+def output(tmp_path: Path) -> Path:
     """Return a folder with files, folders and links in it, and a file beside it."""
     (tmp_path / "beside.yaml").write_text("beside")
     folder = tmp_path / "page"
@@ -468,14 +473,14 @@ def output(tmp_path: Path) -> OutputFolder:
     (folder / "out").symlink_to(tmp_path)
     (folder / "link.yaml").symlink_to(tmp_path / "beside.yaml")
     (folder / "nowhere.yaml").symlink_to(tmp_path / "nowhere.yaml")
-    return OutputFolder(folder)
+    return output_folder(folder)
 
 
 @pytest.mark.parametrize("name", ["new.yaml", "sub/new.yaml", "two words.yaml", "~", "sub//new.yaml"])
-def test_new_names_beneath_the_folder_are_taken(output: OutputFolder, name: str) -> None:
+def test_new_names_beneath_the_folder_are_taken(output: Path, name: str) -> None:
     """A name that is free gives a path beneath the folder, in which nothing is made."""
-    path = output.path_for(name)
-    assert path.parent in {output.folder, output.folder / "sub"}
+    path = output_path(output, name)
+    assert path.parent in {output, output / "sub"}
     assert not path.exists()
 
 
@@ -486,23 +491,23 @@ def test_new_names_beneath_the_folder_are_taken(output: OutputFolder, name: str)
      "sub/.git", "out/beside.yaml", "out/new.yaml", "link.yaml", "nowhere.yaml", "sub", "missing/new.yaml",
      "there.yaml/new.yaml", "a\0b", "a\nb", "x" * 300, "x" * 300 + "/y"],
 )  # fmt: skip
-def test_what_leads_elsewhere_is_refused_also_when_confirmed(output: OutputFolder, name: str, replace: bool) -> None:
+def test_what_leads_elsewhere_is_refused_also_when_confirmed(output: Path, name: str, replace: bool) -> None:
     """No `..`, absolute path, hidden name, link or folder is taken; the refusal is one line that says what is."""
     with pytest.raises(ConfigError, match="; accepted: a new name beneath") as refusal:
-        output.path_for(name, replace=replace)
+        output_path(output, name, replace=replace)
     assert "\n" not in str(refusal.value)
 
 
-def test_a_file_that_is_there_is_taken_only_when_confirmed(output: OutputFolder) -> None:
+def test_a_file_that_is_there_is_taken_only_when_confirmed(output: Path) -> None:
     """Without a confirmation the refusal names the file, and is told from the others."""
     with pytest.raises(ExistingFileError, match=r"there\.yaml exists; accepted: a new name beneath"):
-        output.path_for("there.yaml")
-    assert output.path_for("there.yaml", replace=True).read_text() == "there"
+        output_path(output, "there.yaml")
+    assert output_path(output, "there.yaml", replace=True).read_text() == "there"
 
 
 def test_a_folder_is_made_or_refused(tmp_path: Path) -> None:
     """A folder that is missing is made; a file in its place is one line."""
-    assert OutputFolder(tmp_path / "a" / "b").folder.is_dir()
+    assert output_folder(tmp_path / "a" / "b").is_dir()
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match=r"file: cannot be written \(.*\); accepted: a folder that exists or can"):
-        OutputFolder(tmp_path / "file")
+        output_folder(tmp_path / "file")

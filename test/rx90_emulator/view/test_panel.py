@@ -29,8 +29,7 @@ from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import element_form, line_form
 from rx90_emulator.view.element_form import ElementForm
 from rx90_emulator.view.live import LiveSource
-from rx90_emulator.view.operator import NodeNames
-from rx90_emulator.view.page import NewestOnly, Page, put
+from rx90_emulator.view.page import Checker, Page, put
 from rx90_emulator.view.panel import DoPanel
 
 Open = Callable[..., BrowserPage]
@@ -53,8 +52,8 @@ def panel(processes: Processes, shipped: Setup, monkeypatch: pytest.MonkeyPatch,
         source = LiveSource(client, shipped.robot, "rx90_controller")
         states: list[JointSample] = []
         page.every(0.05, lambda now: states.extend(source.take(now)))
-        names = NodeNames.beside("/rx90_controller", ())
-        parts = DoPanel(page, shipped.files, lambda: states[-1] if states else None, names, sent.append)
+        newest = lambda: states[-1] if states else None  # noqa: E731
+        parts = DoPanel(page, client, shipped.files, newest, "/rx90_controller", sent.append)
         with served(page):
             yield page, cell, sent
         parts.close()
@@ -107,15 +106,15 @@ def _no_verdict_is_of_other_values(shown: BrowserPage, page: Page, monkeypatch: 
             assert may_end[speed].wait(60.0)
         return plan_line(robot, task, period)
 
-    give, taken = NewestOnly.give, list[str]()
+    give, taken = Checker.give, list[str]()
 
-    def note(self: NewestOnly[Any], item: Any) -> None:
+    def note(self: Checker[Any, Any], item: Any) -> None:
         give(self, item)
-        if isinstance(item[0], tuple) and len(item[0]) == 5:  # a typed line
+        if isinstance(item[0], list):  # a typed line
             taken.append(item[0][2])
 
     monkeypatch.setattr(line_form, "plan_line", slowly)
-    monkeypatch.setattr(NewestOnly, "give", note)
+    monkeypatch.setattr(Checker, "give", note)
     fill(shown, page, "speed", "0.2")
     assert begun["0.2"].wait(60.0)
     shown.wait_until(lambda: "checking ..." in shown.text(), "the form at work")
@@ -129,7 +128,7 @@ def _no_verdict_is_of_other_values(shown: BrowserPage, page: Page, monkeypatch: 
     may_end["0.4"].set()
     shown.wait_until(lambda: "checking" not in shown.text(), "the verdict")
     monkeypatch.setattr(line_form, "plan_line", plan_line)
-    monkeypatch.setattr(NewestOnly, "give", give)
+    monkeypatch.setattr(Checker, "give", give)
 
 
 def _the_line_is_followed(shown: BrowserPage, page: Page, setup: Setup, sent: list[LineTask]) -> None:
