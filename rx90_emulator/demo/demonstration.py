@@ -18,7 +18,7 @@ from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
-from rx90_emulator.demo.report import PATH_LIMIT, SWITCHED_OFF, analyse, write_report
+from rx90_emulator.demo.report import PATH_LIMIT, SWITCHED_OFF, RunReport
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import OPENED, TO_OTHERS
 from rx90_sim.node.simulation_client import SimulationClient
@@ -73,8 +73,8 @@ class Demonstration:
         print("comparing the recorded run with the closed loop without ROS ...", flush=True)
         comparison = compare_bags(recorded, baseline)
         print(comparison_text(comparison))
-        run = analyse(recorded, self._setup, self._task, START_TIME)
-        write_report(page, run, baseline, comparison, pace=self._pace, reached=factor, composed=self._composed)
+        run = RunReport(recorded, self._setup, self._task, START_TIME)
+        run.write(page, baseline, comparison, pace=self._pace, reached=factor, composed=self._composed)
         print(
             f"path error: worst {run.path.worst * 1e3:.4f} mm, "
             f"{run.path_without.worst * 1e3:.4f} mm with {SWITCHED_OFF}; asked for: {PATH_LIMIT * 1e3:g} mm"

@@ -26,78 +26,6 @@ _STALE = 2.5  # s; the samples of a simulation come again four times a second wh
 _PACE_WINDOW = 2.0  # s
 
 
-class LiveSource:
-    """The newest state of the arm of running nodes, which may come and go.
-
-    Args:
-        client: whose node listens; nothing waits for it.
-        robot: the arm that is expected.
-        controller: name of the controller node, relative or absolute; the arm is in its namespace.
-
-    Attributes:
-        watch: what the nodes publish beside the arm's state.
-        elements: the newest state of the friction elements: deflection, velocity, torque; None where it is not known.
-        friction: their samples that came with the newest states; at ticks, if it listens there.
-
-    Raises:
-        ConfigError: if that cannot be a node's name.
-    """
-
-    def __init__(self, client: ClientNode, robot: RobotModel, controller: str) -> None:
-        self._robot = str(robot.model.name)
-        self.watch = ArmWatch(client.node, controller, robot.joint_names, element_names(robot.joint_names))
-        self.friction: list[JointSample] = []
-        self.elements: JointSample | None = None
-        self._heard = -math.inf  # when a state came last
-        self._time = 0.0  # simulated, of the newest state
-        self._times: deque[tuple[float, float]] = deque()  # steady clock, simulated
-
-    def take(self, now: float) -> list[JointSample]:
-        """Return the states that came since the last call.
-
-        Of several runs they are those of the last one alone; `now` is the steady clock's time, s.
-        """
-        friction, joints = self.watch.elements(), self.watch.joints()
-        self.friction = self.watch.elements_at_ticks() if self.watch.listens_at_ticks else friction
-        if friction:
-            self.elements = friction[-1]
-        if not joints:
-            return []
-        if now - self._heard > _STALE and not friction:
-            self.elements = None  # of a simulation that has gone
-        self._heard = now
-        back = np.flatnonzero(np.diff([self._time, *(sample.time for sample in joints)]) < 0.0)
-        if len(back):  # another simulation, or reset: nothing that was accepted before is followed
-            joints = joints[back[-1] :]
-            self._times.clear()
-            self.watch.trajectory = None
-        self._time = joints[-1].time
-        self._times.append((now, self._time))
-        return joints
-
-    def problem(self, now: float) -> str:
-        """Return why there is nothing to be seen, as a sentence for the user; empty if there is."""
-        theirs = self.watch.robot
-        if self.watch.publishers and theirs not in {None, self._robot}:
-            return f"The simulation's robot is {plain(theirs)}, this page shows {self._robot}: start it with --robot"
-        if now - self._heard <= _STALE:
-            return ""
-        if self.watch.problem:
-            return f"Another robot? {self.watch.problem}"
-        if self._heard == -math.inf:
-            return f"Waiting for a simulation: nothing on {self.watch.topic} yet"
-        return f"The simulation has gone: nothing on {self.watch.topic} any more; waiting for the next one"
-
-    def pace(self, now: float) -> float:
-        """Return simulated time per time of the wall clock over the last seconds."""
-        while self._times and self._times[0][0] < now - _PACE_WINDOW:
-            self._times.popleft()
-        if len(self._times) < 2:
-            return 0.0
-        (began, first), (ended, last) = self._times[0], self._times[-1]
-        return (last - first) / (ended - began)
-
-
 _POSE_PERIOD = 1.0 / 30.0  # s
 _PLOT_PERIOD = 0.2
 _STATUS_PERIOD = 0.25
@@ -111,25 +39,36 @@ _NONE = "none"
 
 
 class LiveView:
-    """Arm, spot, trace, plots and words that follow running nodes.
+    """Arm, spot, trace, plots and words that follow running nodes, which may come and go.
 
     Args:
         page: to show them on.
-        source: where the states come from.
-        robot: the arm.
+        client: whose node listens; nothing waits for it.
+        robot: the arm that is expected.
+        controller: name of the controller node, relative or absolute; the arm is in its namespace.
         line: the reference line, if the robot has one.
 
     Attributes:
-        state: the newest; None before the first.
+        watch: what the nodes publish.
+        state: the newest of the arm; None before the first.
+
+    Raises:
+        ConfigError: if that cannot be a node's name.
     """
 
-    def __init__(self, page: Page, source: LiveSource, robot: RobotModel, line: LineTask | None) -> None:
-        self._page, self._source, self._chain, gui = page, source, robot.chain, page.gui
+    def __init__(
+        self, page: Page, client: ClientNode, robot: RobotModel, controller: str, line: LineTask | None
+    ) -> None:
+        self._page, self._chain, gui, self._robot = page, robot.chain, page.gui, str(robot.model.name)
+        self._names, joints = element_names(robot.joint_names), robot.joint_names
+        self.watch = ArmWatch(client.node, controller, joints, self._names)
+        self._elements: JointSample | None = None  # the newest: deflection, velocity, torque
+        self._heard = -math.inf  # when a state came last
+        self._times: deque[tuple[float, float]] = deque()  # steady clock, simulated
         self._followed: Trajectory | None = None
         self.state: JointSample | None = None
         self.arm = ArmScene(page, "/arm", robot)
         self._line = None if line is None else LineScene(page, "/reference", np.array(line.start), np.array(line.end))
-        self._names, joints = element_names(robot.joint_names), robot.joint_names
         with page.plot_tab("Friction"):
             self._friction = RollingPlot(page, "friction torque [Nm]", self._names, (-1.0, 1.0))
             self._deflection = RollingPlot(page, "bristle deflection [\u00b5rad]", self._names, (-10.0, 10.0))
@@ -165,7 +104,7 @@ class LiveView:
         # A simulation that hurries needs the processors more than the eye needs smoothness.
         periods = {self._update: _POSE_PERIOD, self._draw: _PLOT_PERIOD, self._show_status: _STATUS_PERIOD}
         for show, period in periods.items():
-            page.every(period, show, busy=lambda now: source.pace(now) > MAX_DISPLAY_RTF)
+            page.every(period, show, busy=lambda now: self.pace(now) > MAX_DISPLAY_RTF)
 
     def lay_line(self, task: LineTask) -> None:
         """Show a line that was sent; from now on the spot's path error is its distance from this one."""
@@ -177,11 +116,11 @@ class LiveView:
 
     def newest(self) -> JointSample | None:
         """Return the newest state; None where there is none, or its simulation has gone."""
-        return None if self._source.problem(time.monotonic()) else self.state
+        return None if self._problem(time.monotonic()) else self.state
 
     def rests(self, seconds: float) -> bool:
         """Tell whether the last trajectory has been over for so long, in simulated time; from any thread."""
-        state, span = self.state, self._source.watch.trajectory
+        state, span = self.state, self.watch.trajectory
         return state is not None and (span is None or not span.begin <= state.time < span.end + seconds)
 
     def _choose_joints(self) -> None:
@@ -189,39 +128,70 @@ class LiveView:
         for plot in (self._friction, self._deflection, self._velocity, self._torque):
             plot.choose(shown)
 
+    def pace(self, now: float) -> float:
+        """Return simulated time per time of the wall clock over the last seconds; `now` is the steady clock's, s."""
+        while self._times and self._times[0][0] < now - _PACE_WINDOW:
+            self._times.popleft()
+        if len(self._times) < 2:
+            return 0.0
+        (began, first), (ended, last) = self._times[0], self._times[-1]
+        return (last - first) / (ended - began)
+
+    def _problem(self, now: float) -> str:
+        """Return why there is nothing to be seen, as a sentence for the user; empty if there is."""
+        theirs = self.watch.robot
+        if self.watch.publishers and theirs not in {None, self._robot}:
+            return f"The simulation's robot is {plain(theirs)}, this page shows {self._robot}: start it with --robot"
+        if now - self._heard <= _STALE:
+            return ""
+        if self.watch.problem:
+            return f"Another robot? {self.watch.problem}"
+        if self._heard == -math.inf:
+            return f"Waiting for a simulation: nothing on {self.watch.topic} yet"
+        return f"The simulation has gone: nothing on {self.watch.topic} any more; waiting for the next one"
+
     def _update(self, now: float) -> None:
-        states = self._source.take(now)
+        friction, states, before = self.watch.elements(), self.watch.joints(), self.state
+        if friction:
+            self._elements = friction[-1]
+        elif states and now - self._heard > _STALE:
+            self._elements = None  # of a simulation that has gone
+        friction = self.watch.elements_at_ticks() if self.watch.listens_at_ticks else friction
         if not states:
             return
-        before, self.state = self.state, states[-1]
-        newest, elements, error = self.state, self._source.elements, math.nan
+        back = np.flatnonzero(np.diff([0.0 if before is None else before.time, *(one.time for one in states)]) < 0.0)
+        if len(back):  # another simulation, or reset: nothing that was accepted before is followed
+            states = states[back[-1] :]
+            self._times.clear()
+            self.watch.trajectory = None
+        newest, error, self._heard = states[-1], math.nan, now
+        self.state, trajectory = newest, self.watch.trajectory
+        self._times.append((now, newest.time))
         self.arm.show(newest.position)
         if self._line is not None:
-            if before is not None and states[0].time < before.time:
-                self._line.clear()
-                self._line.meter.begin_again()
-            trajectory = self._source.watch.trajectory
+            if len(back):
+                self._line.begin_again()
             if trajectory is not self._followed:  # which the line does not know yet
                 self._followed = trajectory
                 _, times, position, at_rest = trajectory or _NO_TRAJECTORY
-                self._line.meter.follow(times, tip_position(self._chain, position), at_rest)
+                self._line.follow(times, tip_position(self._chain, position), at_rest)
             tips = tip_position(self._chain, np.array([state.position for state in states]))
-            error = self._line.add(np.array([state.time for state in states]), tips)
+            error = self._line.add(np.array([state.time for state in states]), tips)[-1]
         if before is None or newest.time != before.time:  # else it stands still
             self._velocity.add(newest.time, newest.velocity)
             self._torque.add(newest.time, newest.effort)
             self._error.add(newest.time, [error * 1e3])
-            if elements is not None:
-                self._friction.add(newest.time, elements.effort)
-                self._deflection.add(newest.time, elements.position * 1e6)
-        self._lengthen_loop(self._source.friction)
+            if self._elements is not None:
+                self._friction.add(newest.time, self._elements.effort)
+                self._deflection.add(newest.time, self._elements.position * 1e6)
+        self._lengthen_loop(friction)
 
     def _lengthen_loop(self, samples: Sequence[JointSample]) -> None:
         """Add what came of the friction elements; where ticks are missing the loop begins anew."""
         if not samples or self._looped.value == _NONE:
             return
         steps = np.diff([self._loop_time, *(sample.time for sample in samples)])
-        breaks = np.flatnonzero((steps < 0.0) | (self._source.watch.listens_at_ticks & (steps > _MISSING)))
+        breaks = np.flatnonzero((steps < 0.0) | (self.watch.listens_at_ticks & (steps > _MISSING)))
         if len(breaks):
             self._loop.clear()
             samples = samples[breaks[-1] :]
@@ -237,13 +207,13 @@ class LiveView:
             self._runs.draw(self._line)
 
     def _show_status(self, now: float) -> None:
-        source, watch = self._source, self._source.watch
+        watch = self.watch
         watch.look_around()
         # Friction at every tick costs the simulation a twentieth: where somebody sees it, and time is not in a hurry.
         fastest = MAX_DISPLAY_RTF if watch.listens_at_ticks else _PACED
         seen = self._looped.value != _NONE and bool(self._page.server.get_clients())
-        watch.at_ticks(wanted=seen and source.pace(now) < fastest)
-        problem = source.problem(now)
+        watch.at_ticks(wanted=seen and self.pace(now) < fastest)
+        problem = self._problem(now)
         rows = [("", _colored(problem, 1))]
         if self.state is not None and not problem:
             nodes, time_s, span = watch.diagnostics.values(), self.state.time, watch.trajectory
@@ -258,11 +228,11 @@ class LiveView:
                 trajectory = f"{time_s - span.begin:.1f} of {span.end - span.begin:.1f} s"
             rows = [
                 ("simulation", _word(simulation)),
-                ("time", f"{time_s:.2f} s, {source.pace(now):.2f} &times; real time"),
+                ("time", f"{time_s:.2f} s, {self.pace(now):.2f} &times; real time"),
                 ("brakes", html.escape(simulation.values["brakes"]) if simulation else "unknown"),
                 ("controller", _word(controller)),
                 ("trajectory", trajectory),
-                ("path error", "no line" if self._line is None else self._line.meter.words()),
+                ("path error", "no line" if self._line is None else self._line.words()),
             ]
         self._status.content = _table(rows)
         parts = []

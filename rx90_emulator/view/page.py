@@ -307,16 +307,16 @@ class FileFields:
         for writer, button in zip(writers.values(), self.buttons, strict=True):
             button.on_click(from_user(partial(self._write, *writer), page))
         self.replace = page.gui.add_button("Replace the file that is there", color="red", visible=False)
-        self.replace.on_click(from_user(self._write_confirmed, page))
-        self._confirmed: Callable[[], None] = self.withdraw
+        self.replace.on_click(from_user(self._replace, page))
         self.said = page.gui.add_html(sentence(said))
 
     def withdraw(self) -> None:
         """Take back the offer to replace a file: what would be written is another one now."""
-        self._confirmed, self.replace.visible = self.withdraw, False
+        self.replace.visible = False
 
-    def _write_confirmed(self) -> None:
-        self._confirmed()
+    def _replace(self) -> None:
+        if self.replace.visible:
+            self._write(*self._refused)
 
     def _write(self, suffix: str, write: Callable[[Path], str], confirmed: str = "") -> None:
         name, wrong = f"{self.name.value}{suffix}", False
@@ -326,7 +326,7 @@ class FileFields:
         except Rx90Error as error:
             said, wrong = str(error), True
             if isinstance(error, ExistingFileError):
-                self._confirmed, self.replace.visible = partial(self._write, suffix, write, name), True
+                self._refused, self.replace.visible = (suffix, write, name), True
         self.said.content = sentence(said, wrong=wrong)
 
 

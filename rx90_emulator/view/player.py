@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -13,17 +14,27 @@ import numpy as np
 import viser
 
 from rx90_common.bags.recorded import time_shift
+from rx90_common.base.arrays import Array
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.report.plot import COLOURS
+from rx90_common.report.plot import COLOURS, GREY, Curve, Panel
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.view.page import Page, from_user, on_change, put
-from rx90_emulator.view.plots import TrackPlot, add_plot_export
-from rx90_emulator.view.recording import Recording, open_recording
+from rx90_emulator.view.plots import NO_POINTS, Graph, add_plot_export, curves_of
+from rx90_emulator.view.recording import (
+    Difference,
+    Recording,
+    Track,
+    difference,
+    open_recording,
+    path_error_track,
+    seconds,
+    since,
+    tip_path,
+)
 from rx90_emulator.view.scene import ArmScene, legend_html, line_colors
-from rx90_emulator.view.track import Difference, Track, difference, path_error_track, seconds, since, tip_path
 
 _POSE_PERIOD = 1.0 / 30.0  # s
 _AROUND_PERIOD = 0.15
@@ -41,14 +52,8 @@ _SPANS = ("0.02", "0.1", "0.5", "2", "10", "60")
 _HINT = "Each point of a plot is the least or largest value in its share of the width: no peak is left out."
 
 
-def recording_text(recording: Recording, robot: str, origin_ns: int) -> str:
-    """Return what a bag holds: robot, times, topics with their rates, gaps, changes of parameters, and what it lacks.
-
-    Args:
-        recording: of a bag.
-        robot: its name.
-        origin_ns: where the page's time is 0.
-    """
+def _recording_text(recording: Recording, robot: str, origin_ns: int) -> str:
+    """Return what a bag holds: robot, times, topics with their rates, gaps, changes of parameters, what it lacks."""
     arm, changes = recording.arm, recording.changes
     lasting = (arm.end_ns - arm.begin_ns) / NANOSECONDS
     gaps = [f"{seconds(a - origin_ns)} to {seconds(b - origin_ns)} s" for a, b in arm.gaps()]
@@ -76,15 +81,8 @@ def recording_text(recording: Recording, robot: str, origin_ns: int) -> str:
     return "\n".join(lines)
 
 
-def difference_text(found: Difference, names: Sequence[str], origin_ns: int, shift_ns: int) -> tuple[str, str]:
-    """Return how far two recordings differ and how they were compared, and a table of the largest of each joint.
-
-    Args:
-        found: of the recordings.
-        names: of both bags.
-        origin_ns: where the page's time is 0.
-        shift_ns: what the stamps of the second were moved by.
-    """
+def _difference_text(found: Difference, names: Sequence[str], origin_ns: int, shift_ns: int) -> tuple[str, str]:
+    """Return how far two recordings differ and how they were compared, and a table of the largest of each joint."""
     first, second = map(_escaped, names)
     ((apart, at_ns),) = found.tip.worst()
     lines = [
@@ -104,6 +102,81 @@ def difference_text(found: Difference, names: Sequence[str], origin_ns: int, shi
 def _escaped(text: str) -> str:
     """Return text from outside that Markdown takes as it is."""
     return "".join(f"\\{c}" if c in r"\`*_{}[]<>()#+-!|" else c for c in plain(text))
+
+
+_NARROWEST = {"[mm]": 0.01, "[mrad]": 0.01, "[rad]": 0.01, "[rad/s]": 0.02, "[Nm]": 1.0}  # range of an ordinate
+_BUCKETS = 300  # about one for each pixel of a plot
+_MAX_PARTS = 8  # of a curve with gaps
+_OF_THE_TIP = "#111111"
+_SHOWN = Curve(NO_POINTS, NO_POINTS, "shown", GREY)  # the vertical line
+
+
+class TrackPlot(Graph):
+    """A field of one track or of several, the second one's dashed, with a vertical line at the time that is shown.
+
+    Args:
+        page: to draw in, within a `plot_tab`.
+        title: with the unit.
+        tracks: at least one.
+        field: that all of them have.
+        origin_ns: where the abscissa is 0.
+        scale: what values are multiplied by, to the unit of the plot.
+    """
+
+    def __init__(
+        self, page: Page, title: str, tracks: Sequence[Track], field: str, origin_ns: int, scale: float = 1.0
+    ) -> None:
+        self._tracks, self._field, self._origin, self._scale = tracks, field, origin_ns, scale
+        self._narrowest = next((width for unit, width in _NARROWEST.items() if title.endswith(unit)), 1.0)
+        curves = [
+            replace(curve, colour=curve.colour if len(track.names) > 1 else _OF_THE_TIP,
+                    dash="dashed" if number else "solid")
+            for number, track in enumerate(tracks)
+            for curve in curves_of(track.names)
+        ]  # fmt: skip
+        parts = min(_MAX_PARTS, 1 + max(len(track.gaps()) for track in tracks))
+        super().__init__(page, title, [*curves, _SHOWN], parts=parts, height=185)
+        self._drawn: tuple[int, int, int | None] = 0, 0, None  # beginning, end, and time that is shown, ns
+        self._points: tuple[Array, list[Array]] = NO_POINTS, [NO_POINTS] * len(curves)
+
+    def choose(self, labels: Collection[str]) -> None:
+        """Show only the curves with these labels; all, where there are none of them."""
+        every = {curve.label for curve in self._curves}
+        super().choose((every & set(labels) or every) | {_SHOWN.label})
+        self._drawn = (*self._drawn[:2], None)
+
+    def draw(self, begin_ns: int, end_ns: int, shown_ns: int) -> None:
+        """Draw the span from `begin_ns` to `end_ns`, with the line at `shown_ns`, unless that is what was drawn.
+
+        Each interval of a plot has the least and the largest of its samples.
+        """
+        if (begin_ns, end_ns, shown_ns) == self._drawn:
+            return
+        if (begin_ns, end_ns) != self._drawn[:2]:
+            found = [track.envelope(self._field, begin_ns, end_ns, _BUCKETS) for track in self._tracks]
+            columns = [self._scale * column for _, values in found for column in values.T]
+            self._points = (found[0][0] - self._origin) / NANOSECONDS, columns
+        self._drawn = begin_ns, end_ns, shown_ns
+        time, values = self._points
+        seen = [curve.y for curve in self.panel().marks if isinstance(curve, Curve)]
+        finite = np.concatenate([y[np.isfinite(y)] for y in seen])
+        low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+        missing = max(0.0, self._narrowest - (high - low)) / 2.0
+        shown = since(shown_ns, self._origin)
+        place = int(np.searchsorted(time, shown))
+        line = np.full(len(time) + 2, np.nan)
+        line[place : place + 2] = low - missing, high + missing
+        columns = [np.insert(y, place, [np.interp(shown, time, y)] * 2) for y in values]
+        self.show(np.insert(time, place, [shown] * 2), [*columns, line])
+
+    def panel(self) -> Panel:
+        """Return what is to be seen, without the vertical line, as a plot for a file."""
+        marks = [
+            replace(one, x=self._points[0], y=y, label=one.label + " (second bag)" * (one.dash != "solid"))
+            for one, y in zip(self._curves, self._points[1], strict=False)
+            if one.label in self._chosen
+        ]
+        return Panel(marks, "", self._x, self._y)
 
 
 class BagPlayer:
@@ -156,14 +229,14 @@ class BagPlayer:
                     page.gui.add_markdown(f"{_escaped(recording.path.name)}: {said}")
             if found is not None:
                 names = [recording.path.name for recording in recordings]
-                text, joints = difference_text(found, names, begin, shift_ns)
+                text, joints = _difference_text(found, names, begin, shift_ns)
                 page.gui.add_markdown(text)
                 # Folded: on a telephone the plots stand below all this.
                 with page.gui.add_folder("Largest differences by joint", expand_by_default=False):
                     page.gui.add_markdown(joints)
         with page.tab("About"):
             for recording in recordings:
-                page.gui.add_markdown(recording_text(recording, robot.model.name, begin))
+                page.gui.add_markdown(_recording_text(recording, robot.model.name, begin))
         self._add_plots([error for error in errors if error is not None], end)
         with page.tab("Files"):
             add_plot_export(page)

@@ -1,4 +1,4 @@
-"""Plots on the page: what follows the newest values, a loop, recorded curves, two runs along a line; as files, too."""
+"""Plots on the page: what follows the newest values, a loop, two runs along a line; all plots as files, too."""
 
 from __future__ import annotations
 
@@ -16,23 +16,21 @@ from numpy.typing import ArrayLike
 from viser import uplot
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.rates import NANOSECONDS
 from rx90_common.process.files import write_text
 from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, GREY, Curve, Panel, Plot
 from rx90_emulator.loop.line import PathAccuracy
 from rx90_emulator.view.page import FileFields, Page, block, from_user
 from rx90_emulator.view.scene import LineScene
-from rx90_emulator.view.track import Track, since
 
-_NONE = np.empty(0)
+NO_POINTS = np.empty(0)
 _EMPTY_X, _EMPTY_Y = np.array([0.0, 1.0]), np.array([np.nan, np.nan])  # of a plot without samples
 _TIME = "time [s]"
 
 
 def curves_of(names: Sequence[str]) -> list[Curve]:
     """Return curves without points, with these labels and the usual colours."""
-    return [Curve(_NONE, _NONE, name, COLOURS[k % len(COLOURS)]) for k, name in enumerate(names)]
+    return [Curve(NO_POINTS, NO_POINTS, name, COLOURS[k % len(COLOURS)]) for k, name in enumerate(names)]
 
 
 class Graph:
@@ -100,7 +98,7 @@ class Graph:
         sent = values
         if self._parts:
             extent = np.full(len(x), 0.0)
-            finite = np.concatenate([_NONE, *(curve.y[np.isfinite(curve.y)] for curve in self._seen)])
+            finite = np.concatenate([NO_POINTS, *(curve.y[np.isfinite(curve.y)] for curve in self._seen)])
             if len(finite):
                 extent[:], extent[0] = finite.min(), finite.max()
             sent = [extent, *(part for y in values for part in _parts_of(y, self._parts))]
@@ -109,10 +107,6 @@ class Graph:
     def panel(self) -> Panel:
         """Return what is to be seen as a plot for a file."""
         return Panel(self._seen, "", self._x, self._y)
-
-    def clear(self) -> None:
-        """Show nothing."""
-        self._plot.data = (_EMPTY_X, *[_EMPTY_Y] * (len(self._plot.series) - 1))
 
     @property
     def _seen(self) -> list[Curve]:
@@ -218,7 +212,7 @@ class LoopPlot(Graph):
     def clear(self) -> None:
         """Forget all samples, and show none."""
         self._samples = self._samples[:0]
-        super().clear()
+        self._plot.data = (_EMPTY_X, _EMPTY_Y)
 
     def draw(self) -> None:
         """Send what is to be seen."""
@@ -243,81 +237,6 @@ def _as_if_sorted(x: Array, y: Array) -> tuple[Array, list[Array]]:
     return longer, [np.append(y[way], y[last])]
 
 
-_NARROWEST = {"[mm]": 0.01, "[mrad]": 0.01, "[rad]": 0.01, "[rad/s]": 0.02, "[Nm]": 1.0}  # range of an ordinate
-_BUCKETS = 300  # about one for each pixel of a plot
-_MAX_PARTS = 8  # of a curve with gaps
-_OF_THE_TIP = "#111111"
-_SHOWN = Curve(_NONE, _NONE, "shown", GREY)  # the vertical line
-
-
-class TrackPlot(Graph):
-    """A field of one track or of several, the second one's dashed, with a vertical line at the time that is shown.
-
-    Args:
-        page: to draw in, within a `plot_tab`.
-        title: with the unit.
-        tracks: at least one.
-        field: that all of them have.
-        origin_ns: where the abscissa is 0.
-        scale: what values are multiplied by, to the unit of the plot.
-    """
-
-    def __init__(
-        self, page: Page, title: str, tracks: Sequence[Track], field: str, origin_ns: int, scale: float = 1.0
-    ) -> None:
-        self._tracks, self._field, self._origin, self._scale = tracks, field, origin_ns, scale
-        self._narrowest = next((width for unit, width in _NARROWEST.items() if title.endswith(unit)), 1.0)
-        curves = [
-            replace(curve, colour=curve.colour if len(track.names) > 1 else _OF_THE_TIP,
-                    dash="dashed" if number else "solid")
-            for number, track in enumerate(tracks)
-            for curve in curves_of(track.names)
-        ]  # fmt: skip
-        parts = min(_MAX_PARTS, 1 + max(len(track.gaps()) for track in tracks))
-        super().__init__(page, title, [*curves, _SHOWN], parts=parts, height=185)
-        self._drawn: tuple[int, int, int | None] = 0, 0, None  # beginning, end, and time that is shown, ns
-        self._points: tuple[Array, list[Array]] = _NONE, [_NONE] * len(curves)
-
-    def choose(self, labels: Collection[str]) -> None:
-        """Show only the curves with these labels; all, where there are none of them."""
-        every = {curve.label for curve in self._curves}
-        super().choose((every & set(labels) or every) | {_SHOWN.label})
-        self._drawn = (*self._drawn[:2], None)
-
-    def draw(self, begin_ns: int, end_ns: int, shown_ns: int) -> None:
-        """Draw the span from `begin_ns` to `end_ns`, with the line at `shown_ns`, unless that is what was drawn.
-
-        Each interval of a plot has the least and the largest of its samples.
-        """
-        if (begin_ns, end_ns, shown_ns) == self._drawn:
-            return
-        if (begin_ns, end_ns) != self._drawn[:2]:
-            found = [track.envelope(self._field, begin_ns, end_ns, _BUCKETS) for track in self._tracks]
-            columns = [self._scale * column for _, values in found for column in values.T]
-            self._points = (found[0][0] - self._origin) / NANOSECONDS, columns
-        self._drawn = begin_ns, end_ns, shown_ns
-        time, values = self._points
-        seen = [curve.y for curve in self.panel().marks if isinstance(curve, Curve)]
-        finite = np.concatenate([y[np.isfinite(y)] for y in seen])
-        low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-        missing = max(0.0, self._narrowest - (high - low)) / 2.0
-        shown = since(shown_ns, self._origin)
-        place = int(np.searchsorted(time, shown))
-        line = np.full(len(time) + 2, np.nan)
-        line[place : place + 2] = low - missing, high + missing
-        columns = [np.insert(y, place, [np.interp(shown, time, y)] * 2) for y in values]
-        self.show(np.insert(time, place, [shown] * 2), [*columns, line])
-
-    def panel(self) -> Panel:
-        """Return what is to be seen, without the vertical line, as a plot for a file."""
-        marks = [
-            replace(one, x=self._points[0], y=y, label=one.label + " (second bag)" * (one.dash != "solid"))
-            for one, y in zip(self._curves, self._points[1], strict=False)
-            if one.label in self._chosen
-        ]
-        return Panel(marks, "", self._x, self._y)
-
-
 _PLACES = 300  # along the line, about one for each pixel
 _FLAT_ERROR = 0.01  # mm
 _ALONG = "along the line [mm]"
@@ -337,7 +256,7 @@ class RunComparison(Graph):
         self._runs: dict[str, PathAccuracy | None] = {"held": None, "newest": None}
         self._line: LineScene | None = None
         self._drawn: tuple[object, ...] = ()
-        curves = [Curve(_NONE, _NONE, "held", GREY), Curve(_NONE, _NONE, "newest")]
+        curves = [Curve(NO_POINTS, NO_POINTS, "held", GREY), Curve(NO_POINTS, NO_POINTS, "newest")]
         title = f"path error {_ALONG}"
         super().__init__(page, title, curves, x=_ALONG, parts=1, always=(0.0, _FLAT_ERROR), height=240)
         self._numbers = page.gui.add_html(block(_WORDS))
@@ -355,12 +274,12 @@ class RunComparison(Graph):
 
     def draw(self, line: LineScene) -> None:
         """Draw the newest run along a line beside the one that is held, if anything has changed."""
-        self._line, newest = line, line.meter.run
+        self._line, newest = line, line.run
         if self._runs["held"] is not None and not len(line.held):
             self._keep(wanted=False)  # of another line
         self._runs["newest"] = newest
-        times = _NONE if newest is None else newest.times[[0, -1]]
-        shown = (self._runs["held"], *times.tolist(), line.meter)
+        times = NO_POINTS if newest is None else newest.times[[0, -1]]
+        shown = (self._runs["held"], *times.tolist())
         if shown == self._drawn:
             return
         self._drawn = shown

@@ -45,7 +45,8 @@ class ArmScene:
         self._model, self._data = robot.model, robot.model.createData()
         shapes = drawn_shapes(robot)
         self.root = page.scene.add_frame(name, show_axes=False)
-        self._joints, path = [], name
+        self._joints: list[viser.FrameHandle] = []
+        path = name
         for index, joint in enumerate(("", *robot.joint_names), -1):
             if joint:
                 path = f"{path}/{joint}"
@@ -138,90 +139,23 @@ _MAX_SAMPLES = 4000  # of a run; of a longer one the larger of each two is kept
 _KEPT_BEFORE = 100  # samples from before it is known that they are of a run
 
 
-class PathErrorMeter:
-    """Measures the runs of a spot along a straight line, which is looked at now and then.
-
-    Args:
-        start: (3,) m.
-        end: (3,) m.
-
-    Attributes:
-        run: the newest, as far as it has come; None before the first one.
-    """
-
-    def __init__(self, start: Array, end: Array) -> None:
-        self._start, self._end = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
-        self.run: PathAccuracy | None = None
-        self._now = np.nan
-        self.begin_again()
-
-    def begin_again(self) -> None:
-        """Forget the times that were seen: time has begun again. The newest run stays."""
-        self._span = np.inf, -np.inf
-        self._rows = np.empty((0, 3))  # time, distance along the line, path error
-
-    def follow(self, times: Array, tips: Array, at_rest: NDArray[np.bool_]) -> None:
-        """Take the trajectory that was accepted last.
-
-        Args:
-            times: of its points, s, shape (n,); none for no trajectory.
-            tips: where it has the spot at these, m, shape (n, 3).
-            at_rest: at which of them it rests, shape (n,).
-        """
-        self._span, self._rows = (np.inf, -np.inf), self._rows[-_KEPT_BEFORE:]
-        for first, last in pairwise(np.flatnonzero(at_rest)):
-            apart = np.linalg.norm([tips[first] - self._start, tips[last] - self._end], axis=1)
-            if apart.max() < _END_TOLERANCE:
-                self._span = float(times[first]), float(times[last] + min(SETTLING, times[-1] - times[last]))
-
-    def add(self, times: Array, tips: Array) -> Array:
-        """Take where the spot was, (n, 3) m, at times (n,) s; return its path errors, m, NaN where none counts."""
-        error = path_error(tips, self._start, self._end)
-        self._rows = np.concatenate([self._rows, np.stack([times, error.along, error.perpendicular], axis=1)])
-        if len(self._rows) > _MAX_SAMPLES:
-            pairs = self._rows[: len(self._rows) // 2 * 2].reshape(-1, 2, 3)
-            self._rows = pairs[np.arange(len(pairs)), np.argmax(pairs[:, :, 2], axis=1)]
-        counted = (times >= self._span[0]) & (times <= self._span[1])
-        if counted.any():
-            at = self._rows[:, 0]
-            self.run = PathAccuracy(*self._rows[(at >= self._span[0]) & (at <= self._span[1])].T)
-        else:
-            self._rows = self._rows[-_KEPT_BEFORE:]
-        found = np.where(counted, error.perpendicular, np.nan)
-        self._now = float(found[-1])
-        return found
-
-    def words(self) -> str:
-        """Return the path error in words: now, and the largest of the newest run, with its place."""
-        known = bool(np.isfinite(self._now))
-        words = f"{self._now * 1e3:.3f} mm now" if known else "not on the line"
-        if self.run is None:
-            return words
-        error, along = self.run.perpendicular, self.run.along
-        at, beyond = float(along[np.argmax(error)]), error[along > _START]
-        words += f"; {'largest of this run' if known else 'last run'} {self.run.worst * 1e3:.3f} mm, "
-        words += f"{at * 1e3:.0f} mm from the start"
-        if at > _START or not len(beyond):
-            return words
-        return f"{words} (beyond {_START * 1e3:.0f} mm: {beyond.max() * 1e3:.3f} mm)"
-
-
 _LENGTH = 600  # samples in the trace
 _STEP = 5e-4  # m between two of them
+_NEVER = np.inf, -np.inf  # s, when no sample counts
 
 
 class LineScene:
-    """A line from start to end, m, the spot on or near it, and where the spot has been.
-
-    Attributes:
-        meter: of the spot's path error along this line.
-        held: the trace that is kept, m, shape (n, 3).
+    """A line from start to end, m, the spot on or near it, where the spot has been, and its runs along the line.
 
     Args:
         page: to draw in.
         name: of its nodes in the scene.
         start: (3,) m.
         end: (3,) m.
+
+    Attributes:
+        run: path error of the newest run along the line, as far as it has come; None before the first one.
+        held: the trace that is kept, m, shape (n, 3).
     """
 
     def __init__(self, page: Page, name: str, start: Array, end: Array) -> None:
@@ -245,14 +179,71 @@ class LineScene:
         before, self._ends = self._ends, np.array([start, end], dtype=np.float64)
         if not np.array_equal(before, self._ends):
             self.hold(wanted=False)
-        self.meter = PathErrorMeter(*self._ends)
         self._line.points = self._ends[None].astype(np.float32)
+        self.run: PathAccuracy | None = None
+        self._now = np.nan  # path error, m
+        self.begin_again()
+
+    def begin_again(self) -> None:
+        """Forget trace and times that were seen: time has begun again. The newest run stays."""
+        self._span = _NEVER
+        self._rows = np.empty((0, 3))  # time, distance along the line, path error
         self.clear()
 
     def clear(self) -> None:
         """Forget the trace."""
         self._points.clear()
         self._changed = self._trace.visible = False
+
+    def follow(self, times: Array, tips: Array, at_rest: NDArray[np.bool_]) -> None:
+        """Take the trajectory that was accepted last.
+
+        Args:
+            times: of its points, s, shape (n,); none for no trajectory.
+            tips: where it has the spot at these, m, shape (n, 3).
+            at_rest: at which of them it rests, shape (n,).
+        """
+        self._span, self._rows = _NEVER, self._rows[-_KEPT_BEFORE:]
+        for first, last in pairwise(np.flatnonzero(at_rest)):
+            if np.linalg.norm(tips[[first, last]] - self._ends, axis=1).max() < _END_TOLERANCE:
+                self._span = float(times[first]), float(times[last] + min(SETTLING, times[-1] - times[last]))
+
+    def add(self, times: Array, tips: Array) -> Array:
+        """Take where the spot was, (n, 3) m, at times (n,) s; return its path errors, m, NaN where none counts."""
+        tips = np.asarray(tips, dtype=np.float64)
+        self._spot.position = tips[-1]
+        error = path_error(tips, *self._ends)
+        self._rows = np.concatenate([self._rows, np.stack([times, error.along, error.perpendicular], axis=1)])
+        if len(self._rows) > _MAX_SAMPLES:
+            pairs = self._rows[: len(self._rows) // 2 * 2].reshape(-1, 2, 3)
+            self._rows = pairs[np.arange(len(pairs)), np.argmax(pairs[:, :, 2], axis=1)]
+        counted = (times >= self._span[0]) & (times <= self._span[1])
+        if counted.any():
+            at = self._rows[:, 0]
+            self.run = PathAccuracy(*self._rows[(at >= self._span[0]) & (at <= self._span[1])].T)
+        else:
+            self._rows = self._rows[-_KEPT_BEFORE:]
+        errors = np.where(counted, error.perpendicular, np.nan)
+        for tip, one in zip(tips, errors.tolist(), strict=True):
+            if not self._points or float(np.linalg.norm(tip - self._points[-1][0])) >= _STEP:
+                self._points.append((tip, one))
+                self._changed = True
+        self._now = float(errors[-1])
+        return errors
+
+    def words(self) -> str:
+        """Return the path error in words: now, and the largest of the newest run, with its place."""
+        known = bool(np.isfinite(self._now))
+        words = f"{self._now * 1e3:.3f} mm now" if known else "not on the line"
+        if self.run is None:
+            return words
+        error, along = self.run.perpendicular, self.run.along
+        at, beyond = float(along[np.argmax(error)]), error[along > _START]
+        words += f"; {'largest of this run' if known else 'last run'} {self.run.worst * 1e3:.3f} mm, "
+        words += f"{at * 1e3:.0f} mm from the start"
+        if at > _START or not len(beyond):
+            return words
+        return f"{words} (beyond {_START * 1e3:.0f} mm: {beyond.max() * 1e3:.3f} mm)"
 
     def hold(self, *, wanted: bool = True) -> None:
         """Keep the trace along the line in one colour, beside the next one, until another line is placed; or forget it.
@@ -267,17 +258,6 @@ class LineScene:
         """Draw the trace, but not the spot, this many times as far from the line as it is."""
         self._factor, self._changed = factor, True
         self._draw_held()
-
-    def add(self, times: Array, tips: Array) -> float:
-        """Lengthen the trace by where the spot was, (n, 3) m, at times (n,) s; return its path error now, m, or NaN."""
-        tips = np.asarray(tips, dtype=np.float64)
-        self._spot.position = tips[-1]
-        errors = self.meter.add(times, tips)
-        for tip, error in zip(tips, errors.tolist(), strict=True):
-            if not self._points or float(np.linalg.norm(tip - self._points[-1][0])) >= _STEP:
-                self._points.append((tip, error))
-                self._changed = True
-        return float(errors[-1])
 
     def draw(self) -> None:
         """Draw the trace, if it has changed; less often than `add`, because all of it is sent."""

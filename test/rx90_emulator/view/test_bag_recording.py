@@ -27,9 +27,8 @@ from rx90_emulator.loop.line import path_accuracy
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import scene
 from rx90_emulator.view.page import Page
-from rx90_emulator.view.player import BagPlayer, difference_text, recording_text
-from rx90_emulator.view.recording import Recording, open_recording
-from rx90_emulator.view.track import Track, difference, path_error_track, tip_path
+from rx90_emulator.view.player import BagPlayer, _difference_text, _recording_text
+from rx90_emulator.view.recording import Recording, Track, difference, open_recording, path_error_track, tip_path
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reference" / "reference_task"
 JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
@@ -321,10 +320,10 @@ def test_bags_of_other_times_are_aligned(tmp_path: Path, shipped: Setup) -> None
     assert {track.begin_ns for track in (second.arm, second.friction, second.reference)} == {0}
     found = difference(first.arm, second.arm, shipped.robot.chain, (first.path, second.path))
     assert (found.tip.worst()[0][0], found.exact) == (0.0, 1.0)
-    said = recording_text(second, "arm", 0)
+    said = _recording_text(second, "arm", 0)
     assert r"| 0.020 | /rx90\_controller servo.kp | \[1, 2\] |" in said
     assert "/joint\\_states: 50, 1000 Hz" in said
-    assert "-7.000000000 s" in difference_text(found, ("a", "b"), 0, shift)[0]
+    assert "-7.000000000 s" in _difference_text(found, ("a", "b"), 0, shift)[0]
 
 
 def test_other_rates_and_gaps(shipped: Setup) -> None:

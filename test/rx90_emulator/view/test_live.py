@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,11 +30,12 @@ from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import live as live_module
 from rx90_emulator.view.live import LiveView
 from rx90_emulator.view.page import Page
-from rx90_emulator.view.scene import PathErrorMeter
+from rx90_emulator.view.scene import LineScene
 
 Open = Callable[..., BrowserPage]
 ARM = "/arm/" + "/".join(f"joint_{k}" for k in range(1, 7)) + "/tip"
 POSE = [0.4, -0.7, 1.9, 0.8, -0.9, 2.5]
+NO_CLIENT: Any = SimpleNamespace(node=None)
 SETTLED = 1e-3  # m; the arm gives a little under its weight
 
 
@@ -131,11 +132,14 @@ def test_what_was_accepted_before_time_began_again_is_forgotten(
         trajectory=Trajectory(299.0, np.array([305.0]), np.zeros((1, 6)), np.array([True])),
     )
     monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
-    live = live_module.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
+    monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: None))
+    page = Page("test", port=0)
+    view = LiveView(page, NO_CLIENT, shipped.robot, "rx90_controller", None)
     seen = []
     for now in range(4):
-        live.take(float(now))
+        view._update(float(now))
         seen.append(watch.trajectory is None)
+    page.close()
     assert seen == [False, False, True, True]
 
 
@@ -167,26 +171,25 @@ def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypat
         elements=friction, joints=joints, trajectory=None, elements_at_ticks=ticks, listens_at_ticks=True
     )
     monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: None))
-    line: Any = SimpleNamespace(add=lambda times, _: 5e-5 if times[-1] > 1.0 else np.nan)
+    line: Any = SimpleNamespace(add=lambda times, _: [5e-5 if times[-1] > 1.0 else np.nan])
     monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
-    live = live_module.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
     page = Page("test", port=0)
     made: dict[str, Any] = {}
     add = page.gui.add_uplot
     monkeypatch.setattr(page.gui, "add_uplot", lambda *a, **k: made.setdefault(k["title"], add(*a, **k)))
     listed = page.gui.add_dropdown
     monkeypatch.setattr(page.gui, "add_dropdown", lambda *a, **k: made.setdefault(a[0], listed(*a, **k)))
-    view = LiveView(page, live, shipped.robot, None)
+    view = LiveView(page, NO_CLIENT, shipped.robot, "rx90_controller", None)
     monkeypatch.setattr(view, "_line", line)
     made["joint of the loop"].value = "joint_3"
     times = np.arange(0.0, 3.0, 0.1)
-    for time in times:
-        now["time"] = float(time)
-        view._update(2.0 * time)  # at half the speed of the wall clock
+    for at in times:
+        now["time"] = float(at)
+        view._update(2.0 * at)  # at half the speed of the wall clock
     view._line = None
     view._draw(0.0)
     page.close()
-    assert live.pace(2.0 * times[-1]) == pytest.approx(0.5)
+    assert view.pace(2.0 * times[-1]) == pytest.approx(0.5)
     wave = np.cos(times)
     for title, factors in (
         ("friction torque [Nm]", 40.0 * elements),
@@ -262,9 +265,8 @@ def test_each_fact_stands_in_its_row(shipped: Setup, open_page: Open, monkeypatc
     monkeypatch.setattr(live_module, "ArmWatch", lambda *_: nodes)
     # What is drawn in software takes time: an arm is not looked at here.
     monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: np.zeros(3)))
-    live = live_module.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
     page = Page("test", port=0)
-    LiveView(page, live, shipped.robot, load_task())
+    LiveView(page, NO_CLIENT, shipped.robot, "rx90_controller", load_task())
     with served(page):
         shown = open_page(page.address, (420, 400))
 
@@ -316,7 +318,15 @@ REST = np.array([True, True])
 LATE = 90  # samples before the trajectory is known
 
 
-def test_the_largest_is_that_of_the_run(shipped: Setup) -> None:
+@pytest.fixture(scope="module")
+def page() -> Iterator[Page]:
+    """Give a page that nobody looks at."""
+    made = Page("test", port=0)
+    yield made
+    made.close()
+
+
+def test_the_largest_is_that_of_the_run(shipped: Setup, page: Page) -> None:
     """Of an approach, a rest and a line what counts on the page is what `path_accuracy` counts, sample by sample.
 
     The word of the trajectory may come later than the line's first samples.
@@ -330,7 +340,7 @@ def test_the_largest_is_that_of_the_run(shipped: Setup) -> None:
     times, position = run.times[::10], run.slow.joint_states[::10, 0]
     expected = path_accuracy(shipped.robot, task, times, position, line.approach)
     chain = shipped.robot.chain
-    meter = PathErrorMeter(np.array(task.start), np.array(task.end))
+    meter = LineScene(page, "/line", np.array(task.start), np.array(task.end))
     tips = tip_position(chain, position)
     seen = np.concatenate([meter.add(times[k : k + 3], tips[k : k + 3]) for k in range(0, LATE, 3)])
     assert np.isnan(seen).all()
@@ -359,9 +369,9 @@ def spot(times: np.ndarray, begin: float, error: float) -> np.ndarray:
     return np.asarray(START + share * (END - START) + [0.0, 0.0, error])
 
 
-def test_a_run_stays_until_the_next_one_begins() -> None:
+def test_a_run_stays_until_the_next_one_begins(page: Page) -> None:
     """Neither the end of a run nor a new beginning of time takes it away; no sample of it counts for the next one."""
-    meter = PathErrorMeter(START, END)
+    meter = LineScene(page, "/line", START, END)
     times = np.arange(0.0, 8.0, 0.01)
     ends = np.stack([START, END])
     for error in (3e-5, 1e-5):
@@ -380,9 +390,9 @@ def test_a_run_stays_until_the_next_one_begins() -> None:
     assert meter.run.worst == pytest.approx(1e-5)
 
 
-def test_a_long_run_keeps_its_largest() -> None:
+def test_a_long_run_keeps_its_largest(page: Page) -> None:
     """Of an hour at 100 Hz the memory is that of a minute, and the largest error is still known."""
-    meter = PathErrorMeter(START, END)
+    meter = LineScene(page, "/line", START, END)
     meter.follow(np.array([0.0, 3600.0]), np.stack([START, END]), REST)
     times = np.arange(0.0, 3600.0, 0.01)
     tips = START + times[:, None] / 3600.0 * (END - START) + [0.0, 0.0, 1e-5]

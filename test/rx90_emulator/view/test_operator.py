@@ -18,8 +18,8 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.node.trajectory_client import enable_request
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.element_form import changed
-from rx90_emulator.view.operator import Operator
+from rx90_emulator.view.forms import changed
+from rx90_emulator.view.panel import Operator
 from rx90_sim.node.simulation_client import pause_request, reset_request, step_request
 
 REST = np.zeros((1, 6))

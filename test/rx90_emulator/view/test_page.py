@@ -32,9 +32,10 @@ from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import page as page_module
 from rx90_emulator.view import plots
 from rx90_emulator.view.page import ExistingFileError, Page, output_folder, output_path
-from rx90_emulator.view.plots import LoopPlot, RollingPlot, RunComparison, TrackPlot, add_plot_export, table
+from rx90_emulator.view.player import TrackPlot
+from rx90_emulator.view.plots import LoopPlot, RollingPlot, RunComparison, add_plot_export, table
+from rx90_emulator.view.recording import Track
 from rx90_emulator.view.scene import ArmScene, LineScene
-from rx90_emulator.view.track import Track
 
 Open = Callable[..., BrowserPage]
 POSE = np.array([0.4, -0.7, 1.9, 0.8, -0.9, 2.5])
@@ -165,7 +166,7 @@ def test_the_trace_is_drawn_beside_the_line(page: Page, monkeypatch: pytest.Monk
     start, end = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
     line = LineScene(page, "/line", start, end)
     tips = np.array([[0.5, 0.02, 0.2], [0.5, 0.0, 0.2], [0.6, 0.0, 0.2], [0.7, 1e-4, 0.2], [0.8, 0.0, 0.2]])
-    line.meter.follow(np.array([1.5, 9.0]), np.stack([start, end]), np.array([True, True]))
+    line.follow(np.array([1.5, 9.0]), np.stack([start, end]), np.array([True, True]))
     line.add(np.arange(5.0), tips)
     line.magnify(100.0)
     line.draw()
@@ -189,7 +190,7 @@ def test_a_trace_has_its_colours_on_a_page_that_was_there_before_it(page: Page, 
     times = np.arange(100) * 0.1
 
     def run() -> None:
-        line.meter.follow(times[[0, -1]], np.stack([start, end]), np.array([True, True]))
+        line.follow(times[[0, -1]], np.stack([start, end]), np.array([True, True]))
         line.add(times, start + times[:, None] / times[-1] * (end - start) + [0.0, 1e-3, 0.0])
         line.magnify(20.0)
         line.draw()
@@ -369,7 +370,7 @@ UNITS = "torque [Nm]"
 def run(line: LineScene, begin: float, largest: float) -> None:
     """Lead the tip along the line within 4 s, half a sine beside it, `largest` m in the middle."""
     times = begin + 4.0 * SHARE
-    line.meter.follow(times[[0, -1]], np.stack([START, END]), np.array([True, True]))
+    line.follow(times[[0, -1]], np.stack([START, END]), np.array([True, True]))
     line.add(times, START + SHARE[:, None] * (END - START) + np.outer(largest * np.sin(np.pi * SHARE), [0, 1.0, 0]))
 
 

@@ -20,15 +20,15 @@ from ros_client import JOINTS, Client, seconds
 
 from rx90_common.base.share import config_path
 from rx90_common.description.robot import RobotModel
-from rx90_common.exchange.arm_watch import JointSample
+from rx90_common.exchange.arm_watch import ArmWatch, JointSample
 from rx90_common.exchange.client_node import client_node
 from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.friction.friction_set import element_names
 from rx90_controller.lines.plan import LinePlan, plan_line
 from rx90_controller.lines.task import TOOL_DOWN, LineTask
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view import element_form, line_form
-from rx90_emulator.view.element_form import ElementForm
-from rx90_emulator.view.live import LiveSource
+from rx90_emulator.view import forms
+from rx90_emulator.view.forms import ElementForm
 from rx90_emulator.view.page import Checker, Page, put
 from rx90_emulator.view.panel import DoPanel
 
@@ -49,9 +49,10 @@ def panel(processes: Processes, shipped: Setup, monkeypatch: pytest.MonkeyPatch,
     sent: list[LineTask] = []
     with client_node("test_view", 1.0, print) as client:
         page = Page("test", port=0)
-        source = LiveSource(client, shipped.robot, "rx90_controller")
+        names = shipped.robot.joint_names
+        watch = ArmWatch(client.node, "rx90_controller", names, element_names(names))
         states: list[JointSample] = []
-        page.every(0.05, lambda now: states.extend(source.take(now)))
+        page.every(0.05, lambda _: states.extend(watch.joints()))
         newest = lambda: states[-1] if states else None  # noqa: E731
         parts = DoPanel(page, client, shipped.files, newest, "/rx90_controller", sent.append)
         with served(page):
@@ -113,7 +114,7 @@ def _no_verdict_is_of_other_values(shown: BrowserPage, page: Page, monkeypatch: 
         if isinstance(item[0], list):  # a typed line
             taken.append(item[0][2])
 
-    monkeypatch.setattr(line_form, "plan_line", slowly)
+    monkeypatch.setattr(forms, "plan_line", slowly)
     monkeypatch.setattr(Checker, "give", note)
     fill(shown, page, "speed", "0.2")
     assert begun["0.2"].wait(60.0)
@@ -127,7 +128,7 @@ def _no_verdict_is_of_other_values(shown: BrowserPage, page: Page, monkeypatch: 
     assert verdict.search(shown.text()) is None
     may_end["0.4"].set()
     shown.wait_until(lambda: "checking" not in shown.text(), "the verdict")
-    monkeypatch.setattr(line_form, "plan_line", plan_line)
+    monkeypatch.setattr(forms, "plan_line", plan_line)
     monkeypatch.setattr(Checker, "give", give)
 
 
@@ -218,8 +219,8 @@ def _an_element_is_changed(shown: BrowserPage, page: Page, monkeypatch: pytest.M
     for at, coulomb in ((0.5, 20.0), (-0.5, -28.0)):
         assert np.interp(at, velocity, after) == pytest.approx(coulomb + 14.0 * at, abs=0.02)
         assert np.interp(at, velocity, before) == pytest.approx(np.sign(at) * 25.0 + 14.0 * at, abs=0.02)
-    may_end, curve = threading.Event(), element_form.stribeck_curve
-    monkeypatch.setattr(element_form, "stribeck_curve", lambda *given: (may_end.wait(60.0), curve(*given))[1])
+    may_end, curve = threading.Event(), forms.stribeck_curve
+    monkeypatch.setattr(forms, "stribeck_curve", lambda *given: (may_end.wait(60.0), curve(*given))[1])
     fill(shown, page, "tau", "20 27")
     shown.wait_until(lambda: "checking ..." in shown.text(), "the form at work")
     write = shown.page.get_by_role("button", name="Write the file")
@@ -229,7 +230,7 @@ def _an_element_is_changed(shown: BrowserPage, page: Page, monkeypatch: pytest.M
     shown.wait_until(lambda: "tau_c: {positive: 20.0, negative: 27.0}" in shown.text(), "the other YAML")
     press(shown, "Write the file")
     shown.wait_until(Path("friction_changed.yaml").is_file, "the file")
-    monkeypatch.setattr(element_form, "stribeck_curve", curve)
+    monkeypatch.setattr(forms, "stribeck_curve", curve)
     _another_element_is_chosen(shown, page, title)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -26,15 +26,15 @@ from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import panel as jog_sliders
-from rx90_emulator.view.element_form import (
-    break_away,
+from rx90_emulator.view.forms import (
+    LineForm,
     changed,
     presliding_loop,
     read_values,
     stribeck_curve,
+    typed_line,
     typed_values,
 )
-from rx90_emulator.view.line_form import LinePreview, preview_line, typed_line
 from rx90_emulator.view.page import Checker, Page
 from rx90_emulator.view.panel import JogSliders, jog
 
@@ -269,16 +269,20 @@ def test_a_page_that_may_show_something_older_is_told_again(shipped: Setup, monk
 TYPED = {"start": "0.6 -0.1 0.2", "end": "0.6, 0.1, 0.2", "speed": "0.25", "acceleration": "2", "tool rpy": "0 180 0"}
 
 
-def preview(setup: Setup, *typed: str, here: np.ndarray | None = None) -> LinePreview:
-    """Plan and check a typed line of the shipped robot."""
-    limits = setup.controller.limits(setup.robot)
-    return preview_line(setup.robot, limits, 1e-3, load_task().branch, typed, here)
+@pytest.fixture(scope="module")
+def form(shipped: Setup) -> Iterator[LineForm]:
+    """Give the form of a line of the shipped robot."""
+    page = Page("test", port=0)
+    made = LineForm(page, shipped.robot, shipped.controller.limits(shipped.robot), load_task(), lambda _: None)
+    yield made
+    made.close()
+    page.close()
 
 
-def test_a_line_is_shown_with_what_it_comes_to(shipped: Setup) -> None:
+def test_a_line_is_shown_with_what_it_comes_to(shipped: Setup, form: LineForm) -> None:
     """The approach leads the tip from where Pinocchio has it to the start; time and speeds are the motion's own."""
     here = np.array([0.4, 0.3, 1.2, 0.1, 0.5, 0.2])
-    found, robot = preview(shipped, *TYPED.values(), here=here), shipped.robot
+    found, robot = form.preview([*TYPED.values()], here), shipped.robot
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, here)
     tip = data.oMf[robot.model.getFrameId(robot.tcp_frame)].translation
@@ -308,17 +312,17 @@ def test_a_line_is_shown_with_what_it_comes_to(shipped: Setup) -> None:
         ({"acceleration": "900"}, "the controller would refuse the line"),
     ],
 )
-def test_a_line_that_cannot_be_travelled_is_one_sentence(shipped: Setup, change: dict[str, str], said: str) -> None:
+def test_a_line_that_cannot_be_travelled_is_one_sentence(form: LineForm, change: dict[str, str], said: str) -> None:
     """The refusal names the value, or the place on the line, and what is accepted."""
     with pytest.raises(LineError, match=re.escape(said)) as refused:
-        preview(shipped, *(TYPED | change).values())
+        form.preview([*(TYPED | change).values()], None)
     assert "accepted" in str(refused.value)
 
 
-def test_the_fields_begin_with_the_reference_task(shipped: Setup) -> None:
+def test_the_fields_begin_with_the_reference_task(form: LineForm) -> None:
     """What stands in the form at first is the robot's own line."""
     task = load_task()
-    found = preview(shipped, *typed_line(task))
+    found = form.preview(typed_line(task), None)
     assert replace(found.plan.task, rest_before=task.rest_before, rest_after=task.rest_after) == task
     assert found.line.approach == 0.0
 
@@ -342,7 +346,7 @@ def test_the_curve_is_that_of_the_equations() -> None:
 def test_the_loop_is_the_periodic_solution_of_equation_17(share: float) -> None:
     """Between two reversals at +-a the deflection is s - (s + s tanh(a/s)) exp(-x/s), s that of steady sliding."""
     element = replace(ELEMENT, tau_c_negative=25.0, tau_s_negative=32.0, c1=40.0)
-    way = share * break_away(element)
+    way = share * element.tau_s_positive / element.c0
     displacement, forth, back = presliding_loop(element, way)
     speed = 2.0 * way  # to and fro in 2 s
     oracle = LuGreOracle([element])
