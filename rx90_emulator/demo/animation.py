@@ -131,7 +131,7 @@ def animate(joints: JointSeries, path: PathAccuracy, robot: RobotModel, task: Li
     line, trail = (
         (scale * points @ eye[:2].T + shift[:2]) * (1.0, -1.0) for points in (ends, tips + (factor - 1.0) * deviation)
     )
-    colours = [to_hex(shape.color) for shape in shapes]
+    colours = [to_hex((red, green, blue)) for red, green, blue in (shape.color.tolist() for shape in shapes)]
     error = path.perpendicular[frames]
     return Animation(
         path.times[frames] - first, path.along[frames], error, views, corners, colours, line, trail, factor

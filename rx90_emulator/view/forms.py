@@ -99,7 +99,9 @@ class LineForm:
         self._preview: LinePreview | None = None
         labels = (f"{what}, {unit}" for what, (_, unit) in FIELDS.items())
         self._fields = [page.gui.add_text(*given) for given in zip(labels, typed_line(task), strict=True)]
-        self._checker = Checker(page, lambda given: self.preview(*given), self._show, _CHECKS)
+        self._checker: Checker[tuple[list[str], Array | None], LinePreview] = Checker(
+            page, lambda given: self.preview(*given), self._show, _CHECKS
+        )
         self.close = self._checker.close
         self._button = page.gui.add_button("Send the line", disabled=True)
         self._reason = page.gui.add_html("")

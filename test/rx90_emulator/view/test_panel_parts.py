@@ -300,13 +300,10 @@ def test_a_line_is_shown_with_what_it_comes_to(shipped: Setup, form: LineForm) -
     ("change", "said"),
     [
         ({"start": "0.6 -0.1"}, "start is '0.6 -0.1'; accepted: 3 numbers, m"),
-        ({"speed": ""}, "speed is ''; accepted: a number, m/s"),
         ({"speed": "-1"}, "the line's speed is -1 m/s; accepted: a number > 0"),
         ({"acceleration": "nan"}, "acceleration is 'nan'; accepted: a number, m/s²"),
         ({"start": "1e308 1e308 1e308"}, "start is '1e308 1e308 1e308'; accepted: 3 numbers, m, up to 1e+06"),
-        ({"acceleration": "1e308"}, "accepted: a number, m/s², up to 1e+06"),
         ({"tool rpy": "0 180 -1e300"}, "tool rpy is '0 180 -1e300'; accepted: 3 numbers, deg, up to 1e+06"),
-        ({"tool rpy": "down"}, "tool rpy is 'down'; accepted: 3 numbers, deg"),
         ({"end": "2 0 0"}, "at 0.300 m from its start (21%): elbow singularity, margin 0.0232; accepted: >= 0.05"),
         ({"speed": "30", "acceleration": "900"}, "rad/s (a line speed of about"),
         ({"acceleration": "900"}, "the controller would refuse the line"),
