@@ -163,7 +163,7 @@ class _Jogs:
         self.shown(arm, now)
         self.sliders[joint].move(angle)
         self.waiting.pop()()
-        self.now += 0.2  # from one trajectory to the next
+        self.now = max(self.now, self.parts._sent_at + 0.2)  # from one trajectory to the next
         self.follow(arm)
         return np.degrees(self.sent[-1].position[-1])
 
