@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import signal
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser import BrowserPage, served
+from browser import BrowserPage
 from processes import Processes
 from rosbags.rosbag2 import Reader as Rosbag2Reader
 from short_task import SHORT_TASK
@@ -211,106 +210,50 @@ def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypat
     np.testing.assert_allclose(error[times > 1.0], 0.05)
 
 
-PACE = 0.25
-GOOD, WARNING, ERROR = "rgb(43, 138, 62)", "rgb(230, 119, 0)", "rgb(201, 42, 42)"
-ROW = (
-    "name => [...document.querySelectorAll('tr')].find(row => row.cells[0].innerText == name)?.cells[1].innerText ?? ''"
-)
-COLOUR = """text => getComputedStyle([...document.querySelectorAll('td span')].find(
-    span => span.innerText == text) ?? document.body).color"""
+GOOD, WARNING, ERROR = "#2b8a3e", "#e67700", "#c92a2a"
+ROW = re.compile(r"<td[^>]*>([^<]*)</td><td[^>]*>(.*?)</td>")
 
 
-class Nodes:
-    """Stand for `ArmWatch`: nodes whose time runs at PACE, and what they say."""
-
-    def __init__(self) -> None:
-        self._began = time.monotonic()
-        self.trajectory: Trajectory | None = None
-        self.listens_at_ticks = False
-        self.publishers, self.robot, self.problem, self.topic = 1, None, "", "/joint_states"
-        self.diagnostics = {
+def test_each_fact_stands_in_its_row(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Brakes, controller, pace and trajectory are the nodes' own; a warning and an error have their colours."""
+    simulated = [100.0]
+    watch = SimpleNamespace(
+        elements=list, trajectory=None, listens_at_ticks=False, publishers=1, robot=None, problem="",
+        joints=lambda: [JointSample(simulated[0], *np.zeros((3, 6)))], look_around=lambda: None,
+        at_ticks=lambda wanted: None,  # noqa: ARG005 - the name is how it is called
+        diagnostics={
             "rx90_sim": NodeStatus(1, "late", {"brakes": "closed"}),
             "rx90_controller": NodeStatus(0, "holding", {"enabled": "true"}),
-        }
-
-    @property
-    def time(self) -> float:
-        """Return the simulated time, s."""
-        return 100.0 + PACE * (time.monotonic() - self._began)
-
-    def joints(self) -> list[JointSample]:
-        """Return an arm that stands at the time."""
-        return [JointSample(self.time, *np.zeros((3, 6)))]
-
-    def elements(self) -> list[JointSample]:
-        """Have no friction."""
-        return []
-
-    def look_around(self) -> None:
-        """Do nothing."""
-
-    def at_ticks(self, *, wanted: bool) -> None:
-        """Take that a page is open."""
-        self.wanted = wanted
-
-
-def followed(begin: float, end: float) -> Trajectory:
-    """Return a trajectory from when to when, s."""
-    return Trajectory(begin, np.array([end]), np.zeros((1, 6)), np.array([True]))
-
-
-def test_each_fact_stands_in_its_row(shipped: Setup, open_page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Brakes, controller, pace and trajectory are the nodes' own; a warning and an error have their colours."""
-    nodes = Nodes()
-    monkeypatch.setattr(live_module, "ArmWatch", lambda *_: nodes)
-    # What is drawn in software takes time: an arm is not looked at here.
-    monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: np.zeros(3)))
+        },
+    )  # fmt: skip
+    monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
+    monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: None))
     page = Page("test", port=0)
-    LiveView(page, NO_CLIENT, shipped.robot, "rx90_controller", load_task())
-    with served(page):
-        shown = open_page(page.address, (420, 400))
+    view = LiveView(page, NO_CLIENT, shipped.robot, "rx90_controller", load_task())
 
-        def row(name: str, said: str) -> None:
-            shown.wait_until(lambda: said == shown.page.evaluate(ROW, name), f"{name}: {said}")
+    def rows(now: float) -> dict[str, str]:
+        simulated[0] = 100.0 + 0.25 * now
+        view._update(now)
+        view._show_status(now)
+        return dict(ROW.findall(view._status.content))
 
-        def colour(text: str, wanted: str) -> None:
-            shown.wait_until(lambda: shown.page.evaluate(COLOUR, text) == wanted, f"the colour of {text}")
-
-        row("brakes", "closed")
-        row("simulation", "late")
-        row("controller", "holding")
-        row("trajectory", "none")
-        colour("late", WARNING)
-        colour("holding", GOOD)
-
-        def pace() -> bool:
-            seconds, _, factor = shown.page.evaluate(ROW, "time").partition(" s, ")
-            if not factor:  # the page's thread has not run for a while: it says that nothing comes
-                return False
-            return abs(float(seconds) - nodes.time) < 5.0 and abs(float(factor.split()[0]) - PACE) <= 0.01
-
-        shown.wait_until(pace, "time and pace")
-        assert nodes.wanted  # friction at the tick, while a page is open and time does not hurry
-        begin = nodes.time - 40.0
-        nodes.trajectory = followed(begin, begin + 1000.0)
-
-        def progress() -> bool:
-            done, _, length = shown.page.evaluate(ROW, "trajectory").partition(" of ")
-            return bool(length == "1000.0 s" and 40.0 <= float(done) <= nodes.time - begin + 0.1)
-
-        shown.wait_until(progress, "the trajectory's progress and length")
-        nodes.trajectory = followed(begin, begin + 39.0)
-        row("trajectory", "none")
-        nodes.diagnostics = {
-            "rx90_sim": NodeStatus(0, "running", {"brakes": "open"}),
-            "rx90_controller": NodeStatus(2, "joint_2: following error", {"enabled": "false"}),
-        }
-        row("brakes", "open")
-        row("simulation", "running")
-        colour("joint_2: following error", ERROR)
-        legend = "path error of the laser spot, mm\n0\n0.05\n≥ 0.1"
-        shown.wait_until(lambda: shown.text().count(legend) == 1, "the legend")
-    assert (shown.complaints, shown.foreign_requests) == ([], [])
+    rows(0.0)
+    shown = rows(2.0)
+    assert (shown["brakes"], shown["trajectory"]) == ("closed", "none")
+    assert shown["time"] == "100.50 s, 0.25 &times; real time"
+    assert (f"color:{WARNING}" in shown["simulation"], f"color:{GOOD}" in shown["controller"]) == (True, True)
+    watch.trajectory = Trajectory(60.0, np.array([1060.0]), np.zeros((1, 6)), np.array([True]))
+    assert rows(2.4)["trajectory"] == "40.6 of 1000.0 s"
+    watch.trajectory = Trajectory(60.0, np.array([100.2]), np.zeros((1, 6)), np.array([True]))
+    watch.diagnostics = {
+        "rx90_sim": NodeStatus(0, "running", {"brakes": "open"}),
+        "rx90_controller": NodeStatus(2, "joint_2: following error", {"enabled": "false"}),
+    }
+    shown = rows(2.8)
+    assert (shown["brakes"], shown["trajectory"]) == ("open", "none")
+    assert f'color:{ERROR};font-weight:600">joint_2: following error<' in shown["controller"]
+    assert "joint_2: following error" in view._diagnostics.content
+    page.close()
 
 
 START, END = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
