@@ -487,16 +487,11 @@ def test_what_leads_elsewhere_is_refused_also_when_confirmed(output: Path, name:
     assert "\n" not in str(refusal.value)
 
 
-def test_a_file_that_is_there_is_taken_only_when_confirmed(output: Path) -> None:
-    """Without a confirmation the refusal names the file, and is told from the others."""
+def test_a_file_that_is_there_is_taken_only_when_confirmed_and_a_folder_is_made_or_refused(output: Path) -> None:
+    """Without a confirmation the refusal names the file, and is told from the others; so is a file for a folder."""
     with pytest.raises(ExistingFileError, match=r"there\.yaml exists; accepted: a new name beneath"):
         output_path(output, "there.yaml")
     assert output_path(output, "there.yaml", replace=True).read_text() == "there"
-
-
-def test_a_folder_is_made_or_refused(tmp_path: Path) -> None:
-    """A folder that is missing is made; a file in its place is one line."""
-    assert output_folder(tmp_path / "a" / "b").is_dir()
-    (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match=r"file: cannot be written \(.*\); accepted: a folder that exists or can"):
-        output_folder(tmp_path / "file")
+    assert output_folder(output / "a" / "b").is_dir()
+    with pytest.raises(ConfigError, match=r"yaml: cannot be written \(.*\); accepted: a folder that exists or can"):
+        output_folder(output / "there.yaml")
