@@ -186,7 +186,7 @@ def test_a_trace_has_its_colours_on_a_page_that_was_there_before_it(page: Page, 
     camera = page.server.initial_camera
     camera.position, camera.look_at, camera.up = (0.0, -0.5, 0.5), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
     line = LineScene(page, "/line", start, end)
-    shown = open_page(page.address, (360, 100), every_picture=True)
+    shown = open_page(page.address, (900, 200), every_picture=True)
     times = np.arange(100) * 0.1
 
     def run() -> None:
@@ -200,7 +200,7 @@ def test_a_trace_has_its_colours_on_a_page_that_was_there_before_it(page: Page, 
 
     def is_drawn() -> bool:
         pixels = Image.open(io.BytesIO(shown.page.screenshot())).convert("RGB")
-        return bool((np.abs(np.asarray(pixels, dtype=int) - red).max(axis=-1) < 25).sum() > 30)
+        return bool((np.abs(np.asarray(pixels, dtype=int) - red).max(axis=-1) < 25).sum() > 100)
 
     shown.wait_until(is_drawn, "the trace in red")
 
