@@ -41,9 +41,9 @@ def main(options: argparse.Namespace) -> None:
     with ends_within(*_PATIENCE, _give_up, _say_where) as start:
         import viser  # noqa: F401 - before kernels are compiled for a page that cannot be made
 
-        from rx90_emulator.view.page import OutputFolder
+        from rx90_emulator.view.page import output_folder
 
-        OutputFolder(options.output)  # refused before bags are read
+        output_folder(options.output)  # refused before bags are read
         try:
             (view_bags if of_bags else view_live).main(options, start.over)
         except KeyboardInterrupt:

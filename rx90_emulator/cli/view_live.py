@@ -48,8 +48,7 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
     from rx90_common.description.robot import load_robot
     from rx90_common.exchange.client_node import client_node
     from rx90_controller.lines.task import load_task
-    from rx90_emulator.view.live import LiveSource, LiveView
-    from rx90_emulator.view.operator import NodeNames
+    from rx90_emulator.view.live import LiveView
     from rx90_emulator.view.page import Page
     from rx90_emulator.view.panel import DoPanel
     from rx90_emulator.view.plots import add_plot_export
@@ -70,13 +69,11 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
             tour.start()
         be_nice(max(os.getpriority(os.PRIO_PROCESS, 0), _NICENESS) if options.nice is None else options.nice)
         with client_node("rx90_view", 1.0, print, options.ros_args) as client:
-            source = LiveSource(client, robot, controller)
-            view = LiveView(page, source, robot, line)
-            nodes = NodeNames.beside(controller, options.ros_args)
-            ends.callback(DoPanel(page, files, view.newest, nodes, view.lay_line).close)
+            view = LiveView(page, client, robot, controller, line)
+            ends.callback(DoPanel(page, client, files, view.newest, controller, view.lay_line).close)
             with page.tab("Files"):  # once all plots are there
                 with page.gui.add_folder("Record a bag"):
-                    ends.callback(RecordButton(page, source.watch.namespace, options.ros_args).close)
+                    ends.callback(RecordButton(page, view.watch.namespace, options.ros_args).close)
                 with page.gui.add_folder("Export a plot"):
                     add_plot_export(page)
             page.announce(browser=not options.no_browser)

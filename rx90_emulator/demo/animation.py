@@ -9,14 +9,17 @@ import base64
 import json
 import math
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from matplotlib.colors import to_hex
 from scipy.spatial import ConvexHull
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
+from rx90_common.description.kinematics import decompose, tip_position
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.shapes import VisualShape, drawn_shapes
 from rx90_controller.lines.task import LineTask
@@ -107,58 +110,48 @@ def animate(joints: JointSeries, path: PathAccuracy, robot: RobotModel, task: Li
     places = np.searchsorted(path.times, wanted - 1e-9).clip(max=len(path.times) - 1)
     frames = np.unique([*places, path.perpendicular.argmax()])
     rows = np.searchsorted(joints.time, path.times[frames] - 1e-9)
-    poses, tips = _poses(robot, joints.fields["position"][rows])
+    position = joints.fields["position"][rows]
+    poses, tips = _poses(robot, position), tip_position(robot.chain, position)
     shapes = drawn_shapes(robot)
     corners = [(shape.joint, _corners(shape)) for shape in shapes]
-    start, end = np.array(task.start), np.array(task.end)
-    direction = (end - start) / np.linalg.norm(end - start)
-    deviation = (tips - start) - np.outer((tips - start) @ direction, direction)
-    eye = _eye(start, end)
-    solid = [poses[:, k, :, :3] @ points.T + poses[:, k, :, 3:] for k, points in corners]
-    flat = np.concatenate(
-        [*((eye[:2] @ one).transpose(0, 2, 1).reshape(-1, 2) for one in solid), np.array([start, end]) @ eye[:2].T]
-    )
+    ends = np.array([task.start, task.end])
+    _, deviation = decompose(tips - ends[0], ends[1] - ends[0])
+    eye = _eye(ends)
+    solid = [(poses[:, k, :, :3] @ points.T + poses[:, k, :, 3:]).transpose(0, 2, 1) for k, points in corners]
+    flat = np.concatenate([points.reshape(-1, 3) for points in (*solid, ends)]) @ eye[:2].T
     low, high = flat.min(axis=0), flat.max(axis=0)
     scale = float(min((WIDTH - 2 * _MARGIN) / (high[0] - low[0]), (HEIGHT - 2 * _MARGIN) / (high[1] - low[1])))
     shift = np.array([0.5 * WIDTH - 0.5 * scale * (low[0] + high[0]), _MARGIN - scale * low[1] - HEIGHT, 0.0])
     views = scale * np.einsum("ij,nkjl->nkil", eye, poses)
     views[..., 3] += shift
-
-    def shown(points: Array) -> Array:
-        return np.asarray((scale * points @ eye[:2].T + shift[:2]) * (1.0, -1.0))
-
-    factor = _round_number(_ENLARGED_TO * HEIGHT / scale / max(float(path.worst), 1e-9))
+    # The largest of 1, 2, 5, 10, 20, ... with which the largest deviation has its share of the picture at most.
+    most = max(_ENLARGED_TO * HEIGHT / scale / max(float(path.worst), 1e-9), 1.0)
+    decade = 10.0 ** math.floor(math.log10(most))
+    factor = max(decade * step for step in (1.0, 2.0, 5.0) if decade * step <= most)
+    line, trail = (
+        (scale * points @ eye[:2].T + shift[:2]) * (1.0, -1.0) for points in (ends, tips + (factor - 1.0) * deviation)
+    )
+    colours = [to_hex((red, green, blue)) for red, green, blue in (shape.color.tolist() for shape in shapes)]
+    error = path.perpendicular[frames]
     return Animation(
-        times=path.times[frames] - first,
-        along=path.along[frames],
-        error=path.perpendicular[frames],
-        views=views,
-        shapes=corners,
-        colours=[_css(shape.color) for shape in shapes],
-        line=shown(np.array([start, end])),
-        trail=shown(tips + (factor - 1.0) * deviation),
-        enlarged=factor,
+        path.times[frames] - first, path.along[frames], error, views, corners, colours, line, trail, factor
     )
 
 
-def _poses(robot: RobotModel, position: Array) -> tuple[Array, Array]:
-    """Return the frames of joints and, last, of the base, (n, 7, 3, 4), and the tips, (n, 3), m."""
+def _poses(robot: RobotModel, position: Array) -> Array:
+    """Return the frames of joints and, last, of the base, (n, 7, 3, 4), m."""
     data = robot.model.createData()
-    tip = robot.model.getFrameId(robot.tcp_frame)
     poses = np.zeros((len(position), len(robot.joint_names) + 1, 3, 4))
     poses[:, -1, :, :3] = np.eye(3)
-    tips = np.zeros((len(position), 3))
     for n, angles in enumerate(position):
-        pin.framesForwardKinematics(robot.model, data, angles)
-        for k in range(len(robot.joint_names)):
-            poses[n, k] = data.oMi[k + 1].homogeneous[:3]
-        tips[n] = data.oMf[tip].translation
-    return poses, tips
+        pin.forwardKinematics(robot.model, data, angles)
+        poses[n, :-1] = [placement.homogeneous[:3] for placement in list(data.oMi)[1:]]
+    return poses
 
 
-def _eye(start: Array, end: Array) -> Array:
+def _eye(ends: Array) -> Array:
     """Return the directions right, up and towards the eye as rows: it stands askew of the line, before the arm."""
-    along, middle = end - start, 0.5 * (start + end)
+    along, middle = ends[1] - ends[0], ends.mean(axis=0)
     turn = math.atan2(along[1], along[0]) + 0.5 * math.pi if np.hypot(*along[:2]) > 1e-6 else 0.0
     if middle[0] * math.cos(turn) + middle[1] * math.sin(turn) < 0.0:
         turn += math.pi
@@ -171,27 +164,14 @@ def _eye(start: Array, end: Array) -> Array:
 def _corners(shape: VisualShape) -> Array:
     """Return points whose hull is the shape, in the frame that it moves with, m, shape (k, 3)."""
     turns = np.linspace(0.0, 2.0 * math.pi, _CORNERS, endpoint=False)
-    circle = np.column_stack([np.cos(turns), np.sin(turns)])
+    heights = np.linspace(-1.0, 1.0, 9 if shape.kind == "Sphere" else 2)
     if shape.kind == "Box":
-        unit = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-    elif shape.kind == "Cylinder":
-        unit = np.concatenate([np.column_stack([circle, np.full(_CORNERS, z)]) for z in (-1.0, 1.0)])
+        unit = np.array(list(product(heights, repeat=3)))
     else:
-        rings = np.linspace(-1.0, 1.0, 9)
-        unit = np.concatenate(
-            [np.column_stack([math.sqrt(1.0 - z * z) * circle, np.full(_CORNERS, z)]) for z in rings.tolist()]
-        )
+        z, turn = (each.ravel() for each in np.meshgrid(heights, turns, indexing="ij"))
+        radius = np.sqrt(1.0 - z * z) if shape.kind == "Sphere" else 1.0
+        unit = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), z])
     return np.asarray((unit * shape.half) @ shape.rotation.T + shape.position)
-
-
-def _round_number(value: float) -> float:
-    """Return the largest of 1, 2, 5, 10, 20, ... that is not above a value, at least 1."""
-    decade = 10.0 ** math.floor(math.log10(max(value, 1.0)))
-    return max(decade * step for step in (1.0, 2.0, 5.0) if decade * step <= max(value, 1.0))
-
-
-def _css(color: Array) -> str:
-    return "#" + "".join(f"{round(255 * float(part)):02x}" for part in color)
 
 
 def _points(points: Array) -> str:

@@ -18,7 +18,7 @@ from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
-from rx90_emulator.demo.report import PATH_LIMIT, SWITCHED_OFF, analyse, write_report
+from rx90_emulator.demo.report import PATH_LIMIT, SWITCHED_OFF, RunReport
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import OPENED, TO_OTHERS
 from rx90_sim.node.simulation_client import SimulationClient
@@ -32,28 +32,22 @@ _BAR = "{l_bar}{bar}| {n:.2f}/{total:.2f} s simulated [{elapsed}<{remaining}{pos
 
 
 class Demonstration:
-    """A run of the reference task in a folder of its own."""
+    """A run of the reference task in a folder of its own.
+
+    Args:
+        robot: the name or folder of the robot, for the processes.
+        files: its files, and the task.
+        pace: the real-time factor; 0 is as fast as it goes.
+        composed: simulation and controller share a process.
+        view: options of `rx90_view` for a page in the browser beside it; None for no page.
+
+    Raises:
+        Rx90Error: if the task cannot be read or travelled.
+    """
 
     def __init__(
-        self,
-        robot: str,
-        files: RobotFiles,
-        pace: float,
-        composed: bool = False,
-        view: Sequence[object] | None = None,
+        self, robot: str, files: RobotFiles, pace: float, composed: bool = False, view: Sequence[object] | None = None
     ) -> None:
-        """Read and plan the task.
-
-        Args:
-            robot: the name or folder of the robot, for the processes.
-            files: its files, and the task.
-            pace: the real-time factor; 0 is as fast as it goes.
-            composed: simulation and controller share a process.
-            view: options of `rx90_view` for a page in the browser beside it; None for no page.
-
-        Raises:
-            Rx90Error: if the task cannot be read or travelled.
-        """
         self._robot, self._task_file = robot, files.required("task")
         self._pace, self._composed, self._view = pace, composed, view
         self._setup = Setup.load(files)
@@ -79,9 +73,8 @@ class Demonstration:
         print("comparing the recorded run with the closed loop without ROS ...", flush=True)
         comparison = compare_bags(recorded, baseline)
         print(comparison_text(comparison))
-        run = analyse(recorded, self._setup, self._task, START_TIME)
-        write_report(page, self._setup, self._task, run, comparison, factor, self._pace,
-                     composed=self._composed, bag=recorded, baseline=baseline)  # fmt: skip
+        run = RunReport(recorded, self._setup, self._task, START_TIME)
+        run.write(page, baseline, comparison, pace=self._pace, reached=factor, composed=self._composed)
         print(
             f"path error: worst {run.path.worst * 1e3:.4f} mm, "
             f"{run.path_without.worst * 1e3:.4f} mm with {SWITCHED_OFF}; asked for: {PATH_LIMIT * 1e3:g} mm"
@@ -144,20 +137,19 @@ def _follow_clock(process: ChildProcess, duration: float) -> float:
         The real-time factor from the first to the last time that was heard; 0 if there were no two.
     """
     # From the first time that is heard: before it, the nodes wait for those who listen.
-    first: tuple[float, float] | None = None
-    factor, newest = 0.0, 0.0
+    heard: list[tuple[float, float]] = []  # simulated, of the clock: the first and the last
     with client_node("rx90_demo", _SERVICE_TIMEOUT, lambda _: None) as client:
         simulation = SimulationClient(client)
         simulation.pause(False)
-        with tqdm(
-            total=duration, bar_format=_BAR, desc="reference task", mininterval=0.2, miniters=0, disable=None
-        ) as bar:
+        bar = tqdm(total=duration, bar_format=_BAR, desc="reference task", mininterval=0.2, miniters=0, disable=None)
+        with bar:
+            factor = 0.0
             while process.returncode is None:
                 client.spin()
-                if simulation.time > newest:
-                    newest, now = simulation.time, time.monotonic()
-                    first = first or (newest, now)
-                    factor = (newest - first[0]) / (now - first[1]) if now > first[1] else 0.0
+                if simulation.time > (heard[-1][0] if heard else 0.0):
+                    heard[1:] = [(simulation.time, time.monotonic())]
+                    (begin, first), (end, last) = heard[0], heard[-1]
+                    factor = (end - begin) / (last - first) if last > first else 0.0
                 bar.set_postfix_str(f"{factor:.2f} x real time", refresh=False)
                 bar.update(min(simulation.time, duration) - bar.n)
             if process.returncode == 0:

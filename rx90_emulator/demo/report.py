@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from rx90_common.bags.comparison import BagComparison, Verdict
-from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.summary import summarise
 from rx90_common.base.arrays import Array
@@ -20,7 +18,7 @@ from rx90_common.report.plot import COLOURS, INK, Curve, Level, Panel, Plot
 from rx90_controller.law.parameters import FeedForward
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.demo.animation import animate
-from rx90_emulator.loop.line import PathAccuracy, path_accuracy, run_line
+from rx90_emulator.loop.line import path_accuracy, run_line
 from rx90_emulator.loop.setup import Setup
 
 SWITCHED_OFF = "FF and dq_r off"
@@ -30,99 +28,78 @@ PATH_LIMIT = 1e-4
 """Path accuracy that laser welding asks for, m (the paper's introduction)."""
 
 
-@dataclass(frozen=True)
-class RunAnalysis:
-    """A recorded run of a line.
+class RunReport:
+    """What the report of a recorded run of a line shows.
+
+    Args:
+        bag: what was recorded.
+        setup: of the run.
+        task: the line.
+        start_time: when its trajectory started, s.
 
     Attributes:
+        bag, setup, task: as given.
         joints: the bag's joint_states.
         friction: the bag's friction_states.
         error: the bag's tracking_error.
         path: path error of the recorded run.
         path_without: path error of the same task with FF and dq_r off, computed without ROS.
-    """
-
-    joints: JointSeries
-    friction: JointSeries
-    error: JointSeries
-    path: PathAccuracy
-    path_without: PathAccuracy
-
-
-def analyse(bag: Path, setup: Setup, task: LineTask, start_time: float) -> RunAnalysis:
-    """Read a recorded run, whose trajectory started at `start_time` s, and compute what the report shows.
 
     Raises:
         BagError: if a topic is missing.
     """
-    joints = read_joint_states(bag, "joint_states", setup.robot.joint_names)
-    friction = read_joint_states(bag, "friction_states", setup.friction.names)
-    error = read_joint_states(bag, "rx90_controller/tracking_error", setup.robot.joint_names)
-    path = path_accuracy(setup.robot, task, joints.time, joints.fields["position"], start_time)
-    controller = dataclasses.replace(setup.controller, feed_forward=FeedForward.off())
-    without = run_line(dataclasses.replace(setup, controller=controller), task).path_accuracy
-    return RunAnalysis(joints, friction, error, path, without)
+
+    def __init__(self, bag: Path, setup: Setup, task: LineTask, start_time: float) -> None:
+        self.bag, self.setup, self.task, names = bag, setup, task, setup.robot.joint_names
+        self.joints = read_joint_states(bag, "joint_states", names)
+        self.friction = read_joint_states(bag, "friction_states", setup.friction.names)
+        self.error = read_joint_states(bag, "rx90_controller/tracking_error", names)
+        self.path = path_accuracy(setup.robot, task, self.joints.time, self.joints.fields["position"], start_time)
+        controller = replace(setup.controller, feed_forward=FeedForward.off())
+        self.path_without = run_line(replace(setup, controller=controller), task).path_accuracy
+
+    def write(
+        self, page: Path, baseline: Path, comparison: BagComparison, *, pace: float, reached: float, composed: bool
+    ) -> None:
+        """Write the page.
+
+        Args:
+            page: the file.
+            baseline: the bag it was compared with.
+            comparison: of the two bags.
+            pace: the real-time factor that was asked for; 0 for none.
+            reached: the one that was reached, simulated time over wall time.
+            composed: whether simulation and controller shared a process.
+
+        Raises:
+            Rx90Error: if the file cannot be written.
+        """
+        setup, files = self.setup, self.setup.files
+        text = render_page(
+            "rx90_emulator.demo",
+            "report.html.j2",
+            robot=setup.robot.model.name,
+            provenance={} if files is None else {getattr(files, k).name: v for k, v in provenance_of(files).items()},
+            run=self,
+            real_time_factor=reached,
+            pace=pace,
+            composed=composed,
+            messages=sum(topic.count for topic in summarise(self.bag).topics),
+            baseline=baseline,
+            limit=PATH_LIMIT,
+            switched_off=SWITCHED_OFF,
+            top=max(PATH_LIMIT, self.path.worst),
+            animation=animate(self.joints, self.path, setup.robot, self.task),
+            same=comparison.verdict is Verdict.SAME,
+            topics=comparison.topics,
+            joints=_joint_rows(self),
+            friction=list(zip(setup.friction.names, setup.friction.elements, strict=True)),
+            plots=_plots(self),
+        )
+        write_text(page, text)
 
 
-def write_report(
-    page: Path,
-    setup: Setup,
-    task: LineTask,
-    run: RunAnalysis,
-    comparison: BagComparison,
-    real_time_factor: float,
-    pace: float,
-    *,
-    composed: bool,
-    bag: Path,
-    baseline: Path,
-) -> None:
-    """Write the page.
-
-    Args:
-        page: the file.
-        setup: of the run.
-        task: the line.
-        run: what was recorded.
-        comparison: of the two bags.
-        real_time_factor: simulated time over wall time.
-        pace: the real-time factor that was asked for; 0 for none.
-        composed: whether simulation and controller shared a process.
-        bag: the recorded bag.
-        baseline: the bag it was compared with.
-
-    Raises:
-        Rx90Error: if the file cannot be written.
-    """
-    files = setup.files
-    text = render_page(
-        "rx90_emulator.demo",
-        "report.html.j2",
-        robot=setup.robot.model.name,
-        provenance={} if files is None else {getattr(files, k).name: v for k, v in provenance_of(files).items()},
-        task=task,
-        run=run,
-        real_time_factor=real_time_factor,
-        pace=pace,
-        composed=composed,
-        messages=sum(topic.count for topic in summarise(bag).topics),
-        bag=bag,
-        baseline=baseline,
-        limit=PATH_LIMIT,
-        switched_off=SWITCHED_OFF,
-        top=max(PATH_LIMIT, run.path.worst),
-        animation=animate(run.joints, run.path, setup.robot, task),
-        same=comparison.verdict is Verdict.SAME,
-        topics=comparison.topics,
-        largest=[max((v.maximum for v in topic.values), default=0.0) for topic in comparison.topics],
-        joints=_joint_rows(run),
-        friction=list(zip(setup.friction.names, setup.friction.elements, strict=True)),
-        plots=_plots(run),
-    )
-    write_text(page, text)
-
-
-def _plots(run: RunAnalysis) -> dict[str, Plot]:
+def _plots(run: RunReport) -> dict[str, Plot]:
     """Return path error along the line, velocities and position errors, friction, and drive torques."""
     joints, friction, names = run.joints, run.friction.fields, run.friction.names
     path = [
@@ -156,7 +133,7 @@ def _curves(x: Array, y: Array, names: tuple[str, ...], width: float = Curve.wid
     return [Curve(x if x.ndim == 1 else x[:, k], y[:, k], name, COLOURS[k], width) for k, name in enumerate(names)]
 
 
-def _joint_rows(run: RunAnalysis) -> list[tuple[str, float, float, float, float]]:
+def _joint_rows(run: RunReport) -> list[tuple[str, float, float, float, float]]:
     """Return per joint: fastest rad/s, worst and RMS position error mrad, largest drive torque Nm."""
     moving = (run.error.time >= run.path.times[0]) & (run.error.time <= run.path.times[-1])
     error = run.error.fields["position"][moving]

@@ -14,9 +14,9 @@ made, and has its functions called on that thread:
 - What writes a file goes through `FileFields`: beneath one folder, and over a file that is there only where a user has
   confirmed it.
 
-page, guard, scene, plots are for all; live, processes, panel with operator, line_form and element_form are of running
-nodes, whose ROS clients stand in `rx90_common/exchange/` and the rooms' `node/`; track, recording, bag_plots and player
-are of bags. `rx90_emulator/cli/view.py` puts them together.
+page, guard, scene, plots are for all; live, processes and panel with its forms are of running nodes, whose ROS clients
+stand in `rx90_common/exchange/` and the rooms' `node/`; recording and player are of bags. `rx90_emulator/cli/view.py`
+puts them together.
 """
 
 OPENED = "the page is open"

@@ -21,6 +21,7 @@ import asyncio
 import http
 import ipaddress
 import math
+import os
 import re
 import secrets
 import socket
@@ -37,6 +38,7 @@ from viser import _messages
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.http11 import Request, Response
 
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import listed, quoted
 from rx90_common.exchange.pacing import ThrottledLog
 
@@ -62,28 +64,50 @@ _HEADERS = {
 _Handler = Callable[["_Connection"], Awaitable[None]]
 
 
+def listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens; viser itself would take the next port that is free, and not say so.
+
+    Raises:
+        ConfigError: if host and port cannot be bound to.
+    """
+    try:
+        family, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(f"--host {quoted(host)}: {reason}; accepted: an address of this machine") from error
+    try:
+        return socket.create_server(place, family=family)
+    except OSError as error:
+        raise ConfigError(
+            f"{host} port {port}: {os.strerror(error.errno or 0)}; accepted: --port with a free one, or 0 for any, "
+            "and an address of this machine"
+        ) from error
+
+
 class PageGuard:
     """Viser's server, and what stands in front of it.
 
     Args:
         title: of the page; what is refused is said on standard error after it.
-        host: address or name to bind to.
-        port: to bind to.
-        open_to_others: whether other machines can reach that.
+        host: address or name that the page is bound to.
+        listener: what listens there.
 
     Attributes:
         server: viser's.
         token: part of the page's address.
+        open_to_others: whether other machines can reach the page.
+        log: says what is refused.
     """
 
-    def __init__(self, title: str, host: str, port: int, *, open_to_others: bool) -> None:
-        self.token = secrets.token_urlsafe(24)
+    def __init__(self, title: str, host: str, listener: socket.socket) -> None:
+        self.token, self._listener = secrets.token_urlsafe(24), listener
+        address, port, *_ = listener.getsockname()
+        self.open_to_others = not ipaddress.ip_address(address.partition("%")[0]).is_loopback
         self._names = {*_OWN_NAMES, host.lower(), f"[{host.lower()}]"}
-        if open_to_others:
+        if self.open_to_others:
             name = socket.gethostname().lower()
             self._names |= {name, f"{name}.local"}
-        self._any_address = open_to_others
-        self._log = ThrottledLog(lambda line: print(f"{title}: {line}", file=sys.stderr, flush=True))
+        self.log = ThrottledLog(lambda line: print(f"{title}: {line}", file=sys.stderr, flush=True))
         self._clients: set[_Connection] = set()
         self._is_asked = self._is_ready = False
         websockets.asyncio.server.serve = self._serve  # type: ignore[misc,assignment]
@@ -97,12 +121,12 @@ class PageGuard:
         _wake_on_the_loop(self.server)
         self._is_ready = True
 
-    def _serve(self, handler: _Handler, host: str, port: int, **options: Any) -> Any:
+    def _serve(self, handler: _Handler, _host: str, _port: int, **options: Any) -> Any:
         """Stand for `websockets.asyncio.server.serve`, as viser calls it."""
         self._is_asked = True
         options["process_request"] = partial(self._answer, options["process_request"])
         options["create_connection"] = partial(_Connection, self)
-        return serve(partial(self._attend, handler), host, port, **options)
+        return serve(partial(self._attend, handler), sock=self._listener, **options)
 
     def _answer(
         self, served: Callable[[ServerConnection, Request], Response | None], connection: _Connection, request: Request
@@ -110,12 +134,12 @@ class PageGuard:
         """Refuse a request, or have viser answer it; None: it is a web socket."""
         reason = self._refusal(request)
         if reason:
-            self._log.say("request", f"a request was refused: {reason}")
+            self.log.say("request", f"a request was refused: {reason}")
             return connection.respond(http.HTTPStatus.FORBIDDEN, f"Refused: {reason}.\n")
         try:
             response = served(connection, request)
         except Exception as error:  # viser's own, for NUL in a path
-            self._log.say("request", f"a request was refused: {quoted(request.path)} ({quoted(error)})")
+            self.log.say("request", f"a request was refused: {quoted(request.path)} ({quoted(error)})")
             return connection.respond(http.HTTPStatus.BAD_REQUEST, "Refused.\n")
         if response is not None:
             for name, value in _HEADERS.items():
@@ -155,12 +179,12 @@ class PageGuard:
             ipaddress.ip_address(match[1].strip("[]"))
         except ValueError:
             return False
-        return self._any_address  # no name, so nobody has let it point here
+        return self.open_to_others  # no name, so nobody has let it point here
 
     async def _attend(self, handler: _Handler, connection: _Connection) -> None:
         """Have viser speak with a client, if there are not too many, until either goes or the client does not read."""
         if len(self._clients) >= MOST_CLIENTS:
-            self._log.say("clients", f"a client was sent away: {MOST_CLIENTS} are there; accepted: as many at most")
+            self.log.say("clients", f"a client was sent away: {MOST_CLIENTS} are there; accepted: as many at most")
             await connection.close(1013, f"{MOST_CLIENTS} clients are there")
             return
         self._clients.add(connection)
@@ -171,18 +195,8 @@ class PageGuard:
             watch.cancel()
             self._clients.discard(connection)
 
-    def deaf(self) -> None:
-        """Say that a client is dropped."""
-        self._log.say("deaf", f"a client was dropped: it has read nothing for {PATIENCE:g} s")
-
-    def takes(self, raw: str | bytes) -> bool:
-        """Tell whether a message is one that the page's own client sends; one that is not is said and left out."""
-        reason = self._fault(raw)
-        if reason:
-            self._log.say("message", f"a message was left out: {reason}")
-        return not reason
-
-    def _fault(self, raw: str | bytes) -> str:
+    def fault(self, raw: str | bytes) -> str:
+        """Return why a message is none that the page's own client sends, if so."""
         if isinstance(raw, str):
             return f"the text {quoted(raw)}; accepted: bytes"
         try:
@@ -197,16 +211,12 @@ class PageGuard:
         if isinstance(message, _messages.ViewerCameraMessage):
             sizes = message.image_width, message.image_height
             return "" if min(sizes) > 0 else f"a camera of {sizes[0]} x {sizes[1]} pixels; accepted: positive numbers"
-        return self._fault_of_field(message) if isinstance(message, _messages.GuiUpdateMessage) else ""
-
-    def _fault_of_field(self, message: _messages.GuiUpdateMessage) -> str:
-        field = self.server.gui._gui_input_handle_from_uuid.get(message.uuid)
+        field = self.server.gui._gui_input_handle_from_uuid.get(getattr(message, "uuid", ""))
         if field is None:
             return ""  # it has gone meanwhile, and viser knows that
-        if set(message.updates) != {"value"}:
-            return f"{listed(message.updates)} of a field; accepted: value"
-        accepted = _accepted(field, message.updates["value"])
-        return accepted and f"{quoted(getattr(field, 'label', ''))}: {quoted(message.updates['value'])}; {accepted}"
+        given = message.updates
+        accepted = _accepted(field, given["value"]) if set(given) == {"value"} else f"{listed(given)}; accepted: value"
+        return accepted and f"{quoted(getattr(field, 'label', ''))}: {quoted(given.get('value'))}; {accepted}"
 
 
 class _Connection(ServerConnection):
@@ -218,8 +228,8 @@ class _Connection(ServerConnection):
         self._waiting = self._sent = 0
 
     async def recv(self, decode: bool | None = None) -> Any:
-        while not self._guard.takes(raw := await super().recv(decode)):
-            pass
+        while reason := self._guard.fault(raw := await super().recv(decode)):
+            self._guard.log.say("message", f"a message was left out: {reason}")
         return raw
 
     async def send(self, *arguments: Any, **options: Any) -> None:
@@ -236,7 +246,7 @@ class _Connection(ServerConnection):
         while not self._waiting or self._sent != sent or self.transport.get_write_buffer_size() < left:
             sent, left = self._sent, self.transport.get_write_buffer_size()
             await asyncio.sleep(PATIENCE)
-        self._guard.deaf()
+        self._guard.log.say("deaf", f"a client was dropped: it has read nothing for {PATIENCE:g} s")
         self.transport.abort()
 
 

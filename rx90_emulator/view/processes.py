@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import threading
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -20,7 +18,7 @@ from rx90_controller.lines.plan import Approach, plan_line
 from rx90_controller.lines.task import load_task
 from rx90_controller.node.trajectory_client import Delivery, deliver
 from rx90_emulator.view.live import LiveView
-from rx90_emulator.view.page import Page, from_user, sentence
+from rx90_emulator.view.page import Page, from_user, output_path, sentence
 
 _LOOKS = 0.25  # s
 _GRACE = 10.0  # s for a recorder to finish its bag when the page ends
@@ -38,20 +36,17 @@ class RecordButton:
     """
 
     def __init__(self, page: Page, namespace: str, ros_args: Sequence[str]) -> None:
-        self._page = page
+        self._output = page.output
         self._ros_args = ["--ros-args", *ros_args, *(["-r", f"__ns:={namespace}"] if namespace else [])]
         self._group = ProcessGroup(grace=_GRACE)
+        self.close = self._group.end  # in order, and waits for that
         self._recorder: ChildProcess | None = None
         self._ready: float | None = None
         self._name = page.gui.add_text("bag", "bag")
         self._button = page.gui.add_button(_START)
-        self._said = page.gui.add_html(sentence(f"A new folder beneath {page.output.folder}."))
+        self._said = page.gui.add_html(sentence(f"A new folder beneath {page.output}."))
         self._button.on_click(from_user(self._press, page))
         page.every(_LOOKS, self._follow)
-
-    def close(self) -> None:
-        """End a recording in order, and wait for that."""
-        self._group.end()
 
     def _press(self) -> None:
         if self._recorder is not None:
@@ -59,7 +54,7 @@ class RecordButton:
             self._recorder.signal(signal.SIGINT)
             return
         try:
-            path = self._page.output.path_for(self._name.value)
+            path = output_path(self._output, self._name.value)
         except Rx90Error as error:
             self._said.content = sentence(str(error), wrong=True)
             return
@@ -69,27 +64,24 @@ class RecordButton:
         self._said.content = sentence("the recorder starts ...")
 
     def _follow(self, now: float) -> None:
-        recorder = self._recorder
-        if recorder is None:
+        if self._recorder is None:
             return
-        code = recorder.returncode
-        if code is None:
-            lines = recorder.lines
-            if self._ready is None and any(re.match("ready: ", line) for line in lines):
-                self._ready = time.monotonic()
+        code = self._recorder.returncode
+        if code is not None:
+            self._recorder.wait()  # for its last lines
+            self._said.content = "".join(sentence(line, wrong=code != 0) for line in self._recorder.lines[-_SAID:])
+            self._recorder, self._button.label = None, _START
+            self._button.disabled = self._name.disabled = False
+        elif lines := self._recorder.lines:
+            if self._ready is None and any(line.startswith("ready: ") for line in lines):
+                self._ready = now
+            words = lines[-1]
             if self._ready is not None:
-                self._said.content = sentence(f"recording to {self._name.value}: {now - self._ready:.0f} s")
-            elif lines:
-                self._said.content = sentence(lines[-1])
-            return
-        recorder.wait()  # for its last lines
-        self._said.content = "".join(sentence(line, wrong=code != 0) for line in recorder.lines[-_SAID:])
-        self._recorder, self._button.label = None, _START
-        self._button.disabled = self._name.disabled = False
+                words = f"recording to {self._name.value}: {now - self._ready:.0f} s"
+            self._said.content = sentence(words)
 
 
 _SET_POINT_PERIOD = 1e-3  # s
-_APPROACH = Approach()
 _REST = 1.0  # s between two lines
 _TIMEOUT = 60.0  # s, for nodes that come up on a busy machine
 _LOOK = 0.2  # s
@@ -109,52 +101,46 @@ class Tour:
 
     def __init__(self, robot: str, files: RobotFiles, controller: str) -> None:
         model = load_robot(files.urdf, files.tool)
-        self._robot = robot
+        self._command = executable("rx90_cell", "--ros-args", "-p", f"robot:={robot}")
         self._plan = plan_line(model, load_task(files.required("task")), _SET_POINT_PERIOD)
         limits = load_controller(files.controller).limits(model)
-        self._delivery = Delivery(controller, 0.0, limits, _SET_POINT_PERIOD, _APPROACH)
+        self._delivery = Delivery(controller, 0.0, limits, _SET_POINT_PERIOD, Approach())
         self._group = ProcessGroup()
-        self._cell: ChildProcess | None = None
-        self._view: LiveView | None = None
         self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._send_again_and_again, name="tour", daemon=True)
+        self._thread: threading.Thread | None = None
 
     def start(self) -> None:
         """Start the nodes; the arm stands straight up."""
         domain = os.environ.get("ROS_DOMAIN_ID", "0")
         print(f"starting simulation and controller; in another terminal: export ROS_DOMAIN_ID={domain}", flush=True)
-        self._cell = self._group.start(
-            "nodes", executable("rx90_cell", "--ros-args", "-p", f"robot:={self._robot}")
-        )  # fmt: skip
+        self._cell = self._group.start("nodes", self._command)
 
     def follow(self, page: Page, view: LiveView, started: Callable[[], None]) -> None:
         """Move the arm from now on, call `started` when it is seen; the page ends with an error when the nodes do."""
-        self._view = view
 
         def check(_now: float) -> None:
-            assert self._cell is not None
             if self._cell.returncode is not None:
                 self._cell.wait_for("$^")  # says that it has ended, and its last line
             if view.state is not None:
                 started()
 
         page.every(_LOOK, check)
+        self._thread = threading.Thread(target=self._send_again_and_again, args=[view], name="tour", daemon=True)
         self._thread.start()
 
     def end(self) -> None:
         """End thread and nodes."""
         self._ending.set()
-        if self._thread.is_alive():
+        if self._thread is not None:
             self._thread.join(_TIMEOUT)
         self._group.__exit__()
 
-    def _send_again_and_again(self) -> None:
+    def _send_again_and_again(self, view: LiveView) -> None:
         def leave_at_the_end() -> None:
             if self._ending.is_set():
                 raise ExchangeError("the page has ended")
 
-        said, view = "", self._view
-        assert view is not None
+        said = ""
         while not self._ending.is_set():
             try:
                 with client_node("rx90_view_line", _TIMEOUT, lambda _: None) as client:

@@ -20,7 +20,7 @@ from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.model import prepare_perturbation as prepare
-from rx90_emulator.view.element_form import changed
+from rx90_emulator.view.forms import changed
 
 PARTS = {
     "load": rx.LoadPart(0.05, 0.1),

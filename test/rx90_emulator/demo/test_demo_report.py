@@ -15,7 +15,7 @@ from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.demo.animation import Animation, animate
-from rx90_emulator.demo.report import SWITCHED_OFF, RunAnalysis, analyse, write_report
+from rx90_emulator.demo.report import SWITCHED_OFF, RunReport
 from rx90_emulator.loop.setup import Setup
 
 MODELS = Path(__file__).parents[3] / "docs" / "explanation" / "models.md"
@@ -30,23 +30,23 @@ def bag(tmp_path_factory: pytest.TempPathFactory, shipped: Setup, task: rx.LineT
 
 
 @pytest.fixture(scope="module")
-def run(bag: Path, shipped: Setup, task: rx.LineTask) -> RunAnalysis:
+def run(bag: Path, shipped: Setup, task: rx.LineTask) -> RunReport:
     """Return what the report shows of it."""
-    return analyse(bag, shipped, task, 0.0)
+    return RunReport(bag, shipped, task, 0.0)
 
 
 @pytest.fixture(scope="module")
-def animation(run: RunAnalysis, shipped: Setup, task: rx.LineTask) -> Animation:
+def animation(run: RunReport, shipped: Setup, task: rx.LineTask) -> Animation:
     """Return its animation."""
     return animate(run.joints, run.path, shipped.robot, task)
 
 
 @pytest.fixture(scope="module")
-def pages(bag: Path, run: RunAnalysis, shipped: Setup, task: rx.LineTask) -> list[Path]:
+def pages(bag: Path, run: RunReport) -> list[Path]:
     """Return the report, written twice."""
     found = [bag.parent / "report.html", bag.parent / "again.html"]
     for page in found:
-        write_report(page, shipped, task, run, compare_bags(bag, bag), 1.0, 0.0, composed=False, bag=bag, baseline=bag)
+        run.write(page, bag, compare_bags(bag, bag), pace=0.0, reached=1.0, composed=False)
     return found
 
 
@@ -56,7 +56,7 @@ def test_the_same_run_gives_the_same_page(pages: list[Path]) -> None:
 
 
 def test_what_is_switched_off_has_the_name_of_the_documentation(
-    pages: list[Path], run: RunAnalysis, shipped: Setup, task: rx.LineTask
+    pages: list[Path], run: RunReport, shipped: Setup, task: rx.LineTask
 ) -> None:
     """The report compares with FF and dq_r off, which is another error than that with FF off alone, and says so."""
     rows = re.findall(r"^\| (\S[^|]* off) \| (.*?) \|", MODELS.read_text(encoding="utf-8"), re.MULTILINE)
@@ -73,7 +73,7 @@ def test_what_is_switched_off_has_the_name_of_the_documentation(
     assert not re.search("error with(out)? feed-forward", page)
 
 
-def test_an_arm_of_meshes_is_animated(run: RunAnalysis, task: rx.LineTask, tmp_path: Path) -> None:
+def test_an_arm_of_meshes_is_animated(run: RunReport, task: rx.LineTask, tmp_path: Path) -> None:
     """Whose URDF names files of meshes, which cannot be drawn, gets a report with rods, not an error at the end."""
     mesh = '<visual><geometry><mesh filename="package://nowhere/link.stl"/></geometry></visual>'
     text = re.sub(r"<visual.*?</visual>", mesh, RobotFiles().urdf.read_text(encoding="utf-8"), flags=re.DOTALL)
@@ -84,7 +84,7 @@ def test_an_arm_of_meshes_is_animated(run: RunAnalysis, task: rx.LineTask, tmp_p
 
 
 def test_the_animated_arm_is_where_kinematics_say(
-    animation: Animation, run: RunAnalysis, shipped: Setup, task: rx.LineTask
+    animation: Animation, run: RunReport, shipped: Setup, task: rx.LineTask
 ) -> None:
     """In every frame the tip is that of the recorded joints, and its deviation is enlarged as much as is said."""
     assert animation.times[0] == 0.0

@@ -146,7 +146,7 @@ def test_view_and_plot_show_a_table(shipped: Setup, tmp_path: Path, capsys: pyte
                         names=[f"j{k}" for k in range(6)], effort=None, gear=None, torque_constant=None,
                         zero=[0.1] * 6)  # fmt: skip
     recording = open_recording(table, shipped.robot, shipped.files, MeasuredLayout(signals=signals))
-    np.testing.assert_allclose(recording.arm.values["position"], q - 0.1, atol=1e-15)
+    np.testing.assert_allclose(recording.arm.fields["position"], q - 0.1, atol=1e-15)
     picture = tmp_path / "page.svg"
     assert run("rx90_bag", ["plot", str(table), "--signals", str(signals), "-o", str(picture)]) == DONE
     assert "j5" in picture.read_text(encoding="utf-8")

@@ -1,7 +1,11 @@
-"""The run over DDS and the closed loop without ROS are the same numbers."""
+"""The run over DDS and the closed loop without ROS are the same numbers, whatever the network and the machine do."""
 
 from __future__ import annotations
 
+import os
+import shutil
+import struct
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -19,25 +23,55 @@ from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
 from rx90_emulator.loop.setup import Setup
 
+SHARE = 0.01
+LEAST_LOST = 20
+
+
+@pytest.fixture(scope="module")
+def lossy_udp(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a library that, preloaded into a process, lets datagrams disappear."""
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        missing = "the datagrams are dropped by a library in C, and there is no compiler; apt-get install gcc libc6-dev"
+        if os.environ.get("RIG_FIRMWARE_REQUIRED"):
+            pytest.fail(missing)
+        pytest.skip(missing)
+    library = tmp_path_factory.mktemp("lossy") / "lossy_udp.so"
+    source = Path(__file__).with_name("lossy_udp.c")
+    command = [compiler, "-std=c11", "-Wall", "-Werror", "-O2", "-fPIC", "-shared", str(source), "-ldl"]
+    subprocess.run([*command, "-o", str(library)], check=True)
+    return library
+
 
 @pytest.mark.ros
-def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine(
-    processes: Processes, client: Client, tx40: Setup, tmp_path: Path
+def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine_that_loses_datagrams(
+    lossy_udp: Path, processes: Processes, client: Client, tx40: Setup, tmp_path: Path
 ) -> None:
-    """With both cores busy, every recorded number equals the closed loop without ROS, to the last bit.
+    """With both cores busy and 1 % of what both nodes send lost, every number equals the closed loop without ROS.
 
     The controller feeds forward by a model of its own. The robot is the one that a parameter names, and so is the
     description that the simulation publishes. The bag tells which trajectory ran and from when on, although its sender
     is gone before the recorder begins.
     """
-    by_own_model = by_model(tx40)
-    comparison = run_both_ways(processes, client, by_own_model, tmp_path, burners=2, switches=tuple(MODEL_PARTS))
+    counts = tmp_path / "counts"
+    counts.write_bytes(bytes(16))
+    around = (
+        *("/usr/bin/env", f"LD_PRELOAD={lossy_udp}", f"LOSSY_SHARE={SHARE}", "LOSSY_SEED=1"),
+        f"LOSSY_COUNTS={counts}",
+    )
+    comparison = run_both_ways(
+        processes, client, by_model(tx40), tmp_path, around=around, burners=2, switches=tuple(MODEL_PARTS)
+    )
+    sent, lost = struct.unpack("QQ", counts.read_bytes())
+    print(f"{lost} of {sent} datagrams lost")
+    assert lost > LEAST_LOST
+    assert lost / sent == pytest.approx(SHARE, rel=0.5)
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert {topic.topic for topic in comparison.topics} == TOPICS
     plan = plan_line(tx40.robot, load_task(tmp_path / "task.yaml"))
     with AnyReader([tmp_path / "recorded"]) as reader:
-        sent = {c.topic: list(reader.messages([c])) for c in reader.connections if "/trajectory" in c.topic}
-        ((connection, log_ns, data),) = sent["/rx90_controller/trajectory_accepted"]
+        sent_on = {c.topic: list(reader.messages([c])) for c in reader.connections if "/trajectory" in c.topic}
+        ((connection, log_ns, data),) = sent_on["/rx90_controller/trajectory_accepted"]
         taken: Any = reader.deserialize(data, connection.msgtype)
         (description,) = (c for c in reader.connections if c.topic == "/robot_description")
         _, _, text = next(reader.messages([description]))

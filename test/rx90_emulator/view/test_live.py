@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import re
 import signal
-import threading
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser import BrowserPage, served
+from browser import BrowserPage
 from processes import Processes
 from rosbags.rosbag2 import Reader as Rosbag2Reader
 from short_task import SHORT_TASK
@@ -29,13 +27,14 @@ from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import path_accuracy, plan_line
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import live as live_module
-from rx90_emulator.view.live import LivePlots, LiveView
+from rx90_emulator.view.live import LiveView
 from rx90_emulator.view.page import Page
-from rx90_emulator.view.scene import PathErrorMeter
+from rx90_emulator.view.scene import LineScene
 
 Open = Callable[..., BrowserPage]
 ARM = "/arm/" + "/".join(f"joint_{k}" for k in range(1, 7)) + "/tip"
 POSE = [0.4, -0.7, 1.9, 0.8, -0.9, 2.5]
+NO_CLIENT: Any = SimpleNamespace(node=None)
 SETTLED = 1e-3  # m; the arm gives a little under its weight
 
 
@@ -132,11 +131,14 @@ def test_what_was_accepted_before_time_began_again_is_forgotten(
         trajectory=Trajectory(299.0, np.array([305.0]), np.zeros((1, 6)), np.array([True])),
     )
     monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
-    live = live_module.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
+    monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: None))
+    page = Page("test", port=0)
+    view = LiveView(page, NO_CLIENT, shipped.robot, "rx90_controller", None)
     seen = []
     for now in range(4):
-        live.take(float(now))
+        view._update(float(now))
         seen.append(watch.trajectory is None)
+    page.close()
     assert seen == [False, False, True, True]
 
 
@@ -167,26 +169,26 @@ def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypat
     watch = SimpleNamespace(
         elements=friction, joints=joints, trajectory=None, elements_at_ticks=ticks, listens_at_ticks=True
     )
+    monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: None))
+    line: Any = SimpleNamespace(add=lambda times, _: [5e-5 if times[-1] > 1.0 else np.nan])
     monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
-    live = live_module.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
-    with served(Page("test", port=0)) as page:
-        made: dict[str, Any] = {}
-        add = page.gui.add_uplot
-        monkeypatch.setattr(page.gui, "add_uplot", lambda *a, **k: made.setdefault(k["title"], add(*a, **k)))
-        listed = page.gui.add_dropdown
-        monkeypatch.setattr(page.gui, "add_dropdown", lambda *a: made.setdefault(a[0], listed(*a)))
-        plots = LivePlots(page, shipped.robot)
-        made["joint of the loop"].value, taken = "joint_3", threading.Event()
-        page.later(taken.set)
-        assert taken.wait(60.0)
-        times = np.arange(0.0, 3.0, 0.1)
-        for time in times:
-            now["time"] = float(time)
-            (state,) = live.take(2.0 * time)  # at half the speed of the wall clock
-            plots.add(state, live.elements, 5e-5 if time > 1.0 else np.nan)
-            plots.add_to_loop(live.friction, at_ticks=True)
-        plots.draw()
-    assert live.pace(2.0 * times[-1]) == pytest.approx(0.5)
+    page = Page("test", port=0)
+    made: dict[str, Any] = {}
+    add = page.gui.add_uplot
+    monkeypatch.setattr(page.gui, "add_uplot", lambda *a, **k: made.setdefault(k["title"], add(*a, **k)))
+    listed = page.gui.add_dropdown
+    monkeypatch.setattr(page.gui, "add_dropdown", lambda *a, **k: made.setdefault(a[0], listed(*a, **k)))
+    view = LiveView(page, NO_CLIENT, shipped.robot, "rx90_controller", None)
+    monkeypatch.setattr(view, "_line", line)
+    made["joint of the loop"].value = "joint_3"
+    times = np.arange(0.0, 3.0, 0.1)
+    for at in times:
+        now["time"] = float(at)
+        view._update(2.0 * at)  # at half the speed of the wall clock
+    view._line = None
+    view._draw(0.0)
+    page.close()
+    assert view.pace(2.0 * times[-1]) == pytest.approx(0.5)
     wave = np.cos(times)
     for title, factors in (
         ("friction torque [Nm]", 40.0 * elements),
@@ -208,107 +210,50 @@ def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypat
     np.testing.assert_allclose(error[times > 1.0], 0.05)
 
 
-PACE = 0.25
-GOOD, WARNING, ERROR = "rgb(43, 138, 62)", "rgb(230, 119, 0)", "rgb(201, 42, 42)"
-ROW = (
-    "name => [...document.querySelectorAll('tr')].find(row => row.cells[0].innerText == name)?.cells[1].innerText ?? ''"
-)
-COLOUR = """text => getComputedStyle([...document.querySelectorAll('td span')].find(
-    span => span.innerText == text) ?? document.body).color"""
+GOOD, WARNING, ERROR = "#2b8a3e", "#e67700", "#c92a2a"
+ROW = re.compile(r"<td[^>]*>([^<]*)</td><td[^>]*>(.*?)</td>")
 
 
-class Nodes:
-    """Stand for `ArmWatch`: nodes whose time runs at PACE, and what they say."""
-
-    def __init__(self) -> None:
-        self._began = time.monotonic()
-        self.trajectory: Trajectory | None = None
-        self.listens_at_ticks = False
-        self.publishers, self.robot, self.problem, self.topic = 1, None, "", "/joint_states"
-        self.diagnostics = {
+def test_each_fact_stands_in_its_row(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Brakes, controller, pace and trajectory are the nodes' own; a warning and an error have their colours."""
+    simulated = [100.0]
+    watch = SimpleNamespace(
+        elements=list, trajectory=None, listens_at_ticks=False, publishers=1, robot=None, problem="",
+        joints=lambda: [JointSample(simulated[0], *np.zeros((3, 6)))], look_around=lambda: None,
+        at_ticks=lambda wanted: None,  # noqa: ARG005 - the name is how it is called
+        diagnostics={
             "rx90_sim": NodeStatus(1, "late", {"brakes": "closed"}),
             "rx90_controller": NodeStatus(0, "holding", {"enabled": "true"}),
-        }
-
-    @property
-    def time(self) -> float:
-        """Return the simulated time, s."""
-        return 100.0 + PACE * (time.monotonic() - self._began)
-
-    def joints(self) -> list[JointSample]:
-        """Return an arm that stands at the time."""
-        return [JointSample(self.time, *np.zeros((3, 6)))]
-
-    def elements(self) -> list[JointSample]:
-        """Have no friction."""
-        return []
-
-    def look_around(self) -> None:
-        """Do nothing."""
-
-    def at_ticks(self, *, wanted: bool) -> None:
-        """Take that a page is open."""
-        self.wanted = wanted
-
-
-def followed(begin: float, end: float) -> Trajectory:
-    """Return a trajectory from when to when, s."""
-    return Trajectory(begin, np.array([end]), np.zeros((1, 6)), np.array([True]))
-
-
-def test_each_fact_stands_in_its_row(shipped: Setup, open_page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Brakes, controller, pace and trajectory are the nodes' own; a warning and an error have their colours."""
-    nodes = Nodes()
-    monkeypatch.setattr(live_module, "ArmWatch", lambda *_: nodes)
-    # What is drawn in software takes time: an arm is not looked at here.
-    monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: np.zeros(3)))
-    live = live_module.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
+        },
+    )  # fmt: skip
+    monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
+    monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: None))
     page = Page("test", port=0)
-    LiveView(page, live, shipped.robot, load_task())
-    with served(page):
-        shown = open_page(page.address, (420, 400))
+    view = LiveView(page, NO_CLIENT, shipped.robot, "rx90_controller", load_task())
 
-        def row(name: str, said: str) -> None:
-            shown.wait_until(lambda: said == shown.page.evaluate(ROW, name), f"{name}: {said}")
+    def rows(now: float) -> dict[str, str]:
+        simulated[0] = 100.0 + 0.25 * now
+        view._update(now)
+        view._show_status(now)
+        return dict(ROW.findall(view._status.content))
 
-        def colour(text: str, wanted: str) -> None:
-            shown.wait_until(lambda: shown.page.evaluate(COLOUR, text) == wanted, f"the colour of {text}")
-
-        row("brakes", "closed")
-        row("simulation", "late")
-        row("controller", "holding")
-        row("trajectory", "none")
-        colour("late", WARNING)
-        colour("holding", GOOD)
-
-        def pace() -> bool:
-            seconds, _, factor = shown.page.evaluate(ROW, "time").partition(" s, ")
-            if not factor:  # the page's thread has not run for a while: it says that nothing comes
-                return False
-            return abs(float(seconds) - nodes.time) < 5.0 and abs(float(factor.split()[0]) - PACE) <= 0.01
-
-        shown.wait_until(pace, "time and pace")
-        assert nodes.wanted  # friction at the tick, while a page is open and time does not hurry
-        begin = nodes.time - 40.0
-        nodes.trajectory = followed(begin, begin + 1000.0)
-
-        def progress() -> bool:
-            done, _, length = shown.page.evaluate(ROW, "trajectory").partition(" of ")
-            return bool(length == "1000.0 s" and 40.0 <= float(done) <= nodes.time - begin + 0.1)
-
-        shown.wait_until(progress, "the trajectory's progress and length")
-        nodes.trajectory = followed(begin, begin + 39.0)
-        row("trajectory", "none")
-        nodes.diagnostics = {
-            "rx90_sim": NodeStatus(0, "running", {"brakes": "open"}),
-            "rx90_controller": NodeStatus(2, "joint_2: following error", {"enabled": "false"}),
-        }
-        row("brakes", "open")
-        row("simulation", "running")
-        colour("joint_2: following error", ERROR)
-        legend = "path error of the laser spot, mm\n0\n0.05\n≥ 0.1"
-        shown.wait_until(lambda: shown.text().count(legend) == 1, "the legend")
-    assert (shown.complaints, shown.foreign_requests) == ([], [])
+    rows(0.0)
+    shown = rows(2.0)
+    assert (shown["brakes"], shown["trajectory"]) == ("closed", "none")
+    assert shown["time"] == "100.50 s, 0.25 &times; real time"
+    assert (f"color:{WARNING}" in shown["simulation"], f"color:{GOOD}" in shown["controller"]) == (True, True)
+    watch.trajectory = Trajectory(60.0, np.array([1060.0]), np.zeros((1, 6)), np.array([True]))
+    assert rows(2.4)["trajectory"] == "40.6 of 1000.0 s"
+    watch.trajectory = Trajectory(60.0, np.array([100.2]), np.zeros((1, 6)), np.array([True]))
+    watch.diagnostics = {
+        "rx90_sim": NodeStatus(0, "running", {"brakes": "open"}),
+        "rx90_controller": NodeStatus(2, "joint_2: following error", {"enabled": "false"}),
+    }
+    shown = rows(2.8)
+    assert (shown["brakes"], shown["trajectory"]) == ("open", "none")
+    assert f'color:{ERROR};font-weight:600">joint_2: following error<' in shown["controller"]
+    assert "joint_2: following error" in view._diagnostics.content
+    page.close()
 
 
 START, END = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
@@ -316,7 +261,15 @@ REST = np.array([True, True])
 LATE = 90  # samples before the trajectory is known
 
 
-def test_the_largest_is_that_of_the_run(shipped: Setup) -> None:
+@pytest.fixture(scope="module")
+def page() -> Iterator[Page]:
+    """Give a page that nobody looks at."""
+    made = Page("test", port=0)
+    yield made
+    made.close()
+
+
+def test_the_largest_is_that_of_the_run(shipped: Setup, page: Page) -> None:
     """Of an approach, a rest and a line what counts on the page is what `path_accuracy` counts, sample by sample.
 
     The word of the trajectory may come later than the line's first samples.
@@ -330,7 +283,7 @@ def test_the_largest_is_that_of_the_run(shipped: Setup) -> None:
     times, position = run.times[::10], run.slow.joint_states[::10, 0]
     expected = path_accuracy(shipped.robot, task, times, position, line.approach)
     chain = shipped.robot.chain
-    meter = PathErrorMeter(np.array(task.start), np.array(task.end))
+    meter = LineScene(page, "/line", np.array(task.start), np.array(task.end))
     tips = tip_position(chain, position)
     seen = np.concatenate([meter.add(times[k : k + 3], tips[k : k + 3]) for k in range(0, LATE, 3)])
     assert np.isnan(seen).all()
@@ -359,9 +312,9 @@ def spot(times: np.ndarray, begin: float, error: float) -> np.ndarray:
     return np.asarray(START + share * (END - START) + [0.0, 0.0, error])
 
 
-def test_a_run_stays_until_the_next_one_begins() -> None:
+def test_a_run_stays_until_the_next_one_begins(page: Page) -> None:
     """Neither the end of a run nor a new beginning of time takes it away; no sample of it counts for the next one."""
-    meter = PathErrorMeter(START, END)
+    meter = LineScene(page, "/line", START, END)
     times = np.arange(0.0, 8.0, 0.01)
     ends = np.stack([START, END])
     for error in (3e-5, 1e-5):
@@ -380,9 +333,9 @@ def test_a_run_stays_until_the_next_one_begins() -> None:
     assert meter.run.worst == pytest.approx(1e-5)
 
 
-def test_a_long_run_keeps_its_largest() -> None:
+def test_a_long_run_keeps_its_largest(page: Page) -> None:
     """Of an hour at 100 Hz the memory is that of a minute, and the largest error is still known."""
-    meter = PathErrorMeter(START, END)
+    meter = LineScene(page, "/line", START, END)
     meter.follow(np.array([0.0, 3600.0]), np.stack([START, END]), REST)
     times = np.arange(0.0, 3600.0, 0.01)
     tips = START + times[:, None] / 3600.0 * (END - START) + [0.0, 0.0, 1e-5]

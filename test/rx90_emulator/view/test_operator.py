@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import Processes, running_processes, wait_until
+from processes import running_processes, wait_until
 from rcl_interfaces.srv import GetParameters
 from ros_client import JOINTS, Client, own_node
 from std_srvs.srv import SetBool
 
+from rx90_common.exchange.client_node import ClientNode, client_node
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.node.trajectory_client import enable_request
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.element_form import changed
-from rx90_emulator.view.operator import NodeNames, Operator
+from rx90_emulator.view.forms import changed
+from rx90_emulator.view.panel import Operator
 from rx90_sim.node.simulation_client import pause_request, reset_request, step_request
 
 REST = np.zeros((1, 6))
@@ -28,19 +28,18 @@ REST = np.zeros((1, 6))
 class Listener:
     """Keeps what an operator hears."""
 
-    def __init__(self, names: NodeNames, timeout: float = 30.0) -> None:
+    def __init__(self, client: ClientNode, timeout: float = 30.0) -> None:
         self.said: list[tuple[str, str, bool]] = []
-        self.states = ("", "")
-        self.listens = threading.Event()
-        self.listens.set()
-        self.operator = Operator(names, self._note, self._take, timeout)
+        self.operator = Operator(client, "rx90_controller", lambda *line: self.said.append(line), timeout)
 
-    def _note(self, *line: str | bool) -> None:
-        self.said.append(line)  # type: ignore[arg-type]
-        assert self.listens.wait(60.0)
+    def until(self, ready: Callable[[], bool], what: str) -> None:
+        """Let the operator take in what comes until something is so."""
 
-    def _take(self, *states: str) -> None:
-        self.states = states[0], states[1]
+        def step() -> bool:
+            self.operator.step(time.monotonic())
+            return ready()
+
+        wait_until(step, f"{what}; said: {self.said}")
 
     def wait_for(self, node: str, text: str, *, wrong: bool = False) -> str:
         """Wait for a line that has a text in it; return it."""
@@ -48,30 +47,25 @@ class Listener:
         def found() -> list[str]:
             return [line for who, line, bad in self.said if (who, bad) == (node, wrong) and text in line]
 
-        wait_until(lambda: bool(found()), f"{text!r} of {node}; said: {self.said}")
+        self.until(lambda: bool(found()), f"{text!r} of {node}")
         return found()[0]
 
 
 @pytest.fixture
 def listener(ros_domain: int, warm: None) -> Iterator[Listener]:  # noqa: ARG001 - what they do is done
-    """Give an operator of a cell that runs, in a namespace."""
-    with running_processes() as processes:
-        start(processes)
-        listening = Listener(NodeNames(ros_args=("--ros-args", "-r", "__ns:=/cell")))
-        wait_until(lambda: listening.states == ("active", "active"), "both nodes")
+    """Give an operator of a cell that runs, in a namespace, with time standing still."""
+    space = ("--ros-args", "-r", "__ns:=/cell")
+    with running_processes() as processes, client_node("test", 30.0, print, space) as client:
+        processes.start("rx90_cell", *space, "-p", "rx90_sim:paused:=true").wait_for("paused")
+        listening = Listener(client)
+        listening.until(lambda: [*listening.operator.states.values()] == ["active", "active"], "both nodes")
         yield listening
-        listening.operator.close()
-
-
-def start(processes: Processes) -> None:
-    """Start both nodes, with time standing still."""
-    processes.start("rx90_cell", "--ros-args", "-r", "__ns:=/cell", "-p", "rx90_sim:paused:=true").wait_for("paused")
 
 
 def test_both_nodes_do_what_they_are_asked(listener: Listener, shipped: Setup, tmp_path: Path) -> None:
     """Services and trajectories are answered with the nodes' own words; another friction file is loaded."""
     operator = listener.operator
-    simulation, controller = operator.names.simulation, operator.names.controller
+    simulation, controller = operator.simulation, operator.controller
     operator.ask(step_request(simulation))
     assert listener.wait_for(simulation, "done, at") == "1 ticks done, at 0.00025 s"
     operator.ask(pause_request(simulation, paused=False))
@@ -93,51 +87,41 @@ def test_both_nodes_do_what_they_are_asked(listener: Listener, shipped: Setup, t
     path = tmp_path / "friction.yaml"
     path.write_text(file.text(), encoding="utf-8")
     ended: list[tuple[str, bool]] = []
-    operator.configure_again("friction", str(path), lambda *how: ended.append(how))
+    operator.start_again_with("friction", str(path), lambda *how: ended.append(how))
     listener.wait_for(simulation, "activate: done")
-    wait_until(lambda: bool(ended), "how it ended")
+    listener.until(lambda: bool(ended), "how it ended")
     assert ended == [(f"{simulation} runs again, from time 0: activate: done", False)]
     client = Client("/cell")
     asked = GetParameters.Request(names=["friction"])
     assert client.asking.call(GetParameters, "rx90_sim/get_parameters", asked).values[0].string_value == str(path)
     client.close()
-    wait_until(lambda: listener.states == ("active", "active"), "the simulation again")
-    operator.configure_again("friction", str(tmp_path / "none.yaml"), lambda *how: ended.append(how))
+    listener.until(lambda: operator.states[simulation] == "active", "the simulation again")
+    operator.start_again_with("friction", str(tmp_path / "none.yaml"), lambda *how: ended.append(how))
     listener.wait_for(simulation, "none.yaml", wrong=True)
-    wait_until(lambda: len(ended) == 2, "how it ended")
+    listener.until(lambda: len(ended) == 2, "how it ended")
     assert (ended[1][0].startswith(f"{simulation} is not started again: "), ended[1][1]) == (True, True)
 
 
 def test_silence_is_told(ros_domain: int) -> None:
     """A service that does not answer is told after the time-out, one that is not there at once, and others go on."""
-    with own_node("silent", ros_domain) as node:
+    with own_node("silent", ros_domain) as node, client_node("test", 30.0, print) as client:
         node.create_service(SetBool, "rx90_sim/pause", lambda _request, response: response)  # nobody spins it
-        listening = Listener(NodeNames(), timeout=1.0)
-        operator = listening.operator
-        said = listening.said
-        listening.listens.clear()  # from its first word on the operator's thread stands still
+        listening = Listener(client, timeout=1.0)
+        operator, said = listening.operator, listening.said
         operator.send(tuple(JOINTS), None)
-        wait_until(lambda: bool(said), "the first refusal")
-        operator.configure_again("friction", "x.yaml", lambda *_: None)
+        operator.start_again_with("friction", "x.yaml", lambda *_: None)
         operator.ask(reset_request("rx90_sim"))
-        assert len(said) == 1
-        listening.listens.set()
-        wait_until(lambda: len(said) == 3, "three refusals")
+        absent = "there is no service rx90_sim/{}; accepted: while its node runs"
+        assert [(node, line) for node, line, wrong in said if wrong] == [
+            ("rx90_controller",
+             "there is no controller on /rx90_controller/joint_trajectory; accepted: while one runs"),
+            ("rx90_sim", absent.format("get_state")),
+            ("rx90_sim", absent.format("reset")),
+        ]  # fmt: skip
 
         def unanswered() -> bool:
-            time.sleep(0.1)
             operator.ask(pause_request("rx90_sim", paused=True))
             return any("no answer of rx90_sim/pause within 1 s" in line for _, line, _ in said)
 
-        wait_until(unanswered, "a complaint")
-        operator.close()
-    assert said[:3] == [
-        (
-            "rx90_controller",
-            "there is no controller on /rx90_controller/joint_trajectory; accepted: while one runs",
-            True,
-        ),
-        ("rx90_sim", "its state is unknown; accepted: a simulation that runs", True),
-        ("rx90_sim", "there is no service rx90_sim/reset; accepted: while its node runs", True),
-    ]
-    assert listening.states == ("", "")
+        listening.until(unanswered, "a complaint")
+        assert [*operator.states.values()] == ["", ""]

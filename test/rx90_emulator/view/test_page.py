@@ -30,11 +30,12 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.report.plot import Curve, Panel
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import page as page_module
-from rx90_emulator.view.bag_plots import CurvesPlot
-from rx90_emulator.view.page import ExistingFileError, OutputFolder, Page, reached_by_others
+from rx90_emulator.view import plots
+from rx90_emulator.view.page import ExistingFileError, Page, output_folder, output_path
+from rx90_emulator.view.player import TrackPlot
 from rx90_emulator.view.plots import LoopPlot, RollingPlot, RunComparison, add_plot_export, table
-from rx90_emulator.view.scene import ArmScene, LineScene, error_colors
-from rx90_emulator.view.track import Track
+from rx90_emulator.view.recording import Track
+from rx90_emulator.view.scene import ArmScene, LineScene
 
 Open = Callable[..., BrowserPage]
 POSE = np.array([0.4, -0.7, 1.9, 0.8, -0.9, 2.5])
@@ -76,12 +77,12 @@ def test_arms_are_drawn_where_pinocchio_says(shipped: Setup, tx40: Setup, page: 
     assert (shown.complaints, shown.foreign_requests) == ([], [])
 
 
-def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
+def test_plots_show_what_they_were_given(page: Page, open_page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     """A rolling plot holds the samples of its window; a loop is drawn whole though its abscissa goes back."""
     with page.plot_tab("Plots"):
-        rolling = RollingPlot(page, "speed [rad/s]", ("joint_1", "joint_2"), window=2.0)
-        broken = RollingPlot(page, "broken", ("error",), legend=False, gaps=1)
-        loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]", least=(0.01, 0.01))
+        rolling = RollingPlot(page, "speed [rad/s]", ("joint_1", "joint_2"), (-1.0, 1.0))
+        broken = RollingPlot(page, "broken", ("error",), (-1.0, 1.0), gaps=1)
+        loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]", (0.01, 0.01))
     angle = np.linspace(0.0, 4.0 * np.pi, 100)
 
     def feed() -> None:
@@ -90,8 +91,9 @@ def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
             broken.add(at, [np.nan if at < 0.25 or 1.95 < at < 3.05 else 1.0 + at])
         for a in angle:
             loop.add(np.cos([a]), np.sin([a]))
-        rolling.draw()
         broken.draw()
+        monkeypatch.setattr(plots, "WINDOW", 2.0)
+        rolling.draw()
         loop.draw()
 
     shown = open_page(page.address)
@@ -127,10 +129,10 @@ def test_noise_at_rest_reads_as_noise(page: Page, open_page: Open) -> None:
     noise = 1e-7 * np.sin(np.arange(100.0) * 7.0)
     track, _ = Track.of(JointSeries("/joint_states", JOINTS[:1], np.arange(100) * 10**7, 1.57 + noise[:, None]))
     with page.plot_tab("Plots"):
-        rolling = RollingPlot(page, "rest", ("joint_1",), least=0.01)
-        known = RollingPlot(page, "seldom known", ("error",), least=0.01, low=0.0, gaps=1)
-        loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]", least=(0.01, 1.0))
-        curves = CurvesPlot(page, "recorded [rad]", [track], "position", 0)
+        rolling = RollingPlot(page, "rest", ("joint_1",), (-0.01, 0.01))
+        known = RollingPlot(page, "seldom known", ("error",), (0.0, 0.01), gaps=1)
+        loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]", (0.01, 1.0))
+        curves = TrackPlot(page, "recorded [rad]", [track], "position", 0)
     for k, value in enumerate(noise):
         rolling.add(k * 0.01, [value])
         known.add(k * 0.01, [abs(value) if k > 50 else np.nan])
@@ -158,15 +160,13 @@ def empty(shown: BrowserPage) -> list[list[np.ndarray]]:
 
 def test_the_trace_is_drawn_beside_the_line(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     """Magnified, the trace is so many times as far from the line as it was, blue to red; off it grey, in place."""
-    made = {}
-    add = page.scene.add_line_segments
-    monkeypatch.setattr(
-        page.scene, "add_line_segments", lambda name, *a, **k: made.setdefault(name, add(name, *a, **k))
-    )
+    made: dict[str, Any] = {}
+    add = page.add_lines
+    monkeypatch.setattr(page, "add_lines", lambda name, *a, **k: made.setdefault(name, add(name, *a, **k)))
     start, end = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
     line = LineScene(page, "/line", start, end)
     tips = np.array([[0.5, 0.02, 0.2], [0.5, 0.0, 0.2], [0.6, 0.0, 0.2], [0.7, 1e-4, 0.2], [0.8, 0.0, 0.2]])
-    line.meter.follow(np.array([1.5, 9.0]), np.stack([start, end]), np.array([True, True]))
+    line.follow(np.array([1.5, 9.0]), np.stack([start, end]), np.array([True, True]))
     line.add(np.arange(5.0), tips)
     line.magnify(100.0)
     line.draw()
@@ -190,13 +190,13 @@ def test_a_trace_has_its_colours_on_a_page_that_was_there_before_it(page: Page, 
     times = np.arange(100) * 0.1
 
     def run() -> None:
-        line.meter.follow(times[[0, -1]], np.stack([start, end]), np.array([True, True]))
+        line.follow(times[[0, -1]], np.stack([start, end]), np.array([True, True]))
         line.add(times, start + times[:, None] / times[-1] * (end - start) + [0.0, 1e-3, 0.0])
         line.magnify(20.0)
         line.draw()
 
     page.later(run)
-    red = np.array(error_colors(np.array([1.0]))[0], dtype=int)
+    red = np.array([213, 60, 0])
 
     def is_drawn() -> bool:
         pixels = Image.open(io.BytesIO(shown.page.screenshot())).convert("RGB")
@@ -246,47 +246,15 @@ def test_a_browser_that_is_waited_for_does_not_hold_the_page(
     assert asked.wait(60.0)
     assert not closed.is_set()
     closed.set()
-    assert f"page: {page.address}" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("host", "open_to_others"),
-    [("127.0.0.1", False), ("localhost", False), ("::1", False), ("0.0.0.0", True), ("::", True), ("192.0.2.1", True)],
-)
-def test_a_page_that_others_can_open_is_told(host: str, open_to_others: bool) -> None:
-    """Addresses of this machine alone are told from those that others reach."""
-    assert reached_by_others(host) is open_to_others
-
-
-def check_drawer(shown: BrowserPage) -> None:
-    """Fail unless a tap opens the plots of a telephone, below each other, within its width, each as a whole."""
-    assert shown.page.evaluate(PLACES) == []
-    shown.page.get_by_text("Friction", exact=True).click()
-
-    def below_each_other() -> bool:
-        places = shown.page.evaluate(PLACES)
-        if len(places) != 2:
-            return False
-        (left, top, right, bottom), below = places
-        as_wide = 0 <= left < right - 200 < right <= 390 and [below[0], below[2]] == [left, right]
-        return bool(as_wide and top + 150 < bottom <= below[1])
-
-    shown.wait_until(below_each_other, "two plots as wide as the panel")  # they grow to its width
-
-    def beside_the_arm() -> bool:
-        shown.page.locator(".uplot").nth(1).scroll_into_view_if_needed()
-        *_, (_, top, _, bottom) = shown.page.evaluate(PLACES)
-        return bool(844 // 3 < top < bottom <= 844)
-
-    shown.wait_until(beside_the_arm, "the plots beside the arm, not over it")
-    names = shown.page.locator(".u-legend .u-label")
-    shown.wait_until(lambda: set(names.all_inner_texts()) >= set(JOINTS), "the joints' names")
+    said = capsys.readouterr().out
+    assert f"page: {page.address}" in said
+    assert "other machines" not in said  # which is said of a page that they reach
 
 
 def test_on_a_telephone_the_arm_is_above_the_panels(shipped: Setup, page: Page, open_page: Open) -> None:
     """In an upright window the camera is farther away and looks below the arm; in a wide one it is where it was.
 
-    The plots are a drawer of the panel there, closed at first.
+    The plots are a drawer of the panel there, closed at first; a tap opens them, below each other and beside the arm.
     """
     page.look_at_arm(shipped.robot)
     first = page.server.initial_camera
@@ -295,19 +263,39 @@ def test_on_a_telephone_the_arm_is_above_the_panels(shipped: Setup, page: Page, 
     page.server.on_client_connect(seen.append)
     with page.plot_tab("Friction"):
         for title in ("torque", "deflection"):
-            RollingPlot(page, title, JOINTS)
-    for size, away, lower in (((390, 844), 0.9 * 844 / 390, True), ((900, 600), 1.0, False)):
-        shown = open_page(page.address, size)
+            RollingPlot(page, title, JOINTS, (-1.0, 1.0))
 
-        def looks(away: float, lower: bool) -> bool:
-            camera = seen[-1].camera
-            distance = float(np.linalg.norm(camera.position - camera.look_at))
-            return abs(distance / length / away - 1.0) < 0.02 and bool(camera.look_at[2] < 0.0) is lower
+    def looks(count: int, away: float, lower: bool) -> bool:
+        if len(seen) < count:
+            return False
+        camera = seen[-1].camera
+        distance = float(np.linalg.norm(camera.position - camera.look_at))
+        return abs(distance / length / away - 1.0) < 0.02 and bool(camera.look_at[2] < 0.0) is lower
 
-        count = 1 if lower else 2
-        wait_until(partial(lambda *of: len(seen) == of[0] and looks(*of[1:]), count, away, lower), "the page's camera")
-        if lower:
-            check_drawer(shown)
+    shown = open_page(page.address, (390, 844))
+    wait_until(lambda: looks(1, 0.9 * 844 / 390, True), "the page's camera")
+    assert shown.page.evaluate(PLACES) == []
+    shown.page.get_by_text("Friction", exact=True).click()
+
+    def as_wide_as_the_panel() -> bool:  # they grow to its width
+        places = shown.page.evaluate(PLACES)
+        if len(places) != 2:
+            return False
+        (left, top, right, bottom), below = places
+        as_wide = 0 <= left < right - 200 < right <= 390 and [below[0], below[2]] == [left, right]
+        return bool(as_wide and top + 150 < bottom <= below[1])
+
+    def beside_the_arm() -> bool:
+        shown.page.locator(".uplot").nth(1).scroll_into_view_if_needed()
+        *_, (_, top, _, bottom) = shown.page.evaluate(PLACES)
+        return bool(844 // 3 < top < bottom <= 844)
+
+    shown.wait_until(as_wide_as_the_panel, "two plots below each other")
+    shown.wait_until(beside_the_arm, "the plots beside the arm, not over it")
+    names = shown.page.locator(".u-legend .u-label")
+    shown.wait_until(lambda: set(names.all_inner_texts()) >= set(JOINTS), "the joints' names")
+    open_page(page.address, (900, 600))
+    wait_until(lambda: looks(2, 1.0, False), "the other page's camera")
 
 
 class Clock:
@@ -335,7 +323,7 @@ def test_while_time_hurries_calls_come_a_third_as_often(idle: Page, monkeypatch:
     clock, made = Clock(), list[float]()
     monkeypatch.setattr(page_module, "time", SimpleNamespace(monotonic=lambda: clock.now))
     monkeypatch.setattr(idle, "_handed_over", clock)
-    idle.every(0.1, made.append, hurries=lambda now: now < 105.95)
+    idle.every(0.1, made.append, busy=lambda now: now < 105.95)
     idle.run(until=lambda: clock.now >= 110.02)
     expected = np.concatenate([np.arange(100.0, 106.1, 0.3), np.arange(106.1, 110.05, 0.1)])
     np.testing.assert_allclose(made, expected, atol=1e-6)
@@ -370,13 +358,15 @@ UNITS = "torque [Nm]"
 def run(line: LineScene, begin: float, largest: float) -> None:
     """Lead the tip along the line within 4 s, half a sine beside it, `largest` m in the middle."""
     times = begin + 4.0 * SHARE
-    line.meter.follow(times[[0, -1]], np.stack([START, END]), np.array([True, True]))
+    line.follow(times[[0, -1]], np.stack([START, END]), np.array([True, True]))
     line.add(times, START + SHARE[:, None] * (END - START) + np.outer(largest * np.sin(np.pi * SHARE), [0, 1.0, 0]))
 
 
 def test_two_runs_are_compared_along_the_line(page: Page, open_page: Open) -> None:
     """The run that is held stays while others come: curves, largest, place, RMS and ratio; another line lets it go."""
-    line, runs = LineScene(page, "/line", START, END), RunComparison(page)
+    line = LineScene(page, "/line", START, END)
+    with page.plot_tab("Path"):
+        runs = RunComparison(page)
     page.every(0.05, lambda _: runs.draw(line))
     shown = open_page(page.address, (1000, 700))
     hold, release = (shown.page.get_by_role("button", name=words) for words in ("Hold the", "Let the held"))
@@ -403,9 +393,12 @@ def test_two_runs_are_compared_along_the_line(page: Page, open_page: Open) -> No
     assert shown.complaints == []
 
 
-def test_a_plot_is_written_as_picture_and_table(page: Page, open_page: Open, tmp_path: Path) -> None:
+def test_a_plot_is_written_as_picture_and_table(
+    page: Page, open_page: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What stands on the page stands in the files to the bit; a file that is there is replaced once that is said."""
-    plot = RollingPlot(page, UNITS, ["joint_1", "joint_2"], window=1.0)
+    monkeypatch.setattr(plots, "WINDOW", 1.0)
+    plot = RollingPlot(page, UNITS, ["joint_1", "joint_2"], (-1.0, 1.0))
     rows = np.array([[0.1 * k, np.sin(k), 1.0 / (k + 1)] for k in range(40)])
     with page.tab("Files"):
         add_plot_export(page)
@@ -422,6 +415,7 @@ def test_a_plot_is_written_as_picture_and_table(page: Page, open_page: Open, tmp
     shown.wait_until(lambda: "plot.csv" in shown.text(), "an empty table")
     assert (tmp_path / "plot.csv").read_text() == f"time [s],joint_1: {UNITS},joint_2: {UNITS}\n"
     page.later(add)
+    page.later(plot.draw)
     press("Write the CSV")
     shown.wait_until(lambda: "plot.csv exists" in shown.text(), "the refusal")
     assert len((tmp_path / "plot.csv").read_text().splitlines()) == 1
@@ -459,7 +453,7 @@ def test_curves_with_times_of_their_own_have_columns_of_their_own() -> None:
 
 
 @pytest.fixture
-def output(tmp_path: Path) -> OutputFolder:
+def output(tmp_path: Path) -> Path:
     """Return a folder with files, folders and links in it, and a file beside it."""
     (tmp_path / "beside.yaml").write_text("beside")
     folder = tmp_path / "page"
@@ -468,14 +462,14 @@ def output(tmp_path: Path) -> OutputFolder:
     (folder / "out").symlink_to(tmp_path)
     (folder / "link.yaml").symlink_to(tmp_path / "beside.yaml")
     (folder / "nowhere.yaml").symlink_to(tmp_path / "nowhere.yaml")
-    return OutputFolder(folder)
+    return output_folder(folder)
 
 
 @pytest.mark.parametrize("name", ["new.yaml", "sub/new.yaml", "two words.yaml", "~", "sub//new.yaml"])
-def test_new_names_beneath_the_folder_are_taken(output: OutputFolder, name: str) -> None:
+def test_new_names_beneath_the_folder_are_taken(output: Path, name: str) -> None:
     """A name that is free gives a path beneath the folder, in which nothing is made."""
-    path = output.path_for(name)
-    assert path.parent in {output.folder, output.folder / "sub"}
+    path = output_path(output, name)
+    assert path.parent in {output, output / "sub"}
     assert not path.exists()
 
 
@@ -486,23 +480,18 @@ def test_new_names_beneath_the_folder_are_taken(output: OutputFolder, name: str)
      "sub/.git", "out/beside.yaml", "out/new.yaml", "link.yaml", "nowhere.yaml", "sub", "missing/new.yaml",
      "there.yaml/new.yaml", "a\0b", "a\nb", "x" * 300, "x" * 300 + "/y"],
 )  # fmt: skip
-def test_what_leads_elsewhere_is_refused_also_when_confirmed(output: OutputFolder, name: str, replace: bool) -> None:
+def test_what_leads_elsewhere_is_refused_also_when_confirmed(output: Path, name: str, replace: bool) -> None:
     """No `..`, absolute path, hidden name, link or folder is taken; the refusal is one line that says what is."""
     with pytest.raises(ConfigError, match="; accepted: a new name beneath") as refusal:
-        output.path_for(name, replace=replace)
+        output_path(output, name, replace=replace)
     assert "\n" not in str(refusal.value)
 
 
-def test_a_file_that_is_there_is_taken_only_when_confirmed(output: OutputFolder) -> None:
-    """Without a confirmation the refusal names the file, and is told from the others."""
+def test_a_file_that_is_there_is_taken_only_when_confirmed_and_a_folder_is_made_or_refused(output: Path) -> None:
+    """Without a confirmation the refusal names the file, and is told from the others; so is a file for a folder."""
     with pytest.raises(ExistingFileError, match=r"there\.yaml exists; accepted: a new name beneath"):
-        output.path_for("there.yaml")
-    assert output.path_for("there.yaml", replace=True).read_text() == "there"
-
-
-def test_a_folder_is_made_or_refused(tmp_path: Path) -> None:
-    """A folder that is missing is made; a file in its place is one line."""
-    assert OutputFolder(tmp_path / "a" / "b").folder.is_dir()
-    (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match=r"file: cannot be written \(.*\); accepted: a folder that exists or can"):
-        OutputFolder(tmp_path / "file")
+        output_path(output, "there.yaml")
+    assert output_path(output, "there.yaml", replace=True).read_text() == "there"
+    assert output_folder(output / "a" / "b").is_dir()
+    with pytest.raises(ConfigError, match=r"yaml: cannot be written \(.*\); accepted: a folder that exists or can"):
+        output_folder(output / "there.yaml")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -19,18 +18,16 @@ from processes import Processes, wait_until
 from ros_client import JOINTS, Client, seconds
 
 from rx90_common.base.share import config_path
-from rx90_common.description.robot import RobotModel
-from rx90_common.exchange.arm_watch import JointSample
+from rx90_common.exchange.arm_watch import ArmWatch, JointSample
 from rx90_common.exchange.client_node import client_node
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_controller.lines.plan import LinePlan, plan_line
+from rx90_common.friction.friction_set import element_names
+from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import TOOL_DOWN, LineTask
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view import element_form, line_form
-from rx90_emulator.view.element_form import ElementForm
-from rx90_emulator.view.live import LiveSource
-from rx90_emulator.view.operator import NodeNames
-from rx90_emulator.view.page import NewestOnly, Page, put
+from rx90_emulator.view import forms
+from rx90_emulator.view.forms import ElementForm
+from rx90_emulator.view.page import Page, put
 from rx90_emulator.view.panel import DoPanel
 
 Open = Callable[..., BrowserPage]
@@ -50,11 +47,12 @@ def panel(processes: Processes, shipped: Setup, monkeypatch: pytest.MonkeyPatch,
     sent: list[LineTask] = []
     with client_node("test_view", 1.0, print) as client:
         page = Page("test", port=0)
-        source = LiveSource(client, shipped.robot, "rx90_controller")
+        names = shipped.robot.joint_names
+        watch = ArmWatch(client.node, "rx90_controller", names, element_names(names))
         states: list[JointSample] = []
-        page.every(0.05, lambda now: states.extend(source.take(now)))
-        names = NodeNames.beside("/rx90_controller", ())
-        parts = DoPanel(page, shipped.files, lambda: states[-1] if states else None, names, sent.append)
+        page.every(0.05, lambda _: states.extend(watch.joints()))
+        newest = lambda: states[-1] if states else None  # noqa: E731
+        parts = DoPanel(page, client, shipped.files, newest, "/rx90_controller", sent.append)
         with served(page):
             yield page, cell, sent
         parts.close()
@@ -79,7 +77,6 @@ def test_what_is_done_on_the_page_happens(
     """A line is refused or followed, a joint jogged, time stopped, an element changed; the nodes' end is told."""
     page, cell, sent = panel
     shown = open_page(page.address, SIZE)
-    _no_verdict_is_of_other_values(shown, page, monkeypatch)
     _the_line_is_followed(shown, page, shipped, sent)
     _a_slider_moves_its_joint(shown, page)
     press(shown, "Pause")
@@ -90,46 +87,6 @@ def test_what_is_done_on_the_page_happens(
     shown.wait_until(lambda: "cannot be sent: there is no /rx90_controller" in shown.text(), "the reason")
     shown.wait_until(lambda: not shown.page.get_by_role("button", name="Pause").is_enabled(), "no pause")
     assert (shown.complaints, shown.foreign_requests) == ([], [])
-
-
-def _no_verdict_is_of_other_values(shown: BrowserPage, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    """While a line is planned the form says so, and what was planned for other values is not shown."""
-    press(shown, "Move")
-    verdict = re.compile(r"[\d.]+ m in ([\d.]+) s")
-    shown.wait_until(lambda: bool(verdict.search(shown.text())), "the first verdict")
-    begun = {speed: threading.Event() for speed in ("0.2", "0.4")}
-    may_end = {speed: threading.Event() for speed in begun}
-
-    def slowly(robot: RobotModel, task: LineTask, period: float) -> LinePlan:
-        speed = f"{task.speed:g}"
-        if speed in begun:
-            begun[speed].set()
-            assert may_end[speed].wait(60.0)
-        return plan_line(robot, task, period)
-
-    give, taken = NewestOnly.give, list[str]()
-
-    def note(self: NewestOnly[Any], item: Any) -> None:
-        give(self, item)
-        if isinstance(item[0], tuple) and len(item[0]) == 5:  # a typed line
-            taken.append(item[0][2])
-
-    monkeypatch.setattr(line_form, "plan_line", slowly)
-    monkeypatch.setattr(NewestOnly, "give", note)
-    fill(shown, page, "speed", "0.2")
-    assert begun["0.2"].wait(60.0)
-    shown.wait_until(lambda: "checking ..." in shown.text(), "the form at work")
-    assert verdict.search(shown.text()) is None
-    fill(shown, page, "speed", "0.4")  # while the first is planned
-    wait_until(lambda: "0.4" in taken, "the page's look at the other speed")
-    may_end["0.2"].set()
-    assert begun["0.4"].wait(60.0)  # after the verdict on the first, which nobody must see
-    shown.page.wait_for_timeout(200)
-    assert verdict.search(shown.text()) is None
-    may_end["0.4"].set()
-    shown.wait_until(lambda: "checking" not in shown.text(), "the verdict")
-    monkeypatch.setattr(line_form, "plan_line", plan_line)
-    monkeypatch.setattr(NewestOnly, "give", give)
 
 
 def _the_line_is_followed(shown: BrowserPage, page: Page, setup: Setup, sent: list[LineTask]) -> None:
@@ -219,8 +176,8 @@ def _an_element_is_changed(shown: BrowserPage, page: Page, monkeypatch: pytest.M
     for at, coulomb in ((0.5, 20.0), (-0.5, -28.0)):
         assert np.interp(at, velocity, after) == pytest.approx(coulomb + 14.0 * at, abs=0.02)
         assert np.interp(at, velocity, before) == pytest.approx(np.sign(at) * 25.0 + 14.0 * at, abs=0.02)
-    may_end, curve = threading.Event(), element_form.stribeck_curve
-    monkeypatch.setattr(element_form, "stribeck_curve", lambda *given: (may_end.wait(60.0), curve(*given))[1])
+    may_end, curve = threading.Event(), forms.stribeck_curve
+    monkeypatch.setattr(forms, "stribeck_curve", lambda *given: (may_end.wait(60.0), curve(*given))[1])
     fill(shown, page, "tau", "20 27")
     shown.wait_until(lambda: "checking ..." in shown.text(), "the form at work")
     write = shown.page.get_by_role("button", name="Write the file")
@@ -230,7 +187,7 @@ def _an_element_is_changed(shown: BrowserPage, page: Page, monkeypatch: pytest.M
     shown.wait_until(lambda: "tau_c: {positive: 20.0, negative: 27.0}" in shown.text(), "the other YAML")
     press(shown, "Write the file")
     shown.wait_until(Path("friction_changed.yaml").is_file, "the file")
-    monkeypatch.setattr(element_form, "stribeck_curve", curve)
+    monkeypatch.setattr(forms, "stribeck_curve", curve)
     _another_element_is_chosen(shown, page, title)
 
 

@@ -1,13 +1,15 @@
-"""What becomes of a goal that is followed: over DDS, two clients, both nodes, time that runs by steps."""
+"""What becomes of a goal that is followed, and what is beside the action: over DDS, time that runs by steps."""
 
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
 from action_bench import STEP, SUCCEEDED, Bench
-from ros_client import JOINTS
+from numpy.typing import NDArray
+from ros_client import JOINTS, seconds
 
 pytestmark = pytest.mark.ros
 
@@ -76,26 +78,6 @@ def test_a_goal_where_the_arm_is_already_succeeds_at_once(bench: Bench) -> None:
     assert not bench.velocities().any()
 
 
-def test_a_goal_is_followed_better_by_a_model_of_the_friction(bench: Bench) -> None:
-    """Switched on as parameters between two goals, friction model and inverse dynamics leave less than half."""
-    from action_client import move
-
-    def worst() -> float:
-        bench.home()
-        ended = bench.follow(move(0.05, 0.4, start=bench.now + STEP))
-        assert (ended.status, ended.result.error_code) == (SUCCEEDED, 0)
-        bench.client.spin_until(lambda: len(bench.goals.feedback) >= 8, "what was told of it")
-        return max(float(np.abs(feedback.error.positions).max()) for feedback in bench.goals.feedback)
-
-    without = worst()
-    switches = [f"feed_forward__{part}" for part in ("inverse_dynamics", "friction_model")]
-    try:
-        assert bench.client.set_parameters("rx90_controller", **dict.fromkeys(switches, True)) == ["", ""]
-        assert worst() < 0.5 * without
-    finally:
-        assert bench.client.set_parameters("rx90_controller", **dict.fromkeys(switches, False)) == ["", ""]
-
-
 def test_ten_thousand_points(bench: Bench) -> None:
     """A goal of 10,000 points is followed through all of them; so is a trajectory on the topic, in the same bits."""
     from action_client import goal, point
@@ -119,3 +101,119 @@ def test_ten_thousand_points(bench: Bench) -> None:
     bench.said("trajectory accepted: 10000 points")
     bench.time.run(1.1 + 2 * STEP)
     assert np.array_equal(bench.set_points_from(begin, 1000), passed)
+
+
+def test_speed_scaling_along_the_path(bench: Bench, acceleration: NDArray[np.float64]) -> None:
+    """At a factor f a goal takes 1/f of its time, changed on the way without a jump; at 0 it waits, and goes on.
+
+    A factor that is none is a line, the next ones are counted; one that is repeated is no line. controller_state has
+    the speed along the path.
+    """
+    from action_client import move
+    from control_msgs.msg import JointTrajectoryControllerState, SpeedScalingFactor
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    bench.home()
+    states = bench.listen("controller_state", JointTrajectoryControllerState)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    factor = bench.client.node.create_publisher(SpeedScalingFactor, "rx90_controller/speed_scaling_input", latched)
+    bench.client.spin_until(lambda: factor.get_subscription_count() > 0, "the controller")
+
+    def scale(value: float, said: str) -> None:
+        before = bench.cell.output.count(said)
+        factor.publish(SpeedScalingFactor(factor=value))
+        bench.client.spin_until(lambda: bench.cell.output.count(said) > before, said)
+
+    try:
+        begin = bench.now
+        _, result = bench.begin(move(0.05, 0.4))
+        bench.time.run(0.1)
+        scale(0.5, "speed scaling 0.5")
+        factor.publish(SpeedScalingFactor(factor=0.5))
+        scale(1.5, "speed scaling 1.5; accepted: a number in [0, 1]; ignored")
+        for wrong in (float("nan"), *[-0.5] * 20):
+            factor.publish(SpeedScalingFactor(factor=wrong))
+        bench.time.run(0.2)
+        assert bench.state(states).speed_scaling_factor == 0.5
+        scale(0.0, "speed scaling 0")
+        bench.time.run(0.3)
+        assert not result.done()
+        assert bench.state(states).speed_scaling_factor == 0.0
+        assert not bench.velocities()[-50:].any()
+        scale(1.0, "speed scaling 1")
+        ended = bench.time.until(result)
+        assert ended.status == SUCCEEDED
+        assert bench.cell.output.count("speed scaling 0.5") == 1
+        assert bench.cell.output.count("accepted: a number in [0, 1]; ignored") == 1
+    finally:
+        factor.publish(SpeedScalingFactor(factor=1.0))
+    # 0.1 s at full speed, some 0.2 s at half of it, 0.3 s at none: the path's 0.4 s take 0.8 s, but for the ramps.
+    # By what the result says: time runs on until it has come.
+    end = re.match(r"goal reached at (\S+) s", ended.result.error_string)
+    assert end is not None, ended.result.error_string
+    assert float(end[1]) - begin == pytest.approx(0.8, abs=0.06)
+    assert (bench.fastest_change() <= acceleration).all()
+
+
+def test_query_state_tells_the_set_point_of_any_time_of_the_trajectory(bench: Bench) -> None:
+    """Past and future set-points are those that are commanded then; before the motion and behind it there are none."""
+    from action_client import Time, move, stamp
+    from control_msgs.srv import QueryTrajectoryState
+
+    bench.home()
+    begin = bench.now + STEP
+    _, result = bench.begin(move(0.05, 0.4, start=begin))
+    bench.time.run(0.2)
+    asking = bench.client.node.create_client(QueryTrajectoryState, "rx90_controller/query_state")
+    bench.client.spin_until(asking.service_is_ready, "the service")
+
+    def ask(seconds: float) -> Any:
+        return bench.goals.wait(asking.call_async(QueryTrajectoryState.Request(time=stamp(Time, seconds))))
+
+    answers = {offset: ask(begin + offset) for offset in (0.05, 0.2, 0.333, 0.4)}
+    assert [(answer.success, answer.message, answer.name) for answer in answers.values()] == [(True, "", JOINTS)] * 4
+    early, late = ask(begin - 0.01), ask(begin + 0.41)
+    assert (early.success, late.success) == (False, False)
+    assert "accepted: from" in early.message
+    assert late.message == f"time {begin + 0.41:g} s; accepted: up to the end of the motion"
+    assert list(late.position) == pytest.approx([0.05] * 6)
+    assert bench.time.until(result).status == SUCCEEDED
+    commanded = {round(seconds(message), 3): message for message in bench.heard()}
+    for offset, answer in answers.items():
+        message = commanded[round(begin + offset, 3)]
+        assert list(answer.position) == pytest.approx(list(message.position), abs=1e-12)
+        assert list(answer.velocity) == pytest.approx(list(message.velocity), abs=1e-12)
+    bench.client.enable(False)
+    assert ask(bench.now).message.startswith("the controller is disabled")
+    bench.client.enable(True)
+    bench.time.run(STEP)
+
+
+def test_controller_state_has_what_the_other_topics_have(bench: Bench) -> None:
+    """50 times a second: the set-point of ~/reference, what is measured, and their difference."""
+    from action_client import move
+    from control_msgs.msg import JointTrajectoryControllerState
+
+    states = bench.listen("controller_state", JointTrajectoryControllerState)
+    bench.home()
+    begin = bench.now + STEP
+    assert bench.follow(move(0.05, 0.4, start=begin)).status == SUCCEEDED
+    references = {seconds(message): message for message in bench.heard()}
+    bench.state(states)
+    states = [state for state in states if seconds(state) >= begin - 1e-9]
+    assert len(states) >= 20
+    assert np.diff([seconds(message) for message in states]) == pytest.approx(0.02)
+    for state in states:
+        reference = references[seconds(state)]
+        assert state.joint_names == JOINTS
+        assert state.reference.positions == reference.position
+        assert state.reference.velocities == reference.velocity
+        for field in ("positions", "velocities"):
+            wanted, measured, error = (
+                np.array(getattr(getattr(state, name), field)) for name in ("reference", "feedback", "error")
+            )
+            assert error == pytest.approx(wanted - measured, abs=1e-15)
+        assert np.abs(state.error.positions).max() < 0.01
+        assert len(state.output.effort) == 6
+        since = state.reference.time_from_start
+        assert since.sec + since.nanosec * 1e-9 == pytest.approx(min(seconds(state) - begin, 0.4), abs=1e-9)

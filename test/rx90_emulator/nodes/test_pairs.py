@@ -1,0 +1,271 @@
+"""Simulation and controller as a user starts them: in either time, paused, asked for this and that, killed."""
+
+from __future__ import annotations
+
+import re
+import signal
+from itertools import count, groupby, pairwise
+
+import pytest
+from builtin_interfaces.msg import Duration
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from processes import Processes
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.time import Time
+from ros_client import JOINTS, Client, seconds
+from rosgraph_msgs.msg import Clock
+from scipy.optimize import brentq
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from rx90_common.base.rates import NANOSECONDS, Rates
+from rx90_common.base.stamps import cdr_stamp_ns
+from rx90_common.exchange.endpoints import LATCHED_QOS, TICK_QOS
+from rx90_common.exchange.topics import FREE_RUNNING, MOTOR_NAMES, TimeMode
+
+ROS_ARGS = ("--ros-args", "-r", "__ns:=/cell_1")
+QOS = ("reliability:=best_effort", "durability:=transient_local", "depth:=5")
+
+
+@pytest.mark.ros
+def test_a_paused_pair_is_heard_and_takes_a_trajectory(processes: Processes, client: Client) -> None:
+    """Samples come again to the bit; a line is approached and begins when time runs; each node says ready once.
+
+    Diagnostics carry the namespace, and the quality of service of a topic is the one given as parameters.
+    """
+    overrides = [f"qos_overrides./cell_1/friction_states.publisher.{policy}" for policy in QOS]
+    simulation = processes.start(
+        "rx90_sim", *ROS_ARGS, *("-p", "paused:=true"), *(w for override in overrides for w in ("-p", override))
+    )
+    simulation.wait_for(
+        "ready: rx90b, lock_step at 4000 Hz, real_time_factor 1, states on /cell_1/motor_states; paused"
+    )
+    controller = processes.start("rx90_controller", *ROS_ARGS)
+    raw: list[bytes] = []
+    sampled: list[bytes] = []
+    client.node.create_subscription(JointState, "/cell_1/joint_states", raw.append, 10, raw=True)
+    client.node.create_subscription(JointState, "/cell_1/sampled/joint_states", sampled.append, 10, raw=True)
+    clock = client.listen("/clock", Clock)
+    diagnostics = client.listen("/diagnostics", DiagnosticArray)
+    client.spin_until(lambda: min(map(len, (raw, sampled, clock))) > 3, "a heartbeat")
+    assert len({*raw, *sampled}) == 1
+    assert {(message.clock.sec, message.clock.nanosec) for message in clock} == {(0, 0)}
+    (offered,) = client.node.get_publishers_info_by_topic("/cell_1/friction_states")
+    assert offered.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
+    assert offered.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+    line = ("--from-file", "robots/rx90b/task.yaml", "--approach", "--node", "/cell_1/rx90_controller")
+    done = processes.run("rx90_line", *line)
+    assert done.returncode == 0, done.stderr
+    assert "time stands still at 0 s: the arm moves when it runs on" in done.stdout
+    controller.wait_for("a trajectory waits for the simulation's first tick")
+    client.asking.call(SetBool, "/cell_1/rx90_sim/pause", SetBool.Request(data=False))
+    controller.wait_for("ready: rx90b, .* trajectories on /cell_1/rx90_controller/joint_trajectory")
+    controller.wait_for("trajectory accepted")
+    client.spin_until(lambda: len(set(raw)) > 100, "the arm to move")
+    client.asking.call(SetBool, "/cell_1/rx90_sim/pause", SetBool.Request(data=True))
+    client.spin_until(lambda: len(raw) > 5 and len(set(raw[-4:])) == 1, "the last sample again and again")
+    assert len(set(sampled)) > 1
+    assert {cdr_stamp_ns(sample) % 10_000_000 for sample in sampled} == {0}  # a hundred times a second
+
+    def names() -> set[tuple[str, str]]:
+        return {(status.name, status.hardware_id) for message in diagnostics for status in message.status}
+
+    client.spin_until(lambda: len(names()) >= 2, "diagnostics of both nodes")
+    assert names() == {(f"cell_1/{node}", "cell_1/rx90_emulator") for node in ("rx90_sim", "rx90_controller")}
+    assert simulation.output.count("ready: ") == controller.output.count("ready: ") == 1
+
+
+def to_rest(duration: float, position: list[float], names: list[str] = JOINTS) -> JointTrajectory:
+    """Return a trajectory of one point, at rest, after a duration, s."""
+    nanoseconds = round(duration * NANOSECONDS)
+    after = Duration(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
+    point = JointTrajectoryPoint(positions=position, velocities=[0.0] * 6, time_from_start=after)
+    return JointTrajectory(joint_names=names, points=[point])
+
+
+@pytest.mark.ros
+def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, client: Client) -> None:
+    """Refused trajectories leave the motion that runs alone; without power the brakes hold; diagnostics tell the rate.
+
+    Beyond a supervised limit: one line and an ERROR that name joint, value, limit and time; `enable` brings the arm
+    back. The nodes run with integers where reals are asked for.
+    """
+    given = ("-p", "real_time_factor:=0", "-p", "initial_position:=[0.0, 0.8, 0.8, 0.0, 0.5, 0.0]")
+    processes.start("rx90_sim", "--ros-args", *given)
+    controller = processes.start("rx90_controller")
+    joints, commands = client.listen("joint_states", depth=1), client.listen("motor_commands", depth=1)
+    reference = client.listen("rx90_controller/reference", depth=1)
+    publisher = client.node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", 1000)
+    client.spin_until(lambda: bool(reference) and publisher.get_subscription_count() > 0, "the controller to hold")
+
+    # A burst is answered one by one; what is refused leaves the running motion alone.
+    for _ in range(40):
+        publisher.publish(JointTrajectory(joint_names=["elbow"]))
+    client.spin_until(lambda: controller.output.count("trajectory rejected") == 40, "40 answers")
+    target = [0.1, 0.7, 0.7, 0.1, 0.6, 0.1]
+    publisher.publish(to_rest(1.0, target[::-1], JOINTS[::-1]))
+    controller.wait_for("trajectory accepted")
+    publisher.publish(to_rest(1.0, [0.0, 9.0, 0.0, 0.0, 0.0, 0.0]))
+    assert "joint_2" in controller.wait_for(r"trajectory rejected: .*joint_2.*").group()
+    begun = seconds(reference[-1])
+    client.spin_until(lambda: seconds(reference[-1]) > begun + 1.2, "the end of the motion")
+    assert list(reference[-1].position) == pytest.approx(target, abs=1e-12)
+    assert list(reference[-1].velocity) == [0.0] * 6
+
+    # Disabled: commands without torque, drives without torque, and the arm does not fall.
+    client.spin_until(lambda: max(map(abs, joints[-1].effort)) > 10.0, "the drives to hold the arm")
+    client.enable(False)
+    client.spin_until(lambda: bool(commands) and len(commands[-1].effort) == 0, "commands without torque")
+    closed, held = seconds(commands[-1]), joints[-1].position[1]
+    client.spin_until(lambda: seconds(joints[-1]) > closed + 0.5, "half a second with closed brakes")
+    assert list(joints[-1].effort) == [0.0] * 6
+    # The brakes' stiffness lets the arm give by far less than a tenth of a milliradian.
+    assert joints[-1].position[1] == pytest.approx(held, abs=2e-4)
+    client.enable(True)
+    client.spin_until(lambda: len(commands[-1].effort) == 6, "commands with torque again")
+
+    # A limit of the supervision that the next motion exceeds.
+    heard = client.listen("/diagnostics", DiagnosticArray)
+
+    def of_controller(since: Time) -> list[DiagnosticStatus]:
+        newer = [message.status[0] for message in heard if Time.from_msg(message.header.stamp) > since]
+        return [status for status in newer if status.name == "rx90_controller"]
+
+    assert client.set_parameters("rx90_controller", supervision__following_error=[5e-4] * 6) == [""]
+    begun_at = client.node.get_clock().now()
+    publisher.publish(to_rest(0.4, [angle + 0.1 for angle in target]))
+    controller.wait_for(r"joint_\d: following error .* rad at .* s; accepted: up to 0.0005 rad; torque off")
+
+    def errors() -> list[str]:
+        return [one.message for one in of_controller(begun_at) if one.level == DiagnosticStatus.ERROR]
+
+    client.spin_until(lambda: bool(errors()), "the diagnostics")
+    assert "accepted: up to 0.0005 rad" in errors()[0]
+    assert sum("following error" in line for line in controller.lines) == 1
+    client.enable(True)
+    enabled = client.node.get_clock().now()  # diagnostics from before may come after the answer
+    publisher.publish(to_rest(5.0, list(reference[-1].position)))
+    controller.wait_for("trajectory accepted")
+    client.spin_until(lambda: bool(of_controller(enabled)), "diagnostics")
+    assert DiagnosticStatus.ERROR not in [one.level for one in of_controller(enabled)]
+
+    # The controller's rate is that of the ticks it answers.
+    assert client.set_parameters("rx90_sim", real_time_factor=0.1) == [""]
+
+    def rates() -> list[float]:
+        return [float(pair.value) for one in of_controller(enabled) for pair in one.values if pair.key == "rate, Hz"]
+
+    client.spin_until(lambda: any(300.0 < rate < 500.0 for rate in rates()), "a rate near 400 Hz")
+
+
+@pytest.mark.ros
+def test_time_runs_by_the_clock_with_pauses_and_without_a_controller(processes: Processes, client: Client) -> None:
+    """A motion rests while time stands still, and goes on where it was; without a controller the brakes close.
+
+    Time runs on without it, and the brakes open when it goes on.
+    """
+    simulation = processes.start(
+        "rx90_sim", "--ros-args", "-p", "time_mode:=free_running", "-p", "command_timeout:=0.05"
+    )
+    controller = processes.start("rx90_controller")
+    joints = client.listen("joint_states")
+    reference = client.listen("rx90_controller/reference", depth=1)
+    client.spin_until(lambda: bool(reference), "the controller to hold")
+    client.send([(4.0, [0.1] * 6)])  # long enough to be paused in time on a loaded machine
+    controller.wait_for("trajectory accepted")
+    client.spin_until(lambda: reference[-1].position[0] > 0.03, "the motion")
+    client.simulation.pause(True)
+    controller.wait_for("the loops rest")
+    resting, reached = seconds(reference[-1]), reference[-1].position[0]
+    assert 0.03 < reached < 0.099
+    client.simulation.pause(False)
+    end = pytest.approx([0.1] * 6, abs=1e-12)
+    client.spin_until(lambda: list(reference[-1].position) == end, "the end of the motion")
+    # Not earlier than the cubic takes from where it was: no set-point was left out.
+    done = brentq(lambda share: 0.1 * share * share * (3.0 - 2.0 * share) - reached, 0.0, 1.0)
+    assert seconds(reference[-1]) > resting + 4.0 * (1.0 - done) - 0.01
+
+    controller.signal(signal.SIGSTOP)
+    stopped = seconds(joints[-1])
+    client.spin_until(lambda: seconds(joints[-1]) > stopped + 0.5, "time to run on")
+    assert "torque off, brakes closed" in simulation.output
+    closed = len(simulation.lines)
+    controller.signal(signal.SIGCONT)
+    client.spin_until(lambda: any("the brakes open" in line for line in simulation.lines[closed:]), "open brakes")
+
+
+@pytest.mark.ros
+def test_a_mode_that_comes_late_costs_no_trajectory(processes: Processes, client: Client) -> None:
+    """A trajectory that is sent between a simulation's first states and its mode is followed in that mode."""
+    controller = processes.start("rx90_controller")
+    states = client.node.create_publisher(JointState, "motor_states", TICK_QOS.profile)
+    reference = client.listen("rx90_controller/reference", depth=1)
+    stamps = count()
+
+    def simulate() -> bool:
+        """Publish the states of the next ticks, as a simulation does that gets to run now and then."""
+        message = JointState(name=list(MOTOR_NAMES), position=[0.0] * 6, velocity=[0.0] * 6, effort=[0.0] * 6)
+        for _ in range(16):
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(next(stamps) * 250_000, NANOSECONDS)
+            states.publish(message)
+        return False
+
+    client.spin_until(lambda: states.get_subscription_count() > 0, "the controller")
+    for _ in range(4):
+        simulate()
+    client.send([(0.1, [0.005] * len(JOINTS))])
+    controller.wait_for("a trajectory waits for the simulation's first tick")
+    mode = client.node.create_publisher(String, "time_mode", LATCHED_QOS.profile)
+    mode.publish(String(data=TimeMode(FREE_RUNNING, Rates()).text))
+    client.spin_until(
+        lambda: simulate() or (bool(reference) and reference[-1].position[0] > 0.00499), "the end of the motion"
+    )
+
+
+UNPACED = ("--ros-args", "-p", "real_time_factor:=0.0")
+
+
+@pytest.mark.ros
+def test_either_node_is_killed_and_comes_back(processes: Processes, client: Client) -> None:
+    """Without its controller time stands still, announced once, until the next one; a new simulation begins anew."""
+    simulation = processes.start("rx90_sim", *UNPACED)
+    first = processes.start("rx90_controller")
+    # As deep as the simulation can get until the signal arrives: nobody takes messages while the line is waited for.
+    heard = client.listen("joint_states", depth=20_000)
+    client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > 0.2, "time to run")
+    first.signal(signal.SIGKILL)
+    simulation.wait_for("time stands still")
+    client.spin_until(lambda: _drained(client, heard), "the last messages")
+    stopped = seconds(heard[-1])
+    second = processes.start("rx90_controller")
+    simulation.wait_for("time runs on")
+    client.spin_until(lambda: seconds(heard[-1]) > stopped + 0.2, "time to run on")
+    # While time stands still, the newest sample comes again.
+    stamps = [stamp for stamp, _ in groupby(seconds(message) for message in heard)]
+    assert all(b - a == pytest.approx(1e-3) for a, b in pairwise(stamps))
+    # Once for each wait; there is another one where the controller takes long to begin.
+    told = re.findall("the brakes hold the arm|time stands still|time runs on", simulation.output)
+    assert all((before == "time runs on") != (after == "time runs on") for before, after in pairwise(told)), told
+
+    # After SIGKILL of the simulation the controller says once that it waits, and serves the next one from tick 0.
+    heard.clear()
+    client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > stopped + 0.6, "time to run far")
+    simulation.signal(signal.SIGKILL)
+    second.wait_for("waiting for a simulation")
+    before = second.output.count("waiting for a simulation")
+    client.spin_until(lambda: _drained(client, heard), "the last messages")
+    # Paused, so that its first sample is heard however long the client takes to find it.
+    processes.start("rx90_sim", *UNPACED, "-p", "paused:=true")
+    client.spin_until(lambda: seconds(heard[-1]) == 0.0, "time to begin again")
+    client.simulation.pause(False)
+    client.spin_until(lambda: seconds(heard[-1]) > 0.6, "time to run again")
+    assert second.output.count("waiting for a simulation") - before <= 1
+
+
+def _drained(client: Client, heard: list[object]) -> bool:
+    """Return whether nothing more arrives within a look."""
+    before = len(heard)
+    client._executor.spin_once(timeout_sec=0.3)
+    return len(heard) == before
