@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import yaml
 from backports import zstd
-from bag_making import ROS1, STORAGES, joint_state, series, write_ros1, write_ros2
+from bag_making import ROS1, STORAGES, joint_state, series, write_one, write_ros1, write_ros2
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader
@@ -198,7 +198,7 @@ def test_killed_sqlite3_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[s
     connection = bag.add_topic("text", "std_msgs/msg/String", [offered_qos()])
     big = string_message("text", "x" * 10_000).cdr
     for i in range(1500):
-        bag.write(connection, i * 1_000_000, big)
+        write_one(bag, connection, i * 1_000_000, big)
     killed = tmp_path / "killed"
     shutil.copytree(tmp_path / "bag", killed)  # as a process leaves it that is killed now
     bag.close()

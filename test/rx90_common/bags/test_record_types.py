@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bag_making import STORAGES
+from bag_making import STORAGES, write_one
 from processes import TIMEOUT, Processes, wait_until
 from ros_client import own_node
 from rosbags.highlevel import AnyReader
@@ -105,7 +105,7 @@ def test_a_definition_goes_into_its_bag_alone(tmp_path: Path, storage: str) -> N
     odd = "my_msgs/msg/Odd"
     cdr = bytes(4 + 16) + (0).to_bytes(4, "little") * 2 + (1).to_bytes(4, "little") + b"\x01"
     with BagWriter(tmp_path / "bag", storage) as bag:
-        bag.write(bag.add_topic("odd", odd, [offered_qos()], text), 5, b"\x00\x01\x00\x00" + cdr[4:])
+        write_one(bag, bag.add_topic("odd", odd, [offered_qos()], text), 5, b"\x00\x01\x00\x00" + cdr[4:])
     with AnyReader([tmp_path / "bag"]) as reader:
         ((connection, log_ns, data),) = reader.messages()
         message: Any = reader.deserialize(data, connection.msgtype)
@@ -143,7 +143,7 @@ def test_only_an_error_before_the_first_message_leaves_no_bag(tmp_path: Path, st
         with BagWriter(tmp_path / f"bag_{count}", storage) as bag:
             topic = bag.add_topic("a", "std_msgs/msg/Empty")
             for _ in range(count):
-                bag.write(topic, 5, bytes(4))
+                write_one(bag, topic, 5, bytes(4))
             raise BagError("refused")
 
     for count in (0, 1):

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from bag_making import STORAGES, series
+from bag_making import STORAGES, series, write_one
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
@@ -202,10 +202,10 @@ def test_a_checkpoint_outlives_the_process(tmp_path: Path, storage: str) -> None
     bag = BagWriter(tmp_path / "bag", storage)
     connection = bag.add_topic("text", "std_msgs/msg/String", [offered_qos()])
     message = string_message("text", "marked content")
-    bag.write(connection, 0, message.cdr)
+    write_one(bag, connection, 0, message.cdr)
     (file,) = (p for p in (tmp_path / "bag").iterdir() if p.suffix in {".mcap", ".db3"})
     assert b"marked content" not in file.read_bytes()
-    bag.write(connection, 1_000_000_000, message.cdr)
+    write_one(bag, connection, 1_000_000_000, message.cdr)
     assert file.read_bytes().count(b"marked content") == 2
     bag.close()
 
