@@ -236,9 +236,9 @@ def _compare_topic(
     if not left and not right:
         return [] if scope.topics is None else [_incomparable(topic, "no message of it is in either bag")]
     if not left or not right:
-        lacking, other = _BAGS[bool(left)], found[bool(left)]
-        what = "the topic is not" if other is None else "no message of it is"
-        return [_incomparable(topic, f"{what} in the {lacking} bag{' within the time window' * bool(other)}")]
+        lacking, some = _BAGS[bool(left)], found[bool(left)]
+        what = "the topic is not" if some is None else "no message of it is"
+        return [_incomparable(topic, f"{what} in the {lacking} bag{' within the time window' * bool(some)}")]
     pairs: list[tuple[JointSeries | None, JointSeries | None]] = []
     for a in [*left]:  # with the same set of joints
         same = [b for b in right if set(b.names) == set(a.names)]
@@ -246,12 +246,12 @@ def _compare_topic(
             pairs.append((a, same[0]))
             left, right = ([one for one in some if one not in pairs[-1]] for some in (left, right))
     results = []
-    for a, b in [*pairs, *zip_longest(left, right)]:  # what is left on both sides is paired in its order
-        only = a or b
-        if a is not None and b is not None:
-            results.append(compare_series(a, b, tolerances, scope))
+    for one, other in [*pairs, *zip_longest(left, right)]:  # what is left on both sides is paired in its order
+        only = one or other
+        if one is not None and other is not None:
+            results.append(compare_series(one, other, tolerances, scope))
         elif only is not None:
-            where = _BAGS[only is b]
+            where = _BAGS[only is other]
             results.append(_incomparable(topic, f"only the {where} bag has messages of {listed(only.names)}"))
     return results
 

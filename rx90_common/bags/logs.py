@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from rx90_common.bags.batch import Int64Array, series_encoder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import ARRAYS, DELIMITERS, SECONDS, UNITS, Column, LogMapping, mapping_of
-from rx90_common.bags.storage_files import BagTopic, DamagedError, LoggedMessage, library_errors
+from rx90_common.bags.storage_files import BagTopic, DamagedError, LoggedMessage, StorageFile, library_errors
 from rx90_common.bags.topics import absolute
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.arrays import Array
@@ -210,7 +210,7 @@ def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int]
     """Read the log of this number, from 1 on, in a mapping."""
     source = _open_arrays(path, more) if path.suffix.lower() in ARRAYS else _open_text(path, mapping, more)
     time, used = _places(path, source, mapping, number)
-    places = sorted({*used.values()} | ({time} - {None}))
+    places = [*{*used.values()}, *([] if time is None else [time])]
     parts: dict[int, list[Array]] = {place: [] for place in used.values()}
     lines, stamps = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
     faults: dict[int, str] = {}
@@ -467,7 +467,7 @@ def _dialect(lines: Sequence[str], mapping: LogMapping) -> tuple[str, str]:
     return max(choice, key=score)
 
 
-class TableFile:
+class TableFile(StorageFile):
     """A log in columns as a storage file of a bag, so that whoever reads bags reads CSV, Parquet and NPZ as they are.
 
     Args:
@@ -482,27 +482,23 @@ class TableFile:
         ConfigError: if its mapping is not acceptable.
     """
 
-    compression = ""
-
     def __init__(self, path: Path, mapping: LogMapping | None) -> None:
         self.kind = path.suffix.lower().removeprefix(".")
         self._series = read_logs([path], mapping, lambda _: None).series
         self.topics = {k: BagTopic(one.topic, one.msgtype, one.messages) for k, one in enumerate(self._series)}
         self.effort_units = {one.topic: one.effort_unit for one in self._series if one.effort_unit}
 
-    def close(self) -> None:
-        """Close nothing: it was read."""
-
     def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
         """Yield the messages of these topics in the order of their stamps."""
-        yield from heapq.merge(*map(self._messages, sorted(keys)), key=itemgetter(1))
 
-    def _messages(self, key: int) -> Iterator[LoggedMessage]:
-        stamp_ns, encode = series_encoder(self._series[key])
-        for begin in range(0, len(stamp_ns), _BLOCK):
-            rows = np.arange(begin, min(begin + _BLOCK, len(stamp_ns)))
-            for stamp, data in zip(stamp_ns[rows].tolist(), encode(rows), strict=True):
-                yield key, stamp, data
+        def each(key: int) -> Iterator[LoggedMessage]:
+            stamp_ns, encode = series_encoder(self._series[key])
+            for begin in range(0, len(stamp_ns), _BLOCK):
+                rows = np.arange(begin, min(begin + _BLOCK, len(stamp_ns)))
+                for stamp, data in zip(stamp_ns[rows].tolist(), encode(rows), strict=True):
+                    yield key, stamp, data
+
+        yield from heapq.merge(*map(each, sorted(keys)), key=itemgetter(1))
 
 
 def exported_logs(folder: Path) -> list[tuple[list[Path], LogMapping]]:
@@ -512,11 +508,10 @@ def exported_logs(folder: Path) -> list[tuple[list[Path], LogMapping]]:
         BagError: if there is none, or one without a mapping.
         ConfigError: for a mapping that is not acceptable.
     """
-    logs = sorted(folder.glob("*.csv"))
-    if not logs:
+    pairs = [([log], mapping_of(log)) for log in sorted(folder.glob("*.csv"))]
+    if not pairs:
         accepted = "a folder that rx90_bag export has written, as CSV"
         raise BagError(f"{plain(folder)}: no CSV file in it; accepted: {accepted}")
-    pairs = [([log], mapping_of(log)) for log in logs]
     for _, mapping in pairs:
         if not mapping.exact:
             raise BagError(

@@ -192,7 +192,7 @@ class TopicMapping:
         given = [name for name in SERIES_FIELDS if name in content]
         if "temperature" in given and len(given) > 1:
             section.fault("temperature", " stands beside others; accepted: temperatures in a topic of their own")
-        fields = {}
+        fields: dict[str, FieldMapping] = {}
         for name in given:
             part, columns, unit = section.section(name), content[name]["columns"], content[name]["unit"]
             if len(columns) != len(names):
@@ -276,7 +276,10 @@ class LogMapping:
             topics,
             (time["file"], time["column"]) if time else None,
             SECONDS[time.get("unit", "s")],
-            *(content.get(name) for name in ("rate", "delimiter", "decimal", "header")),
+            content.get("rate"),
+            content.get("delimiter"),
+            content.get("decimal"),
+            content.get("header"),
             content["exact"],
             {key: content[key] for key in MESSAGE_KEYS if key in root},
         )

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
 from rx90_common.report.picture import PICTURES, write_picture
-from rx90_common.report.plot import COLOURS, INK, Curve, Dash, Level, Mark, Panel, Plot
+from rx90_common.report.plot import COLOURS, INK, Curve, Level, Mark, Panel, Plot
 
 USUAL = ("/joint_states", "/friction_states", "/rx90_controller/tracking_error")
 """What is drawn unless topics are chosen."""
@@ -200,6 +199,6 @@ def _curves(series: JointSeries, field: str, zero: int, suffix: str = "", *, sec
         # A temperature that has no message at a stamp is no gap in its curve.
         drawn = ~np.isnan(values[:, k]) if series.temperature is not None else slice(None)
         colour = INK if second and len(series.names) == 1 else COLOURS[k % len(COLOURS)]
-        width, dash = 1.0 if second or not suffix else 2.0, cast("Dash", "dashed" if second else "solid")
+        width, dash = 1.0 if second or not suffix else 2.0, "dashed" if second else "solid"
         curves.append(Curve(time[drawn], values[drawn, k], f"{plain(name)}{suffix}", colour, width, dash))
     return curves

@@ -17,7 +17,7 @@ from io import BytesIO
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, Protocol, TypeAlias
+from typing import Final, TypeAlias
 from zlib import crc32
 
 import lz4.frame
@@ -30,7 +30,7 @@ from mcap.summary import Summary
 from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
 from rosbags.rosbag1 import Reader as Ros1Reader
 
-from rx90_common.bags.batch import Bytes, Int64Array
+from rx90_common.bags.batch import Int64Array
 from rx90_common.bags.topics import JOINT_STATE, TEMPERATURE
 from rx90_common.base.errors import BagError, write_error
 from rx90_common.base.quoting import plain
@@ -110,15 +110,20 @@ class BagTopic:
         return self.encoding == _ROS1
 
 
-class StorageFile(Protocol):
-    """A storage file that is open, or what is read like one."""
+class StorageFile:
+    """A storage file that is open, or what is read like one; `topics` are by what it knows them by."""
 
     kind: str
-    compression: str
-    topics: dict[int, BagTopic]  # by what the file knows them by
+    compression = ""
+    topics: dict[int, BagTopic]
 
     def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
-        """Yield the messages of these topics in the order of log time."""
+        """Yield the messages of these topics in the order of log time, equal times in that of writing.
+
+        Raises:
+            DamagedError: if they do not fit the checksums, tables and indexes of the file.
+        """
+        raise NotImplementedError
 
     def close(self) -> None:
         """Close it."""
@@ -135,7 +140,7 @@ def library_errors(where: str = "") -> Iterator[None]:
     """Make one DamagedError of whatever a library raises for bytes that it cannot read."""
     try:
         yield
-    except DamagedError:
+    except (DamagedError, BagError):
         raise
     except Exception as error:  # the libraries have no common error
         text = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
@@ -197,41 +202,24 @@ def open_storage(path: Path, stack: ExitStack) -> StorageFile:
     return file
 
 
-class McapFile:
-    """An mcap file that is open.
-
-    Args:
-        path: of the file.
-
-    Raises:
-        BagError: if it is cut off, with how much of it is whole.
-        DamagedError: if its records do not fill it, or its summary does not fit them.
-    """
+class _McapFile(StorageFile):
+    """An mcap file; refused if it is cut off, its records do not fill it, or its summary does not fit them."""
 
     kind = "mcap"
 
     def __init__(self, path: Path) -> None:
-        self._data: Bytes = np.asarray(np.memmap(path, np.uint8, "r"))
+        self._data = memoryview(np.memmap(path, np.uint8, "r"))
         magic = len(MCAP_MAGIC)
-        if len(self._data) == magic or self._data[-magic:].tobytes() != MCAP_MAGIC:
-            raise self._cut_off()
         with library_errors():
+            if len(self._data) == magic or self._data[-magic:].tobytes() != MCAP_MAGIC:
+                raise self._cut_off()
             self._rows = _records(self._data, magic, len(self._data) - magic)
             self._outside = self._rows[self._rows[:, 0] == Opcode.MESSAGE]  # messages in no chunk
             self._chunks: list[ChunkIndex] = []
             self.topics = self._topics(self._summary())
         self.compression = ", ".join(f"{kind} chunks" for kind in sorted({c.compression for c in self._chunks} - {""}))
 
-    def close(self) -> None:
-        """Give the file back."""
-        del self._data
-
     def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
-        """Yield the messages of these channels in the order of log time, equal times as they stand in the file.
-
-        Raises:
-            DamagedError: if a chunk, its checksum and its index do not fit together.
-        """
         wanted = sorted(self._chunks, key=attrgetter("message_start_time"))
         wanted = [c for c in wanted if not c.message_index_offsets or not {*keys}.isdisjoint(c.message_index_offsets)]
         pending = self._chosen(self._data, self._outside, keys)
@@ -248,14 +236,13 @@ class McapFile:
 
     def _cut_off(self) -> BagError:
         """Return what is said of a file that does not end as one, with what of it is whole."""
-        count = end_ns = last_ns = 0
-        for code, _, _, begin, end in _records(self._data, len(MCAP_MAGIC), len(self._data), whole=False).tolist():
-            if code == Opcode.CHUNK:
-                last_ns = max(last_ns, _CHUNK.unpack_from(self._data, begin)[1])
-            elif code == Opcode.MESSAGE_INDEX:
-                count, end_ns = count + (end - begin) // _ENTRY_BYTES, last_ns
-        if not count:
+        rows = _records(self._data, len(MCAP_MAGIC), len(self._data), whole=False)
+        index = rows[rows[:, 0] == Opcode.MESSAGE_INDEX]
+        chunks = rows[(rows[:, 0] == Opcode.CHUNK) & (rows[:, 3] < index[-1:, 3].sum())]  # of which it is whole
+        if not len(chunks):
             return BagError("is cut off before its first whole chunk: nothing can be recovered")
+        count = int(((index[:, 4] - index[:, 3]) // _ENTRY_BYTES).sum())
+        end_ns = max(_CHUNK.unpack_from(self._data, begin)[1] for begin in chunks[:, 3].tolist())
         return BagError(
             f"is cut off (its recorder was killed, or the disk was full?): {count} messages up to t = "
             f"{end_ns / NANOSECONDS:.6f} s are whole, 'mcap recover' restores them"
@@ -299,7 +286,7 @@ class McapFile:
             counts = statistics.channel_message_counts
         else:
             for content in map(self._content, self._chunks):
-                rows = _records(np.frombuffer(content, np.uint8))
+                rows = _records(content)
                 for code, channel, _, begin, end in rows.tolist():
                     if code == Opcode.MESSAGE:
                         counts[channel] += 1
@@ -340,7 +327,7 @@ class McapFile:
     def _read_chunk(self, chunk: ChunkIndex, keys: Collection[int]) -> list[LoggedMessage]:
         """Return messages of a chunk, all of which are held against its head and the indexes behind it."""
         content, where = self._content(chunk), f"the chunk at byte {chunk.chunk_start_offset}"
-        rows = _records(np.frombuffer(content, np.uint8))
+        rows = _records(content)
         rows = rows[rows[:, 0] == Opcode.MESSAGE]
         times = chunk.message_start_time, chunk.message_end_time
         if len(rows) and (int(rows[:, 2].min()), int(rows[:, 2].max())) != times:
@@ -349,7 +336,7 @@ class McapFile:
         for channel, at in chunk.message_index_offsets.items():
             end = at + _RECORD_HEAD + _RECORD.unpack_from(self._data, at)[1]
             begin = at + _RECORD_HEAD + _INDEX.size
-            entries = self._data[begin:end].view("<i8").reshape(-1, 2)
+            entries = np.frombuffer(self._data[begin:end], "<i8").reshape(-1, 2)
             found = rows[rows[:, 1] == channel, 2:4] - np.array([0, _RECORD_HEAD])
             ordered = entries[np.argsort(entries[:, 1], kind="stable")]
             if _INDEX.unpack_from(self._data, begin - _INDEX.size)[1] != end - begin or (ordered != found).any():
@@ -359,7 +346,7 @@ class McapFile:
             raise DamagedError(f"the index of {where} is not that of its messages")
         return self._chosen(content, rows, keys)
 
-    def _chosen(self, content: bytes | Bytes, rows: Int64Array, keys: Collection[int]) -> list[LoggedMessage]:
+    def _chosen(self, content: bytes | memoryview, rows: Int64Array, keys: Collection[int]) -> list[LoggedMessage]:
         """Return the messages of these channels, decompressed where they are."""
         rows = rows[np.isin(rows[:, 1], list(keys))]
         messages = [(key, ns, bytes(content[begin + _MESSAGE_HEAD : end])) for _, key, ns, begin, end in rows.tolist()]
@@ -394,13 +381,13 @@ def _find_records(data_at, size, rows_at, room):  # type: ignore[no-untyped-def]
     return count
 
 
-def _records(data: Bytes, first: int = 0, last: int | None = None, *, whole: bool = True) -> Int64Array:
+def _records(content: bytes | memoryview, first: int = 0, last: int | None = None, *, whole: bool = True) -> Int64Array:
     """Return op code, channel, log time, begin and end of the content of each mcap record, (n, 5); 0 for other records.
 
     Raises:
         DamagedError: if these do not fill the bytes, of which they must be the whole.
     """
-    part = data[first:last]
+    part = np.frombuffer(content, np.uint8)[first:last]
     rows = np.empty((_find_records(part.ctypes.data, len(part), part.ctypes.data, 0), 5), dtype=np.int64)
     _find_records(part.ctypes.data, len(part), rows.ctypes.data, len(rows))
     if whole and (rows[-1, 4] if len(rows) else 0) != len(part):
@@ -409,7 +396,7 @@ def _records(data: Bytes, first: int = 0, last: int | None = None, *, whole: boo
     return rows
 
 
-def _chunk_at(data: Bytes, begin: int, end: int) -> ChunkIndex:
+def _chunk_at(data: memoryview, begin: int, end: int) -> ChunkIndex:
     """Return the index of the chunk with this content, without that of its messages, which follows it."""
     first_ns, last_ns, size, _, length = _CHUNK.unpack_from(data, begin)
     name = begin + _CHUNK.size
@@ -445,38 +432,22 @@ def _note(summary: Summary, code: int, content: bytes) -> None:
         summary.statistics = Statistics.read(stream)
 
 
-class SqliteFile:
-    """A database of rosbag2 that is open for reading; a journal beside it is not looked at.
-
-    Args:
-        path: of the file.
-
-    Raises:
-        DamagedError: if it cannot be read, or is the database of something else.
-    """
+class _SqliteFile(StorageFile):
+    """A database of rosbag2; a journal beside it is not looked at, and that of something else is refused."""
 
     kind = "db3"
-    compression = ""
 
     def __init__(self, path: Path) -> None:
         self._database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
+        self.close = self._database.close  # type: ignore[method-assign]
         try:
             with library_errors():
                 self.topics = self._topics()
         except DamagedError:
-            self._database.close()
+            self.close()
             raise
 
-    def close(self) -> None:
-        """Close the file."""
-        self._database.close()
-
     def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
-        """Yield the messages of these topics in the order of log time, equal times in that of writing.
-
-        Raises:
-            DamagedError: if tables and indexes do not fit together, or messages were deleted.
-        """
         with library_errors():  # also MemoryError, of a length that is damaged
             (found,), (foreign,), (count, first, last) = (self._database.execute(one).fetchone() for one in _CHECKS)
             if found != "ok":
@@ -509,37 +480,21 @@ class SqliteFile:
         return {key: BagTopic(name, full_type(kind), count, form) for key, name, kind, form, count in rows}
 
 
-class Ros1File:
-    """A bag file of ROS 1 that is open.
-
-    Args:
-        path: of the file.
-
-    Raises:
-        DamagedError: if rosbags cannot read it.
-    """
+class _Ros1File(StorageFile):
+    """A bag file of ROS 1, by rosbags."""
 
     kind = "bag"
-    compression = ""
 
     def __init__(self, path: Path) -> None:
         self._reader = Ros1Reader(path)
         with library_errors():
             self._reader.open()
+        self.close = self._reader.close  # type: ignore[method-assign]
         self.topics = {
             c.id: BagTopic(c.topic, full_type(c.msgtype), c.msgcount, _ROS1) for c in self._reader.connections
         }
 
-    def close(self) -> None:
-        """Close the file."""
-        self._reader.close()
-
     def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
-        """Yield the messages of these connections in the order of log time.
-
-        Raises:
-            DamagedError: if the file cannot be read further.
-        """
         wanted = [connection for connection in self._reader.connections if connection.id in keys]
         with library_errors():
             # To rosbags no connections are all of them.
@@ -548,7 +503,7 @@ class Ros1File:
 
 
 _BEGINNINGS: Final[dict[bytes, Callable[[Path], StorageFile]]] = {
-    MCAP_MAGIC: McapFile,
-    b"SQLite format 3\0": SqliteFile,
-    b"#ROSBAG V2.0\n": Ros1File,
+    MCAP_MAGIC: _McapFile,
+    b"SQLite format 3\0": _SqliteFile,
+    b"#ROSBAG V2.0\n": _Ros1File,
 }

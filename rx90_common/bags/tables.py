@@ -59,7 +59,7 @@ def _topic_text(topic: TopicComparison) -> str:
             ) if count
         ]  # fmt: skip
         lines += [f"  {where} bag: {'; '.join(notes)}"] * bool(notes)
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for _, group in groupby(topic.values, lambda value: value.field):
         values = list(group)
         if len(values) > 1 and all(v.maximum == 0.0 and not v.beyond for v in values):  # one row for all
