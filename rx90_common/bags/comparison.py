@@ -244,14 +244,14 @@ def _compare_topic(
         same = [b for b in right if set(b.names) == set(a.names)]
         if same:
             pairs.append((a, same[0]))
-            left, right = ([one for one in some if one not in pairs[-1]] for some in (left, right))
+            left, right = ([s for s in some if s not in pairs[-1]] for some in (left, right))
     results = []
-    for one, other in [*pairs, *zip_longest(left, right)]:  # what is left on both sides is paired in its order
-        only = one or other
-        if one is not None and other is not None:
-            results.append(compare_series(one, other, tolerances, scope))
+    for first, second in [*pairs, *zip_longest(left, right)]:  # what is left on both sides is paired in its order
+        only = first or second
+        if first is not None and second is not None:
+            results.append(compare_series(first, second, tolerances, scope))
         elif only is not None:
-            where = _BAGS[only is other]
+            where = _BAGS[only is second]
             results.append(_incomparable(topic, f"only the {where} bag has messages of {listed(only.names)}"))
     return results
 

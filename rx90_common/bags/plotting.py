@@ -199,6 +199,7 @@ def _curves(series: JointSeries, field: str, zero: int, suffix: str = "", *, sec
         # A temperature that has no message at a stamp is no gap in its curve.
         drawn = ~np.isnan(values[:, k]) if series.temperature is not None else slice(None)
         colour = INK if second and len(series.names) == 1 else COLOURS[k % len(COLOURS)]
-        width, dash = 1.0 if second or not suffix else 2.0, "dashed" if second else "solid"
-        curves.append(Curve(time[drawn], values[drawn, k], f"{plain(name)}{suffix}", colour, width, dash))
+        width = 1.0 if second or not suffix else 2.0
+        label, points = f"{plain(name)}{suffix}", (time[drawn], values[drawn, k])
+        curves.append(Curve(*points, label, colour, width, "dashed" if second else "solid"))
     return curves

@@ -208,7 +208,7 @@ class _McapFile(StorageFile):
     kind = "mcap"
 
     def __init__(self, path: Path) -> None:
-        self._data = memoryview(np.memmap(path, np.uint8, "r"))
+        self._data = np.memmap(path, np.uint8, "r").data
         magic = len(MCAP_MAGIC)
         with library_errors():
             if len(self._data) == magic or self._data[-magic:].tobytes() != MCAP_MAGIC:
