@@ -33,9 +33,7 @@ class MessageBatch:
     """
 
     def __init__(self, data: Bytes, start: Int64Array, size: Int64Array) -> None:
-        self.data = data
-        self.start = start
-        self.size = size
+        self.data, self.start, self.size = data, start, size
 
     @classmethod
     def of(cls, messages: Sequence[bytes]) -> MessageBatch:
@@ -48,13 +46,11 @@ class MessageBatch:
         """Return one batch with the messages of all, in this order."""
         if len(batches) == 1:
             return batches[0]
-        before = np.cumsum([0, *(len(batch.data) for batch in batches)])
-        starts = [batch.start + offset for batch, offset in zip(batches, before, strict=False)]
-        return cls(
-            np.concatenate([np.zeros(0, dtype=np.uint8), *(batch.data for batch in batches)]),
-            np.concatenate([np.zeros(0, dtype=np.int64), *starts]),
-            np.concatenate([np.zeros(0, dtype=np.int64), *(batch.size for batch in batches)]),
-        )
+        batches = [cls.of([]), *batches]
+        before = np.cumsum([len(batch.data) for batch in batches])
+        starts = [batch.start + end - len(batch.data) for batch, end in zip(batches, before, strict=True)]
+        data, sizes = ([getattr(batch, name) for batch in batches] for name in ("data", "size"))
+        return cls(np.concatenate(data), np.concatenate(starts), np.concatenate(sizes))
 
     def __len__(self) -> int:
         return len(self.size)
@@ -68,20 +64,19 @@ class MessageBatch:
         """Return a message."""
         return self.data[self.start[row] : self.start[row] + self.size[row]].tobytes()
 
+    @property
+    def total(self) -> int:
+        """Return the bytes of all messages."""
+        return int(self.size.sum())
+
     def repeats(self, before: bytes) -> NDArray[np.bool_]:
         """Return whether each message is, to the bit, the one before it, bool (n,); `before` is that of the first."""
         again = np.zeros(len(self), dtype=np.bool_)
         # Almost always the stamps differ.
         alike = np.flatnonzero((np.diff(self.stamps_ns()) == 0) & (np.diff(self.size) == 0)) + 1
         again[alike] = [self[row] == self[row - 1] for row in alike.tolist()]
-        if len(self):
-            again[0] = self[0] == before
+        again[:1] = [message == before for message in self.take(slice(0, 1))]
         return again
-
-    @property
-    def total(self) -> int:
-        """Return the bytes of all messages."""
-        return int(self.size.sum())
 
     def stamps_ns(self) -> Int64Array:
         """Return the time at the head of each message, ns, int64 (n,); 0 before 0 and where a message is cut off."""
@@ -97,10 +92,6 @@ class MessageBatch:
     def take(self, rows: NDArray[np.intp] | slice) -> MessageBatch:
         """Return these messages (an index or a slice), in the same bytes."""
         return MessageBatch(self.data, self.start[rows], self.size[rows])
-
-    def copy(self) -> MessageBatch:
-        """Return a copy that holds no other bytes than those of the messages."""
-        return MessageBatch.of(list(self))
 
 
 def series_encoder(series: JointSeries) -> tuple[Int64Array, Callable[[Int64Array], MessageBatch]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from itertools import zip_longest
 from pathlib import Path
@@ -22,6 +22,7 @@ from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 
 _KEY = np.dtype([("stamp", np.int64), ("occurrence", np.int64)])
+_BAGS = ("first", "second")
 
 
 class Verdict(IntEnum):
@@ -154,11 +155,10 @@ class Scope:
     align: int | str = 0
 
     def __post_init__(self) -> None:
-        for field in self.fields:
-            if field not in SERIES_FIELDS:
-                raise BagError(f"field {quoted(field)}; accepted: {', '.join(SERIES_FIELDS)}")
-        if not self.fields:
-            raise BagError(f"no fields to compare; accepted: {', '.join(SERIES_FIELDS)}")
+        unknown = [field for field in self.fields if field not in SERIES_FIELDS]
+        if unknown or not self.fields:
+            what = f"field {quoted(unknown[0])}" if unknown else "no fields to compare"
+            raise BagError(f"{what}; accepted: {', '.join(SERIES_FIELDS)}")
         if self.start_ns is not None and self.end_ns is not None and self.start_ns > self.end_ns:
             window = f"{self.start_ns / NANOSECONDS:g} s to {self.end_ns / NANOSECONDS:g} s"
             raise BagError(f"time window from {window}; accepted: a start before the end")
@@ -167,14 +167,13 @@ class Scope:
 
     def cut(self, series: JointSeries) -> JointSeries:
         """Return the part of a series that is compared."""
-        inside = np.ones(len(series.stamp_ns), dtype=np.bool_)
-        if self.start_ns is not None:
-            inside &= series.stamp_ns >= self.start_ns
-        if self.end_ns is not None:
-            inside &= series.stamp_ns <= self.end_ns
-        part = series if inside.all() else series.take(inside)
-        fields = {field: values for field, values in part.fields.items() if field in self.fields}
-        return JointSeries(part.topic, part.names, part.stamp_ns, **fields, effort_unit=part.effort_unit)
+        stamps, no_bounds = series.stamp_ns, np.iinfo(np.int64)
+        inside = (stamps >= (no_bounds.min if self.start_ns is None else self.start_ns)) & (
+            stamps <= (no_bounds.max if self.end_ns is None else self.end_ns)
+        )
+        left_out = {field: None for field in series.fields if field not in self.fields}
+        part: JointSeries = replace(series, **left_out)  # type: ignore[arg-type]  # fields alone
+        return part if inside.all() else part.take(inside)
 
 
 def compare_bags(
@@ -194,77 +193,66 @@ def compare_bags(
     tolerances, scope = tolerances or Tolerances(), scope or Scope()
     check_type(tolerances=(tolerances, Tolerances), scope=(scope, Scope))
     chosen = None if scope.topics is None else [absolute(topic) for topic in scope.topics]
-    bag_a, bag_b = (read_joint_bag(path, chosen) for path in (path_a, path_b))
-    both: set[str] = set()
-    for bag in (bag_a, bag_b):
-        series_topics = {topic.name for topic in bag.topics if topic.holds_series}
+    bags = bag_a, bag_b = read_joint_bag(path_a, chosen), read_joint_bag(path_b, chosen)
+    every = [topic for bag in bags for topic in bag.topics]
+    there = {topic.name for topic in every if topic.holds_series}
+    for bag in bags:
         if not any(topic.count for topic in bag.topics):
             raise BagError(f"{plain(bag.path)}: holds no messages")
-        if not series_topics:
+        if not any(topic.holds_series for topic in bag.topics):
             others = listed(sorted({topic.name for topic in bag.topics}))
             raise BagError(f"{plain(bag.path)}: holds no JointState or Temperature topic, only {others}")
-        both |= series_topics
-    wanted = sorted(both) if chosen is None else chosen
+    wanted = sorted(there) if chosen is None else chosen
     for topic in wanted:
-        if topic not in both:
-            there = series_topics_text([*bag_a.topics, *bag_b.topics])
-            raise BagError(f"topic {plain(topic)} is in neither bag; {there}")
+        if topic not in there:
+            raise BagError(f"topic {plain(topic)} is in neither bag; {series_topics_text(every)}")
     shift = time_shift(scope.align, bag_a, bag_b)
-    series = [bag_a.series, bag_b.moved(shift).series]
-    joints = {
-        topic: {name for found in series for one in found.get(topic, []) for name in one.names} for topic in wanted
-    }
-    tolerances.check(both, joints)
-    results: list[TopicComparison] = []
-    for topic in wanted:
-        results += _compare_topic(topic, series[0].get(topic), series[1].get(topic), tolerances, scope)
+    found_a, found_b = bag_a.series, bag_b.moved(shift).series
+    series = [one for found in (found_a, found_b) for some in found.values() for one in some]
+    joints = {topic: {name for one in series if one.topic == topic for name in one.names} for topic in wanted}
+    tolerances.check(there, joints)
+    results = [
+        result
+        for topic in wanted
+        for result in _compare_topic(topic, (found_a.get(topic), found_b.get(topic)), tolerances, scope)
+    ]
     if not results:
-        there = " nor ".join(plain(bag.path) for bag in (bag_a, bag_b))
-        raise BagError(f"neither {there} has a JointState or Temperature message in the time window")
+        neither = " nor ".join(plain(bag.path) for bag in bags)
+        raise BagError(f"neither {neither} has a JointState or Temperature message in the time window")
     if set(scope.fields) < set(SERIES_FIELDS) and not any(r.values or r.verdict is not Verdict.SAME for r in results):
         # Bags would be the same by stamps alone.
-        held = dict.fromkeys(
-            field for found in series for some in found.values() for one in some for field in one.fields
-        )
-        what = f"fields {', '.join(scope.fields)}: no message has any of them"
-        raise BagError(f"{what}; accepted: some of {', '.join(held) or 'none'}")
-    skipped = {topic.name for bag in (bag_a, bag_b) for topic in bag.topics if not topic.holds_series}
-    notes = tuple(f"{plain(bag.path)}: {note}" for bag in (bag_a, bag_b) for note in bag.notes)
-    return BagComparison(bag_a.path, bag_b.path, tuple(results), tuple(sorted(skipped)), notes, shift)
+        held = listed(dict.fromkeys(field for one in series for field in one.fields)) or "none"
+        raise BagError(f"fields {', '.join(scope.fields)}: no message has any of them; accepted: some of {held}")
+    skipped = tuple(sorted({topic.name for topic in every if not topic.holds_series}))
+    notes = tuple(f"{plain(bag.path)}: {note}" for bag in bags for note in bag.notes)
+    return BagComparison(bag_a.path, bag_b.path, tuple(results), skipped, notes, shift)
 
 
 def _compare_topic(
-    topic: str,
-    found_a: list[JointSeries] | None,
-    found_b: list[JointSeries] | None,
-    tolerances: Tolerances,
-    scope: Scope,
+    topic: str, found: tuple[list[JointSeries] | None, ...], tolerances: Tolerances, scope: Scope
 ) -> list[TopicComparison]:
-    """Compare each set of joints of a topic."""
-    cut_a, cut_b = (
-        [part for series in found or [] if len((part := scope.cut(series)).stamp_ns)] for found in (found_a, found_b)
-    )
-    if not cut_a and not cut_b:
+    """Compare each set of joints of a topic; `found` is that of each bag, None where the bag lacks the topic."""
+    left, right = ([one for series in some or [] if len((one := scope.cut(series)).stamp_ns)] for some in found)
+    if not left and not right:
         return [] if scope.topics is None else [_incomparable(topic, "no message of it is in either bag")]
-    if not cut_a or not cut_b:
-        lacking, found = ("first", found_a) if not cut_a else ("second", found_b)
-        what = "the topic is not" if found is None else "no message of it is"
-        within = "" if not found else " within the time window"
-        return [_incomparable(topic, f"{what} in the {lacking} bag{within}")]
-    results, left_a = [], []
-    for a in cut_a:  # with the same set of joints
-        same = next((b for b in cut_b if set(b.names) == set(a.names)), None)
-        if same is None:
-            left_a.append(a)
-        else:
-            cut_b = [b for b in cut_b if b is not same]
-            results.append(compare_series(a, same, tolerances, scope))
-    for left, other in zip_longest(left_a, cut_b):  # what is left on both sides is paired in its order
-        if left is not None and other is not None:
-            results.append(compare_series(left, other, tolerances, scope))
-        else:
-            where, names = ("first", left.names) if left is not None else ("second", other.names)
-            results.append(_incomparable(topic, f"only the {where} bag has messages of {listed(names)}"))
+    if not left or not right:
+        lacking, some = _BAGS[bool(left)], found[bool(left)]
+        what = "the topic is not" if some is None else "no message of it is"
+        return [_incomparable(topic, f"{what} in the {lacking} bag{' within the time window' * bool(some)}")]
+    pairs: list[tuple[JointSeries | None, JointSeries | None]] = []
+    for a in [*left]:  # with the same set of joints
+        same = [b for b in right if set(b.names) == set(a.names)]
+        if same:
+            pairs.append((a, same[0]))
+            left, right = ([s for s in some if s not in pairs[-1]] for some in (left, right))
+    results = []
+    for first, second in [*pairs, *zip_longest(left, right)]:  # what is left on both sides is paired in its order
+        only = first or second
+        if first is not None and second is not None:
+            results.append(compare_series(first, second, tolerances, scope))
+        elif only is not None:
+            where = _BAGS[only is second]
+            results.append(_incomparable(topic, f"only the {where} bag has messages of {listed(only.names)}"))
     return results
 
 
@@ -280,7 +268,10 @@ def compare_series(
         return _incomparable(a.topic, f"no joint in common: {listed(a.names)} against {listed(b.names)}")
     alignment = align(a, b)
     if not len(alignment.stamp_ns):
-        spans = " against ".join(map(_span, (a, b)))
+        spans = " against ".join(
+            f"{len(t)} from {t.min() / NANOSECONDS:.9f} to {t.max() / NANOSECONDS:.9f} s" if len(t) else "none"
+            for t in (a.stamp_ns, b.stamp_ns)
+        )
         return _incomparable(a.topic, f"no stamp in common: {spans}; bags that began at other times can be aligned")
     reasons: list[str] = []
     for one, other, where in ((a, b, "first"), (b, a, "second")):
@@ -289,10 +280,10 @@ def compare_series(
             ", ".join(field for field in one.fields if field not in other.fields),
         ):
             reasons += [f"only the {where} bag has {lacking}"] * bool(lacking)
-    if "effort" in a.fields and "effort" in b.fields and a.units["effort"] != b.units["effort"]:
-        units = (plain(one.units["effort"]) for one in (a, b))
+    units = [plain(one.units["effort"]) for one in (a, b) if "effort" in one.fields]
+    if len(set(units)) > 1:
         reasons.append("effort is in {} in the first bag and in {} in the second, and not compared".format(*units))
-    for side, where in ((alignment.a, "first"), (alignment.b, "second")):
+    for side, where in zip((alignment.a, alignment.b), _BAGS, strict=True):
         if side.first_missing_ns is not None:
             reasons.append(
                 f"only the {where} bag has {side.missing} messages of the common range, "
@@ -308,10 +299,10 @@ def compare_series(
                 pair = columns_a[:, a.names.index(joint)], columns_b[:, b.names.index(joint)]
                 tolerance = tolerances.of(a.topic, joint, field)
                 values.append(_difference(joint, field, a.units[field], *pair, alignment.stamp_ns, tolerance))
-    differs = bool(reasons) or any(value.beyond for value in values)
+    verdict = Verdict.DIFFERS if reasons or any(value.beyond for value in values) else Verdict.SAME
     return TopicComparison(
         a.topic, joints, len(alignment.stamp_ns), alignment.range_ns, alignment.a, alignment.b, tuple(values),
-        tuple(reasons), Verdict.DIFFERS if differs else Verdict.SAME,
+        tuple(reasons), verdict,
     )  # fmt: skip
 
 
@@ -322,9 +313,8 @@ def _difference(
     finite = np.isfinite(a) & np.isfinite(b)
     equal_bits = a.view(np.int64) == b.view(np.int64)
     # Without a tolerance, two NaN with other bits are not the same.
-    both_nan = np.isnan(a) & np.isnan(b)
-    same_but_not_finite = equal_bits | (a == b) | (both_nan if tolerance > 0.0 else False)
-    not_finite = int((~finite & ~same_but_not_finite).sum())
+    both_nan = np.isnan(a) & np.isnan(b) & (tolerance > 0.0)
+    not_finite = int((~finite & ~(equal_bits | (a == b) | both_nan)).sum())
     with np.errstate(over="ignore"):
         distance = np.abs(np.where(finite, a, 0.0) - np.where(finite, b, 0.0))
     distance = np.minimum(distance, np.finfo(np.float64).max)
@@ -341,13 +331,6 @@ def _difference(
 
 def _incomparable(topic: str, reason: str) -> TopicComparison:
     return TopicComparison(topic, (), 0, None, None, None, (), (reason,), Verdict.INCOMPARABLE)
-
-
-def _span(series: JointSeries) -> str:
-    stamps = series.stamp_ns
-    if not len(stamps):
-        return "none"
-    return f"{len(stamps)} from {stamps.min() / NANOSECONDS:.9f} to {stamps.max() / NANOSECONDS:.9f} s"
 
 
 class Alignment(NamedTuple):
@@ -371,54 +354,31 @@ def align(a: JointSeries, b: JointSeries) -> Alignment:
     stamps = keys_a["stamp"], keys_b["stamp"]
     alone = not (keys_a["occurrence"].any() or keys_b["occurrence"].any())  # stamps alone are sorted faster
     left, right = stamps if alone else (keys_a, keys_b)
-    _, matched_a, matched_b = np.intersect1d(left, right, assume_unique=True, return_indices=True)
-    common = None
-    if len(rows_a) and len(rows_b):
-        low, high = max(int(one[0]) for one in stamps), min(int(one[-1]) for one in stamps)
-        common = (low, high) if low <= high else None
-    sides = (
-        _side(series, keys, matched, common)
-        for series, keys, matched in ((a, keys_a, matched_a), (b, keys_b, matched_b))
-    )
-    return Alignment(rows_a[matched_a], rows_b[matched_b], stamps[0][matched_a], common, *sides)
+    _, *matched = np.intersect1d(left, right, assume_unique=True, return_indices=True)
+    low, high = (max(int(t[0]) for t in stamps), min(int(t[-1]) for t in stamps)) if all(map(len, stamps)) else (1, 0)
+    sides = []
+    for series, keys, rows in zip((a, b), (keys_a, keys_b), matched, strict=True):
+        inside = (keys["stamp"] >= low) & (keys["stamp"] <= high)
+        missing = np.setdiff1d(np.flatnonzero(inside), rows)
+        first = int(keys["stamp"][missing[0]]) if len(missing) else None
+        repeats, ambiguous = len(series.stamp_ns) - len(keys), int((keys["occurrence"] > 0).sum())
+        sides.append(Side(len(missing), first, int((~inside).sum()), repeats, ambiguous))
+    common = (low, high) if low <= high else None
+    return Alignment(rows_a[matched[0]], rows_b[matched[1]], stamps[0][matched[0]], common, *sides)
 
 
 def _keys(series: JointSeries) -> tuple[NDArray[np.intp], NDArray[np.void]]:
     """Return the rows that are no repetitions, by stamp, and their stamps and numbers among those with the same."""
     rows = np.argsort(series.stamp_ns, kind="stable")
     stamp = series.stamp_ns[rows]
-    keys = np.zeros(len(rows), dtype=_KEY)
+    keys, keep = np.zeros(len(rows), dtype=_KEY), np.ones(len(rows), dtype=np.bool_)
     keys["stamp"] = stamp
-    keep = np.ones(len(rows), dtype=np.bool_)
     seen: dict[bytes, int] = {}
-    last = -1
-    for i in (np.flatnonzero(stamp[1:] == stamp[:-1]) + 1).tolist():
-        if i - 1 != last:  # a new group begins with the message before
-            seen = {_content(series, int(rows[i - 1])): 0}
-        last = i
-        content = _content(series, int(rows[i]))
+    again = np.append(False, stamp[1:] == stamp[:-1])
+    for i in np.flatnonzero(again | np.append(again[1:], False)).tolist():  # all those that share a stamp
+        content = b"".join(values[rows[i]].tobytes() for values in series.fields.values())
+        if not again[i]:
+            seen = {}
         keep[i] = content not in seen
         keys["occurrence"][i] = seen.setdefault(content, len(seen))
     return rows[keep], keys[keep]
-
-
-def _content(series: JointSeries, row: int) -> bytes:
-    return b"".join(values[row].tobytes() for values in series.fields.values())
-
-
-def _side(
-    series: JointSeries, keys: NDArray[np.void], matched: NDArray[np.intp], common: tuple[int, int] | None
-) -> Side:
-    stamp = keys["stamp"]
-    inside = np.zeros(len(keys), dtype=np.bool_)
-    if common is not None:
-        inside = (stamp >= common[0]) & (stamp <= common[1])
-    missing = inside.copy()
-    missing[matched] = False
-    return Side(
-        missing=int(missing.sum()),
-        first_missing_ns=int(stamp[missing][0]) if missing.any() else None,
-        outside=int((~inside).sum()),
-        repeats=len(series.stamp_ns) - len(keys),
-        ambiguous=int((keys["occurrence"] > 0).sum()),
-    )

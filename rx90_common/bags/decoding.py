@@ -32,14 +32,6 @@ class _Layout(NamedTuple):
     fields: tuple[str, ...]
 
 
-class _Rows(NamedTuple):
-    """Decoded messages of one layout: places among those of the topic, stamps, values (n, fields, joints)."""
-
-    place: NDArray[np.intp]
-    stamp_ns: Int64Array
-    values: Array
-
-
 class _MessagePattern:
     """Where the numbers stand in the messages that look like a given one.
 
@@ -60,19 +52,17 @@ class _MessagePattern:
         if sample[:ENCAPSULATION] != LITTLE_ENDIAN or not 0 <= len(sample) - len(variable) <= _MAX_SLACK:
             raise ExchangeError("a pattern that the codec does not write")
         self.layout, self.length = layout, len(sample)
-        self._variable = np.flatnonzero(variable)[STAMP_BYTES:]
-        self._constant = np.flatnonzero(~variable)
+        self._variable, self._constant = np.flatnonzero(variable)[STAMP_BYTES:], np.flatnonzero(~variable)
         self._expected = np.frombuffer(sample, dtype=np.uint8)[self._constant]
 
     def matches(self, block: NDArray[np.uint8]) -> NDArray[np.bool_]:
         """Return for each message of `block`, shape (n, length), whether it has this pattern."""
         return np.asarray((block[:, self._constant] == self._expected).all(axis=1))
 
-    def decode(self, block: NDArray[np.uint8], index: NDArray[np.intp]) -> _Rows:
-        """Return the numbers of messages that have this pattern."""
+    def values(self, block: NDArray[np.uint8]) -> Array:
+        """Return the numbers of messages that have this pattern, shape (n, fields, joints)."""
         numbers = np.ascontiguousarray(block[:, self._variable]).view("<f8").astype(np.float64, copy=False)
-        shape = (len(block), len(self.layout.fields), len(self.layout.names))
-        return _Rows(index, cdr_stamps_ns(block), numbers.reshape(shape))
+        return numbers.reshape(len(block), len(self.layout.fields), len(self.layout.names))
 
 
 class SeriesBuilder:
@@ -94,7 +84,8 @@ class SeriesBuilder:
         self._pending: list[bytes] = []
         self._times: list[int] = []
         self._patterns: list[_MessagePattern] = []
-        self._rows: dict[_Layout, list[_Rows]] = {}
+        # By layout: places among the topic's messages, stamps, and values (n, kept fields, joints).
+        self._rows: dict[_Layout, list[tuple[NDArray[np.intp], Int64Array, Array]]] = {}
         self._decoded = 0
 
     def add(self, message: bytes, stamp_ns: int | None = None) -> None:
@@ -121,7 +112,7 @@ class SeriesBuilder:
         """
         self._decode_pending()
         groups: dict[frozenset[str], list[_Layout]] = {}
-        for layout in sorted(self._rows, key=lambda layout: min(rows.place[0] for rows in self._rows[layout])):
+        for layout in sorted(self._rows, key=lambda layout: min(place[0] for place, _, _ in self._rows[layout])):
             groups.setdefault(frozenset(layout.names), []).append(layout)
         return [self._merge(layouts) for layouts in groups.values()]
 
@@ -129,19 +120,19 @@ class SeriesBuilder:
         names, fields = layouts[0]
         for other in layouts[1:]:
             if other.fields != fields:
-                start = min(int(rows.stamp_ns[0]) for rows in self._rows[other])
+                start = min(int(stamps[0]) for _, stamps, _ in self._rows[other])
                 raise BagError(
                     f"{self._topic}: carries {', '.join(fields) or 'no arrays'} in some messages "
                     f"and {', '.join(other.fields) or 'no arrays'} in others (from t = {start / NANOSECONDS:.9f} s)"
                 )
-        parts = [(rows, [one.names.index(name) for name in names]) for one in layouts for rows in self._rows[one]]
-        place = np.concatenate([rows.place for rows, _ in parts])
+        parts = [(*rows, [one.names.index(name) for name in names]) for one in layouts for rows in self._rows[one]]
+        place = np.concatenate([part[0] for part in parts])
         order = np.argsort(place)
-        stamp = np.concatenate([rows.stamp_ns for rows, _ in parts])
+        stamp = np.concatenate([part[1] for part in parts])
         if self._times:
             stamp = np.array(self._times, dtype=np.int64)[place]
         arrays = {  # one after the other: of a long bag all of them twice would be a lot of memory
-            field: np.concatenate([rows.values[:, k][:, columns] for rows, columns in parts])[order]
+            field: np.concatenate([values[:, k][:, columns] for _, _, values, columns in parts])[order]
             for k, field in enumerate(field for field in fields if field in self._fields)
         }
         return JointSeries(self._topic, names, stamp[order], **arrays, effort_unit=self._effort_unit)
@@ -162,46 +153,40 @@ class SeriesBuilder:
                 pattern = self._patterns[tried]
                 tried += 1
                 if pattern.length == length and (fits := pattern.matches(block)).any():
-                    self._keep(pattern.layout, pattern.decode(block[fits], left[fits] + start))
+                    fitting = block[fits]
+                    self._keep(pattern.layout, left[fits] + start, cdr_stamps_ns(fitting), pattern.values(fitting))
                     left, block = left[~fits], block[~fits]
 
-    def _keep(self, layout: _Layout, rows: _Rows) -> None:
+    def _keep(self, layout: _Layout, place: NDArray[np.intp], stamps: Int64Array, values: Array) -> None:
         kept = [k for k, field in enumerate(layout.fields) if field in self._fields]
-        if len(kept) < len(layout.fields):
-            rows = rows._replace(values=rows.values[:, kept])
-        self._rows.setdefault(layout, []).append(rows)
+        values = values[:, kept] if len(kept) < len(layout.fields) else values
+        self._rows.setdefault(layout, []).append((place, stamps, values))
 
-    def _decode_one(self, raw: bytes, index: NDArray[np.intp]) -> None:
-        """Decode a message by the general path; keep its pattern if that is worth keeping."""
-        message = self._deserialize_with_slack(raw)
+    def _decode_one(self, raw: bytes, place: NDArray[np.intp]) -> None:
+        """Decode a message by the general path, and learn its pattern."""
+        slacks = [0, *(range(4, _MAX_SLACK + 1, 4) if self._cdr else ())]  # unused bytes, of which rosbags tolerates 3
+        for slack in slacks:
+            try:
+                message = self._deserialize(raw[: len(raw) - slack])
+                break
+            except BagError:
+                if slack == slacks[-1]:
+                    raise
         names = tuple(message.name)
-        arrays = [np.asarray(getattr(message, field), dtype=np.float64) for field in FIELDS]
+        arrays = {field: np.asarray(getattr(message, field), dtype=np.float64) for field in FIELDS}
         stamp_ns = message_time_ns(message.header.stamp)
-        self._check(names, arrays, stamp_ns)
-        layout = _Layout(names, tuple(field for field, array in zip(FIELDS, arrays, strict=True) if len(array)))
-        values = np.array([array for array in arrays if len(array)]).reshape(1, -1, len(names))
-        self._keep(layout, _Rows(index, np.array([stamp_ns], dtype=np.int64), values))
-        if self._cdr and len(self._patterns) < _MAX_PATTERNS:
-            with suppress(ExchangeError):
-                self._patterns.append(_MessagePattern(raw, layout, message.header.frame_id))
-
-    def _deserialize_with_slack(self, raw: bytes) -> Any:
-        """Deserialize a message that may end in unused bytes, of which rosbags tolerates 3."""
-        try:
-            return self._deserialize(raw)
-        except BagError:
-            for slack in range(4, _MAX_SLACK + 1, 4) if self._cdr else ():
-                with suppress(BagError):
-                    return self._deserialize(raw[:-slack])
-            raise
-
-    def _check(self, names: tuple[str, ...], arrays: Sequence[Array], stamp_ns: int) -> None:
         where = f"{self._topic} at t = {stamp_ns / NANOSECONDS:.9f} s"
         if not names or len(set(names)) != len(names):
             raise BagError(f"{where}: joint names are {list(names)}; accepted: one or more, each once")
-        for field, array in zip(FIELDS, arrays, strict=True):
+        for field, array in arrays.items():
             if len(array) not in (0, len(names)):
                 raise BagError(f"{where}: {len(array)} numbers in {field} for {len(names)} joints")
+        layout = _Layout(names, tuple(field for field, array in arrays.items() if len(array)))
+        values = np.array([array for array in arrays.values() if len(array)]).reshape(1, -1, len(names))
+        self._keep(layout, place, np.array([stamp_ns], dtype=np.int64), values)
+        if self._cdr and len(self._patterns) < _MAX_PATTERNS:
+            with suppress(ExchangeError):
+                self._patterns.append(_MessagePattern(raw, layout, message.header.frame_id))
 
 
 class TemperatureBuilder:

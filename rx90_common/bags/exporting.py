@@ -84,14 +84,14 @@ def export_bag(
     with named_at_the_end(output) as folder:
         read = read_joint_bag(path, counts, lambda count, _: progress(count, 2 * total))
         remedy = "accepted for a table: the same in all messages; leave the topic out with --topic"
-        tables = {one.topic: one for one in (read.one(topic, remedy=remedy) for topic in counts)}
+        tables = [read.one(topic, remedy=remedy) for topic in counts]
         if single:
-            FORMATS[kind](folder / output.name, list(tables.values()), written)
+            FORMATS[kind](folder / output.name, tables, written)
             files = sorted(output.parent / file.name for file in folder.iterdir())
         else:
             (folder / output.name).mkdir()
-            for topic, series in tables.items():
-                name = f"{topic.removeprefix('/').replace('/', '.')}{kind}"
+            for series in tables:
+                name = f"{series.topic.removeprefix('/').replace('/', '.')}{kind}"
                 FORMATS[kind](folder / output.name / name, [series], written)
             files = sorted(output / file.name for file in (folder / output.name).iterdir())
     return ExportedBag(tuple(files), tuple(counts.items()), left_out)
@@ -109,22 +109,22 @@ def _write_csv(path: Path, tables: Sequence[JointSeries], written: Callable[[int
     """
     (series,) = tables
     path.with_suffix(".yaml").write_text(exported_mapping(series), encoding="utf-8")
+
+    def word(value: float) -> str:
+        return "-nan" if math.isnan(value) and math.copysign(1.0, value) < 0.0 else repr(value)
+
     with path.open("w", encoding="utf-8", newline="") as file:
         names = [plain(name) for _, _, name in _columns(series)]  # in one line, whatever a joint is called
         csv.writer(file, lineterminator="\n").writerow([_TIME, *names])
         for begin in range(0, len(series.stamp_ns), _ROWS_AT_ONCE):
             block = series.take(slice(begin, begin + _ROWS_AT_ONCE))
             values = np.concatenate(list(block.fields.values()), axis=1)
-            words = repr if np.isfinite(values).all() else _word
+            words = repr if np.isfinite(values).all() else word
             file.writelines(
                 f"{stamp // NANOSECONDS}.{stamp % NANOSECONDS:09d},{','.join(map(words, row))}\n"
                 for stamp, row in zip(block.stamp_ns.tolist(), values.tolist(), strict=True)
             )
             written(block.messages)
-
-
-def _word(value: float) -> str:
-    return "-nan" if math.isnan(value) and math.copysign(1.0, value) < 0.0 else repr(value)
 
 
 def _write_parquet(path: Path, tables: Sequence[JointSeries], written: Callable[[int], None]) -> None:
@@ -134,12 +134,12 @@ def _write_parquet(path: Path, tables: Sequence[JointSeries], written: Callable[
 
     (series,) = tables
     fields = [pa.field(_STAMP, pa.int64(), False, {"unit": "ns"}), pa.field(_TIME, pa.float64(), False, {"unit": "s"})]
-    arrays = [series.stamp_ns, series.time]
+    arrays = [pa.array(series.stamp_ns), pa.array(series.time)]
     for joint, field, name in _columns(series):
         about = {"unit": series.units[field], "joint": joint, "field": field}
         fields.append(pa.field(name, pa.float64(), False, about))
-        arrays.append(np.ascontiguousarray(series.fields[field][:, series.names.index(joint)]))
-    table = pa.Table.from_arrays([pa.array(one) for one in arrays], schema=pa.schema(fields, {"topic": series.topic}))
+        arrays.append(pa.array(np.ascontiguousarray(series.fields[field][:, series.names.index(joint)])))
+    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, {"topic": series.topic}))
     pq.write_table(table, path, write_page_checksum=True)
     written(series.messages)
 
@@ -167,5 +167,8 @@ def _write_npz(path: Path, tables: Sequence[JointSeries], written: Callable[[int
     written(sum(series.messages for series in tables))
 
 
-TableWriter = Callable[[Path, Sequence[JointSeries], Callable[[int], None]], None]
-FORMATS: Final[Mapping[str, TableWriter]] = {".csv": _write_csv, ".parquet": _write_parquet, ".npz": _write_npz}
+FORMATS: Final[Mapping[str, Callable[[Path, Sequence[JointSeries], Callable[[int], None]], None]]] = {
+    ".csv": _write_csv,
+    ".parquet": _write_parquet,
+    ".npz": _write_npz,
+}

@@ -78,17 +78,15 @@ class JointSeries:
     @property
     def quantities(self) -> dict[str, str]:
         """Return what each field holds, with its unit, such as `position [rad]`; for friction_states other names."""
-        return {field: f"{name} [{unit}]" for field, (name, unit) in self._quantities.items()}
+        names = {field: name for field, (name, _) in quantities(self.topic).items()}
+        names["effort"] = "effort" if self.effort_unit else names["effort"]
+        return {field: f"{name} [{self.units[field]}]" for field, name in names.items()}
 
     @property
     def units(self) -> dict[str, str]:
         """Return the unit of each field."""
-        return {field: unit for field, (_, unit) in self._quantities.items()}
-
-    @property
-    def _quantities(self) -> dict[str, tuple[str, str]]:
-        said = quantities(self.topic)
-        return said | {"effort": ("effort", self.effort_unit)} if self.effort_unit else said
+        units = {field: unit for field, (_, unit) in quantities(self.topic).items()}
+        return units | {"effort": self.effort_unit or units["effort"]}
 
     @property
     def time(self) -> Array:

@@ -20,7 +20,7 @@ from decimal import Decimal, DecimalException
 from itertools import islice, pairwise
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.batch import Int64Array, series_encoder
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.mapping import ARRAYS, DELIMITERS, SECONDS, UNITS, Column, FieldMapping, LogMapping, mapping_of
-from rx90_common.bags.storage_files import BagTopic, DamagedError, LoggedMessage, library_errors
+from rx90_common.bags.mapping import ARRAYS, DELIMITERS, SECONDS, UNITS, Column, LogMapping, mapping_of
+from rx90_common.bags.storage_files import BagTopic, DamagedError, LoggedMessage, StorageFile, library_errors
 from rx90_common.bags.topics import absolute
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.arrays import Array
@@ -42,6 +42,7 @@ from rx90_common.base.rates import NANOSECONDS
 _BLOCK: Final = 8192  # rows that are read, or encoded, at once
 _LAST_NS: Final = 2**31 * NANOSECONDS  # stamps of ROS end there
 _LARGEST: Final = 1e9  # rad, rad/s, Nm or A: no joint goes there, and a damaged number may
+_MOST: Final = np.finfo(np.float64).max
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 _LONGEST = 1 << 20  # characters of a line; a file that is no text may have no end of line at all
 _COMMENTS = ("#", "%", "//")
@@ -113,13 +114,10 @@ def read_logs(
     if len(paths) != mapping.files:
         given = counted(len(paths), "log")
         raise BagError(f"{given}; accepted: {mapping.files}, those that {plain(mapping.file)} takes columns from")
-    logs = [
-        (_ArrayLog if path.suffix.lower() in ARRAYS else _TextLog)(path, mapping, number, more)
-        for number, path in enumerate(paths, 1)
-    ]
+    logs = [_read_log(path, mapping, number, more) for number, path in enumerate(paths, 1)]
     counts = [len(log.lines) for log in logs]
     if len(set(counts)) > 1:
-        each = ", ".join(f"{plain(log.path)} {count}" for log, count in zip(logs, counts, strict=True))
+        each = ", ".join(f"{plain(path)} {count}" for path, count in zip(paths, counts, strict=True))
         raise BagError(f"rows: {each}; accepted: logs of as many rows each")
     if mapping.time is None:
         assert mapping.rate is not None
@@ -127,20 +125,23 @@ def read_logs(
     else:
         stamps = logs[mapping.time[0] - 1].stamp_ns
     faults = dict(logs[0].faults)
-    for log in logs[1:]:
+    for path, log in zip(paths[1:], logs[1:], strict=True):
         for row, reason in log.faults.items():
-            faults.setdefault(row, f"{plain(log.path)}:{log.lines[row]}: {reason}")
+            faults.setdefault(row, f"{plain(path)}:{log.lines[row]}: {reason}")
     rows = _good_rows(stamps, mapping, faults)
     corrupt = tuple((int(logs[0].lines[row]), faults[row]) for row in sorted(faults))
     if corrupt and not (skip_corrupt and len(rows)):
-        what = "" if len(rows) else "every row is corrupt: "
-        accepted = "whole rows, or rx90_bag import --skip-corrupt, to leave these out" if len(rows) else (
-            "columns as the mapping says"
-        )  # fmt: skip
+        what, accepted = "every row is corrupt: ", "columns as the mapping says"
+        if len(rows):
+            what, accepted = "", "whole rows, or rx90_bag import --skip-corrupt, to leave these out"
         raise BagError(f"{plain(paths[0])}: {what}{corrupt_text(corrupt)}; accepted: {accepted}")
     found = []
     for topic, mapped in mapping.topics.items():
-        fields = {name: logs[one.file - 1].numbers_of(one)[rows] for name, one in mapped.fields.items()}
+        fields: dict[str, Any] = {}
+        for name, one in mapped.fields.items():
+            columns = logs[one.file - 1].columns
+            values = np.column_stack([columns[column] for column in one.columns])
+            fields[name] = (values * np.array(one.factor))[rows]  # a factor of 1 changes no bit
         unit = mapped.effort_unit(topic)
         found.append(JointSeries(absolute(topic), mapped.names, stamps[rows], **fields, effort_unit=unit))
     return ReadLog(tuple(paths), tuple(log.dialect for log in logs), tuple(found), counts[0], corrupt)
@@ -182,112 +183,115 @@ def _increasing(stamps: Int64Array) -> Int64Array:
     return np.array(chosen[::-1], dtype=np.int64)
 
 
-class _Log:
-    """What a mapping takes from one log: numbers of the rows' lines, stamps, columns, and what is wrong with rows.
+class _Source(NamedTuple):
+    """A log that is open: names and number of its columns, how it is read, and its decimal sign.
 
-    Args:
-        path: of the log.
-        mapping: what its columns hold.
-        number: of the log in the mapping, from 1 on.
+    `rows` gives blocks of the columns at these places: numbers of lines, columns as texts or arrays, and torn rows.
     """
 
+    names: Sequence[str]
+    width: int
+    dialect: str
+    decimal: str
+    rows: Callable[[Sequence[int]], Iterator[tuple[Int64Array, dict[int, Any], dict[int, str]]]]
+
+
+class _Log(NamedTuple):
+    """What a mapping takes from one log: lines and stamps of rows, numbers by column, and what is wrong with rows."""
+
+    dialect: str
     lines: Int64Array
     stamp_ns: Int64Array
-    dialect: str
-
-    def __init__(self, path: Path, mapping: LogMapping, number: int) -> None:
-        self.path, self.mapping, self._number = path, mapping, number
-        self.faults: dict[int, str] = {}
-        self.columns: dict[int, Array] = {}  # as they stand in the log, by their places
-
-    def find_columns(self, names: Sequence[str], width: int) -> None:
-        """Find the columns that are used; refuse one that would stand for two joints, or for the times and a joint."""
-        self._names, self._width = names, width
-        time = self.mapping.time
-        self.time = self._place(time[1]) if time is not None and time[0] == self._number else None
-        self._factors: list[tuple[Column, int, float]] = []
-        for topic, mapped in self.mapping.topics.items():
-            for name, one in mapped.fields.items():
-                seen: set[int | None] = {self.time}
-                for column, factor in zip(one.columns, one.factor, strict=True) if one.file == self._number else ():
-                    place = self._place(column)
-                    if place in seen:
-                        others = "the times" if place == self.time else "another joint"
-                        raise BagError(
-                            f"{plain(self.path)}: column {plain(column)} in {plain(topic)}.{name} is that of {others}; "
-                            "accepted: a column of its own for each"
-                        )
-                    seen.add(place)
-                    self._factors.append((column, place, factor))
-        self.used = {place for _, place, _ in self._factors}
-
-    def numbers_of(self, mapped: FieldMapping) -> Array:
-        """Return the numbers of a field in SI units, shape (rows, joints)."""
-        columns = [self.columns[self._place(column)] for column in mapped.columns]
-        return np.asarray(np.column_stack(columns) * np.array(mapped.factor))  # a factor of 1 changes no bit
-
-    def note_faults(self, first: int, columns: Mapping[int, Array], cell: Callable[[int, int], str]) -> None:
-        """Note which rows, the first of which has this number, hold no numbers that a joint can have."""
-        for column, place, factor in self._factors:
-            values = columns[place] * factor
-            if self.mapping.exact:
-                wrong = [row for row in np.flatnonzero(~np.isfinite(values)).tolist()
-                         if cell(place, row).strip("' ").lower().lstrip("+-") not in _NOT_FINITE]  # fmt: skip
-            else:
-                wrong = np.flatnonzero(~(np.abs(values) <= _LARGEST)).tolist()  # a NaN is neither
-            for row in wrong:
-                self.faults.setdefault(first + row, f"column {plain(column)} is {cell(place, row)}")
-
-    def _place(self, column: Column) -> int:
-        """Return the index of a column."""
-        if isinstance(column, str):
-            if self._names.count(column) == 1:
-                return self._names.index(column)
-            found = "more than one column" if column in self._names else "no column"
-            there = listed(self._names) or "no names"
-            raise BagError(f"{plain(self.path)}: {found} {quoted(column)}; there are {there}")
-        if column > self._width:
-            raise BagError(f"{plain(self.path)}: no column {column}; accepted: 1 to {self._width}")
-        return column - 1
+    columns: dict[Column, Array]
+    faults: dict[int, str]
 
 
-class _ArrayLog(_Log):
-    """A log of arrays: the columns of Parquet; of NPZ arrays of shape (n,), and each column of (n, k), as `q[0]`."""
+def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int], None]) -> _Log:
+    """Read the log of this number, from 1 on, in a mapping."""
+    source = _open_arrays(path, more) if path.suffix.lower() in ARRAYS else _open_text(path, mapping, more)
+    time, used = _places(path, source, mapping, number)
+    places = [*{*used.values()}, *([] if time is None else [time])]
+    parts: dict[int, list[Array]] = {place: [] for place in used.values()}
+    lines, stamps = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    faults: dict[int, str] = {}
+    factors = [(column, factor) for topic in mapping.topics.values() for one in topic.fields.values()
+               if one.file == number for column, factor in zip(one.columns, one.factor, strict=True)]  # fmt: skip
+    first = 0
+    for numbers, columns, torn in source.rows(places):
+        faults |= {first + row: reason for row, reason in torn.items()}
+        values = {place: _numbers(columns[place], source.decimal) for place in parts}
+        for column, factor in factors:
+            scaled, texts = values[used[column]] * factor, columns[used[column]]
+            # A NaN is neither; of an exact log what stands for it, or for an infinity, is a number.
+            for row in np.flatnonzero(~(np.abs(scaled) <= (_MOST if mapping.exact else _LARGEST))).tolist():
+                if not mapping.exact or str(texts[row]).strip("' ").lower().lstrip("+-") not in _NOT_FINITE:
+                    faults.setdefault(first + row, f"column {plain(column)} is {_cell(texts[row])}")
+        for place, some in values.items():
+            parts[place].append(some)
+        stamp = np.zeros(len(numbers), dtype=np.int64)
+        if time is not None:
+            stamp = _stamps_ns(columns[time], source.decimal, int(mapping.seconds * NANOSECONDS))
+            for row in np.flatnonzero(stamp < 0).tolist():
+                accepted = f"0 to {_LAST_NS // NANOSECONDS} s"
+                faults.setdefault(first + row, f"time {_cell(columns[time][row])}; accepted: {accepted}")
+        lines.append(numbers)
+        stamps.append(np.maximum(stamp, 0))
+        first += len(numbers)
+    whole = {place: np.concatenate(some) for place, some in parts.items()}
+    numbers_of = {column: whole[place] for column, place in used.items()}
+    return _Log(source.dialect, np.concatenate(lines), np.concatenate(stamps), numbers_of, faults)
 
-    def __init__(self, path: Path, mapping: LogMapping, number: int, more: Callable[[int], None]) -> None:
-        super().__init__(path, mapping, number)
-        there = _arrays(path)
-        names, arrays = list(there), list(there.values())
-        self.find_columns(names, len(names))
-        self.dialect = f"{len(names)} columns {listed(names)}"
-        lengths = {names[k]: len(arrays[k]) for k in [*self.used, *([] if self.time is None else [self.time])]}
-        if len(set(lengths.values())) != 1 or 0 in lengths.values():
-            each = ", ".join(f"{plain(name)} {length}" for name, length in lengths.items())
-            raise BagError(f"{plain(path)}: rows: {each}; accepted: columns of as many rows each, one or more")
-        (count,) = set(lengths.values())
-        self.lines, self.stamp_ns = np.arange(1, count + 1), np.zeros(count, dtype=np.int64)
-        if self.time is not None:
-            self._read_times(arrays[self.time])
-        self.columns = {place: arrays[place].astype(np.float64) for place in self.used}
-        if not mapping.exact:
-            self.note_faults(0, self.columns, lambda place, row: str(arrays[place][row]))
-        more(path.stat().st_size)
 
-    def _read_times(self, times: NDArray[Any]) -> None:
-        """Take stamps: whole numbers exactly, others to the nearest ns; note those that no stamp can be."""
-        unit_ns = int(self.mapping.seconds * NANOSECONDS)
-        if times.dtype.kind == "M":  # it has a unit of its own
-            times, unit_ns = times.astype("datetime64[ns]").astype(np.int64), 1
-        inside = (times >= 0) & (times < _LAST_NS / unit_ns)  # a NaN is not
-        whole = np.issubdtype(times.dtype, np.integer)
-        self.stamp_ns[inside] = times[inside] * unit_ns if whole else np.rint(times[inside] * float(unit_ns))
-        for row in np.flatnonzero(~inside).tolist():
-            self.faults[row] = f"time {times[row]}; accepted: 0 to {_LAST_NS // NANOSECONDS} s"
+def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tuple[int | None, dict[Column, int]]:
+    """Return where the times and the columns that a mapping takes from a log stand.
+
+    Refuses a column that would stand for two joints, or for the times and a joint, and in an exact log a header whose
+    units, as in `joint_1 velocity [deg/s]`, are not those of the mapping.
+    """
+
+    def place_of(column: Column) -> int:
+        if isinstance(column, int):
+            if column > source.width:
+                raise BagError(f"{plain(path)}: no column {column}; accepted: 1 to {source.width}")
+            return column - 1
+        if source.names.count(column) != 1:
+            found = "more than one column" if column in source.names else "no column"
+            there = listed(source.names) or "no names"
+            raise BagError(f"{plain(path)}: {found} {quoted(column)}; there are {there}")
+        return source.names.index(column)
+
+    def compare_unit(place: int, known: Mapping[str, Any], mapped: str) -> None:
+        heading = source.names[place] if mapping.exact and source.names else ""
+        unit = heading.rpartition("[")[2].rstrip("]") if heading.endswith("]") else ""
+        if unit in known and unit != mapped:
+            raise BagError(
+                f"{plain(path)}:{mapping.header}: {quoted(heading)}, but {mapped} in {plain(mapping.file)}; "
+                "accepted: the same unit in both"
+            )
+
+    time, used = None, dict[Column, int]()
+    if mapping.time is not None and mapping.time[0] == number:
+        time = place_of(mapping.time[1])
+        compare_unit(time, SECONDS, next(name for name, size in SECONDS.items() if size == mapping.seconds))
+    for topic, mapped in mapping.topics.items():
+        for name, one in mapped.fields.items():
+            seen = {time}
+            for column in one.columns if one.file == number else ():
+                place = used[column] = place_of(column)
+                if place in seen:
+                    others = "the times" if place == time else "another joint"
+                    raise BagError(
+                        f"{plain(path)}: column {plain(column)} in {plain(topic)}.{name} is that of {others}; "
+                        "accepted: a column of its own for each"
+                    )
+                seen.add(place)
+                compare_unit(place, UNITS[name], one.unit)
+    return time, used
 
 
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the columns of numbers and times of a Parquet or NPZ file by their names."""
-    found: dict[str, NDArray[Any]] = {}
+def _open_arrays(path: Path, more: Callable[[int], None]) -> _Source:
+    """Open a log of arrays: columns of Parquet; of NPZ those of shape (n,), and each column of (n, k), as `q[0]`."""
+    there: dict[str, NDArray[Any]] = {}
     parquet = path.suffix.lower() == ".parquet"
     try:
         with library_errors():
@@ -295,99 +299,67 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
                 table = pq.read_table(path, page_checksum_verification=True)
                 for name, column in zip(table.column_names, table.columns, strict=True):
                     if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
-                        found[name] = column.to_numpy()
+                        there[name] = column.to_numpy()
                     elif pa.types.is_timestamp(column.type):
-                        found[name] = column.cast(pa.timestamp("ns")).to_numpy()
-                return found
-            with np.load(path, allow_pickle=False) as arrays:
-                for name in arrays.files:
-                    values = arrays[name]
-                    if values.dtype.kind in "fiuM" and values.ndim == 1:
-                        found[name] = values
-                    elif values.dtype.kind in "fiu" and values.ndim == 2:
-                        found |= {f"{name}[{k}]": values[:, k] for k in range(values.shape[1])}
-            return found
+                        there[name] = column.cast(pa.timestamp("ns")).to_numpy()
+            else:
+                with np.load(path, allow_pickle=False) as arrays:
+                    for name, values in arrays.items():
+                        if values.dtype.kind in "fiuM" and values.ndim == 1:
+                            there[name] = values
+                        elif values.dtype.kind in "fiu" and values.ndim == 2:
+                            there |= {f"{name}[{k}]": column for k, column in enumerate(values.T)}
     except DamagedError as error:
         raise BagError(f"{plain(path)}: is no {'Parquet' if parquet else 'NPZ'} file, or damaged ({error})") from error
+    names = list(there)
+
+    def rows(places: Sequence[int]) -> Iterator[tuple[Int64Array, dict[int, Any], dict[int, str]]]:
+        columns = {place: there[names[place]] for place in places}
+        counts = {len(column) for column in columns.values()}
+        if len(counts) != 1 or 0 in counts:
+            each = ", ".join(f"{plain(names[place])} {len(column)}" for place, column in columns.items())
+            raise BagError(f"{plain(path)}: rows: {each}; accepted: columns of as many rows each, one or more")
+        more(path.stat().st_size)
+        yield np.arange(1, counts.pop() + 1), columns, {}
+
+    return _Source(names, len(names), f"{len(names)} columns {listed(names)}", ".", rows)
 
 
-class _TextLog(_Log):
-    """A log of text, which may be a pipe."""
+def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], None]) -> _Source:
+    """Open a log of text, which may be a pipe."""
+    comments: list[str] = []
+    lines = _rows_of(path, more, None if mapping.exact else comments)
+    first = list(islice(lines, _BLOCK))
+    delimiter, decimal = _dialect([line for _, line in first[:_LOOKED_AT]], mapping)
+    split = [_fields_of(line, delimiter) for _, line in first]
+    head = mapping.header
+    if head is None:  # the lines before the first one that holds a number
+        numeric = (k for k, row in enumerate(split) if any(not math.isnan(_number(text, decimal)) for text in row))
+        head = next(numeric, len(split))
+    widths = Counter(map(len, split[head:]))
+    if not widths:
+        raise BagError(f"{plain(path)}: holds no row of numbers; accepted: one or more behind the header")
+    width = widths.most_common(1)[0][0]
+    # NumPy and Matlab write the names into a comment.
+    texts = split[:head] + [_fields_of(line.lstrip("#%/ "), delimiter) for line in comments]
+    header = next(([name.strip() for name in texts] for texts in texts if len(texts) == width), [])
+    named = f"header {listed(header)}" if header else "no header"
+    named += f" in {head} lines before the first row" if head > 1 else ""
 
-    def __init__(self, path: Path, mapping: LogMapping, number: int, more: Callable[[int], None]) -> None:
-        super().__init__(path, mapping, number)
-        comments: list[str] = []
-        lines = _rows_of(path, more, None if mapping.exact else comments)
-        first = list(islice(lines, _BLOCK))
-        self._delimiter, self._decimal = _dialect([line for _, line in first[:_LOOKED_AT]], mapping)
-        split = [_fields_of(line, self._delimiter) for _, line in first]
-        head = _header_lines(split, self._decimal) if mapping.header is None else mapping.header
-        widths = Counter(map(len, split[head:]))
-        if not widths:
-            raise BagError(f"{plain(path)}: holds no row of numbers; accepted: one or more behind the header")
-        width = widths.most_common(1)[0][0]
-        # NumPy and Matlab write the names into a comment.
-        texts = split[:head] + [_fields_of(line.lstrip("#%/ "), self._delimiter) for line in comments]
-        header = next(([name.strip() for name in texts] for texts in texts if len(texts) == width), [])
-        named = f"header {listed(header)}" if header else "no header"
-        named += f" in {head} lines before the first row" if head > 1 else ""
-        self.dialect = f"{width} columns, delimiter {self._delimiter!r}, decimal {self._decimal!r}, {named}"
-        self.find_columns(header, width)
-        if mapping.exact:
-            self._compare_units(header)
-        numbers: list[Int64Array] = []
-        stamps: list[Int64Array] = []
-        parts: dict[int, list[Array]] = {place: [] for place in self.used}
-        block, count = first[head:], 0
+    def rows(places: Sequence[int]) -> Iterator[tuple[Int64Array, dict[int, Any], dict[int, str]]]:
+        block = first[head:]
         while block:
-            numbers.append(np.array([number for number, _ in block], dtype=np.int64))
-            stamps.append(self._read_block(block, count, width, parts))
-            count += len(block)
+            split = [_fields_of(line, delimiter) for _, line in block]
+            torn = {row: f"{counted(len(fields), 'field')}, others have {width}"
+                    for row, fields in enumerate(split) if len(fields) != width}  # fmt: skip
+            for row in torn:
+                split[row] = [""] * width
+            numbers = np.array([number for number, _ in block], dtype=np.int64)
+            yield numbers, {place: [fields[place] for fields in split] for place in places}, torn
             block = list(islice(lines, _BLOCK))
-        self.lines, self.stamp_ns = np.concatenate(numbers), np.concatenate(stamps)
-        self.columns = {place: np.concatenate(some) for place, some in parts.items()}
 
-    def _compare_units(self, header: Sequence[str]) -> None:
-        """Refuse a header whose units, as in `joint_1 velocity [deg/s]`, are not those of the mapping."""
-        mapping = self.mapping
-        unit_of_time = next(name for name, size in SECONDS.items() if size == mapping.seconds)
-        compared: list[tuple[int | None, Mapping[str, Any], str]] = [(self.time, SECONDS, unit_of_time)]
-        for topic in mapping.topics.values():
-            for name, one in topic.fields.items():
-                compared += [(self._place(column), UNITS[name], one.unit) for column in one.columns]
-        for place, known, mapped in compared:
-            heading = header[place] if header and place is not None else ""
-            unit = heading.rpartition("[")[2].rstrip("]") if heading.endswith("]") else ""
-            if unit in known and unit != mapped:
-                raise BagError(
-                    f"{plain(self.path)}:{mapping.header}: {quoted(heading)}, but {mapped} in {plain(mapping.file)}; "
-                    "accepted: the same unit in both"
-                )
-
-    def _read_block(
-        self, rows: Sequence[tuple[int, str]], first: int, width: int, parts: dict[int, list[Array]]
-    ) -> Int64Array:
-        """Add the columns of some rows to the parts; return their stamps; note what is wrong with them."""
-        torn = [""] * width
-        split = [_fields_of(line, self._delimiter) for _, line in rows]
-        for row, fields in enumerate(split):
-            if len(fields) != width:
-                self.faults[first + row] = f"{counted(len(fields), 'field')}, others have {width}"
-                split[row] = torn
-        columns = {place: _numbers([fields[place] for fields in split], self._decimal) for place in self.used}
-        self.note_faults(first, columns, lambda place, row: quoted(split[row][place].replace('"', " "), 30))
-        for place, values in columns.items():
-            parts[place].append(values)
-        stamps = np.zeros(len(rows), dtype=np.int64)
-        unit_ns = int(self.mapping.seconds * NANOSECONDS)
-        for row, text in enumerate([fields[self.time] for fields in split] if self.time is not None else ()):
-            stamp = _stamp_ns(text, self._decimal, unit_ns)
-            if 0 <= stamp < _LAST_NS:
-                stamps[row] = stamp
-            else:
-                accepted = f"0 to {_LAST_NS // NANOSECONDS} s"
-                self.faults.setdefault(first + row, f"time {quoted(text, 30)}; accepted: {accepted}")
-        return stamps
+    dialect = f"{width} columns, delimiter {delimiter!r}, decimal {decimal!r}, {named}"
+    return _Source(header, width, dialect, decimal, rows)
 
 
 def _rows_of(path: Path, more: Callable[[int], None], comments: list[str] | None) -> Iterator[tuple[int, str]]:
@@ -432,12 +404,15 @@ def _fields_of(line: str, delimiter: str) -> list[str]:
     return fields[:-1] if len(fields) > 1 and not fields[-1].strip() else fields
 
 
-def _numbers(texts: Sequence[str], decimal: str) -> Array:
-    """Return the numbers of a column; NaN where there is none."""
+def _numbers(column: Any, decimal: str) -> Array:
+    """Return the numbers of a column of texts, NaN where there is none, or of an array."""
+    if isinstance(column, np.ndarray):
+        return column.astype(np.float64)
     if decimal == ".":
         with suppress(pa.ArrowInvalid):  # of one text; and of a plus sign
-            return np.asarray(pc.cast(pc.utf8_trim_whitespace(pa.array(texts, pa.string())), pa.float64()).to_numpy())
-    return np.array([_number(text, decimal) for text in texts])
+            texts = pc.utf8_trim_whitespace(pa.array(column, pa.string()))
+            return np.asarray(pc.cast(texts, pa.float64()).to_numpy())
+    return np.array([_number(text, decimal) for text in column])
 
 
 def _number(text: str, decimal: str) -> float:
@@ -455,12 +430,28 @@ def _with_point(text: str, decimal: str) -> str:
     return text.strip().replace(",", ".") if decimal == "," else text.strip()
 
 
-def _stamp_ns(text: str, decimal: str, unit_ns: int) -> int:
-    """Return a time in ns, exactly: floating point spoils ns of the wall clock; -1 if it is none."""
-    try:
-        return round(Decimal(_with_point(text, decimal)) * unit_ns)
-    except (DecimalException, OverflowError, ValueError):
-        return -1
+def _stamps_ns(column: Any, decimal: str, unit_ns: int) -> Int64Array:
+    """Return times in ns, exactly where they are texts or whole numbers; -1 for what no stamp can be."""
+    if not isinstance(column, np.ndarray):
+        stamps = []
+        for text in column:
+            try:  # floating point spoils ns of the wall clock
+                stamp = round(Decimal(_with_point(text, decimal)) * unit_ns)
+            except (DecimalException, OverflowError, ValueError):
+                stamp = -1
+            stamps.append(stamp if 0 <= stamp < _LAST_NS else -1)
+        return np.array(stamps, dtype=np.int64)
+    if column.dtype.kind == "M":  # it has a unit of its own
+        column, unit_ns = column.astype("datetime64[ns]").astype(np.int64), 1
+    inside = (column >= 0) & (column < _LAST_NS / unit_ns)  # a NaN is not
+    found = np.full(len(column), -1, dtype=np.int64)
+    whole = np.issubdtype(column.dtype, np.integer)
+    found[inside] = column[inside] * unit_ns if whole else np.rint(column[inside] * float(unit_ns))
+    return found
+
+
+def _cell(value: Any) -> str:
+    return quoted(value.replace('"', " "), 30) if isinstance(value, str) else str(value)
 
 
 def _dialect(lines: Sequence[str], mapping: LogMapping) -> tuple[str, str]:
@@ -476,13 +467,7 @@ def _dialect(lines: Sequence[str], mapping: LogMapping) -> tuple[str, str]:
     return max(choice, key=score)
 
 
-def _header_lines(rows: Sequence[Sequence[str]], decimal: str) -> int:
-    """Return how many lines there are before the first one that holds a number."""
-    numeric = (k for k, row in enumerate(rows) if any(not math.isnan(_number(text, decimal)) for text in row))
-    return next(numeric, len(rows))
-
-
-class TableFile:
+class TableFile(StorageFile):
     """A log in columns as a storage file of a bag, so that whoever reads bags reads CSV, Parquet and NPZ as they are.
 
     Args:
@@ -497,27 +482,23 @@ class TableFile:
         ConfigError: if its mapping is not acceptable.
     """
 
-    compression = ""
-
     def __init__(self, path: Path, mapping: LogMapping | None) -> None:
         self.kind = path.suffix.lower().removeprefix(".")
         self._series = read_logs([path], mapping, lambda _: None).series
         self.topics = {k: BagTopic(one.topic, one.msgtype, one.messages) for k, one in enumerate(self._series)}
         self.effort_units = {one.topic: one.effort_unit for one in self._series if one.effort_unit}
 
-    def close(self) -> None:
-        """Close nothing: it was read."""
-
     def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
         """Yield the messages of these topics in the order of their stamps."""
-        yield from heapq.merge(*map(self._messages, sorted(keys)), key=itemgetter(1))
 
-    def _messages(self, key: int) -> Iterator[LoggedMessage]:
-        stamp_ns, encode = series_encoder(self._series[key])
-        for begin in range(0, len(stamp_ns), _BLOCK):
-            rows = np.arange(begin, min(begin + _BLOCK, len(stamp_ns)))
-            for stamp, data in zip(stamp_ns[rows].tolist(), encode(rows), strict=True):
-                yield key, stamp, data
+        def each(key: int) -> Iterator[LoggedMessage]:
+            stamp_ns, encode = series_encoder(self._series[key])
+            for begin in range(0, len(stamp_ns), _BLOCK):
+                rows = np.arange(begin, min(begin + _BLOCK, len(stamp_ns)))
+                for stamp, data in zip(stamp_ns[rows].tolist(), encode(rows), strict=True):
+                    yield key, stamp, data
+
+        yield from heapq.merge(*map(each, sorted(keys)), key=itemgetter(1))
 
 
 def exported_logs(folder: Path) -> list[tuple[list[Path], LogMapping]]:
@@ -527,11 +508,10 @@ def exported_logs(folder: Path) -> list[tuple[list[Path], LogMapping]]:
         BagError: if there is none, or one without a mapping.
         ConfigError: for a mapping that is not acceptable.
     """
-    logs = sorted(folder.glob("*.csv"))
-    if not logs:
+    pairs = [([log], mapping_of(log)) for log in sorted(folder.glob("*.csv"))]
+    if not pairs:
         accepted = "a folder that rx90_bag export has written, as CSV"
         raise BagError(f"{plain(folder)}: no CSV file in it; accepted: {accepted}")
-    pairs = [([log], mapping_of(log)) for log in logs]
     for _, mapping in pairs:
         if not mapping.exact:
             raise BagError(

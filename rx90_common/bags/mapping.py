@@ -67,19 +67,14 @@ _NAMES = (
 )
 
 
-def _is_column(value: object) -> bool:
-    number = isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _MOST_COLUMNS
-    return number or isinstance(value, str)
-
-
+_NOT_0 = Number("", nonzero=True).rules()
 _COLUMN = Other(
     "Number of a column, from 1 on, or its name in the header.",
     accepted="the number of a column, from 1 on, or its name in the header",
-    good=_is_column,
+    good=lambda v: isinstance(v, str) or (type(v) is int and 1 <= v <= _MOST_COLUMNS),
     fragment={"anyOf": [{"type": "integer", "minimum": 1, "maximum": _MOST_COLUMNS}, {"type": "string"}]},
 )
 _FILE = Integer("Number of the log, from 1 on, where several belong together.", low=1, high=_MOST_FILES, default=1)
-_NOT_0 = Number("", nonzero=True).rules()
 
 
 def _for_each(about: str) -> Other:
@@ -92,10 +87,8 @@ def _for_each(about: str) -> Other:
     )
 
 
-_TURN = {"counts_per_turn": _for_each("Counts of a whole turn, where the unit is counts or counts/s.")}
-
-
 def _of_field(name: str) -> Group:
+    turn = {"counts_per_turn": _for_each("Counts of a whole turn, where the unit is counts or counts/s.")}
     return Group(
         f"Where each joint's {name} comes from.",
         keys={
@@ -104,29 +97,15 @@ def _of_field(name: str) -> Group:
             ),
             "unit": Text("Unit in the log.", choices=tuple(UNITS[name])),
             "factor": _for_each("What the log's numbers are multiplied by."),
-            **(_TURN if any(unit.startswith(COUNTS) for unit in UNITS[name]) else {}),
+            **(turn if any(unit.startswith(COUNTS) for unit in UNITS[name]) else {}),
             "file": _FILE,
         },
         default=LEFT_OUT,
     )
 
 
-_TOPIC = Group(
-    "What becomes the messages of the topic.",
-    keys={"names": Texts("Names of the joints.", once=True), **{name: _of_field(name) for name in SERIES_FIELDS}},
-    some_of=SERIES_FIELDS,
-)
-
-_NUMBERS = {
-    "gear": Number("", nonzero=True),
-    "coupling": Number(""),
-    "torque_constant": Number("", nonzero=True),
-    "zero": Number(""),
-}
-
-
-def _numbers(name: str, about: str) -> ListOf:
-    return ListOf(about, item=_NUMBERS[name], least=1, accepted="a list of numbers", default=LEFT_OUT)
+def _numbers(about: str, *, nonzero: bool = False) -> ListOf:
+    return ListOf(about, item=Number("", nonzero=nonzero), least=1, accepted="a list of numbers", default=LEFT_OUT)
 
 
 _COLUMNS = ("topics", "position", "velocity", "effort")
@@ -136,10 +115,10 @@ MAPPING = Group(
         "topic": Text("JointState topic of a bag, or of a table with several.", default=LEFT_OUT),
         "names": Texts("What the log calls the joints, or their motors.", once=True, default=LEFT_OUT),
         **{name: _of_field(name) for name in _COLUMNS[1:]},
-        "gear": _numbers("gear", "Motor turns per joint turn: says that the log holds the motors' states."),
-        "coupling": _numbers("coupling", "Turns of each motor per joint turn without the gears, row by row, n x n."),
-        "torque_constant": _numbers("torque_constant", "Torque per unit of effort, where effort is a current, Nm/A."),
-        "zero": _numbers("zero", "Recorded angle of each joint where its angle in the URDF is 0, rad."),
+        "gear": _numbers("Motor turns per joint turn: says that the log holds the motors' states.", nonzero=True),
+        "coupling": _numbers("Turns of each motor per joint turn without the gears, row by row, n x n."),
+        "torque_constant": _numbers("Torque per unit of effort, where effort is a current, Nm/A.", nonzero=True),
+        "zero": _numbers("Recorded angle of each joint where its angle in the URDF is 0, rad."),
         "record_time": Switch("Whether a bag's times of recording replace the stamps.", default=False),
         "time": Group(
             "The column of the times.",
@@ -150,8 +129,16 @@ MAPPING = Group(
             "Rows per second, where no column holds the times.", "Hz", low=1e-3, high=1e6, default=LEFT_OUT
         ),
         "topics": Entries(
-            "Topics of joint states or temperatures, by name, of a table that holds several.", of=_TOPIC, least=1,
-            what="topic", names=_NAMES, default=LEFT_OUT,
+            "Topics of joint states or temperatures, by name, of a table that holds several.",
+            of=Group(
+                "What becomes the messages of the topic.",
+                keys={
+                    "names": Texts("Names of the joints.", once=True),
+                    **{name: _of_field(name) for name in SERIES_FIELDS},
+                },
+                some_of=SERIES_FIELDS,
+            ),
+            least=1, what="topic", names=_NAMES, default=LEFT_OUT,
         ),
         "delimiter": Text("Between columns; found out if left out.", choices=tuple(DELIMITERS), default=LEFT_OUT),
         "decimal": Text("Decimal sign; found out if left out.", choices=(".", ","), default=LEFT_OUT),
@@ -183,26 +170,6 @@ class FieldMapping:
     unit: str
     factor: tuple[float, ...]
 
-    @classmethod
-    def of(cls, section: Section, name: str, content: dict[str, Any], count: int) -> FieldMapping:
-        """Return that of a field for `count` joints, as a section of a mapping file has it."""
-        columns, unit = content["columns"], content["unit"]
-        if len(columns) != count:
-            section.refuse("columns", list(columns), f"a list of {count}, one for each name")
-
-        def each(key: str) -> tuple[float, ...]:
-            if not isinstance(section.content.get(key), list):
-                return (Number("", nonzero=True).take(section, key),) * count
-            return tuple(Numbers("", nonzero=True, count=count).take(section, key))
-
-        factor = each("factor") if "factor" in section else (1.0,) * count
-        in_counts = unit.startswith(COUNTS)
-        if not in_counts and "counts_per_turn" in section:
-            section.fault("counts_per_turn", f" stands beside unit: {unit}; accepted: beside counts or counts/s")
-        turn = each("counts_per_turn") if in_counts else (1.0,) * count
-        scale = UNITS[name][unit]
-        return cls(content["file"], columns, unit, tuple(scale * f / c for f, c in zip(factor, turn, strict=True)))
-
 
 @dataclass(frozen=True)
 class TopicMapping:
@@ -225,15 +192,30 @@ class TopicMapping:
         given = [name for name in SERIES_FIELDS if name in content]
         if "temperature" in given and len(given) > 1:
             section.fault("temperature", " stands beside others; accepted: temperatures in a topic of their own")
-        return cls(
-            names, {name: FieldMapping.of(section.section(name), name, content[name], len(names)) for name in given}
-        )
+        fields: dict[str, FieldMapping] = {}
+        for name in given:
+            part, columns, unit = section.section(name), content[name]["columns"], content[name]["unit"]
+            if len(columns) != len(names):
+                part.refuse("columns", list(columns), f"a list of {len(names)}, one for each name")
+            if not unit.startswith(COUNTS) and "counts_per_turn" in part:
+                part.fault("counts_per_turn", f" stands beside unit: {unit}; accepted: beside counts or counts/s")
+            each = []
+            for key, needed in (("factor", "factor" in part), ("counts_per_turn", unit.startswith(COUNTS))):
+                values = (1.0,) * len(names)
+                if needed:
+                    if isinstance(part.content.get(key), list):
+                        values = Numbers("", nonzero=True, count=len(names)).take(part, key)
+                    else:
+                        values = (Number("", nonzero=True).take(part, key),) * len(names)
+                each.append(values)
+            scale = UNITS[name][unit]
+            factor = tuple(scale * f / turn for f, turn in zip(*each, strict=True))
+            fields[name] = FieldMapping(content[name]["file"], columns, unit, factor)
+        return cls(names, fields)
 
     def effort_unit(self, topic: str) -> str:
         """Return the unit of the efforts in the bag where it is not the one that the topic's name says."""
-        if "effort" not in self.fields:
-            return ""
-        unit = self.fields["effort"].unit.removeprefix("m")
+        unit = self.fields["effort"].unit.removeprefix("m") if "effort" in self.fields else ""
         return "" if unit == quantities(topic)["effort"][1] else unit
 
 
@@ -280,19 +262,20 @@ class LogMapping:
         """
         root = load_yaml(path)
         content = MAPPING.read(root)
-        topics = {}
-        for name, topic in content.get("topics", {}).items():
-            topics[name] = TopicMapping.of(root.section("topics").section(name), topic)
+        topics = {
+            name: TopicMapping.of(root.section("topics").section(name), topic)
+            for name, topic in content.get("topics", {}).items()
+        }
         if any(name in content for name in _COLUMNS[1:]):
             if UNNAMED in {name.removeprefix("/") for name in topics}:
                 root.fault("topics", f" has {UNNAMED}, too, which stands twice; accepted: once")
             topics[UNNAMED] = TopicMapping.of(root, content)
-        time = content.get("time")
+        time = content.get("time", {})
         mapping = cls(
             path,
             topics,
-            None if time is None else (time["file"], time["column"]),
-            Fraction(1) if time is None else SECONDS[time["unit"]],
+            (time["file"], time["column"]) if time else None,
+            SECONDS[time.get("unit", "s")],
             content.get("rate"),
             content.get("delimiter"),
             content.get("decimal"),
@@ -300,7 +283,7 @@ class LogMapping:
             content["exact"],
             {key: content[key] for key in MESSAGE_KEYS if key in root},
         )
-        if mapping.exact and (mapping.delimiter != "," or mapping.header is None or time is None or mapping.files > 1):
+        if mapping.exact and (mapping.delimiter != "," or mapping.header is None or not time or mapping.files > 1):
             raise ConfigError(
                 f"{root.where('exact')} is true; accepted together with delimiter: ',', header, time, and one log"
             )
@@ -339,15 +322,11 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
 def exported_mapping(series: JointSeries) -> str:
     """Return the mapping file by which the CSV file of a series, as it is exported, becomes a bag again."""
     content: dict[str, Any] = {"names": list(series.names)}
-    count = len(series.names)
-    for k, name in enumerate(series.fields):
-        content[name] = {"columns": list(range(2 + k * count, 2 + (k + 1) * count)), "unit": series.units[name]}
-    document = {
-        "exact": True,
-        "delimiter": ",",
-        "decimal": ".",
-        "header": 1,
-        "time": {"column": 1, "unit": "s"},
+    column = 2
+    for name in series.fields:
+        content[name] = {"columns": list(range(column, column + len(series.names))), "unit": series.units[name]}
+        column += len(series.names)
+    return yaml_text({
+        "exact": True, "delimiter": ",", "decimal": ".", "header": 1, "time": {"column": 1, "unit": "s"},
         "topics": {series.topic: content},
-    }
-    return yaml_text(document)
+    })  # fmt: skip

@@ -38,13 +38,7 @@ class TimeSource(Enum):
 
 
 class Dated(NamedTuple):
-    """n messages with log times.
-
-    Attributes:
-        log_ns: log time, ns, int64 (n,).
-        topic: index of the topic, int64 (n,).
-        messages: what was received.
-    """
+    """n messages: log times, ns, int64 (n,), indices of their topics, int64 (n,), and what was received."""
 
     log_ns: Int64Array
     topic: Int64Array
@@ -52,13 +46,9 @@ class Dated(NamedTuple):
 
 
 class Arrived(NamedTuple):
-    """n messages of a topic in the order of arrival.
+    """n messages of the topic with this index, in the order of arrival.
 
-    Attributes:
-        topic: index of the topic.
-        source: where their log time comes from.
-        messages: what was received.
-        received_ns: the wall clock's times of reception, ns, int64 (n,).
+    `source` says where their log time comes from; `received_ns` are the wall clock's times of reception, int64 (n,).
     """
 
     topic: int
@@ -67,84 +57,16 @@ class Arrived(NamedTuple):
     received_ns: Int64Array
 
 
-class _Clock:
-    """Simulated time, as the stamps of one clock tell it: log times, of which none goes back.
-
-    Where stamps go back, after a reset of the simulation, log time goes on from where it was, and is ahead of them from
-    then on.
-
-    Attributes:
-        newest: the newest log time, ns, None before the first.
-        set_backs: as in `LogOrder`.
-    """
-
-    def __init__(self) -> None:
-        self.newest: int | None = None
-        self.set_backs: list[tuple[int, int]] = []
-        self._stamps: dict[int, int] = {}  # newest of each topic
-        self._epochs: dict[int, int] = {}  # of each topic: how often its stamps went back
-        self._offsets = [0]  # log time less stamp, for each epoch
-        self._known: list[Int64Array] = []  # (3, m): times of reception, log times then, by how much these were ahead
-
-    @property
-    def newest_stamp(self) -> int | None:
-        """Return the newest stamp, ns, None before the first."""
-        return None if self.newest is None else self.newest - self._offsets[-1]
-
-    def forget(self) -> None:
-        """Let `at` begin with the time as it is now."""
-        self._known = [] if self.newest is None else [self._since_ever(self.newest)]
-
-    def take(self, arrived: Arrived) -> Int64Array | None:
-        """Go on by messages of a topic; return their log times, int64 (n,), None if they are of another clock."""
-        topic, _, messages, received_ns = arrived
-        stamps = messages.stamps_ns()
-        newest = self.newest_stamp
-        if topic not in self._stamps and newest is not None and abs(int(stamps[0]) - newest) >= OTHER_CLOCK_NS:
-            return None
-        if newest is None:
-            self._known = [self._since_ever(int(stamps[0]))]
-        offsets = np.empty_like(stamps)
-        ends = [*(np.flatnonzero(np.diff(stamps) < 0) + 1).tolist(), len(stamps)]
-        for begin, end in zip([0, *ends[:-1]], ends, strict=True):  # from one set-back to the next
-            offset = self._offset(topic, int(stamps[begin]), int(stamps[end - 1]))
-            self.newest = max(self.newest or 0, int(stamps[end - 1]) + offset)
-            offsets[begin:end] = offset
-        self._known.append(np.stack([received_ns, stamps + offsets, offsets]))
-        return stamps + offsets
-
-    def at(self, received_ns: Int64Array) -> tuple[Int64Array, Int64Array]:
-        """Return the newest log times before times of reception, and by how much they were ahead of the stamps."""
-        known = np.concatenate(self._known, axis=1)
-        known = known[:, np.argsort(known[0], kind="stable")]
-        at = np.searchsorted(known[0], received_ns) - 1
-        return np.maximum.accumulate(known[1])[at], np.maximum.accumulate(known[2])[at]
-
-    def _since_ever(self, log_ns: int) -> Int64Array:
-        return np.array([[np.iinfo(np.int64).min], [log_ns], [self._offsets[-1]]])
-
-    def _offset(self, topic: int, first: int, last: int) -> int:
-        """Return log time less stamp; topics go back one after the other, each with its own next message."""
-        before = self._stamps.get(topic)
-        self._stamps[topic] = last
-        if before is None:
-            self._epochs[topic] = len(self._offsets) - 1
-        elif first < before:
-            self._epochs[topic] += 1
-            if self._epochs[topic] == len(self._offsets):
-                newest = self.newest or 0
-                self.set_backs.append((newest - self._offsets[-1], first))
-                self._offsets.append(newest + 1 - first)
-        return self._offsets[self._epochs[topic]]
-
-
 class LogOrder:
     """Dates messages and releases them in the order of log time, then of their topics, then of arrival.
 
     All log times are of one clock: that of the first topic that gives the time. Messages with stamps of another clock
     are dated by their reception, as messages without a stamp are. Those that come before the first one that gives the
     time get that one's. Where no topic gives the time, it is the clock of the first stamp, or the wall clock's time of
-    reception. Log time never goes back, or a reader, which sorts by it, would mix two runs.
+    reception.
+
+    Log time never goes back, or a reader, which sorts by it, would mix two runs: where stamps go back, after a reset of
+    the simulation, log time goes on from where it was, and is ahead of them from then on.
 
     Attributes:
         set_backs: for each time that the stamps went back, the newest one before and the first one after, ns.
@@ -153,20 +75,25 @@ class LogOrder:
     """
 
     def __init__(self) -> None:
-        self._clock = _Clock()
+        self.set_backs: list[tuple[int, int]] = []
+        self.held_bytes = 0
+        self.other_clock: Counter[int] = Counter()
+        self._newest: int | None = None  # log time
+        self._stamps: dict[int, int] = {}  # newest of each topic that gives the time
+        self._epochs: dict[int, int] = {}  # of each of these: how often its stamps went back
+        self._offsets = [0]  # log time less stamp, for each epoch
+        # Of the messages of a call of `add` that give the time: reception, log time and its lead on the stamp, (3, n).
+        self._known: list[Int64Array] = []
         self._by_reception = False
         self._ahead: int | None = None  # of the wall clock, where no topic gives the time
         self._held: list[Dated] = []
         self._undated: list[Arrived] = []
         self._next_release = 0
-        self.set_backs = self._clock.set_backs
-        self.held_bytes = 0
-        self.other_clock: Counter[int] = Counter()
 
     @property
     def newest_ns(self) -> int | None:
         """Return the newest stamp seen, None before the first."""
-        return self._clock.newest_stamp
+        return None if self._newest is None else self._newest - self._offsets[-1]
 
     def expect_no_clock(self) -> None:
         """Date by reception: none of the topics will give the time."""
@@ -174,32 +101,28 @@ class LogOrder:
 
     def add(self, arrived: Sequence[Arrived]) -> None:
         """Take the messages that have arrived since the last call."""
-        self._clock.forget()
+        self._known = [] if self._newest is None else [self._since_ever(self._newest)]
         for each in (each for each in arrived if len(each.messages)):
             self.held_bytes += each.messages.total
             gives_time = each.source is TimeSource.CLOCK and each.topic not in self.other_clock
-            log_ns = self._clock.take(each) if gives_time else None
-            if log_ns is None:
+            if not (gives_time and self._date_by_stamps(each)):
                 self._undated.append(each)
-            else:
-                self._hold(each, log_ns)
         undated_bytes = sum(each.messages.total for each in self._undated)
-        if self._clock.newest is not None or self._by_reception or undated_bytes > _MAX_UNDATED_BYTES:
-            self._date()
+        if self._newest is not None or self._by_reception or undated_bytes > _MAX_UNDATED_BYTES:
+            self._date_others()
 
     def release(self) -> Dated | None:
         """Return what is old enough that nothing older can be expected, if there is any."""
-        newest = self._clock.newest
-        if newest is None:
+        if self._newest is None:
             return self.release_all() if self._by_reception else None
-        if newest < self._next_release:
+        if self._newest < self._next_release:
             return None
-        self._next_release = newest + _HOLD_NS // 2
-        return self._cut(newest - _HOLD_NS)
+        self._next_release = self._newest + _HOLD_NS // 2
+        return self._cut(self._newest - _HOLD_NS)
 
     def release_all(self) -> Dated | None:
         """Return all that is held, if there is any."""
-        self._date()
+        self._date_others()
         return self._cut(None)
 
     def _cut(self, last: int | None) -> Dated | None:
@@ -212,34 +135,63 @@ class LogOrder:
         end = len(order) if last is None else int(np.searchsorted(held.log_ns[order], last, side="right"))
         released, rest = order[:end], order[end:]
         # A copy, or what is released stays in memory with the rest.
-        kept = Dated(held.log_ns[rest], held.topic[rest], held.messages.take(rest).copy())
+        kept = Dated(held.log_ns[rest], held.topic[rest], MessageBatch.of([*held.messages.take(rest)]))
         self._held = [kept] if len(rest) else []
         self.held_bytes = kept.messages.total
         return Dated(held.log_ns[released], held.topic[released], held.messages.take(released)) if end else None
 
     def _hold(self, arrived: Arrived, log_ns: Int64Array) -> None:
-        topics = np.full(len(log_ns), arrived.topic, dtype=np.int64)
-        self._held.append(Dated(log_ns, topics, arrived.messages))
+        self._held.append(Dated(log_ns, np.full(len(log_ns), arrived.topic, dtype=np.int64), arrived.messages))
 
-    def _date(self) -> None:
+    def _since_ever(self, log_ns: int) -> Int64Array:
+        return np.array([[np.iinfo(np.int64).min], [log_ns], [self._offsets[-1]]])
+
+    def _date_by_stamps(self, arrived: Arrived) -> bool:
+        """Date messages that give the time, and go on by them; return False if they are of another clock."""
+        topic, stamps, newest = arrived.topic, arrived.messages.stamps_ns(), self.newest_ns
+        if topic not in self._stamps and newest is not None and abs(int(stamps[0]) - newest) >= OTHER_CLOCK_NS:
+            return False
+        if newest is None:
+            self._known = [self._since_ever(int(stamps[0]))]
+        offsets = np.empty_like(stamps)
+        ends = [*(np.flatnonzero(np.diff(stamps) < 0) + 1).tolist(), len(stamps)]
+        for begin, end in zip([0, *ends[:-1]], ends, strict=True):  # from one set-back to the next
+            first, last = int(stamps[begin]), int(stamps[end - 1])
+            # Topics go back one after the other, each with its own next message.
+            epoch = self._epochs.setdefault(topic, len(self._offsets) - 1)
+            if first < self._stamps.get(topic, first):
+                epoch = self._epochs[topic] = epoch + 1
+                if epoch == len(self._offsets):
+                    log_ns = self._newest or 0
+                    self.set_backs.append((log_ns - self._offsets[-1], first))
+                    self._offsets.append(log_ns + 1 - first)
+            self._stamps[topic] = last
+            offsets[begin:end] = self._offsets[epoch]
+            self._newest = max(self._newest or 0, last + self._offsets[epoch])
+        self._known.append(np.stack([arrived.received_ns, stamps + offsets, offsets]))
+        self._hold(arrived, stamps + offsets)
+        return True
+
+    def _date_others(self) -> None:
         """Date what is undated: by its stamps, where they are of the clock of this log, else by its reception."""
         undated, self._undated = self._undated, []
         for each in undated:
             stamps = _stamps_ns(each.messages, each.source)
-            now, ahead = self._at(each.received_ns, stamps)
+            if self._newest is not None:
+                # The newest log times before reception, and by how much they were ahead of the stamps.
+                known = np.concatenate(self._known, axis=1)
+                known = known[:, np.argsort(known[0], kind="stable")]
+                at = np.searchsorted(known[0], each.received_ns) - 1
+                now, ahead = np.maximum.accumulate(known[1:], axis=1)[:, at]
+            else:
+                if self._ahead is None:
+                    self._ahead = int(stamps[0] - each.received_ns[0]) if stamps[0] else 0
+                now, ahead = each.received_ns + self._ahead, np.zeros_like(stamps)
             stamped = stamps > 0
             other = stamped & (np.abs(stamps + ahead - now) >= OTHER_CLOCK_NS)
             if other.any():
                 self.other_clock[each.topic] += int(other.sum())
             self._hold(each, np.where(stamped & ~other, stamps + ahead, now))
-
-    def _at(self, received_ns: Int64Array, stamps: Int64Array) -> tuple[Int64Array, Int64Array]:
-        """Return the log time at each time of reception, and by how much it is ahead of stamps of the same clock."""
-        if self._clock.newest is not None:
-            return self._clock.at(received_ns)
-        if self._ahead is None:
-            self._ahead = int(stamps[0] - received_ns[0]) if stamps[0] else 0
-        return received_ns + self._ahead, np.zeros_like(stamps)
 
 
 def _stamps_ns(messages: MessageBatch, source: TimeSource) -> Int64Array:

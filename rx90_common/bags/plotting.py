@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import partial
@@ -15,6 +15,7 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import BagReader, Progress, read_joint_bag, silent
 from rx90_common.bags.recorded import robot_of, time_shift
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
@@ -86,19 +87,17 @@ def plot_bags(
     if not both:
         each = (f"{plain(path)} has {listed(names)}" for path, names in zip(paths, there, strict=True))
         raise BagError(f"no topic is in both bags: {'; '.join(each)}")
-    wanted = both if topics is not None else [name for name in USUAL if name in both][:most] or both[:1]
+    names = both if topics is not None else [name for name in USUAL if name in both][:most] or both[:1]
 
     def tell(before: int, done: int, total: int) -> None:
         progress(_PARTS * before + _PARTS * done // total, _PARTS * len(paths))
 
-    bags = [read_joint_bag(path, wanted, partial(tell, k), mapping) for k, path in enumerate(paths)]
+    bags = [read_joint_bag(path, names, partial(tell, k), mapping) for k, path in enumerate(paths)]
     if len(bags) > 1:
         bags[1] = bags[1].moved(time_shift(align, *bags))
-    names = [name for name in wanted if name in bags[0].series]
     if topics is None and joints is not None:  # of the usual topics those that have these joints
-        has = [name for name in names
-               if all(any(set(joints) <= set(one.names) for one in bag.series[name]) for bag in bags)]  # fmt: skip
-        names = has or names[:1]
+        held = {name: [[set(joints) <= set(one.names) for one in bag.series[name]] for bag in bags] for name in names}
+        names = [name for name in names if all(map(any, held[name]))] or names[:1]
     chosen = [[bag.one(name, joints, "say which with --joint") for bag in bags] for name in names]
     robots = tuple(name for name in map(robot_of, paths) if name is not None) if len(bags) > 1 else ()
     robots = robots if len(set(robots)) > 1 else ()
@@ -146,7 +145,11 @@ def _names(paths: Sequence[Path]) -> list[str]:
 def _topic_plot(words: Sequence[str], series: Sequence[JointSeries], robots: tuple[str, ...]) -> TopicPlot:
     """Return the plot of a topic of one bag, or of two, which have these words for names."""
     first, second = series[0], series[-1]
-    zero, label = _times(series)
+    start = min(int(one.stamp_ns[0]) for one in series)
+    zero, label = 0, "time, s"
+    if start > _WALL_CLOCK:
+        date = datetime.fromtimestamp(start // NANOSECONDS, timezone.utc)
+        zero, label = start, f"time since {date:%Y-%m-%d %H:%M:%S} and {start % NANOSECONDS} ns UTC, s"
     names = [name for name in first.names if name in second.names]
     fields = [f for f in first.fields if f in second.fields and first.units[f] == second.units[f]]
     if not names or not fields:
@@ -154,69 +157,49 @@ def _topic_plot(words: Sequence[str], series: Sequence[JointSeries], robots: tup
             f"{plain(first.topic)}: nothing is in both bags: joints {listed(first.names)} and {listed(second.names)}; "
             f"arrays {listed(first.fields) or 'none'} and {listed(second.fields) or 'none'}"
         )
-    apart = _difference(first, second, names, fields) if len(series) > 1 and not robots else None
+    first, second = first.select(names), second.select(names)
+    apart = None
+    if len(series) > 1 and not robots:  # second less first, at the stamps that both have
+        alignment = align_series(first, second)
+        if not len(alignment.stamp_ns):
+            spans = [f"{one.time.min():.9g} to {one.time.max():.9g} s" for one in (first, second)]
+            raise BagError(
+                f"{plain(first.topic)}: no stamp is in both bags, t = {spans[0]} and {spans[1]}; accepted: bags of the "
+                "same times, or --align start"
+            )
+        rows_a, rows_b, stamps, *_ = alignment
+        less: dict[str, Array] = {field: second.fields[field][rows_b] - first.fields[field][rows_a] for field in fields}
+        apart = JointSeries(first.topic, first.names, stamps, **less, effort_unit=first.effort_unit)
     panels: list[Panel] = []
-    rows: list[tuple[str, str, float, float, float, int]] = []
+    differences: list[tuple[str, str, float, float, float, int]] = []
     for field in fields:
         title, last = first.topic if field == fields[0] else "", label if field == fields[-1] else ""
         axis = first.quantities[field].replace(" [", ", ").removesuffix("]")
-        over = _curves(first.select(names), field, zero, f", {words[0]}" if len(series) > 1 else "")
+        over = _curves(first, field, zero, f", {words[0]}" if len(series) > 1 else "")
         if len(series) > 1:
-            over += _curves(second.select(names), field, zero, f", {words[1]}", second=True)
+            over += _curves(second, field, zero, f", {words[1]}", second=True)
         panels.append(Panel(over, title, last if apart is None else "", axis))
         if apart is not None:
             marks: list[Mark] = [Level(0.0, colour=INK), *_curves(apart, field, zero)]
             panels.append(Panel(marks, f"{words[1]} less {words[0]}", last, axis))
-            rows += _difference_rows(apart, field)
+            for name, values in zip(apart.names, apart.fields[field].T, strict=True):
+                known = bool(np.isfinite(values).any())
+                at = int(np.nanargmax(np.abs(values))) if known else 0
+                rms = float(np.sqrt(np.nanmean(values**2))) if known else np.nan
+                found = float(abs(values[at])), float(apart.time[at]), rms, len(values)
+                differences.append((apart.quantities[field], name, *found))
     messages = tuple(one.messages for one in series)
-    return TopicPlot(first.topic, Plot(panels, height=_HEIGHT, share_x=True), messages, rows, robots)
-
-
-def _difference(a: JointSeries, b: JointSeries, names: Sequence[str], fields: Sequence[str]) -> JointSeries:
-    """Return the second series less the first one, at the stamps that both have."""
-    a, b = a.select(names), b.select(names)
-    alignment = align_series(a, b)
-    if not len(alignment.stamp_ns):
-        spans = [f"{one.time.min():.9g} to {one.time.max():.9g} s" for one in (a, b)]
-        raise BagError(
-            f"{plain(a.topic)}: no stamp is in both bags, t = {spans[0]} and {spans[1]}; accepted: bags of the same "
-            "times, or --align start"
-        )
-    less = {field: b.fields[field][alignment.rows_b] - a.fields[field][alignment.rows_a] for field in fields}
-    return JointSeries(a.topic, a.names, alignment.stamp_ns, **less, effort_unit=a.effort_unit)
-
-
-def _difference_rows(apart: JointSeries, field: str) -> Iterator[tuple[str, str, float, float, float, int]]:
-    """Yield what `TopicPlot.differences` says of each joint."""
-    for k, name in enumerate(apart.names):
-        values = apart.fields[field][:, k]
-        known = bool(np.isfinite(values).any())
-        at = int(np.nanargmax(np.abs(values))) if known else 0
-        rms = float(np.sqrt(np.nanmean(values**2))) if known else np.nan
-        yield apart.quantities[field], name, float(abs(values[at])), float(apart.time[at]), rms, len(values)
-
-
-def _times(both: Sequence[JointSeries]) -> tuple[int, str]:
-    """Return the stamp at which the axis of times begins, ns, and what stands below that axis."""
-    start = min(int(series.stamp_ns[0]) for series in both)
-    if start <= _WALL_CLOCK:
-        return 0, "time, s"
-    date = datetime.fromtimestamp(start // NANOSECONDS, timezone.utc)
-    return start, f"time since {date:%Y-%m-%d %H:%M:%S} and {start % NANOSECONDS} ns UTC, s"
+    return TopicPlot(first.topic, Plot(panels, height=_HEIGHT, share_x=True), messages, differences, robots)
 
 
 def _curves(series: JointSeries, field: str, zero: int, suffix: str = "", *, second: bool = False) -> list[Curve]:
     time, values = (series.stamp_ns - zero) / NANOSECONDS, series.fields[field]
-    # A temperature that has no message at a stamp is no gap in its curve.
-    drawn = ~np.isnan(values) if series.temperature is not None else np.ones(values.shape, dtype=np.bool_)
-    return [
-        Curve(
-            time[drawn[:, k]],
-            values[drawn[:, k], k],
-            f"{plain(name)}{suffix}",
-            INK if second and len(series.names) == 1 else COLOURS[k % len(COLOURS)],
-            1.0 if second or not suffix else 2.0,
-            "dashed" if second else "solid",
-        )
-        for k, name in enumerate(series.names)
-    ]
+    curves = []
+    for k, name in enumerate(series.names):
+        # A temperature that has no message at a stamp is no gap in its curve.
+        drawn = ~np.isnan(values[:, k]) if series.temperature is not None else slice(None)
+        colour = INK if second and len(series.names) == 1 else COLOURS[k % len(COLOURS)]
+        width = 1.0 if second or not suffix else 2.0
+        label, points = f"{plain(name)}{suffix}", (time[drawn], values[drawn, k])
+        curves.append(Curve(*points, label, colour, width, "dashed" if second else "solid"))
+    return curves

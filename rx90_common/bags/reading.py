@@ -10,7 +10,7 @@ import heapq
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from operator import itemgetter
@@ -85,10 +85,20 @@ class BagReader:
             self.files, self._storages, self.effort_units = [self.path], [table], table.effort_units
             return self
         with ExitStack() as stack:
-            counts = self._find_files()
-            self._storages = [self._open(file, stack) for file in self.files]
+            counts = self._read_metadata() if (self.path / FILE).exists() else None
+            self.files = self.files or self._storage_files()
+            for file in self.files:
+                with self._damage(file):
+                    self._storages.append(open_storage(file, stack))
             if counts is not None:
-                self._check_counts(counts)
+                held: Counter[tuple[str, str]] = Counter()
+                for topic in self.topics:
+                    held[topic.name, topic.msgtype] += topic.count
+                for key in sorted(key for key in counts.keys() | held.keys() if counts[key] != held[key]):
+                    topic_, msgtype = map(plain, key)
+                    raise self._disagreement(
+                        f"{counts[key]} messages of {topic_} ({msgtype}), the storage holds {held[key]}"
+                    )
             self._stack = stack.pop_all()
         return self
 
@@ -136,10 +146,8 @@ class BagReader:
         try:
             return (store.deserialize_ros1 if topic.is_ros1 else store.deserialize_cdr)(data, topic.msgtype)
         except Exception as error:  # rosbags has no error of its own for bytes that do not fit
-            raise BagError(
-                f"{plain(self.path)}: damaged: a message of {plain(topic.name)} is no {plain(topic.msgtype)} "
-                f"({type(error).__name__})"
-            ) from error
+            what = f"a message of {plain(topic.name)} is no {plain(topic.msgtype)} ({type(error).__name__})"
+            raise BagError(f"{plain(self.path)}: damaged: {what}") from error
 
     def series_builder(self, topic: BagTopic, fields: Sequence[str] = FIELDS) -> SeriesBuilder | TemperatureBuilder:
         """Return what makes series of the messages of a topic that holds them, of joint states with these fields."""
@@ -149,60 +157,37 @@ class BagReader:
             return SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit, fields=fields)
         return TemperatureBuilder(topic.name, deserialize)
 
-    def series_topics(self, topics: Sequence[str] | None = None) -> list[BagTopic]:
+    def series_topics(self, topics: Collection[str] | None = None, *, filled: bool = True) -> list[BagTopic]:
         """Return the topics with these names, or all that hold series with messages.
+
+        Args:
+            topics: names.
+            filled: whether those with these names must have messages.
 
         Raises:
             BagError: if one is not there as JointState or Temperature, or has no messages; or if there are none.
         """
+        there = self.topics
+        by_name = {topic.name: topic for topic in there if topic.holds_series}
         if topics is None:
-            chosen = [topic for topic in self.topics if topic.holds_series and topic.count]
+            chosen = [topic for topic in by_name.values() if topic.count]
             if not chosen:
-                there = listed(topic.name for topic in self.topics) or "nothing"
-                raise BagError(f"{plain(self.path)}: holds no joint states or temperatures, only {there}")
+                others = listed(topic.name for topic in there) or "nothing"
+                raise BagError(f"{plain(self.path)}: holds no joint states or temperatures, only {others}")
             return chosen
-        chosen = _picked(self.path, self.topics, topics)
-        for topic in chosen:
-            if not topic.count:
-                raise BagError(f"{plain(self.path)}: no messages in {plain(topic.name)}")
+        chosen = []
+        for name in dict.fromkeys(map(absolute, topics)):
+            if name not in by_name:
+                other = [topic.description for topic in there if topic.name == name]
+                what = f"{plain(name)} is {other[0]}" if other else f"no topic {plain(name)}"
+                raise BagError(f"{plain(self.path)}: {what}; {series_topics_text(there)}")
+            if filled and not by_name[name].count:
+                raise BagError(f"{plain(self.path)}: no messages in {plain(name)}")
+            chosen.append(by_name[name])
         return chosen
 
-    def _find_files(self) -> Counter[tuple[str, str]] | None:
-        """Find the storage files; return the messages of each topic and type by the metadata if there are any."""
-        if not self.path.is_dir():
-            if self.path.is_fifo() or self.path.is_socket():  # to open it would wait for a writer
-                raise BagError(f"{plain(self.path)}: no file that can be read twice; accepted: {ACCEPTED}")
-            self.files = [self.path]
-            return None
-        if (self.path / FILE).exists():
-            counts = self._read_metadata()
-            missing = [file.name for file in self.files if not file.is_file()]
-            if missing:
-                raise BagError(f"{plain(self.path)}: {plain(missing[0])} is missing, which {FILE} names")
-            if self.files:
-                return counts
-        there = sorted(file for file in self.path.iterdir() if file.name.endswith(_SUFFIXES))
-        if not there:
-            raise BagError(
-                f"{plain(self.path)}: not a bag, or an emptied one: no .mcap or .db3 file in it; accepted: {ACCEPTED}"
-            )
-        parts = sorted((int(part[2]), part[1], part[3], file) for file in there if (part := _PART.fullmatch(file.name)))
-        if len(there) > 1:
-            numbers = [number for number, *_ in parts]
-            same = len(parts) == len(there) and len({part[1:3] for part in parts}) == 1
-            if not same or numbers != list(range(numbers[0], numbers[0] + len(there))):
-                raise BagError(
-                    f"{plain(self.path)}: {FILE} is missing, and {listed(file.name for file in there)} are not the "
-                    "parts of one recording; accepted: NAME_0.mcap, NAME_1.mcap and so on without a gap, or each file "
-                    "by its path"
-                )
-            there = [file for *_, file in parts]
-        self.files = there
-        self.notes.append(f"{FILE} is missing; read as they are: {plain(', '.join(file.name for file in self.files))}")
-        return None
-
-    def _read_metadata(self) -> Counter[tuple[str, str]]:
-        """Find files and units of efforts in metadata.yaml; return the messages of each topic and type."""
+    def _read_metadata(self) -> Counter[tuple[str, str]] | None:
+        """Find files and units of efforts in metadata.yaml; return the messages of each topic and type, if any."""
         try:
             root = load_yaml(self.path / FILE, "the metadata of a rosbag2 folder").section(
                 "rosbag2_bagfile_information"
@@ -222,49 +207,62 @@ class BagReader:
                 self.effort_units[str(key).removeprefix(EFFORT_UNIT)] = plain(value)
         if self.files and total != counts.total():
             raise self._disagreement(f"{total} messages in all, its topics add up to {counts.total()}")
-        return counts
+        for file in self.files:
+            if not file.is_file():
+                raise BagError(f"{plain(self.path)}: {plain(file.name)} is missing, which {FILE} names")
+        return counts if self.files else None
 
-    def _check_counts(self, counts: Counter[tuple[str, str]]) -> None:
-        """Compare the metadata with what the storage files hold."""
-        held: Counter[tuple[str, str]] = Counter()
-        for one in self.topics:
-            held[one.name, one.msgtype] += one.count
-        for key in sorted(counts.keys() | held.keys()):
-            if counts[key] != held[key]:
-                topic, msgtype = map(plain, key)
-                what = f"{counts[key]} messages of {topic} ({msgtype}), the storage holds {held[key]}"
-                raise self._disagreement(what)
+    def _storage_files(self) -> list[Path]:
+        """Return the storage files where no metadata name them."""
+        where = plain(self.path)
+        if not self.path.is_dir():
+            if self.path.is_fifo() or self.path.is_socket():  # to open it would wait for a writer
+                raise BagError(f"{where}: no file that can be read twice; accepted: {ACCEPTED}")
+            return [self.path]
+        files = sorted(file for file in self.path.iterdir() if file.name.endswith(_SUFFIXES))
+        if not files:
+            raise BagError(f"{where}: not a bag, or an emptied one: no .mcap or .db3 file in it; accepted: {ACCEPTED}")
+        if len(files) > 1:
+            parts = sorted((part[1], part[3], int(part[2]), file)
+                           for file in files if (part := _PART.fullmatch(file.name)))  # fmt: skip
+            expected = [(*parts[0][:2], parts[0][2] + k) for k in range(len(files))] if parts else []
+            if not parts or [part[:3] for part in parts] != expected:
+                raise BagError(
+                    f"{where}: {FILE} is missing, and {listed(file.name for file in files)} are not the "
+                    "parts of one recording; accepted: NAME_0.mcap, NAME_1.mcap and so on without a gap, or each file "
+                    "by its path"
+                )
+            files = [part[3] for part in parts]
+        self.notes.append(f"{FILE} is missing; read as they are: {plain(', '.join(file.name for file in files))}")
+        return files
 
     def _disagreement(self, what: str) -> BagError:
         remedy = "'ros2 bag reindex' writes it anew, and each storage file can be read by its own path"
         return BagError(f"{plain(self.path)}: {FILE} says {what}; {remedy}")
 
-    def _open(self, file: Path, stack: ExitStack) -> StorageFile:
-        try:
-            return open_storage(file, stack)
-        except (DamagedError, BagError) as error:
-            raise self._refusal(file, error) from error
-        except OSError as error:
-            raise BagError(f"{plain(file)}: cannot be read ({error.strerror})") from error
-
     def _messages(
         self, file: Path, storage: StorageFile, wanted: dict[tuple[str, str, str], BagTopic]
     ) -> Iterator[tuple[BagTopic, int, bytes]]:
         topics = {key: topic for key, one in storage.topics.items() if (topic := wanted.get(one.identity))}
-        read = 0
-        try:
+        read, expected = 0, sum(storage.topics[key].count for key in topics)
+        with self._damage(file):
             for key, log_ns, data in storage.messages(topics):
                 read += 1
                 yield topics[key], log_ns, data
-            expected = sum(storage.topics[key].count for key in topics)
             if read != expected:
                 raise DamagedError(f"{expected:,} messages should be there, {read:,} can be read")
-        except DamagedError as error:
-            raise self._refusal(file, error) from error
 
-    def _refusal(self, file: Path, error: Exception) -> BagError:
-        what = "is damaged: " if isinstance(error, DamagedError) else ""
-        return BagError(f"{plain(self.path)}: {plain(file.name)} {what}{error}")
+    @contextmanager
+    def _damage(self, file: Path) -> Iterator[None]:
+        """Put bag and file before what is said of a storage file."""
+        try:
+            yield
+        except DamagedError as error:
+            raise BagError(f"{plain(self.path)}: {plain(file.name)} is damaged: {error}") from error
+        except BagError as error:
+            raise BagError(f"{plain(self.path)}: {plain(file.name)} {error}") from error
+        except OSError as error:
+            raise BagError(f"{plain(file)}: cannot be read ({error.strerror})") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,18 +353,17 @@ def read_joint_bag(
         names = None if topics is None else {*map(absolute, topics)}
         wanted = [topic for topic in held if topic.holds_series and (names is None or topic.name in names)]
         if topics is not None and all_there:
-            wanted = _picked(bag.path, held, topics)
-        builders = {topic: bag.series_builder(topic) for topic in wanted}
-        by_identity = {id(topic): builder for topic, builder in builders.items()}  # to hash a topic takes 0.5 us
+            wanted = bag.series_topics(topics, filled=False)
+        builders = {id(topic): bag.series_builder(topic) for topic in wanted}  # to hash a topic takes 0.5 us
         total = sum(topic.count for topic in wanted)
         try:
-            for number, (topic, log_ns, data) in enumerate(bag.messages(wanted), 1):
-                by_identity[id(topic)].add(data, log_ns if record_time else None)
-                if number % _STEP == 0:
-                    progress(number, total)
+            for done, (topic, log_ns, data) in enumerate(bag.messages(wanted), 1):
+                builders[id(topic)].add(data, log_ns if record_time else None)
+                if done % _STEP == 0:
+                    progress(done, total)
             if total > _STEP:
                 progress(total, total)
-            series = {topic.name: builder.build() for topic, builder in builders.items()}
+            series = {topic.name: builders[id(topic)].build() for topic in wanted}
         except BagError as error:
             text, where = str(error), plain(bag.path)
             raise error if text.startswith(where) else BagError(f"{where}: {text}") from error
@@ -426,15 +423,3 @@ def series_topics_text(topics: Iterable[BagTopic]) -> str:
     joints, others = ([name for name in sorted(series) if series[name] is kind] for kind in (True, False))
     temperatures = f"; Temperature topics: {listed(others)}" if others else ""
     return f"JointState topics: {listed(joints) or 'none'}{temperatures}"
-
-
-def _picked(path: Path, there: Sequence[BagTopic], topics: Collection[str]) -> list[BagTopic]:
-    """Return those of a bag's topics that are wanted, all of which must be there as JointState or Temperature."""
-    by_name = {topic.name: topic for topic in there if topic.holds_series}
-    wanted = dict.fromkeys(map(absolute, topics))
-    for name in wanted:
-        if name not in by_name:
-            others = [topic.description for topic in there if topic.name == name]
-            what = f"{plain(name)} is {others[0]}" if others else f"no topic {plain(name)}"
-            raise BagError(f"{plain(path)}: {what}; {series_topics_text(there)}")
-    return [by_name[name] for name in wanted]

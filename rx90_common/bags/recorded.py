@@ -8,6 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -41,10 +42,11 @@ def robot_of(path: Path | str) -> str | None:
     """
     if is_table(Path(path)):
         return None
+    found = None
     with BagReader(path) as bag:
         topics = [t for t in bag.topics if t.msgtype == STRING and t.name.rpartition("/")[2] == _DESCRIPTION]
-        first = next(bag.messages(topics), None) if topics else None
-        found = first and _NAME.search(str(bag.deserialize(first[0], first[2]).data))
+        for topic, _, data in islice(bag.messages(topics) if topics else (), 1):
+            found = _NAME.search(str(bag.deserialize(topic, data).data))
     return found[1] if found else None
 
 
@@ -116,35 +118,29 @@ class TrajectoryCount:
     """
 
     def __init__(self) -> None:
-        self._came: Counter[tuple[str, bytes]] = Counter()  # by controller and digest
-        self._accepted: Counter[tuple[str, bytes]] = Counter()
+        self._missing: Counter[tuple[str, bytes]] = Counter()  # accepted less came, by controller and digest
 
     def add(self, topic: str, message: Any) -> None:
         """Count a JointTrajectory of any topic."""
         controller, _, name = topic.rpartition("/")
-        if name == COMMANDED_TRAJECTORY:
-            self._came[controller, _digest(message)] += 1
-        elif name == TRAJECTORY_ACCEPTED and message.header.frame_id != OF_ACTION:
-            self._accepted[controller, _digest(message)] += 1
+        accepted = name == TRAJECTORY_ACCEPTED and message.header.frame_id != OF_ACTION
+        if not accepted and name != COMMANDED_TRAJECTORY:
+            return
+        digest = hashlib.sha256(repr(tuple(message.joint_names)).encode())  # of joints and points, whatever the header
+        for point in message.points:
+            since = point.time_from_start
+            vectors = [np.asarray(getattr(point, field), dtype=np.float64) for field in POINT_FIELDS]
+            digest.update(repr((since.sec, since.nanosec, *map(len, vectors))).encode())
+            for vector in vectors:
+                digest.update(vector.tobytes())
+        self._missing[controller, digest.digest()] += 1 if accepted else -1
 
     def missing(self, topics: Collection[str]) -> dict[str, int]:
         """Return how many trajectories did not come, by the topic that they were sent on, of those that are given."""
         counts: Counter[str] = Counter()
-        for (controller, _), count in (self._accepted - self._came).items():
+        for (controller, _), count in (+self._missing).items():
             counts[f"{controller}/{COMMANDED_TRAJECTORY}"] += count
         return {topic: count for topic, count in counts.items() if topic in topics}
-
-
-def _digest(message: Any) -> bytes:
-    """Return a digest of joints and points, whatever the header."""
-    whole = hashlib.sha256(repr(tuple(message.joint_names)).encode())
-    for point in message.points:
-        since = point.time_from_start
-        vectors = [np.asarray(getattr(point, field), dtype=np.float64) for field in POINT_FIELDS]
-        whole.update(repr((since.sec, since.nanosec, *map(len, vectors))).encode())
-        for vector in vectors:
-            whole.update(vector.tobytes())
-    return whole.digest()
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,10 @@
 """Storage files of bags: mcap, sqlite3 and ROS 1; one that contradicts itself is refused.
 
-The library of the mcap project reads mcap files. Its loop over messages takes some 3 us for each of them, so that
-compiled code finds those of a chunk; a file whose index does not lead to all chunks is read through by the library.
+A loop over messages in Python takes some 3 us for each of them, so that compiled code finds those of a chunk of mcap.
 """
 
 from __future__ import annotations
 
-import mmap
 import shutil
 import sqlite3
 import struct
@@ -14,11 +12,12 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
-from operator import itemgetter
+from dataclasses import dataclass
+from io import BytesIO
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO, Final, Protocol, TypeAlias, cast
+from typing import Final, TypeAlias
 from zlib import crc32
 
 import lz4.frame
@@ -26,9 +25,7 @@ import numpy as np
 from backports import zstd
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, ChunkIndex, Message, MessageIndex, Schema, Statistics
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Channel, ChunkIndex, Schema, Statistics
 from mcap.summary import Summary
 from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
 from rosbags.rosbag1 import Reader as Ros1Reader
@@ -47,12 +44,22 @@ MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"  # with which no CDR message begins
 _MAX_MESSAGE_BYTES = 256 << 20  # of a compressed message; nothing beside it says how long it is
 _COPY_BYTES = 1 << 20
-_FOOTER = struct.Struct("<QQI")
-_RECORD_HEAD: Final = 9  # op code and length
-_MESSAGE_HEAD: Final = 22  # channel, sequence number, log time, time of publication
-_INDEX_HEAD = struct.Struct("<BQHI")  # op code and length, channel, bytes of the entries
+_RECORD = struct.Struct("<BQ")  # op code and length
+_RECORD_HEAD: Final = 9
+_CHUNK = struct.Struct("<QQQII")  # first and last log time, bytes uncompressed, their checksum, bytes of a name
 _MESSAGE: Final = 5  # op code
+_MESSAGE_HEAD: Final = 22  # channel, sequence number, log time, time of publication
+_INDEX = struct.Struct("<HI")  # channel, bytes of the entries
+_ENTRY_BYTES = 16
+_FOOTER = struct.Struct("<QQI")  # places of summary and offsets, checksum
 _CDR, _ROS1 = "cdr", "ros1"
+_CHECKS = (
+    "PRAGMA integrity_check(1)",  # tables against indexes, page by page
+    "SELECT count(*) FROM messages WHERE typeof(id) != 'integer' OR typeof(timestamp) != 'integer' "
+    "OR typeof(data) != 'blob' OR topic_id NOT IN (SELECT id FROM topics)",
+    "SELECT count(*), min(id), max(id) FROM messages",
+)
+"""What is asked of a database before its messages are read."""
 
 LoggedMessage: TypeAlias = tuple[int, int, bytes]
 """Key of the topic, log time in ns, message."""
@@ -103,15 +110,20 @@ class BagTopic:
         return self.encoding == _ROS1
 
 
-class StorageFile(Protocol):
-    """A storage file that is open, or what is read like one."""
+class StorageFile:
+    """A storage file that is open, or what is read like one; `topics` are by what it knows them by."""
 
     kind: str
-    compression: str
-    topics: dict[int, BagTopic]  # by what the file knows them by
+    compression = ""
+    topics: dict[int, BagTopic]
 
     def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
-        """Yield the messages of these topics in the order of log time."""
+        """Yield the messages of these topics in the order of log time, equal times in that of writing.
+
+        Raises:
+            DamagedError: if they do not fit the checksums, tables and indexes of the file.
+        """
+        raise NotImplementedError
 
     def close(self) -> None:
         """Close it."""
@@ -128,7 +140,7 @@ def library_errors(where: str = "") -> Iterator[None]:
     """Make one DamagedError of whatever a library raises for bytes that it cannot read."""
     try:
         yield
-    except DamagedError:
+    except (DamagedError, BagError):
         raise
     except Exception as error:  # the libraries have no common error
         text = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
@@ -171,7 +183,13 @@ def open_storage(path: Path, stack: ExitStack) -> StorageFile:
         if beginning.startswith(_ZSTD_MAGIC):
             target = Path(stack.enter_context(TemporaryDirectory(prefix="rx90_bag_"))) / path.stem
             stream.seek(0)
-            _decompress_file(stream, target)
+            try:
+                with zstd.open(stream, "rb") as content, target.open("wb") as whole:
+                    shutil.copyfileobj(content, whole, _COPY_BYTES)
+            except (zstd.ZstdError, EOFError) as error:
+                raise DamagedError(f"{error}") from error
+            except OSError as error:
+                raise write_error(target, error) from error
             inner = open_storage(target, stack)
             inner.compression = "zstd files"
             return inner
@@ -184,320 +202,269 @@ def open_storage(path: Path, stack: ExitStack) -> StorageFile:
     return file
 
 
-def _decompress_file(source: IO[bytes], target: Path) -> None:
-    try:
-        with zstd.open(source, "rb") as content, target.open("wb") as stream:
-            shutil.copyfileobj(content, stream, _COPY_BYTES)
-    except (zstd.ZstdError, EOFError) as error:
-        raise DamagedError(f"{error}") from error
-    except OSError as error:
-        raise write_error(target, error) from error
-
-
-class McapFile:
-    """An mcap file that is open.
-
-    Args:
-        path: of the file.
-
-    Raises:
-        BagError: if it is cut off, with how much of it is whole.
-        DamagedError: if its summary cannot be read, or contradicts itself.
-    """
+class _McapFile(StorageFile):
+    """An mcap file; refused if it is cut off, its records do not fill it, or its summary does not fit them."""
 
     kind = "mcap"
 
     def __init__(self, path: Path) -> None:
-        with path.open("rb") as stream:
-            _refuse_cut_off(stream)
-            self._data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-        self._without_index: list[LoggedMessage] = []
-        try:
-            with library_errors():
-                summary = self._summary()
-                if not _leads_to_all(summary):
-                    summary = self._read_through(summary)
-                self.topics = _topics(summary)
-        except BaseException:
-            self._data.close()
-            raise
-        self._chunks = sorted(summary.chunk_indexes, key=lambda chunk: chunk.message_start_time)
+        self._data = np.memmap(path, np.uint8, "r").data
+        magic = len(MCAP_MAGIC)
+        with library_errors():
+            if len(self._data) == magic or self._data[-magic:].tobytes() != MCAP_MAGIC:
+                raise self._cut_off()
+            self._rows = _records(self._data, magic, len(self._data) - magic)
+            self._outside = self._rows[self._rows[:, 0] == Opcode.MESSAGE]  # messages in no chunk
+            self._chunks: list[ChunkIndex] = []
+            self.topics = self._topics(self._summary())
         self.compression = ", ".join(f"{kind} chunks" for kind in sorted({c.compression for c in self._chunks} - {""}))
 
-    def close(self) -> None:
-        """Close the file."""
-        self._data.close()
-
     def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
-        """Yield the messages of these channels in the order of log time, equal times as they stand in the file.
-
-        Raises:
-            DamagedError: if a chunk, its checksum, its index and that of the file do not fit together.
-        """
-        yield from (message for message in self._without_index if message[0] in keys)
-        chunks = [
-            c for c in self._chunks if not c.message_index_offsets or not {*keys}.isdisjoint(c.message_index_offsets)
-        ]
-        pending: list[LoggedMessage] = []
-        for i, chunk in enumerate(chunks):
-            with library_errors(f"the chunk at byte {chunk.chunk_start_offset}: "):
-                pending += self._read_chunk(chunk, keys)
+        wanted = sorted(self._chunks, key=attrgetter("message_start_time"))
+        wanted = [c for c in wanted if not c.message_index_offsets or not {*keys}.isdisjoint(c.message_index_offsets)]
+        pending = self._chosen(self._data, self._outside, keys)
+        for k in range(-1, len(wanted)):
+            if k >= 0:
+                with library_errors(f"the chunk at byte {wanted[k].chunk_start_offset}: "):
+                    pending += self._read_chunk(wanted[k], keys)
             pending.sort(key=itemgetter(1))
             end = len(pending)
-            if i + 1 < len(chunks):  # what is earlier than all that follows
-                end = bisect_left(pending, chunks[i + 1].message_start_time, key=itemgetter(1))
+            if k + 1 < len(wanted):  # what is earlier than all that follows
+                end = bisect_left(pending, wanted[k + 1].message_start_time, key=itemgetter(1))
             yield from pending[:end]
             pending = pending[end:]
 
+    def _cut_off(self) -> BagError:
+        """Return what is said of a file that does not end as one, with what of it is whole."""
+        rows = _records(self._data, len(MCAP_MAGIC), len(self._data), whole=False)
+        index = rows[rows[:, 0] == Opcode.MESSAGE_INDEX]
+        chunks = rows[(rows[:, 0] == Opcode.CHUNK) & (rows[:, 3] < index[-1:, 3].sum())]  # of which it is whole
+        if not len(chunks):
+            return BagError("is cut off before its first whole chunk: nothing can be recovered")
+        count = int(((index[:, 4] - index[:, 3]) // _ENTRY_BYTES).sum())
+        end_ns = max(_CHUNK.unpack_from(self._data, begin)[1] for begin in chunks[:, 3].tolist())
+        return BagError(
+            f"is cut off (its recorder was killed, or the disk was full?): {count} messages up to t = "
+            f"{end_ns / NANOSECONDS:.6f} s are whole, 'mcap recover' restores them"
+        )
+
     def _summary(self) -> Summary:
-        """Return the summary, whose checksum the library does not look at; an empty one where there is none."""
-        start, _, crc = _FOOTER.unpack(self._data[-_FOOTER.size - len(MCAP_MAGIC) : -len(MCAP_MAGIC)])
-        if start and crc and crc != crc32(self._data[start : -4 - len(MCAP_MAGIC)]):
+        """Find the chunks; return the summary, once it fits them."""
+        summary, held, crc, start, found = Summary(), Summary(), 0, 0, -1
+        part = held
+        for code, _, _, begin, end in self._rows[self._rows[:, 0] != Opcode.MESSAGE].tolist():
+            if code == Opcode.CHUNK:
+                self._chunks.append(_chunk_at(self._data, begin, end))
+            elif code == Opcode.MESSAGE_INDEX:
+                chunk = self._chunks[-1]
+                chunk.message_index_offsets[_INDEX.unpack_from(self._data, begin)[0]] = begin - _RECORD_HEAD
+                chunk.message_index_length = end - chunk.chunk_start_offset - chunk.chunk_length
+            elif code == Opcode.DATA_END:
+                part, start = summary, end
+            elif code == Opcode.FOOTER:
+                found, _, crc = _FOOTER.unpack_from(self._data, begin)
+            else:
+                _note(part, code, self._data[begin:end].tobytes())
+        if found not in (0, start):
+            raise DamagedError("its footer does not lead to its summary")
+        if found and crc and crc != crc32(self._data[found : -4 - len(MCAP_MAGIC)]):
             raise DamagedError("the checksum of its summary does not match")
-        self._data.seek(0)
-        return SeekingReader(cast("IO[bytes]", self._data)).get_summary() or Summary()
-
-    def _read_through(self, listed: Summary) -> Summary:
-        """Read all messages into memory; return the summary of a file whose own does not lead to all of them."""
-        found = Summary()
-        self._data.seek(0)
-        for record in StreamReader(cast("IO[bytes]", self._data), validate_crcs=True, emit_chunks=True).records:
-            whole = replace(record, compression="", data=_content(record)) if isinstance(record, Chunk) else None
-            for one in [record] if whole is None else breakup_chunk(whole):
-                if isinstance(one, Schema):
-                    found.schemas[one.id] = one
-                elif isinstance(one, Channel):
-                    found.channels[one.id] = one
-                elif isinstance(one, Message):
-                    self._without_index.append((one.channel_id, one.log_time, _decompressed(one.data)))
-        self._without_index.sort(key=itemgetter(1))
-        counts = Counter(key for key, _, _ in self._without_index)
-        if listed.statistics is not None and listed.statistics.message_count != counts.total():
-            total = listed.statistics.message_count
-            raise DamagedError(f"its statistics say {total:,} messages, there are {counts.total():,}")
-        _check_channels(listed.channels or found.channels, counts)
-        found.statistics = Statistics(0, 0, dict(counts), 0, 0, 0, 0, 0, 0)
-        return found
-
-    def _read_chunk(self, listed: ChunkIndex, keys: Collection[int]) -> list[LoggedMessage]:
-        """Return messages of a chunk, which is held against its checksum, its head and both indexes."""
-        start, end = listed.chunk_start_offset, listed.chunk_start_offset + listed.chunk_length
-        self._data.seek(start)
-        head = self._data.read(_RECORD_HEAD)
-        chunk = Chunk.read(ReadDataStream(cast("IO[bytes]", self._data)))
-        if head != struct.pack("<BQ", Opcode.CHUNK, listed.chunk_length - _RECORD_HEAD) or self._data.tell() != end:
+        statistics, listed = summary.statistics, sorted(summary.chunk_indexes, key=attrgetter("chunk_start_offset"))
+        if statistics is not None and statistics.chunk_count != len(self._chunks):
+            raise DamagedError(f"its statistics say {statistics.chunk_count:,} chunks, there are {len(self._chunks):,}")
+        if listed and listed != self._chunks:
             raise DamagedError("its index is not that of its chunks")
-        content = _content(chunk)
-        rows = _messages_in(content)
-        _check_index(listed, chunk, rows, self._data[end : end + listed.message_index_length])
-        rows = rows[np.isin(rows[:, 0], list(keys))]
-        messages = [(key, log_ns, content[begin:end]) for key, log_ns, _, begin, end in rows.tolist()]
-        if _ZSTD_MAGIC in content and any(data.startswith(_ZSTD_MAGIC) for _, _, data in messages):
+        if not summary.channels:
+            summary.schemas, summary.channels = held.schemas, held.channels
+        return summary
+
+    def _topics(self, summary: Summary) -> dict[int, BagTopic]:
+        """Return the topics that a summary lists, with as many messages as it says; without it, as there are."""
+        statistics = summary.statistics
+        counts: dict[int, int] = Counter(self._outside[:, 1].tolist())
+        if statistics is not None and summary.channels:
+            counts = statistics.channel_message_counts
+        else:
+            for content in map(self._content, self._chunks):
+                rows = _records(content)
+                for code, channel, _, begin, end in rows.tolist():
+                    if code == Opcode.MESSAGE:
+                        counts[channel] += 1
+                    else:
+                        _note(summary, code, content[begin:end])
+        total = sum(counts.values())
+        if statistics is not None and statistics.message_count != total:
+            raise DamagedError(f"its statistics say {statistics.message_count:,} messages, there are {total:,}")
+        for lacking in (channel for channel, count in counts.items() if count and channel not in summary.channels):
+            raise DamagedError(f"its summary lacks channel {lacking}, which has messages")
+        topics = {}
+        for key, channel in sorted(summary.channels.items()):
+            schema = summary.schemas.get(channel.schema_id)
+            if channel.schema_id and schema is None:
+                raise DamagedError(f"{plain(channel.topic)} is of schema {channel.schema_id}, which is not there")
+            msgtype = full_type(schema.name) if schema is not None else ""
+            topics[key] = BagTopic(channel.topic, msgtype, counts.get(key, 0), channel.message_encoding)
+        return topics
+
+    def _content(self, chunk: ChunkIndex) -> bytes:
+        """Return what a chunk holds, held against its checksum; no more is decompressed than its head says."""
+        size, end = chunk.uncompressed_size, chunk.chunk_start_offset + chunk.chunk_length
+        crc = _CHUNK.unpack_from(self._data, chunk.chunk_start_offset + _RECORD_HEAD)[3]
+        data = self._data[end - chunk.compressed_size : end].tobytes()
+        if chunk.compression == "zstd":
+            data = zstd.ZstdDecompressor().decompress(data, size + 1)
+        elif chunk.compression == "lz4":
+            data = lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
+        elif chunk.compression:
+            raise DamagedError(f"a chunk is compressed by {plain(chunk.compression)}; accepted: zstd, lz4")
+        if len(data) != size:
+            how = "longer" if len(data) > size else "shorter"
+            raise DamagedError(f"a chunk is {how} than {size:,} bytes, which its head says")
+        if crc and crc != crc32(data):
+            raise DamagedError("the checksum of a chunk does not match")
+        return data
+
+    def _read_chunk(self, chunk: ChunkIndex, keys: Collection[int]) -> list[LoggedMessage]:
+        """Return messages of a chunk, all of which are held against its head and the indexes behind it."""
+        content, where = self._content(chunk), f"the chunk at byte {chunk.chunk_start_offset}"
+        rows = _records(content)
+        rows = rows[rows[:, 0] == Opcode.MESSAGE]
+        times = chunk.message_start_time, chunk.message_end_time
+        if len(rows) and (int(rows[:, 2].min()), int(rows[:, 2].max())) != times:
+            raise DamagedError(f"the messages of {where} have other times than its head says")
+        indexed = 0
+        for channel, at in chunk.message_index_offsets.items():
+            end = at + _RECORD_HEAD + _RECORD.unpack_from(self._data, at)[1]
+            begin = at + _RECORD_HEAD + _INDEX.size
+            entries = np.frombuffer(self._data[begin:end], "<i8").reshape(-1, 2)
+            found = rows[rows[:, 1] == channel, 2:4] - np.array([0, _RECORD_HEAD])
+            ordered = entries[np.argsort(entries[:, 1], kind="stable")]
+            if _INDEX.unpack_from(self._data, begin - _INDEX.size)[1] != end - begin or (ordered != found).any():
+                raise DamagedError(f"the index of {where} is not that of its messages")
+            indexed += len(found)
+        if chunk.message_index_offsets and indexed != len(rows):
+            raise DamagedError(f"the index of {where} is not that of its messages")
+        return self._chosen(content, rows, keys)
+
+    def _chosen(self, content: bytes | memoryview, rows: Int64Array, keys: Collection[int]) -> list[LoggedMessage]:
+        """Return the messages of these channels, decompressed where they are."""
+        rows = rows[np.isin(rows[:, 1], list(keys))]
+        messages = [(key, ns, bytes(content[begin + _MESSAGE_HEAD : end])) for _, key, ns, begin, end in rows.tolist()]
+        if any(data.startswith(_ZSTD_MAGIC) for _, _, data in messages):
             self.compression = "zstd messages"
-            messages = [(key, log_ns, _decompressed(data)) for key, log_ns, data in messages]
+            return [(key, log_ns, _decompressed(data)) for key, log_ns, data in messages]
         return messages
 
 
-def _refuse_cut_off(stream: IO[bytes]) -> None:
-    """Refuse an mcap file that does not end as one, with what of it is whole."""
-    stream.seek(-len(MCAP_MAGIC), 2)
-    if stream.tell() and stream.read() == MCAP_MAGIC:
-        return
-    stream.seek(0)
-    count = end_ns = last_ns = 0
-    with suppress(Exception):  # where the file ends, within a record
-        for record in StreamReader(stream, emit_chunks=True).records:
-            if isinstance(record, Chunk):
-                last_ns = max(last_ns, record.message_end_time)
-            elif isinstance(record, MessageIndex):
-                count, end_ns = count + len(record.records), last_ns
-    if not count:
-        raise BagError("is cut off before its first whole chunk: nothing can be recovered")
-    raise BagError(
-        f"is cut off (its recorder was killed, or the disk was full?): {count} messages up to t = "
-        f"{end_ns / NANOSECONDS:.6f} s are whole, 'mcap recover' restores them"
-    )
-
-
-def _leads_to_all(summary: Summary) -> bool:
-    """Return whether a summary counts the messages of each channel and lists as many chunks as there are."""
-    statistics = summary.statistics
-    if statistics is None or sum(statistics.channel_message_counts.values()) != statistics.message_count:
-        return False
-    listed = len(summary.chunk_indexes)
-    if listed not in (0, statistics.chunk_count):
-        raise DamagedError(f"its statistics say {statistics.chunk_count:,} chunks, {listed:,} are listed")
-    if summary.channels:
-        _check_channels(summary.channels, statistics.channel_message_counts)
-    return bool(summary.channels) and (listed > 0 or not statistics.message_count)
-
-
-def _check_channels(channels: Collection[int], counts: dict[int, int]) -> None:
-    for channel, count in counts.items():
-        if count and channel not in channels:
-            raise DamagedError(f"its summary lacks channel {channel}, which has messages")
-
-
-def _topics(summary: Summary) -> dict[int, BagTopic]:
-    counts = summary.statistics.channel_message_counts if summary.statistics is not None else {}
-    topics = {}
-    for key, channel in sorted(summary.channels.items()):
-        schema = summary.schemas.get(channel.schema_id)
-        if channel.schema_id and schema is None:
-            raise DamagedError(f"{plain(channel.topic)} is of schema {channel.schema_id}, which is not there")
-        msgtype = full_type(schema.name) if schema is not None else ""
-        topics[key] = BagTopic(channel.topic, msgtype, counts.get(key, 0), channel.message_encoding)
-    return topics
-
-
-def _content(chunk: Chunk) -> bytes:
-    """Return what a chunk holds; unlike the library, without decompressing more than its head says."""
-    size = chunk.uncompressed_size
-    if chunk.compression == "zstd":
-        data = zstd.ZstdDecompressor().decompress(chunk.data, size + 1)
-    elif chunk.compression == "lz4":
-        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
-    elif not chunk.compression:
-        data = chunk.data
-    else:
-        raise DamagedError(f"a chunk is compressed by {plain(chunk.compression)}; accepted: zstd, lz4")
-    if len(data) != size:
-        how = "longer" if len(data) > size else "shorter"
-        raise DamagedError(f"a chunk is {how} than {size:,} bytes, which its head says")
-    if chunk.uncompressed_crc and chunk.uncompressed_crc != crc32(data):
-        raise DamagedError("the checksum of a chunk does not match")
-    return data
-
-
-@c_function(types.int64(types.voidptr, types.int64, types.voidptr))
-def _find_messages(data_at, size, rows_at):  # type: ignore[no-untyped-def]  # addresses
-    """Write channel, log time, place of the record, begin and end of each message; return how many, -1 for others."""
-    data = carray(data_at, (size,), np.uint8)
-    rows = carray(rows_at, (size // (_RECORD_HEAD + _MESSAGE_HEAD), 5), np.int64)
+@c_function(types.int64(types.voidptr, types.int64, types.voidptr, types.int64))
+def _find_records(data_at, size, rows_at, room):  # type: ignore[no-untyped-def]  # addresses
+    """Write rows as `_records` gives them, as far as there is room; return how many whole records there are."""
+    data, rows = carray(data_at, (size,), np.uint8), carray(rows_at, (room, 5), np.int64)
     count = at = 0
-    while at < size:
-        if size - at < _RECORD_HEAD:
-            return -1
-        begin = at + _RECORD_HEAD
-        length = np.int64(0)
+    while size - at >= _RECORD_HEAD:
+        begin, length = at + _RECORD_HEAD, np.int64(0)
         for k in range(8):
             length |= np.int64(data[at + 1 + k]) << (8 * k)
-        if length < 0 or length > size - begin or (data[at] == _MESSAGE and length < _MESSAGE_HEAD):
-            return -1
-        if data[at] == _MESSAGE:
-            log_ns = np.int64(0)
-            for k in range(8):
-                log_ns |= np.int64(data[begin + 6 + k]) << (8 * k)
-            rows[count, 0] = np.int64(data[begin]) | np.int64(data[begin + 1]) << 8
-            rows[count, 1], rows[count, 2] = log_ns, at
-            rows[count, 3], rows[count, 4] = begin + _MESSAGE_HEAD, begin + length
-            count += 1
+        is_message = data[at] == _MESSAGE
+        if length < 0 or length > size - begin or (is_message and length < _MESSAGE_HEAD):
+            break
+        if count < room:
+            channel, log_ns = np.int64(0), np.int64(0)
+            if is_message:
+                channel = np.int64(data[begin]) | np.int64(data[begin + 1]) << 8
+                for k in range(8):
+                    log_ns |= np.int64(data[begin + 6 + k]) << (8 * k)
+            rows[count, 0], rows[count, 1], rows[count, 2] = data[at], channel, log_ns
+            rows[count, 3], rows[count, 4] = begin, begin + length
+        count += 1
         at = int(begin + length)
     return count
 
 
-def _messages_in(content: bytes) -> Int64Array:
-    """Return channel, log time, place of the record, begin and end of each message in a chunk, shape (n, 5)."""
-    data = np.frombuffer(content, dtype=np.uint8)
-    rows = np.empty((len(data) // (_RECORD_HEAD + _MESSAGE_HEAD), 5), dtype=np.int64)
-    count = _find_messages(data.ctypes.data, len(data), rows.ctypes.data)
-    if count < 0:
-        raise DamagedError("its records do not fill it")
-    return rows[:count]
-
-
-def _check_index(listed: ChunkIndex, chunk: Chunk, rows: Int64Array, section: bytes) -> None:
-    """Hold what was read of a chunk against its head, the index behind it and the file's: others follow these.
-
-    Args:
-        listed: the file's index of the chunk.
-        chunk: with its head.
-        rows: the messages in it, as `_messages_in` gives them.
-        section: the index behind it.
-    """
-    head = (chunk.message_start_time, chunk.message_end_time)
-    sizes = (chunk.compression, len(chunk.data), chunk.uncompressed_size)
-    if (*head, *sizes) != (
-        listed.message_start_time, listed.message_end_time, listed.compression, listed.compressed_size,
-        listed.uncompressed_size,
-    ):  # fmt: skip
-        raise DamagedError("its index is not that of its chunks")
-    where = f"the chunk at byte {listed.chunk_start_offset}"
-    if len(rows) and (int(rows[:, 1].min()), int(rows[:, 1].max())) != head:
-        raise DamagedError(f"the messages of {where} have other times than its head says")
-    places, at = {}, 0
-    while at < len(section):
-        code, length, channel, size = _INDEX_HEAD.unpack_from(section, at)
-        entries = np.frombuffer(section, "<i8", size // 8, at + _INDEX_HEAD.size).reshape(-1, 2)
-        found = rows[rows[:, 0] == channel, 1:3]
-        if (code, length) != (Opcode.MESSAGE_INDEX, size + _INDEX_HEAD.size - _RECORD_HEAD) or not np.array_equal(
-            entries[np.argsort(entries[:, 1], kind="stable")], found
-        ):
-            raise DamagedError(f"the index of {where} is not that of its messages")
-        places[channel] = listed.chunk_start_offset + listed.chunk_length + at
-        at += _RECORD_HEAD + length
-    if listed.message_index_offsets != places or (places and not np.isin(rows[:, 0], list(places)).all()):
-        raise DamagedError("its index is not that of its chunks")
-
-
-class SqliteFile:
-    """A database of rosbag2 that is open for reading; a journal beside it is not looked at.
-
-    Args:
-        path: of the file.
+def _records(content: bytes | memoryview, first: int = 0, last: int | None = None, *, whole: bool = True) -> Int64Array:
+    """Return op code, channel, log time, begin and end of the content of each mcap record, (n, 5); 0 for other records.
 
     Raises:
-        DamagedError: if it cannot be read, or is the database of something else.
+        DamagedError: if these do not fill the bytes, of which they must be the whole.
     """
+    part = np.frombuffer(content, np.uint8)[first:last]
+    rows = np.empty((_find_records(part.ctypes.data, len(part), part.ctypes.data, 0), 5), dtype=np.int64)
+    _find_records(part.ctypes.data, len(part), rows.ctypes.data, len(rows))
+    if whole and (rows[-1, 4] if len(rows) else 0) != len(part):
+        raise DamagedError("its records do not fill it")
+    rows[:, 3:] += first
+    return rows
+
+
+def _chunk_at(data: memoryview, begin: int, end: int) -> ChunkIndex:
+    """Return the index of the chunk with this content, without that of its messages, which follows it."""
+    first_ns, last_ns, size, _, length = _CHUNK.unpack_from(data, begin)
+    name = begin + _CHUNK.size
+    (compressed,) = struct.unpack_from("<Q", data, name + length)
+    if name + length + 8 + compressed != end:
+        raise DamagedError("a chunk does not fill its record")
+    begin, compression = begin - _RECORD_HEAD, data[name : name + length].tobytes().decode()
+    return ChunkIndex(end - begin, begin, compression, compressed, last_ns, 0, {}, first_ns, size)
+
+
+class _WholeStream(ReadDataStream):
+    """The library's stream, in which a record that is cut off is an error."""
+
+    def read(self, length: int) -> bytes:
+        data = super().read(length)
+        if len(data) != length:
+            raise DamagedError("a record of its summary is cut off")
+        return data
+
+
+def _note(summary: Summary, code: int, content: bytes) -> None:
+    """Note in a summary what a record says of a schema, a channel, a chunk, or of all messages."""
+    stream = _WholeStream(BytesIO(content))
+    if code == Opcode.SCHEMA:
+        schema = Schema.read(stream)
+        summary.schemas[schema.id] = schema
+    elif code == Opcode.CHANNEL:
+        channel = Channel.read(stream)
+        summary.channels[channel.id] = channel
+    elif code == Opcode.CHUNK_INDEX:
+        summary.chunk_indexes.append(ChunkIndex.read(stream))
+    elif code == Opcode.STATISTICS:
+        summary.statistics = Statistics.read(stream)
+
+
+class _SqliteFile(StorageFile):
+    """A database of rosbag2; a journal beside it is not looked at, and that of something else is refused."""
 
     kind = "db3"
-    compression = ""
 
     def __init__(self, path: Path) -> None:
         self._database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
+        self.close = self._database.close  # type: ignore[method-assign]
         try:
             with library_errors():
                 self.topics = self._topics()
         except DamagedError:
-            self._database.close()
+            self.close()
             raise
 
-    def close(self) -> None:
-        """Close the file."""
-        self._database.close()
-
     def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
-        """Yield the messages of these topics in the order of log time, equal times in that of writing.
-
-        Raises:
-            DamagedError: if tables and indexes do not fit together, or messages were deleted.
-        """
         with library_errors():  # also MemoryError, of a length that is damaged
-            self._check()
+            (found,), (foreign,), (count, first, last) = (self._database.execute(one).fetchone() for one in _CHECKS)
+            if found != "ok":
+                raise DamagedError(plain(found))
+            if foreign:
+                raise DamagedError(f"{foreign:,} messages are of no topic, or have no number, time or content")
+            if count and (lost := last - min(first, 1) + 1 - count):  # rows are numbered from 1 on
+                raise DamagedError(
+                    f"{lost:,} messages are gone: the last one has number {last:,}, {count:,} are there; "
+                    "'ros2 bag convert' makes a bag of these"
+                )
             places = ", ".join("?" for _ in keys)
             chosen = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({places})"
             for key, log_ns, data in self._database.execute(f"{chosen} ORDER BY timestamp, id", list(keys)):
                 if data.startswith(_ZSTD_MAGIC):
                     self.compression = "zstd messages"
                 yield key, log_ns, _decompressed(data)
-
-    def _check(self) -> None:
-        """Check tables against indexes, page by page, and that no row was deleted: they are numbered from 1 on."""
-        (found,) = self._database.execute("PRAGMA integrity_check(1)").fetchone()
-        if found != "ok":
-            raise DamagedError(plain(found))
-        (foreign,) = self._database.execute(
-            "SELECT count(*) FROM messages WHERE typeof(id) != 'integer' OR typeof(timestamp) != 'integer' "
-            "OR typeof(data) != 'blob' OR topic_id NOT IN (SELECT id FROM topics)"
-        ).fetchone()
-        if foreign:
-            raise DamagedError(f"{foreign:,} messages are of no topic, or have no number, time or content")
-        count, first, last = self._database.execute("SELECT count(*), min(id), max(id) FROM messages").fetchone()
-        if count and (lost := last - min(first, 1) + 1 - count):
-            raise DamagedError(
-                f"{lost:,} messages are gone: the last one has number {last:,}, {count:,} are there; "
-                "'ros2 bag convert' makes a bag of these"
-            )
 
     def _topics(self) -> dict[int, BagTopic]:
         tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
@@ -513,37 +480,21 @@ class SqliteFile:
         return {key: BagTopic(name, full_type(kind), count, form) for key, name, kind, form, count in rows}
 
 
-class Ros1File:
-    """A bag file of ROS 1 that is open.
-
-    Args:
-        path: of the file.
-
-    Raises:
-        DamagedError: if rosbags cannot read it.
-    """
+class _Ros1File(StorageFile):
+    """A bag file of ROS 1, by rosbags."""
 
     kind = "bag"
-    compression = ""
 
     def __init__(self, path: Path) -> None:
         self._reader = Ros1Reader(path)
         with library_errors():
             self._reader.open()
+        self.close = self._reader.close  # type: ignore[method-assign]
         self.topics = {
             c.id: BagTopic(c.topic, full_type(c.msgtype), c.msgcount, _ROS1) for c in self._reader.connections
         }
 
-    def close(self) -> None:
-        """Close the file."""
-        self._reader.close()
-
     def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
-        """Yield the messages of these connections in the order of log time.
-
-        Raises:
-            DamagedError: if the file cannot be read further.
-        """
         wanted = [connection for connection in self._reader.connections if connection.id in keys]
         with library_errors():
             # To rosbags no connections are all of them.
@@ -552,7 +503,7 @@ class Ros1File:
 
 
 _BEGINNINGS: Final[dict[bytes, Callable[[Path], StorageFile]]] = {
-    MCAP_MAGIC: McapFile,
-    b"SQLite format 3\0": SqliteFile,
-    b"#ROSBAG V2.0\n": Ros1File,
+    MCAP_MAGIC: _McapFile,
+    b"SQLite format 3\0": _SqliteFile,
+    b"#ROSBAG V2.0\n": _Ros1File,
 }

@@ -105,52 +105,48 @@ def summarise(path: Path | str) -> BagSummary:
         changes: list[ParameterChange] = []
         trajectories = TrajectoryCount()
         other_clock: Counter[BagTopic] = Counter()
-        stamped = {topic for topic in topics if _is_stamped(topic)}
+        stamped = {topic for topic in topics if topic.encoding == "cdr" and _begins_with_header(topic.msgtype)}
         for topic, log_ns, data in bag.messages(topics):
             stamp = cdr_stamp_ns(data) if topic in stamped else 0
-            if topic.is_joint_state:
-                own = message_time_ns(bag.deserialize(topic, data).header.stamp) if topic.is_ros1 else max(0, stamp)
-                times[topic].append(own)
+            if topic.is_joint_state and topic.is_ros1:
+                times[topic].append(message_time_ns(bag.deserialize(topic, data).header.stamp))
             else:
-                times[topic].append(log_ns)
+                times[topic].append(max(0, stamp) if topic.is_joint_state else log_ns)
             if stamp > 0 and abs(stamp - log_ns) >= OTHER_CLOCK_NS:
                 other_clock[topic] += 1
             if topic.msgtype == JOINT_TRAJECTORY and topic.encoding == "cdr":
                 trajectories.add(topic.name, bag.deserialize(topic, data))
             if tells_changes(topic.name, topic.msgtype):
                 changes += changes_of(bag.deserialize(topic, data))
-        files = [bag.path] if bag.path.is_file() else [f for f in bag.path.iterdir() if f.is_file()]
+        files = [bag.path] if bag.path.is_file() else [file for file in bag.path.iterdir() if file.is_file()]
         size = sum(file.stat().st_size for file in files)
-        units = bag.effort_units
         summaries = tuple(
-            _summarise(topic, np.array(times[topic], dtype=np.int64), units.get(topic.name, ""), other_clock[topic])
+            _summarise(topic, np.array(times[topic], dtype=np.int64),
+                       bag.effort_units.get(topic.name, ""), other_clock[topic])
             for topic in topics
-        )
+        )  # fmt: skip
         for name, count in trajectories.missing([topic.name for topic in topics]).items():
             what = f"{plain(name)} lacks {count} of the trajectories that the controller accepted"
             bag.notes.append(f"{what}: sent before the recording, or lost")
         return BagSummary(bag.path, bag.storage, bag.compression, size, summaries, tuple(changes), tuple(bag.notes))
 
 
-def _is_stamped(topic: BagTopic) -> bool:
+def _begins_with_header(msgtype: str) -> bool:
     """Return whether messages begin with a header, as far as that is known here."""
-    definition = typestore().fielddefs.get(topic.msgtype)
-    fields = definition[1] if definition else []
-    return topic.encoding == "cdr" and bool(fields) and fields[0][1] == (Nodetype.NAME, "std_msgs/msg/Header")
+    _, fields = typestore().fielddefs.get(msgtype, ([], []))
+    return bool(fields) and fields[0][1] == (Nodetype.NAME, "std_msgs/msg/Header")
 
 
 def _summarise(topic: BagTopic, times: NDArray[np.int64], effort_unit: str, other_clock: int) -> TopicSummary:
     steps = np.diff(times)
     forward = steps[steps > 0]
-    first, last, rate, longest = None, None, None, None
-    if len(times):
-        first, last = int(times.min()), int(times.max())
-        rate = (len(np.unique(times)) - 1) / ((last - first) / NANOSECONDS) if last > first else None
-    gaps = np.zeros(0, dtype=np.intp)
-    if len(forward) >= _ENOUGH_FOR_GAPS:
-        gaps = np.flatnonzero(steps > _GAP * float(np.median(forward)))
-    if len(gaps):
-        longest = int(gaps[np.argmax(steps[gaps])])
+    first, last = (int(times.min()), int(times.max())) if len(times) else (None, None)
+    rate = None
+    if first is not None and last is not None and last > first:
+        rate = (len(np.unique(times)) - 1) / ((last - first) / NANOSECONDS)
+    enough = len(forward) >= _ENOUGH_FOR_GAPS
+    gaps = np.flatnonzero(steps > _GAP * float(np.median(forward))) if enough else np.zeros(0, dtype=np.intp)
+    longest = int(gaps[np.argmax(steps[gaps])]) if len(gaps) else None
     return TopicSummary(
         topic=topic.name,
         msgtype=topic.msgtype,

@@ -7,16 +7,12 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import groupby
 
-from rx90_common.bags.comparison import BagComparison, Side, TopicComparison, ValueDifference, Verdict
+from rx90_common.bags.comparison import BagComparison, TopicComparison, ValueDifference, Verdict
 from rx90_common.bags.summary import BagSummary, TopicSummary
 from rx90_common.base.quoting import counted, listed, plain
 from rx90_common.base.rates import NANOSECONDS
 
-_WORDS = {
-    Verdict.SAME: "same",
-    Verdict.DIFFERS: "DIFFERS",
-    Verdict.INCOMPARABLE: "CANNOT BE COMPARED",
-}
+_WORDS = {Verdict.SAME: "same", Verdict.DIFFERS: "DIFFERS", Verdict.INCOMPARABLE: "CANNOT BE COMPARED"}
 _COMPARED = ("field", "joint", "max", "at t (s)", "RMS", "unit", "tolerance", "beyond")
 _SUMMARISED = ("topic", "type", "messages", "rate (Hz)", "first (s)", "last (s)", "gaps", "remarks")
 
@@ -55,31 +51,24 @@ def _topic_text(topic: TopicComparison) -> str:
         lines[0] += f", {counted(topic.pairs, 'message')} compared, t = {low} to {high} s"
     lines += [f"  {reason}" for reason in topic.reasons]
     for side, where in ((topic.a, "first"), (topic.b, "second")):
-        if side is not None and (note := _side_note(side)):
-            lines.append(f"  {where} bag: {note}")
-    rows = [row for _, values in groupby(topic.values, lambda v: v.field) for row in _field_rows(list(values))]
-    if rows:
-        lines.append(_table(_COMPARED, rows, indent=2))
-    return "\n".join(lines)
-
-
-def _side_note(side: Side) -> str:
-    parts = [
-        (side.outside, "messages outside the common range"),
-        (side.repeats, "exact repetitions, counted once"),
-        (side.ambiguous, "messages that share a stamp with another one"),
-    ]
-    return "; ".join(f"{count} {what}" for count, what in parts if count)
-
-
-def _field_rows(values: list[ValueDifference]) -> list[tuple[str, ...]]:
-    """Return one row per joint; one for all when none of them differs at all."""
-    first = values[0]
-    if len(values) > 1 and all(v.maximum == 0.0 and not v.beyond for v in values):
-        tolerances = {v.tolerance for v in values}
-        tolerance = f"{first.tolerance:g}" if len(tolerances) == 1 else "various"
-        return [(first.field, f"all {len(values)}", "0", "", "0", first.unit, tolerance, "")]
-    return [_value_row(value) for value in values]
+        notes = [] if side is None else [
+            f"{count} {what}" for count, what in (
+                (side.outside, "messages outside the common range"),
+                (side.repeats, "exact repetitions, counted once"),
+                (side.ambiguous, "messages that share a stamp with another one"),
+            ) if count
+        ]  # fmt: skip
+        lines += [f"  {where} bag: {'; '.join(notes)}"] * bool(notes)
+    rows: list[tuple[str, ...]] = []
+    for _, group in groupby(topic.values, lambda value: value.field):
+        values = list(group)
+        if len(values) > 1 and all(v.maximum == 0.0 and not v.beyond for v in values):  # one row for all
+            first, tolerances = values[0], {v.tolerance for v in values}
+            tolerance = f"{first.tolerance:g}" if len(tolerances) == 1 else "various"
+            rows.append((first.field, f"all {len(values)}", "0", "", "0", first.unit, tolerance, ""))
+        else:
+            rows += map(_value_row, values)
+    return "\n".join([*lines, *([_table(_COMPARED, rows, indent=2)] if rows else [])])
 
 
 def _value_row(value: ValueDifference) -> tuple[str, ...]:
@@ -90,7 +79,7 @@ def _value_row(value: ValueDifference) -> tuple[str, ...]:
         value.field,
         plain(value.joint),
         f"{value.maximum:.3e}" if value.maximum else "0",
-        "" if value.at_ns is None else f"{value.at_ns / NANOSECONDS:.6f}",
+        _seconds(value.at_ns),
         f"{value.rms:.3e}" if value.rms else "0",
         value.unit,
         f"{value.tolerance:g}",
@@ -107,29 +96,19 @@ def summary_json(summary: BagSummary) -> str:
 def summary_text(summary: BagSummary) -> str:
     """Return a table of the topics below one line about the whole bag."""
     kind = summary.storage + (f" ({summary.compression})" if summary.compression else "")
-    head = f"{plain(summary.path)}: {kind}, {summary.size / 1e6:.1f} MB, {summary.count} messages"
-    notes = "".join(f"\n{note}" for note in summary.notes)
-    changes = "".join(
-        f"\n{plain(change.node)}: {plain(change.name)} changed to {plain(change.value)}, from t = "
+    changes = [
+        f"{plain(change.node)}: {plain(change.name)} changed to {plain(change.value)}, from t = "
         f"{_seconds(change.stamp_ns)} s on" for change in summary.changes
-    )  # fmt: skip
-    return f"{head}{notes}\n{_table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics])}{changes}"
+    ]  # fmt: skip
+    return "\n".join([
+        f"{plain(summary.path)}: {kind}, {summary.size / 1e6:.1f} MB, {summary.count} messages",
+        *summary.notes,
+        _table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics]),
+        *changes,
+    ])  # fmt: skip
 
 
 def _topic_row(topic: TopicSummary) -> tuple[str, ...]:
-    return (
-        plain(topic.topic),
-        plain(topic.msgtype),
-        f"{topic.count}",
-        "" if topic.rate is None else f"{topic.rate:.3f}",
-        _seconds(topic.first_ns),
-        _seconds(topic.last_ns),
-        f"{topic.gaps}" if topic.gaps else "",
-        _remarks(topic),
-    )
-
-
-def _remarks(topic: TopicSummary) -> str:
     remarks = []
     if topic.longest_gap_ns is not None:
         where = _seconds(topic.longest_gap_at_ns)
@@ -146,7 +125,16 @@ def _remarks(topic: TopicSummary) -> str:
         remarks.append(f"effort in {topic.effort_unit}")
     if topic.time == "log" and topic.count:
         remarks.append("by log time")
-    return "; ".join(remarks)
+    return (
+        plain(topic.topic),
+        plain(topic.msgtype),
+        f"{topic.count}",
+        "" if topic.rate is None else f"{topic.rate:.3f}",
+        _seconds(topic.first_ns),
+        _seconds(topic.last_ns),
+        f"{topic.gaps}" if topic.gaps else "",
+        "; ".join(remarks),
+    )
 
 
 def _seconds(time_ns: int | None) -> str:
@@ -155,13 +143,9 @@ def _seconds(time_ns: int | None) -> str:
 
 def _table(headings: Sequence[str], rows: Sequence[Sequence[str]], indent: int = 0) -> str:
     """Return headings and rows in columns as wide as their widest cell; figures stand to the right."""
-    widths = [max(len(row[i]) for row in (headings, *rows)) for i in range(len(headings))]
-    figures = [all(not row[i] or row[i][0] in "-0123456789" for row in rows) for i in range(len(headings))]
-    lines = []
-    for row in (headings, *rows):
-        cells = [
-            cell.rjust(width) if right else cell.ljust(width)
-            for cell, width, right in zip(row, widths, figures, strict=True)
-        ]
-        lines.append(" " * indent + "  ".join(cells).rstrip())
-    return "\n".join(lines)
+    columns = []
+    for heading, *cells in zip(headings, *rows, strict=True):
+        width = max(map(len, (heading, *cells)))
+        right = all(not cell or cell[0] in "-0123456789" for cell in cells)
+        columns.append([cell.rjust(width) if right else cell.ljust(width) for cell in (heading, *cells)])
+    return "\n".join(" " * indent + "  ".join(row).rstrip() for row in zip(*columns, strict=True))

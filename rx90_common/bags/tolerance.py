@@ -18,7 +18,6 @@ from rx90_common.base.quoting import quoted
 ANY: Final = "*"
 GRAMMAR: Final = "[TOPIC:[JOINT:]]FIELD=VALUE"
 
-_JOINTS = "joints"
 _LIMITS = {
     name: Number(f"How far a {name} may differ.", unit, low=0.0, default=LEFT_OUT) for name, unit in USUAL_UNITS.items()
 }
@@ -29,7 +28,7 @@ TOLERANCES = Entries(
         "Tolerances of a topic.",
         keys={
             **_LIMITS,
-            _JOINTS: Entries(
+            "joints": Entries(
                 "Tolerances of single joints.", of=Group("Tolerances of a joint.", keys=_LIMITS), default=LEFT_OUT
             ),
         },
@@ -53,10 +52,6 @@ class ToleranceRule:
         if not (math.isfinite(self.value) and self.value >= 0.0):
             raise BagError(f"tolerance {self.value} for {self.field}; accepted: a finite number >= 0")
 
-    def fits(self, topic: str, joint: str, field: str) -> bool:
-        """Return whether the rule speaks of this value."""
-        return self.field == field and self.topic in (None, topic) and self.joint in (None, joint)
-
 
 class Tolerances:
     """A list of rules; the most specific one that fits decides, and among equals the last.
@@ -78,7 +73,9 @@ class Tolerances:
 
     def of(self, topic: str, joint: str, field: str) -> float:
         """Return the tolerance for a value, 0 where no rule fits."""
-        return next((r.value for r in reversed(self._rules) if r.fits(topic, joint, field)), 0.0)
+        fitting = [r.value for r in self._rules
+                   if r.field == field and r.topic in (None, topic) and r.joint in (None, joint)]  # fmt: skip
+        return fitting[-1] if fitting else 0.0
 
     def check(self, topics: Collection[str], joints: Mapping[str, Collection[str]]) -> None:
         """Refuse rules that fit nothing, as they are misspelt.
@@ -94,10 +91,8 @@ class Tolerances:
             if rule.topic is not None and rule.topic not in topics:
                 there = ", ".join(sorted(topics))
                 raise BagError(f"tolerance for {rule.topic}, which is in neither bag; topics: {there}")
-            if rule.joint is None or (rule.topic is not None and rule.topic not in joints):
-                continue
-            known = {n for t, names in joints.items() if rule.topic in (None, t) for n in names}
-            if rule.joint not in known:
+            known = {name for topic, names in joints.items() if rule.topic in (None, topic) for name in names}
+            if rule.joint is not None and rule.topic in (None, *joints) and rule.joint not in known:
                 there = ", ".join(sorted(known))
                 raise BagError(f"tolerance for {rule.joint}, which no compared topic has; joints: {there}")
 
@@ -116,9 +111,8 @@ def parse_rule(text: str) -> ToleranceRule:
         number = math.nan
     if not equals or len(parts) > 3 or not all(parts) or math.isnan(number):
         raise BagError(f"tolerance {quoted(text)}; accepted: {GRAMMAR}, e.g. joint_states:position=1e-6")
-    topic = parts[0] if len(parts) > 1 and parts[0] != ANY else None
-    joint = parts[1] if len(parts) == 3 else None
-    return ToleranceRule(None if topic is None else absolute(topic), joint, parts[-1], number)
+    topic = None if len(parts) == 1 or parts[0] == ANY else absolute(parts[0])
+    return ToleranceRule(topic, parts[1] if len(parts) == 3 else None, parts[-1], number)
 
 
 def load_rules(path: Path) -> list[ToleranceRule]:
@@ -136,14 +130,10 @@ def load_rules(path: Path) -> list[ToleranceRule]:
     Raises:
         ConfigError: if the file cannot be read or holds anything else.
     """
-    rules: list[ToleranceRule] = []
-    for name, given in TOLERANCES.read(load_yaml(path)).items():
-        topic = None if name == ANY else absolute(name)
-        rules += _field_rules(given, topic, None)
-        for joint, own in given.get(_JOINTS, {}).items():
-            rules += _field_rules(own, topic, joint)
-    return rules
-
-
-def _field_rules(given: Mapping[str, float], topic: str | None, joint: str | None) -> list[ToleranceRule]:
-    return [ToleranceRule(topic, joint, field, given[field]) for field in SERIES_FIELDS if field in given]
+    return [
+        ToleranceRule(None if name == ANY else absolute(name), joint, field, limits[field])
+        for name, given in TOLERANCES.read(load_yaml(path)).items()
+        for joint, limits in ((None, given), *given.get("joints", {}).items())
+        for field in SERIES_FIELDS
+        if field in limits
+    ]

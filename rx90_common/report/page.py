@@ -82,7 +82,15 @@ def render_page(package: str, template: str, **values: object) -> str:
                for mark in panel.marks if isinstance(mark, Curve)]  # fmt: skip
     to_zoom = _share(lengths, _POINTS_TO_ZOOM - _POINTS_A_CURVE * len(lengths))
     of_picture = _share(lengths, _POINTS_OF_PICTURES)
-    elements = [_element(plot, to_zoom, of_picture) for plot in plots]
+    elements = []
+    for plot in plots:
+        legend: dict[str, Mark] = {}
+        for mark in (mark for panel in plot.panels if isinstance(panel, Panel) for mark in panel.marks if mark.label):
+            legend.setdefault(mark.label, mark)
+        parts = {"picture": as_svg(plot, of_picture), "json": plot_json(with_fewer_points(plot, to_zoom))}
+        shown = {name: Markup(text) for name, text in parts.items()}
+        template_of_plot = _environment("rx90_common.report").get_template("plot.html.j2")
+        elements.append(template_of_plot.render(shown, legend=legend))
     if max(lengths, default=0) > to_zoom:
         note = f"Of long curves the first, least, largest and last value in each of {to_zoom // 4} parts are shown."
         page = page.replace("<footer>", f"<footer>{note} ", 1)
@@ -98,20 +106,6 @@ def _share(lengths: Sequence[int], together: int) -> int:
             return min(max(share, _FEWEST_POINTS), _MOST_POINTS)
         together -= size
     return _MOST_POINTS
-
-
-def _element(plot: Plot, to_zoom: int, of_picture: int) -> str:
-    marks = [mark for panel in plot.panels if isinstance(panel, Panel) for mark in panel.marks]
-    legend: dict[str, Mark] = {}
-    for mark in marks:
-        legend.setdefault(mark.label, mark)
-    legend.pop("", None)
-    values = {
-        "picture": Markup(as_svg(plot, of_picture)),
-        "json": Markup(plot_json(with_fewer_points(plot, to_zoom))),
-        "legend": legend,
-    }
-    return _environment("rx90_common.report").get_template("plot.html.j2").render(values)
 
 
 def plot_json(plot: Plot) -> str:

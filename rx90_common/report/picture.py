@@ -62,17 +62,17 @@ _STYLE: Any = {
 
 def as_svg(plot: Plot, most: int = _MOST_POINTS) -> str:
     """Return the plot, up to about `most` points of a curve, as an <svg> element."""
+
+    def shorter(found: re.Match[str]) -> str:
+        """Return a path with shorter numbers, and without the letter of each line where it has no curves."""
+        path = _LONG_NUMBER.sub(r"\1", found[0])
+        return path if re.search("[CQ]", path) else re.sub(r" *\nL ", " ", path)
+
     buffer = io.StringIO()
     with mpl.rc_context(_STYLE):
         drawn(plot, most).savefig(buffer, format="svg", metadata={"Date": None})
     text = buffer.getvalue()
-    return re.sub(r' d="[^"]*"', lambda path: _shorter(path[0]), text[text.index("<svg") :])
-
-
-def _shorter(path: str) -> str:
-    """Return a path with shorter numbers, and without the letter of each line where it has no curves."""
-    path = _LONG_NUMBER.sub(r"\1", path)
-    return path if re.search("[CQ]", path) else re.sub(r" *\nL ", " ", path)
+    return re.sub(r' d="[^"]*"', shorter, text[text.index("<svg") :])
 
 
 def write_picture(plot: Plot, path: Path, title: str = "") -> None:
@@ -139,20 +139,17 @@ def _draw_panel(axes: Axes, panel: Panel, x_range: tuple[float, float]) -> None:
 
 
 def _draw_mark(axes: Axes, mark: Mark) -> None:
+    look: Any = {"color": mark.colour, "label": mark.label}
     if isinstance(mark, Level):
-        line = axes.axvline if mark.upright else axes.axhline
-        line(mark.at, color=mark.colour, linewidth=0.7, linestyle=mark.dash, label=mark.label)
+        (axes.axvline if mark.upright else axes.axhline)(mark.at, linewidth=0.7, linestyle=mark.dash, **look)
     elif isinstance(mark, Band):
-        look: Any = {"color": mark.colour, "alpha": 0.35, "linewidth": 0.0}
-        axes.fill_between(mark.x, mark.low, mark.high, label=mark.label, **look)
+        axes.fill_between(mark.x, mark.low, mark.high, alpha=0.35, linewidth=0.0, **look)
     elif isinstance(mark, Dots):
         size = 4.0 if mark.error is None else 5.0
-        axes.errorbar(
-            mark.x, mark.y, mark.error, fmt=".", color=mark.colour, markersize=size, elinewidth=0.6, label=mark.label
-        )
+        axes.errorbar(mark.x, mark.y, mark.error, fmt=".", markersize=size, elinewidth=0.6, **look)
     else:
-        look = {"color": mark.colour, "linewidth": mark.width, "linestyle": mark.dash, "label": mark.label}
-        axes.plot(mark.x, mark.y, marker="." if mark.dots else "", markersize=4.0, **look)
+        dots = "." if mark.dots else ""
+        axes.plot(mark.x, mark.y, marker=dots, markersize=4.0, linewidth=mark.width, linestyle=mark.dash, **look)
 
 
 def _draw_legend(axes: Axes, panel: Panel, labels: tuple[str, ...], width: float) -> int:

@@ -104,9 +104,9 @@ class Panel:
         values = [mark.x for mark in self.marks if not isinstance(mark, Level)]
         values += [np.array([mark.at]) for mark in self.marks if isinstance(mark, Level) and mark.upright]
         if self.x_scale == "symlog":
-            low, high = _range([symlog(x, self.smallest) for x in values], "linear")
-            ends = symlog_transform(self.smallest).inverted().transform(np.array([low, high]))
-            return float(ends[0]), float(ends[1])
+            ends = _range([symlog(x, self.smallest) for x in values], "linear")
+            low, high = _symlog_transform(self.smallest).inverted().transform(np.array(ends)).tolist()
+            return low, high
         return _range(values, self.x_scale)
 
     @property
@@ -116,11 +116,11 @@ class Panel:
         for mark in self.marks:
             if isinstance(mark, Band):
                 values += [mark.low, mark.high]
-            elif isinstance(mark, Level):
-                values += [] if mark.upright else [np.array([mark.at])]
-            else:
+            elif not isinstance(mark, Level):
                 error = mark.error if isinstance(mark, Dots) and mark.error is not None else 0.0
                 values += [mark.y - error, mark.y + error]
+            elif not mark.upright:
+                values.append(np.array([mark.at]))
         low, high = _range(values, self.y_scale)
         return (0.0 if self.from_zero else low), high
 
@@ -157,29 +157,21 @@ class Plot:
         return min(low for low, _ in ranges), max(high for _, high in ranges)
 
 
-def symlog_transform(smallest: float) -> SymmetricalLogTransform:
-    """Return the transform of a symlog axis, for `smallest` as in Panel."""
+def _symlog_transform(smallest: float) -> SymmetricalLogTransform:
     return SymmetricalLogTransform(10.0, smallest, LINEAR_PART)
 
 
 def symlog(values: Array, smallest: float) -> Array:
-    """Return where values lie on a symlog axis, in decades."""
-    return np.asarray(symlog_transform(smallest).transform(values), dtype=np.float64)
+    """Return where values lie on a symlog axis, in decades, for `smallest` as in Panel."""
+    return np.asarray(_symlog_transform(smallest).transform(values), dtype=np.float64)
 
 
 def symlog_ticks(low: float, high: float, smallest: float) -> list[float]:
     """Return the decades from `smallest` on, either side, and 0, as far as they lie within the range."""
     largest = max(abs(low), abs(high))
     decades = 10.0 ** np.arange(np.ceil(np.log10(smallest) - 1e-9), np.floor(np.log10(largest)) + 1.0)
-    ticks = [*(-decades[::-1]).tolist(), 0.0, *decades.tolist()]
+    ticks: list[float] = np.concatenate([-decades[::-1], [0.0], decades]).tolist()
     return [tick for tick in ticks if low <= tick <= high]
-
-
-def on_axis(values: Array, scale: Scale, smallest: float) -> Array:
-    """Return where values lie on an axis; NaN for those that a logarithmic one does not have."""
-    if scale == "log":
-        return np.where(values > 0.0, np.log10(np.where(values > 0.0, values, 1.0)), np.nan)
-    return symlog(values, smallest) if scale == "symlog" else values
 
 
 def with_fewer_points(plot: Plot, most: int) -> Plot:
@@ -199,8 +191,10 @@ def with_fewer_points(plot: Plot, most: int) -> Plot:
 def _fewer(panel: Panel, mark: Mark, most: int) -> Mark:
     if not isinstance(mark, Curve) or mark.dots or len(mark.x) <= most:
         return mark
-    x = on_axis(mark.x, panel.x_scale, panel.smallest)
-    y = np.ascontiguousarray(on_axis(mark.y, panel.y_scale, panel.smallest))
+    x, y = mark.x, mark.y
+    with np.errstate(divide="ignore", invalid="ignore"):  # what a logarithmic axis does not have is no point
+        x = np.log10(x) if panel.x_scale == "log" else symlog(x, panel.smallest) if panel.x_scale == "symlog" else x
+        y = np.ascontiguousarray(np.log10(y) if panel.y_scale == "log" else y)
     known = np.isfinite(x) & np.isfinite(y)
     low, high = (x[known].min(), x[known].max()) if known.any() else (0.0, 0.0)
     place = np.where(known, x - low, 0.0) * ((most // 4) / (high - low) if high > low else 0.0)

@@ -10,7 +10,9 @@ from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from rx90_common.bags.batch import MessageBatch
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.writing import BagWriter
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 NAMES = ("joint_1", "joint_2", "joint_3")
@@ -45,6 +47,11 @@ def write_ros2(path: Path, messages: list[tuple[str, int, Any]], storage: str = 
             raw = message if isinstance(message, bytes) else ROS2.serialize_cdr(message, JOINT_STATE)
             writer.write(connections[topic], log_ns, raw)
     return path
+
+
+def write_one(bag: BagWriter, connection: Any, log_ns: int, cdr: bytes) -> None:
+    """Write a serialised message by our own writer."""
+    bag.write_many(np.array([connection.id]), np.array([log_ns]), MessageBatch.of([cdr]))
 
 
 def write_ros1(path: Path, messages: list[tuple[str, int, Any]]) -> Path:

@@ -45,7 +45,8 @@ class MessageReader(threading.Thread):
     """Reads what arrives, counts it, and keeps it until it is collected.
 
     Attributes:
-        error: why nothing more will be read; what was read before is there to be collected.
+        error: why nothing more will be read: a BagError if the middleware refuses, a BagWriteError if the queue became
+            too long for the memory it may use or the thread did not end; what was read before is there to be collected.
     """
 
     def __init__(self) -> None:
@@ -55,7 +56,6 @@ class MessageReader(threading.Thread):
         self._streams: tuple[Stream, ...] = ()
         self._lock = threading.Lock()
         self._queue: list[Arrived] = []
-        self._queued_bytes = 0
         self._round_so_far: list[Arrived] = []
         self.error: Exception | None = None
 
@@ -67,18 +67,7 @@ class MessageReader(threading.Thread):
         """Return what was read since the last call."""
         with self._lock:
             queue, self._queue = self._queue, []
-            self._queued_bytes = 0
         return queue
-
-    def check(self) -> None:
-        """Complain if not all could be read.
-
-        Raises:
-            BagError: if the middleware refuses.
-            BagWriteError: if the queue became too long for the memory it may use, or the thread did not end in time.
-        """
-        if self.error is not None:
-            raise self.error
 
     def finish(self) -> None:
         """Read what is still under way, then end the thread; give up if the middleware does not return from a call."""
@@ -88,8 +77,7 @@ class MessageReader(threading.Thread):
         self._end.set()
         self.join(_MAX_END_S)
         if self.is_alive():
-            calls = calls_of(self)
-            place = place_of(calls[-1]) if calls else "no call"
+            place = place_of(calls[-1]) if (calls := calls_of(self)) else "no call"
             with self._lock:
                 self._queue += self._round_so_far
                 self.error = BagWriteError(
@@ -139,10 +127,10 @@ class MessageReader(threading.Thread):
             if self.error is not None:  # given up: these messages are in the queue, or come too late for the bag
                 return False
             self._queue += received
-            self._queued_bytes += sum(each.messages.total for each in received)
-            if self._queued_bytes > _QUEUE_BYTES:
+            waiting = sum(each.messages.total for each in self._queue)
+            if waiting > _QUEUE_BYTES:
                 raise BagWriteError(
-                    f"the disk is slower than the messages arrive: {self._queued_bytes >> 20} MiB are waiting; "
+                    f"the disk is slower than the messages arrive: {waiting >> 20} MiB are waiting; "
                     f"accepted: {_QUEUE_BYTES >> 20} MiB"
                 )
         return bool(received)
@@ -238,7 +226,8 @@ class Recorder:
             try:
                 with make_writer() as writer:
                     self._record(streams, reader, writer, stop)
-                reader.check()
+                if reader.error is not None:
+                    raise reader.error
                 return self._counts(streams)
             finally:
                 reader.finish()
@@ -254,9 +243,13 @@ class Recorder:
         start = last = time.monotonic()
         matched_at = math.inf
         ready = reported = False
-        while not (stop.is_set() or reader.error is not None):
+        while True:
             now = time.monotonic()
-            last = self._note_stall(last)
+            if now - last > _LONGEST_STALL_S:
+                self.stalls.append(now - last)
+            last = now
+            if stop.is_set() or reader.error is not None:
+                break
             if math.isinf(matched_at) and streams.discover(reader.add):
                 matched_at = now
             if not ready and now > matched_at + _SETTLE_S:
@@ -274,7 +267,6 @@ class Recorder:
                 self._write(streams, writer, self._order.release())
             self._status.show(self._received, self._order.newest_ns)
             stop.wait(_CYCLE_S)
-        self._note_stall(last)
         reader.finish()
         self._order_all(reader)
         self._write(streams, writer, self._order.release_all())
@@ -289,13 +281,6 @@ class Recorder:
                 f"time goes back from {before / NANOSECONDS:.6g} s to {after / NANOSECONDS:.6g} s: "
                 "the bag holds more than one run, and its log time goes on"
             )
-
-    def _note_stall(self, last: float) -> float:
-        """Note a long time since `last` on the steady clock; return the time now."""
-        now = time.monotonic()
-        if now - last > _LONGEST_STALL_S:
-            self.stalls.append(now - last)
-        return now
 
     def _write(self, streams: Streams, writer: BagWriter, dated: Dated | None) -> None:
         """Announce to the bag the topics found since the last call, in their order, and write messages."""

@@ -32,6 +32,7 @@ _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s 
 _NEVER = 1 << 63  # ns
 _PAUSE = 0.002  # s; what comes meanwhile at 30,000 messages a second fits into a socket as Linux makes it by default
 _MOST_AT_ONCE = 512  # messages of a take
+_HEADER = "std_msgs/Header"
 _INFO = ("publication_sequence_number", "received_timestamp", "source_timestamp")
 _BASE = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
 """What .msg files call the types that the classes name as IDL does."""
@@ -63,10 +64,8 @@ class SequenceCounter:
 
     def __init__(self, matched: Callable[[], int], *, transient_local: bool) -> None:
         self.writers: list[WriterCount] = []
-        self._matched = matched
-        self._known_before = 0
-        self._must_start_at_one = False
-        self._transient_local = transient_local
+        self._matched, self._transient_local = matched, transient_local
+        self._known_before: int | None = None  # writers at the start
         self._current: WriterCount | None = None
 
     @property
@@ -81,21 +80,16 @@ class SequenceCounter:
 
     def start(self) -> None:
         """From now on a writer that newly appears must be heard from its first message on."""
-        self._known_before = self._matched()
-        self._must_start_at_one = not self._transient_local
+        self._known_before = None if self._transient_local else self._matched()
 
     def add(self, numbers: Int64Array) -> None:
         """Count messages with these sequence numbers, in this order."""
-        current, count = self._current, len(numbers)
-        if current is not None and count and numbers[0] == current.last + 1 and bool((np.diff(numbers) == 1).all()):
-            current.last += count
-            current.received += count
-            return
-        for number in numbers.tolist():
-            if self._current is None or number != self._current.last + 1:
-                self._current = self._writer_of(number)
-            self._current.last = number
-            self._current.received += 1
+        for run in np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1) if len(numbers) else ():
+            first = int(run[0])
+            if self._current is None or first != self._current.last + 1:
+                self._current = self._writer_of(first)
+            self._current.last = int(run[-1])
+            self._current.received += len(run)
 
     def _writer_of(self, number: int) -> WriterCount:
         """Return the writer whose count `number` continues, a new one or, after a loss, the one nearest to it."""
@@ -104,7 +98,7 @@ class SequenceCounter:
         if nearest is not None and nearest.last + 1 == number:
             return nearest
         if number == 1 or nearest is None or len(self.writers) < self._matched():
-            late = self._must_start_at_one and len(self.writers) >= self._known_before
+            late = self._known_before is not None and len(self.writers) >= self._known_before
             self.writers.append(WriterCount(number, lost=number - 1 if late else 0))
             return self.writers[-1]
         nearest.lost += number - nearest.last - 1
@@ -190,30 +184,25 @@ class Stream:
     """
 
     def __init__(
-        self,
-        node: Node,
-        topic: str,
-        index: int,
-        endpoints: Sequence[Any],
-        trajectories: TrajectoryCount,
+        self, node: Node, topic: str, index: int, endpoints: Sequence[Any], trajectories: TrajectoryCount
     ) -> None:
-        self.topic = topic
-        self._trajectories = trajectories
-        self._ready_ns = _NEVER
-        self.index = index
+        self.topic, self.index, self._trajectories = topic, index, trajectories
         types = sorted({str(endpoint.topic_type) for endpoint in endpoints})
         if len(types) > 1:
             raise BagError(f"{topic} is published with the types {', '.join(types)}; accepted: one type")
         self.msgtype = types[0]
-        kind = message_class(topic, self.msgtype)
-        self.time_source = time_source(topic, self.msgtype, kind)
+        kind = self._kind = message_class(topic, self.msgtype)
+        self.time_source = TimeSource.LIST if self.msgtype == TRANSFORMS else TimeSource.NEWEST
+        if self.msgtype == JOINT_STATE:
+            self.time_source = TimeSource.CLOCK
+        elif tells_changes(topic, self.msgtype) or [*kind.get_fields_and_field_types().values()][:1] == [_HEADER]:
+            self.time_source = TimeSource.STAMP
         known = typestore().fielddefs
         self.definition = "" if self.msgtype in known else definition(kind, known)
         profiles = [endpoint.qos_profile for endpoint in endpoints]
         reliable = all(p.reliability != ReliabilityPolicy.BEST_EFFORT for p in profiles)
-        transient_local = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
-        self._latched = transient_local
-        self.qos: Qos = offered_qos(reliable=reliable, transient_local=transient_local)
+        self._latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+        self.qos: Qos = offered_qos(reliable=reliable, transient_local=self._latched)
         self.subscription = node.create_subscription(
             kind,
             topic,
@@ -221,21 +210,23 @@ class Stream:
             QoSProfile(
                 depth=_DEPTH,
                 reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-                durability=DurabilityPolicy.TRANSIENT_LOCAL if transient_local else DurabilityPolicy.VOLATILE,
+                durability=DurabilityPolicy.TRANSIENT_LOCAL if self._latched else DurabilityPolicy.VOLATILE,
             ),
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
-        self._kind = kind
         kinds = QoSSubscriptionEventType
-        self._matched = self._event(kinds.RCL_SUBSCRIPTION_MATCHED)
-        self._message_lost = self._event(kinds.RCL_SUBSCRIPTION_MESSAGE_LOST)
-        self._incompatible = self._event(kinds.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)
-        self.counter = SequenceCounter(self.matched, transient_local=transient_local)
-        self.repeated = 0
-        self.sent_ns = 0
-        self._dated = self.msgtype in (JOINT_STATE, CLOCK)
-        self._newest = b""
+        self._matched, self._message_lost, self._incompatible = (
+            rclpy_implementation.EventHandle(self.subscription.handle, event)
+            for event in (
+                kinds.RCL_SUBSCRIPTION_MATCHED,
+                kinds.RCL_SUBSCRIPTION_MESSAGE_LOST,
+                kinds.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS,
+            )
+        )
+        self.counter = SequenceCounter(self.matched, transient_local=self._latched)
+        self.repeated = self.sent_ns = 0
+        self._ready_ns, self._newest = _NEVER, b""
 
     @property
     def needs_publisher(self) -> bool:
@@ -256,53 +247,41 @@ class Stream:
                 found.append(message)
         numbers, received_ns, sent_ns = (np.array([info[name] for _, info in found], dtype=np.int64) for name in _INFO)
         self.counter.add(numbers)
-        if found:
-            self.sent_ns = int(sent_ns[-1])
+        messages = MessageBatch.of([raw for raw, _ in found])
+        if not found:
+            return Arrived(self.index, self.time_source, messages, received_ns)
+        self.sent_ns = int(sent_ns[-1])
         for message, info in found if self.msgtype == JOINT_TRAJECTORY else ():
             if not self._latched or info["source_timestamp"] >= self._ready_ns:  # else accepted before the recording
                 with suppress(Exception):  # rosbags has no error of its own for bytes that are no message
                     self._trajectories.add(self.topic, typestore().deserialize_cdr(message, self.msgtype))
-        messages = MessageBatch.of([raw for raw, _ in found])
-        if self._dated and found:
+        if self.msgtype in (JOINT_STATE, CLOCK):
             # Nodes send one again while time stands still, and where it may have been lost: it is no second sample.
             again = messages.repeats(self._newest)
             self._newest = found[-1][0]
-            if again.any():
-                self.repeated += int(again.sum())
-                messages, received_ns = messages.take(np.flatnonzero(~again)), received_ns[~again]
+            self.repeated += int(again.sum())
+            messages, received_ns = messages.take(np.flatnonzero(~again)), received_ns[~again]
         return Arrived(self.index, self.time_source, messages, received_ns)
 
     def matched(self) -> int:
         """Return how many publishers were ever matched."""
-        return self._total(self._matched)
+        return _total(self._matched)
 
     def refused(self) -> int:
         """Return how many publishers offer a quality of service that does not fit the first one's."""
-        return self._total(self._incompatible)
+        return _total(self._incompatible)
 
     def lost(self) -> int:
         """Return how many messages were lost, by their sequence numbers and by what the middleware noticed.
 
         The first also sees what this side dropped, the second also sees the end of a topic.
         """
-        return max(self.counter.lost, self._total(self._message_lost))
-
-    def _event(self, kind: Any) -> Any:
-        return rclpy_implementation.EventHandle(self.subscription.handle, kind)
-
-    @staticmethod
-    def _total(event: Any) -> int:
-        with event:
-            return int(event.take_event().total_count)
+        return max(self.counter.lost, _total(self._message_lost))
 
 
-def time_source(topic: str, msgtype: str, kind: Any) -> TimeSource:
-    """Return where a topic's messages, of a class, have their log time from."""
-    if msgtype == JOINT_STATE:
-        return TimeSource.CLOCK
-    if tells_changes(topic, msgtype) or begins_with_header(kind):
-        return TimeSource.STAMP
-    return TimeSource.LIST if msgtype == TRANSFORMS else TimeSource.NEWEST
+def _total(event: Any) -> int:
+    with event:
+        return int(event.take_event().total_count)
 
 
 def message_class(topic: str, msgtype: str) -> Any:
@@ -345,11 +324,6 @@ def definition(kind: Any, known: Collection[str]) -> str:
     collect(kind)
     own, *others = texts.items()
     return own[1] + "".join(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others)
-
-
-def begins_with_header(kind: Any) -> bool:
-    """Return whether the first field of a message class is a std_msgs/Header."""
-    return next(iter(kind.get_fields_and_field_types().values()), None) == "std_msgs/Header"
 
 
 def _field_type(described: str) -> str:

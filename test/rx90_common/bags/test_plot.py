@@ -11,7 +11,7 @@ import pytest
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.plotting import TopicPlot, plot_bags
-from rx90_common.bags.writing import RawMessage, string_message, write_joint_states
+from rx90_common.bags.writing import string_message, write_joint_states
 from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import Curve, Panel, Plot
 from rx90_emulator.cli.frame import run
@@ -50,7 +50,7 @@ def curves(plot: TopicPlot, panel: int) -> list[Curve]:
 
 
 def test_without_options_the_usual_topics_are_drawn(bags: dict[str, Path]) -> None:
-    """Joint states come first, then friction, by the names of what they hold, with units; other topics are left out."""
+    """Joint states, then friction, by what they hold, with units; other topics, and chosen joints, where asked for."""
     joints, friction = plot_bags([bags["first"]])
     assert (joints.topic, friction.topic) == ("/joint_states", "/friction_states")
     panels = [panel for panel in (*joints.plot.panels, *friction.plot.panels) if isinstance(panel, Panel)]
@@ -61,13 +61,11 @@ def test_without_options_the_usual_topics_are_drawn(bags: dict[str, Path]) -> No
     assert [curve.label for curve in curves(joints, 0)] == list(NAMES)
     assert np.array_equal(curves(joints, 1)[1].y, 30.0 * POSITION[:, 1])
     assert np.array_equal(curves(joints, 1)[1].x, TIME)
-
-
-def test_topics_and_joints_are_chosen(bags: dict[str, Path]) -> None:
-    """What is asked for is drawn alone."""
-    (extra,) = plot_bags([bags["first"]], topics=["extra"], joints=["joint_2"])
-    assert extra.topic == "/extra"
-    assert [curve.label for curve in curves(extra, 0)] == ["joint_2"]
+    (extra,) = plot_bags([bags["first"]], topics=["extra"], joints=["joint_2"])  # what is asked for, alone
+    assert (extra.topic, [curve.label for curve in curves(extra, 0)]) == ("/extra", ["joint_2"])
+    (walls,) = plot_bags([bags["walls"]])  # from 0 on, and when that was
+    assert np.array_equal(curves(walls, 0)[0].x, TIME)
+    assert walls.plot.panels[-1].x_label == "time since 2026-09-21 14:13:20 and 0 ns UTC, s"  # type: ignore[union-attr]
 
 
 def test_reading_tells_how_far_it_is(tmp_path: Path) -> None:
@@ -79,15 +77,6 @@ def test_reading_tells_how_far_it_is(tmp_path: Path) -> None:
     plot_bags([tmp_path / "a", tmp_path / "b"], progress=lambda done, total: told.append(done / total))
     shares = [0.5 * 8192 / 20_000, 0.5 * 16_384 / 20_000, 0.5, 0.5 + 0.5 * 8192 / 9_000, 1.0]
     assert told == pytest.approx(shares, abs=1e-3)
-
-
-def test_stamps_of_a_wall_clock_are_told_from_the_first(bags: dict[str, Path]) -> None:
-    """The axis begins at 0, and says when that was."""
-    (plot,) = plot_bags([bags["walls"]])
-    assert np.array_equal(curves(plot, 0)[0].x, TIME)
-    (*_, last) = plot.plot.panels
-    assert isinstance(last, Panel)
-    assert last.x_label == "time since 2026-09-21 14:13:20 and 0 ns UTC, s"
 
 
 def test_two_bags_are_drawn_with_their_difference(bags: dict[str, Path]) -> None:
@@ -108,10 +97,7 @@ def test_two_bags_are_drawn_with_their_difference(bags: dict[str, Path]) -> None
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (
-            ["first", "--topic", "joints"],
-            "no topic /joints; JointState topics: /extra, /friction_states, /joint_states",
-        ),
+        (["first", "--topic", "joints"], "no topic /joints; JointState topics: /extra, /friction_states, /joint_st"),
         (["first", "--joint", "elbow"], "/joint_states: no joint 'elbow'; there are joint_1, joint_2"),
         (["first", "--output", "a.gif"], "a.gif: the suffix says what it is; accepted: .html, .png, .svg, .pdf"),
         (["first", "--output", "mine.html"], "mine.html exists; accepted: another name, or --force"),
@@ -174,11 +160,6 @@ def test_a_full_disk_leaves_the_old_page_or_picture(
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == old
 
 
-def described(topic: str, robot: str) -> RawMessage:
-    """Return the description of a robot as nodes publish it."""
-    return string_message(topic, f'<?xml version="1.0"?>\n<robot name="{robot}"/>')
-
-
 def test_bags_of_two_robots_are_drawn_without_a_difference(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -188,9 +169,8 @@ def test_bags_of_two_robots_are_drawn_without_a_difference(
     """
     monkeypatch.chdir(tmp_path)
     for name, robot, start in (("a", "rx90b", 0), ("b", "tx40", 500), ("c", "rx90b", 0)):
-        write_joint_states(
-            name, [series("/joint_states", start=start)], messages=[described("robot_description", robot)]
-        )
+        described = string_message("robot_description", f'<?xml version="1.0"?>\n<robot name="{robot}"/>')
+        write_joint_states(name, [series("/joint_states", start=start)], messages=[described])
     write_joint_states("none", [series("/joint_states")])
     assert run("rx90_bag", ["plot", "a", "b"]) == 0
     said = "two robots, a of rx90b and b of tx40: drawn over each other, without a difference"

@@ -1,7 +1,8 @@
-"""Reading joint states from any bag."""
+"""Joint states of any bag as arrays, and the summary of a bag."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rx90_common.bags.reading import JointSeries, read_joint_bag, read_joint_states
+from rx90_common.bags.summary import summarise
+from rx90_common.bags.writing import string_message, write_joint_states
 from rx90_common.base.errors import BagError
+from rx90_emulator.cli.frame import run
 
 FLOATS = st.floats(width=64)  # also NaN, infinities, -0.0
 JOINT_NAMES = st.lists(
@@ -51,20 +55,12 @@ def recordings(draw: Any) -> tuple[list[str], tuple[bool, bool, bool], list[dict
 def test_arrays_are_what_was_written(recording: Any, ros1: bool) -> None:
     """Whatever the names, their order, the arrays present and the numbers, reading gives the written bits."""
     names, present, messages = recording
-    written = [
-        (
-            "/joint_states",
-            i,
-            joint_state(
-                m["stamp"],
-                [names[k] for k in m["order"]],
-                *(m["values"][f][m["order"]] if present[f] else () for f in range(3)),
-                frame_id=m["frame_id"],
-                **({"store": ROS1} if ros1 else {}),
-            ),
-        )
-        for i, m in enumerate(messages)
-    ]
+    store = {"store": ROS1} if ros1 else {}
+    written = []
+    for i, m in enumerate(messages):
+        arrays = (m["values"][f][m["order"]] if present[f] else () for f in range(3))
+        order = [names[k] for k in m["order"]]
+        written.append(("/joint_states", i, joint_state(m["stamp"], order, *arrays, frame_id=m["frame_id"], **store)))
     with TemporaryDirectory() as folder:
         path = Path(folder) / ("bag.bag" if ros1 else "bag")
         (write_ros1 if ros1 else write_ros2)(path, written)
@@ -115,27 +111,24 @@ def test_padding_and_slack_do_not_matter(tmp_path: Path) -> None:
 
 
 def test_sets_of_joints_are_kept_apart(tmp_path: Path) -> None:
-    """Two publishers of different joints on one topic give two series, and names pick one of them."""
-    messages = [
-        (
-            "/joint_states",
-            i,
-            joint_state(i, ["gripper"] if i % 2 else ["joint_1", "joint_2"], [i] * (2 - i % 2)),
-        )
-        for i in range(10)
-    ]
+    """Two publishers of different joints on one topic give two series, and names pick one of them.
+
+    What is not there is refused with what is.
+    """
+    sets = (["joint_1", "joint_2"], ["gripper"])
+    messages = [("/joint_states", i, joint_state(i, sets[i % 2], [i] * len(sets[i % 2]))) for i in range(10)]
     path = write_ros2(tmp_path / "bag", messages)
-    assert [s.names for s in read_joint_bag(path).series["/joint_states"]] == [
-        ("joint_1", "joint_2"),
-        ("gripper",),
-    ]
+    assert [list(s.names) for s in read_joint_bag(path).series["/joint_states"]] == list(sets)
     picked = read_joint_states(path, "joint_states", ["joint_2"])
     assert picked.position is not None
     assert picked.position[:, 0].tolist() == [0, 2, 4, 6, 8]
-    with pytest.raises(BagError, match="several sets of joints"):
-        read_joint_states(path, "joint_states")
-    with pytest.raises(BagError, match="no joint 'elbow'"):
-        read_joint_states(path, "joint_states", ["elbow"])
+    for topic, names, complaint in (
+        ("joint_states", None, "several sets of joints"),
+        ("joint_states", ["elbow"], "no joint 'elbow'"),
+        ("motor_states", None, "no topic /motor_states; JointState topics: /joint_states"),
+    ):
+        with pytest.raises(BagError, match=complaint):
+            read_joint_states(path, topic, names)
 
 
 @pytest.mark.parametrize(
@@ -158,13 +151,6 @@ def test_impossible_messages_are_refused(tmp_path: Path, second: Any, complaint:
         read_joint_states(path, "x")
     assert str(caught.value).startswith(str(path))
     assert "/x" in str(caught.value)
-
-
-def test_missing_topics_are_named(tmp_path: Path) -> None:
-    """A topic that is not there is refused with the names of those that are."""
-    path = write_ros2(tmp_path / "bag", [("/joint_states", 0, joint_state(0, ["a"], [1.0]))])
-    with pytest.raises(BagError, match="no topic /motor_states; JointState topics: /joint_states"):
-        read_joint_states(path, "motor_states")
 
 
 def test_series_are_checked_and_cut() -> None:
@@ -191,3 +177,57 @@ def test_reading_and_writing_need_no_ros() -> None:
     modules += ["rx90_emulator.cli.bag"]
     code = "import sys; sys.modules['rclpy'] = None\n" + "".join(f"import {m}\n" for m in modules)
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_counts_rates_and_gaps(tmp_path: Path, storage: str) -> None:
+    """Count, rate, first and last stamp, number of gaps and the longest of them are those of the stamps."""
+    steady = series(101, step_ns=250_000, topic="/motor_states")
+    rows = np.r_[0:30, 33:60, 70:101]
+    write_joint_states(
+        tmp_path / "bag",
+        [steady, series(101).take(rows)],
+        storage=storage,
+        messages=[string_message("note", "")],
+    )
+    summary = summarise(tmp_path / "bag")
+    assert (summary.count, summary.storage) == (101 + 88 + 1, {"mcap": "mcap", "sqlite3": "db3"}[storage])
+    assert summary.size == sum(f.stat().st_size for f in (tmp_path / "bag").iterdir())
+    joint, motor, note = summary.topics
+    assert (motor.rate, motor.gaps, motor.longest_gap_ns) == (4000.0, 0, None)
+    assert (motor.first_ns, motor.last_ns) == (0, 25_000_000)
+    assert (joint.gaps, joint.longest_gap_ns, joint.longest_gap_at_ns) == (2, 11_000_000, 59_000_000)
+    assert joint.rate == pytest.approx(870.0)
+    assert (note.count, note.time, note.rate) == (1, "log", None)
+
+
+def test_time_that_goes_back(tmp_path: Path) -> None:
+    """Stamps that repeat or go back are counted, in ROS 1 bags too."""
+    stamps = [0, 10, 20, 20, 30, 5, 15]
+    path = write_ros1(
+        tmp_path / "bag.bag",
+        [("/x", i, joint_state(s, ["a"], [1.0], store=ROS1)) for i, s in enumerate(stamps)],
+    )
+    (topic,) = summarise(path).topics
+    assert (topic.backward, topic.repeated, topic.first_ns, topic.last_ns) == (1, 1, 0, 30)
+
+
+def test_table_and_json_agree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The printed table and the JSON carry the same counts and times.
+
+    Of set-points a repeated time is reported; temperatures come as one message for each joint at the same time.
+    """
+    stamps = np.arange(3, dtype=np.int64) * 10**9
+    warm = JointSeries("/temperatures", NAMES, stamps, temperature=np.full((3, 3), 20.0))
+    write_joint_states(tmp_path / "bag", [series(11), warm])
+    assert run("rx90_bag", ["info", str(tmp_path / "bag")]) == 0
+    out = capsys.readouterr().out
+    expected = ["/joint_states", "sensor_msgs/msg/JointState", "11", "1000.000", "0.000000", "0.010000"]
+    assert out.splitlines()[2].split() == expected
+    assert "repeated times" not in out
+    assert run("rx90_bag", ["info", "--json", str(tmp_path / "bag")]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert (content["count"], content["topics"][0]["last_ns"]) == (20, 10_000_000)
+    write_joint_states(tmp_path / "twice", [series(11).take([0, 1, 1, 2])])
+    assert run("rx90_bag", ["info", str(tmp_path / "twice")]) == 0
+    assert "repeated times" in capsys.readouterr().out

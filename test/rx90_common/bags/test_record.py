@@ -1,10 +1,11 @@
-"""The recorder as a process of its own, on real DDS."""
+"""The recorder as a process of its own, on real DDS, and types that are none of the common interfaces."""
 
 from __future__ import annotations
 
 import fcntl
 import os
 import pty
+import re
 import select
 import selectors
 import signal
@@ -20,37 +21,52 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_making import STORAGES
+from bag_making import STORAGES, write_one
 from processes import wait_until
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_client import own_node
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from warm_start import COLD
 
 from rx90_common.bags.reading import BagReader, read_joint_states
+from rx90_common.bags.recorder import stream
 from rx90_common.bags.summary import summarise
 from rx90_common.bags.topics import SUITE_TOPICS
+from rx90_common.bags.writing import BagWriter, offered_qos
 from rx90_common.base.errors import BagError
+from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.ros_start import prepare
+from rx90_common.process.interrupts import StopRequest
 from rx90_emulator.cli.frame import run
-
-pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).parents[3]
 TIMEOUT_S = 60.0
 TICKS = 4000
-EVENTS = ("/rx90_controller/parameters", "/rx90_sim/parameters")
+EVENTS = ("rx90_controller/parameters", "rx90_sim/parameters")
+FAST = ("motor_states", "motor_commands")
+TRAJECTORIES = ("rx90_controller/joint_trajectory", "rx90_controller/trajectory_accepted")
+SLOW = tuple(
+    name for name in SUITE_TOPICS if name not in (*EVENTS, *FAST, *TRAJECTORIES, "temperatures", "robot_description")
+)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 
 
 class Process:
     """A child process whose lines can be waited for."""
 
-    def __init__(self, arguments: list[str], profiles: str | None = None, **options: Any) -> None:
-        environment = os.environ | {
-            "PYTHONPATH": f"{ROOT}:{os.environ.get('PYTHONPATH', '')}",
-        }
-        if profiles is not None:
-            environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = profiles
-        pipes: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE) | options
-        self.child = subprocess.Popen([sys.executable, *arguments], env=environment, cwd=ROOT, **pipes)
+    def __init__(self, arguments: list[str], **options: Any) -> None:
+        pipes: dict[str, Any] = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE) | options
+        environment = os.environ | {"PYTHONPATH": f"{ROOT}:{os.environ.get('PYTHONPATH', '')}"}
+        pipes["env"] = environment | pipes.pop("env", {})
+        self.child = subprocess.Popen([sys.executable, *arguments], cwd=ROOT, **pipes)
         self._read = b""
 
     def wait_for(self, beginning: str) -> str:
@@ -69,18 +85,10 @@ class Process:
                 assert chunk, f"ended without a line {beginning!r}: {self.child.stderr and self.child.stderr.read()!r}"
                 self._read += chunk
 
-    def tell(self, line: str) -> None:
-        """Write a line to standard input."""
-        assert self.child.stdin is not None
-        self.child.stdin.write(f"{line}\n".encode())
-        self.child.stdin.flush()
-
-    def signal(self, number: signal.Signals) -> None:
-        """Send a signal."""
-        self.child.send_signal(number)
-
-    def finish(self) -> tuple[int, str, str]:
-        """Wait for the end; return exit code and what is left of standard output and error."""
+    def finish(self, number: signal.Signals | None = None) -> tuple[int, str, str]:
+        """Send a signal, wait for the end; return exit code and what is left of standard output and error."""
+        if number is not None:
+            self.child.send_signal(number)
         out, err = self.child.communicate(timeout=TIMEOUT_S)
         return self.child.returncode, (self._read + (out or b"")).decode(), (err or b"").decode()
 
@@ -103,91 +111,128 @@ def start(ros_domain: int, warm: None) -> Iterator[Start]:  # noqa: ARG001 - wha
         process.child.wait()
 
 
-def start_recorder(start: Start, output: Path, *arguments: str, **options: Any) -> Process:
-    """Start `rx90_bag record`."""
-    return start("-m", "rx90_emulator", "rx90_bag", "record", "-o", str(output), *arguments, **options)
+def record(start: Start, output: Path, *arguments: str, ready: int = 0, **options: Any) -> Process:
+    """Start `rx90_bag record`; wait until so many topics are ready."""
+    recorder = start("-m", "rx90_emulator", "rx90_bag", "record", "-o", str(output), *arguments, **options)
+    if ready:
+        recorder.wait_for(f"ready: all {ready} topics are matched, recording to ")
+    return recorder
 
 
-def start_publisher(start: Start, depth: int = 20_000, listeners: int = 1) -> Process:
-    """Start the publisher, which waits for so many subscriptions before it publishes; its topics are there then."""
-    publisher = start(str(Path(__file__).parent / "publisher.py"), str(depth), str(listeners))
-    publisher.wait_for("there")
-    return publisher
+@pytest.fixture
+def node(ros_domain: int) -> Iterator[Node]:
+    """Return a node in the domain of the test."""
+    prepare()
+    with own_node("publisher", ros_domain) as node:
+        yield node
 
 
-def catches_sigterm(process: Process) -> bool:
-    """Return whether the process has installed a handler for SIGTERM."""
-    status = Path(f"/proc/{process.child.pid}/status").read_text()
-    mask = next(line for line in status.splitlines() if line.startswith("SigCgt"))
-    return bool(int(mask.split()[1], 16) >> (signal.SIGTERM - 1) & 1)
+class Suite:
+    """All topics of the suite, published as its nodes do, with numbers of the tick."""
+
+    def __init__(self, node: Node, depth: int = 20_000) -> None:
+        from rcl_interfaces.msg import ParameterEvent
+        from rclpy.parameter import Parameter
+
+        kinds = {"robot_description": String, "temperatures": Temperature} | dict.fromkeys(EVENTS, ParameterEvent)
+        kinds |= dict.fromkeys(TRAJECTORIES, JointTrajectory)
+        latched = (*EVENTS, "robot_description", "rx90_controller/trajectory_accepted")
+        self.publishers = {
+            name: node.create_publisher(kinds.get(name, JointState), name, LATCHED if name in latched else depth)
+            for name in SUITE_TOPICS
+        }
+        self.publishers["robot_description"].publish(String(data="<robot/>"))
+        event = ParameterEvent(
+            node="/rx90_sim", changed_parameters=[Parameter("pace", value=[2.0, 0.5]).to_parameter_msg()]
+        )
+        event.stamp.nanosec = 200_000_000
+        for topic in EVENTS:
+            self.publishers[topic].publish(event)
+        self._codec, self._tick = JointStateCodec(NAMES), 0
+
+    def publish(self, ticks: int, rate: float, *, listeners: int = 1, acknowledged: bool = True) -> None:
+        """Publish further ticks at a rate in Hz, 0: as fast as it goes, once there are so many subscriptions."""
+        each = self.publishers.values()
+        wait_until(lambda: sum(one.get_subscription_count() for one in each) >= listeners, "the subscriptions")
+        message = JointTrajectory(joint_names=list(NAMES))
+        message.header.stamp.nanosec = 100_000_000
+        for name in TRAJECTORIES:
+            self.publishers[name].publish(message)
+        self.publishers["temperatures"].publish(Temperature(header=message.header, temperature=31.5))
+        fast, slow = ([self.publishers[topic].publish for topic in topics] for topics in (FAST, SLOW))
+        begin = time.monotonic()
+        for k, tick in enumerate(range(self._tick, self._tick + ticks)):
+            if rate:
+                time.sleep(max(0.0, begin + k / rate - time.monotonic()))
+            values = np.sin(np.arange(6) + 0.001 * tick)
+            raw = self._codec.encode(tick * 250_000, values, -values, 2 * values)
+            # Every 500th once more, as from a simulation in which time stands still.
+            for send in (fast if tick % 4 else fast + slow) + (slow if tick % 500 == 0 else []):
+                send(raw)
+        self._tick += ticks
+        assert not acknowledged or all(one.wait_for_all_acked(Duration(seconds=TIMEOUT_S)) for one in each)
 
 
-def record_suite(start: Start, folder: Path, storage: str) -> Path:
-    """Record a run of the publisher with the default topics; return the bag."""
-    publisher = start_publisher(start, listeners=len(SUITE_TOPICS))
-    recorder = start_recorder(start, folder / "bag", "--storage", storage)
-    recorder.wait_for(f"ready: all {len(SUITE_TOPICS)} topics are matched")
-    publisher.tell(f"{TICKS} 4000")
-    publisher.wait_for("done")
-    recorder.signal(signal.SIGINT)
-    code, out, err = recorder.finish()
+def record_suite(start: Start, ros_domain: int, folder: Path, storage: str) -> Path:
+    """Record a run of the suite with the default topics; return the bag."""
+    with own_node("suite", ros_domain) as node:
+        suite = Suite(node)
+        recorder = record(start, folder / "bag", "--storage", storage, ready=len(SUITE_TOPICS))
+        suite.publish(TICKS, 4000, listeners=len(SUITE_TOPICS))
+        code, out, err = recorder.finish(signal.SIGINT)
     assert (code, err) == (0, "")
     counted = f"recorded {TICKS * 2 + TICKS // 4 * 7 + 6} messages of {len(SUITE_TOPICS)} topics to {folder / 'bag'}"
     assert f"{counted}; {TICKS // 500 * 7} repetitions" in out
-    publisher.child.kill()
     return folder / "bag"
 
 
+@pytest.mark.ros
 @pytest.mark.parametrize("storage", STORAGES)
-def test_recording_is_complete_and_repeatable(tmp_path: Path, start: Start, storage: str) -> None:
+def test_recording_is_complete_and_repeatable(tmp_path: Path, start: Start, ros_domain: int, storage: str) -> None:
     """At 12,000 messages per second all are in the bag at their stamp, once, on a busy machine in an equal file."""
-    bag = record_suite(start, tmp_path / "quiet", storage)
+    prepare()
+    bag = record_suite(start, ros_domain, tmp_path / "quiet", storage)
     counts: Counter[str] = Counter()
     with AnyReader([bag]) as reader:
         for connection, log_ns, data in reader.messages():
-            counts[connection.topic] += 1
+            name = connection.topic.removeprefix("/")
+            counts[name] += 1
             message: Any = reader.deserialize(data, connection.msgtype)
-            if connection.topic == "/robot_description":
+            if name == "robot_description":
                 assert (message.data, log_ns) == ("<robot/>", 0)
-            elif connection.topic in EVENTS:
-                assert (message.stamp.nanosec, log_ns) == (200_000_000, 200_000_000)
-            else:
-                assert message.header.stamp.nanosec + message.header.stamp.sec * 10**9 == log_ns
+                continue
+            stamp = message.stamp if name in EVENTS else message.header.stamp
+            assert stamp.nanosec + stamp.sec * 10**9 == log_ns
+            assert name not in EVENTS or log_ns == 200_000_000
         latched = next(c for c in reader.connections if c.topic == "/robot_description")
         assert latched.ext.offered_qos_profiles[0].durability is QosDurability.TRANSIENT_LOCAL  # type: ignore[union-attr]
-    trajectories = ("/rx90_controller/joint_trajectory", "/rx90_controller/trajectory_accepted")
-    once = dict.fromkeys(("/robot_description", "/temperatures", *trajectories, *EVENTS), 1)
-    fast = dict.fromkeys(("/motor_states", "/motor_commands"), TICKS)
-    assert counts == dict.fromkeys([f"/{t}" for t in SUITE_TOPICS], TICKS // 4) | fast | once
-    told = [(c.node, c.name, c.value, c.stamp_ns) for c in summarise(bag).changes]
-    assert told == [("/rx90_sim", "pace", "[2.0, 0.5]", 200_000_000)] * 2
+    assert counts == dict.fromkeys(SUITE_TOPICS, 1) | dict.fromkeys(FAST, TICKS) | dict.fromkeys(SLOW, TICKS // 4)
+    changes = [(c.node, c.name, c.value, c.stamp_ns) for c in summarise(bag).changes]
+    assert changes == [("/rx90_sim", "pace", "[2.0, 0.5]", 200_000_000)] * 2
     motors = read_joint_states(bag, "motor_states")
     assert motors.position is not None
     np.testing.assert_array_equal(motors.stamp_ns, np.arange(TICKS) * 250_000)
     np.testing.assert_array_equal(motors.position[3210], np.sin(np.arange(6) + 0.001 * 3210))
     if storage == "mcap":  # equal messages in equal order give equal files with either storage
         start("-c", "while True: pass")
-        again = record_suite(start, tmp_path / "busy", storage)
+        again = record_suite(start, ros_domain, tmp_path / "busy", storage)
         for file in bag.iterdir():
             assert (again / file.name).read_bytes() == file.read_bytes()
 
 
-def test_a_loss_is_counted_and_fails(tmp_path: Path, start: Start) -> None:
+@pytest.mark.ros
+def test_a_loss_is_counted_and_fails(tmp_path: Path, start: Start, node: Node) -> None:
     """Messages that a stopped recorder could not get are counted exactly, by topic, and make it fail."""
-    publisher = start_publisher(start, depth=1)
-    recorder = start_recorder(start, tmp_path / "bag", "motor_states", profiles="")  # small socket buffers
-    recorder.wait_for("ready: all 1 topics")
-    publisher.tell("1000 4000")
-    publisher.wait_for("done")
-    recorder.signal(signal.SIGSTOP)
-    publisher.tell("4000 4000")
-    publisher.wait_for("at 2000")  # far more than the recorder's socket and a publisher of depth 1 can keep
-    recorder.signal(signal.SIGCONT)
-    publisher.wait_for("done")
-    publisher.tell("1000 1000")
-    publisher.wait_for("done")
-    recorder.signal(signal.SIGTERM)
-    code, out, err = recorder.finish()
+    suite = Suite(node, depth=1)
+    small = {"FASTRTPS_DEFAULT_PROFILES_FILE": ""}  # buffers of the sockets
+    recorder = record(start, tmp_path / "bag", "motor_states", ready=1, env=small)
+    suite.publish(1000, 4000)
+    recorder.child.send_signal(signal.SIGSTOP)
+    suite.publish(2000, 4000, acknowledged=False)  # far more than the recorder's socket and a depth of 1 can keep
+    recorder.child.send_signal(signal.SIGCONT)
+    suite.publish(2000, 4000)
+    suite.publish(1000, 1000)
+    code, out, err = recorder.finish(signal.SIGTERM)
     assert code == 1
     received = int(out.split("recorded ")[1].split()[0])
     lost = int(err.split("lost: ")[1].split()[0])
@@ -197,76 +242,54 @@ def test_a_loss_is_counted_and_fails(tmp_path: Path, start: Start) -> None:
     assert len(read_joint_states(tmp_path / "bag", "motor_states").stamp_ns) == received
 
 
-def test_what_is_missing_is_reported_once(tmp_path: Path, start: Start) -> None:
+@pytest.mark.ros
+def test_what_is_missing_is_reported_once(tmp_path: Path, start: Start, node: Node) -> None:
     """A recorder names the topics it waits for, in its namespace, and records the others until SIGTERM."""
-    publisher = start_publisher(start)
-    recorder = start_recorder(start, tmp_path / "bag", "/joint_states", "elbow", "--ros-args", "-r", "__ns:=/cell")
+    suite = Suite(node)
+    recorder = record(start, tmp_path / "bag", "/joint_states", "elbow", "--ros-args", "-r", "__ns:=/cell")
     assert "/cell/elbow" in recorder.wait_for("waiting for")
-    publisher.tell("4000 4000")
-    publisher.wait_for("done")
-    recorder.signal(signal.SIGTERM)
-    code, out, err = recorder.finish()
-    assert (code, err) == (0, "")
+    suite.publish(4000, 4000)
     repeated = "8 repetitions of the sample before are left out"
-    assert out == f"recorded 1000 messages of 1 topics to {tmp_path / 'bag'}; {repeated}\n"
+    out = f"recorded 1000 messages of 1 topics to {tmp_path / 'bag'}; {repeated}\n"
+    assert recorder.finish(signal.SIGTERM) == (0, out, "")
     assert len(read_joint_states(tmp_path / "bag", "joint_states").stamp_ns) == 1000
 
 
-CONTROLLER = """
-import sys
-import rclpy
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-from rx90_common.exchange.ros_start import prepare
-prepare()
-rclpy.init()
-node = rclpy.create_node("controller")
-commands = node.create_publisher(JointTrajectory, "c/joint_trajectory", 10)
-latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-accepted = node.create_publisher(JointTrajectory, "c/trajectory_accepted", latched)
-for line in sys.stdin:
-    value, where, frame = line.strip().split(",")
-    message = JointTrajectory(joint_names=["joint_1"], points=[JointTrajectoryPoint(positions=[float(value)])])
-    message.header.stamp.sec = 1
-    if "commanded" in where:
-        commands.publish(message)
-    message.header.frame_id = frame
-    message.header.stamp.sec = 2
-    if "accepted" in where:
-        accepted.publish(message)
-    print("done", flush=True)
-"""
-
-
-def test_a_trajectory_that_did_not_come_fails(tmp_path: Path, start: Start, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.ros
+def test_a_trajectory_that_did_not_come_fails(
+    tmp_path: Path, start: Start, node: Node, capsys: pytest.CaptureFixture[str]
+) -> None:
     """What the controller has accepted and nobody recorded is counted; goals, and what came before, are not asked for.
 
     The message of a sender that never learned of the recorder leaves no gap in any sequence number.
     """
-    controller = start("-c", CONTROLLER)
-    controller.tell("1,accepted,")
-    controller.wait_for("done")
     topics = ("c/joint_trajectory", "c/trajectory_accepted")
-    recorders = {name: start_recorder(start, tmp_path / name, *topics) for name in ("whole", "lacking")}
-    for recorder in recorders.values():
-        recorder.wait_for("ready: all 2 topics")
-    for line in (
-        "2,commanded accepted,",
-        "2,commanded accepted,",
-        "3,accepted,follow_joint_trajectory",
-        "4,commanded,",
-    ):
-        controller.tell(line)
-        controller.wait_for("done")
-        time.sleep(0.1)  # latched: only the newest is kept for who has not got it
-    recorders["whole"].signal(signal.SIGINT)
-    assert recorders["whole"].finish()[::2] == (0, "")
-    for line in ("2,accepted,", "5,accepted,"):
-        controller.tell(line)
-        controller.wait_for("done")
-        time.sleep(0.1)
-    recorders["lacking"].signal(signal.SIGINT)
-    code, _, err = recorders["lacking"].finish()
+    commands, accepted = (
+        node.create_publisher(JointTrajectory, *each) for each in zip(topics, (10, LATCHED), strict=True)
+    )
+
+    def publish(value: float, *publishers: Any, frame: str = "") -> None:
+        for publisher in publishers:
+            points = [JointTrajectoryPoint(positions=[value])]
+            message = JointTrajectory(joint_names=["joint_1"], points=points)
+            message.header.stamp.sec = 1 + (publisher is accepted)
+            message.header.frame_id = frame
+            publisher.publish(message)
+            # Latched: only the newest is kept for who has not got it.
+            assert publisher.wait_for_all_acked(Duration(seconds=TIMEOUT_S))
+
+    publish(1.0, accepted)
+    recorders = {name: record(start, tmp_path / name, *topics, ready=2) for name in ("whole", "lacking")}
+    wait_until(lambda: commands.get_subscription_count() == 2, "the recorders")
+    for value, publishers, frame in (
+        (2.0, (commands, accepted), ""), (2.0, (commands, accepted), ""), (3.0, (accepted,), "follow_joint_trajectory"),
+        (4.0, (commands,), ""),
+    ):  # fmt: skip
+        publish(value, *publishers, frame=frame)
+    assert recorders["whole"].finish(signal.SIGINT)[::2] == (0, "")
+    publish(2.0, accepted)
+    publish(5.0, accepted)
+    code, _, err = recorders["lacking"].finish(signal.SIGINT)
     lacking = "not recorded: 2 trajectories of /c/joint_trajectory that the controller has accepted: sent before the"
     assert (code, err) == (1, f"{lacking} recording was ready, or lost\n")
     assert run("rx90_bag", ["info", str(tmp_path / "lacking")]) == 0
@@ -274,32 +297,19 @@ def test_a_trajectory_that_did_not_come_fails(tmp_path: Path, start: Start, caps
     assert lacks in capsys.readouterr().out
 
 
-LISTENER = """
-import rclpy, sys
-from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import JointTrajectory
-rclpy.init()
-node = rclpy.create_node("listener")
-node.create_subscription(JointTrajectory, "command", lambda _: None, 1)
-node.create_subscription(JointState, "state", lambda _: None, 1)
-sys.stdin.read()
-"""
-
-
-def test_topics_that_are_only_listened_to(tmp_path: Path, start: Start) -> None:
+@pytest.mark.ros
+def test_topics_that_are_only_listened_to(tmp_path: Path, start: Start, node: Node) -> None:
     """A command that a node listens to can be recorded before anybody sends one; a state needs its publisher."""
-    start("-c", LISTENER)
-    command = start_recorder(start, tmp_path / "command", "command")
-    state = start_recorder(start, tmp_path / "state", "state")
+    node.create_subscription(JointTrajectory, "command", lambda _: None, 1)
+    node.create_subscription(JointState, "state", lambda _: None, 1)
+    command, state = (record(start, tmp_path / name, name) for name in ("command", "state"))
     command.wait_for("ready: all 1 topics")
     state.wait_for("waiting for /state")
     for recorder, name in ((command, "command"), (state, "state")):
-        recorder.signal(signal.SIGINT)
-        code, out, err = recorder.finish()
-        assert (code, err) == (1, f"nothing recorded: no message came on {name}\n")
-        assert "ready" not in out
+        assert recorder.finish(signal.SIGINT)[::2] == (1, f"nothing recorded: no message came on {name}\n")
 
 
+@pytest.mark.ros
 @pytest.mark.parametrize(
     ("moment", "storage"), [("handler", "mcap"), ("folder", "mcap"), ("folder", "sqlite3"), ("waiting", "sqlite3")]
 )
@@ -307,23 +317,28 @@ def test_signal_while_starting(
     tmp_path: Path, start: Start, storage: str, moment: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A signal at any moment of the start leaves a valid bag; that it is empty is a line and exit code 1."""
+
+    def has_handler() -> bool:
+        status = Path(f"/proc/{recorder.child.pid}/status").read_text()
+        mask = next(line for line in status.splitlines() if line.startswith("SigCgt"))
+        return bool(int(mask.split()[1], 16) >> (signal.SIGTERM - 1) & 1)
+
     if moment == "handler":  # in the midst of the slow imports
         monkeypatch.setattr(subprocess, "Popen", COLD)
-    recorder = start_recorder(start, tmp_path / "bag", "joint_states", "-s", storage)
+    recorder = record(start, tmp_path / "bag", "joint_states", "-s", storage)
     if moment == "handler":
-        wait_until(lambda: catches_sigterm(recorder), "the handler")
+        wait_until(has_handler, "the handler")
     elif moment == "folder":
         wait_until((tmp_path / "bag").exists, "the folder")
     else:
         recorder.wait_for("waiting for")
-    recorder.signal(signal.SIGINT)
-    recorder.signal(signal.SIGINT)
-    code, _, err = recorder.finish()
-    assert (code, err) == (1, "nothing recorded: no message came on joint_states\n")
+    recorder.child.send_signal(signal.SIGINT)
+    assert recorder.finish(signal.SIGINT)[::2] == (1, "nothing recorded: no message came on joint_states\n")
     with AnyReader([tmp_path / "bag"]) as reader:
         assert reader.message_count == 0
 
 
+@pytest.mark.ros
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
@@ -348,34 +363,12 @@ def test_mistakes_leave_nothing_behind(tmp_path: Path, start: Start, arguments: 
     assert [p.name for p in place.rglob("*")] == ["taken", "notes.txt"]
 
 
-HALF = "; what was written before stays, and rx90_bag info says how much of it is whole"
-
 CRAMPED = """
 import resource, sys
 from rx90_emulator.cli.frame import run
 resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, resource.RLIM_INFINITY))
 sys.exit(run('rx90_bag', sys.argv[1:]))
 """
-
-
-def start_recorded_by(program: str, bag: Path, start: Start) -> tuple[Process, Process]:
-    """Return a publisher and a program that records what it publishes, both ready."""
-    publisher = start_publisher(start)
-    recorder = start("-c", program, "record", "-o", str(bag), "motor_states")
-    recorder.wait_for("ready: all 1 topics")
-    return publisher, recorder
-
-
-def test_a_disk_that_takes_no_more_is_a_failure(tmp_path: Path, start: Start) -> None:
-    """When the system refuses to write on, the recorder ends with one line and exit code 3; the bag's start stays."""
-    publisher, recorder = start_recorded_by(CRAMPED, tmp_path / "bag", start)
-    publisher.tell("20000 4000")
-    code, _, err = recorder.finish()
-    assert (code, err.strip()) == (3, f"rx90_bag: {tmp_path / 'bag'}: cannot be written (File too large){HALF}")
-    with pytest.raises(BagError, match=r"bag\.mcap is cut off"), BagReader(tmp_path / "bag"):
-        pass
-
-
 STUCK = """
 import sys, threading
 from rx90_common.exchange.ros_start import prepare
@@ -395,50 +388,231 @@ sys.exit(execute('rx90_bag', sys.argv[1:]))
 """
 
 
-def test_a_middleware_that_does_not_return_ends_the_recorder(tmp_path: Path, start: Start) -> None:
+@pytest.mark.ros
+def test_a_disk_that_takes_no_more_is_a_failure(tmp_path: Path, start: Start, node: Node) -> None:
+    """When the system refuses to write on, the recorder ends with one line and exit code 3; the bag's start stays."""
+    suite = Suite(node)
+    recorder = start("-c", CRAMPED, "record", "-o", str(tmp_path / "bag"), "motor_states")
+    recorder.wait_for("ready: all 1 topics")
+    suite.publish(20_000, 4000, acknowledged=False)
+    code, _, err = recorder.finish()
+    half = "; what was written before stays, and rx90_bag info says how much of it is whole"
+    assert (code, err.strip()) == (3, f"rx90_bag: {tmp_path / 'bag'}: cannot be written (File too large){half}")
+    with pytest.raises(BagError, match=r"bag\.mcap is cut off"), BagReader(tmp_path / "bag"):
+        pass
+
+
+@pytest.mark.ros
+def test_a_middleware_that_does_not_return_ends_the_recorder(tmp_path: Path, start: Start, node: Node) -> None:
     """When a call into DDS never returns, Ctrl-C still leaves a whole bag; the recorder says so and ends with 3."""
-    publisher, recorder = start_recorded_by(STUCK, tmp_path / "bag", start)
-    publisher.tell("400 4000")
+    suite = Suite(node)
+    recorder = start("-c", STUCK, "record", "-o", str(tmp_path / "bag"), "motor_states")
+    recorder.wait_for("ready: all 1 topics")
+    suite.publish(400, 4000)
     recorder.wait_for("stuck")
-    recorder.signal(signal.SIGINT)
-    code, out, err = recorder.finish()
-    assert (code, out) == (3, "")
+    code, out, err = recorder.finish(signal.SIGINT)
+    assert (code, out, err.count("\n")) == (3, "", 1)
     assert err.startswith("rx90_bag: the message reader did not end within 0.5 s (it is in ")
-    assert err.count("\n") == 1
     assert len(read_joint_states(tmp_path / "bag", "motor_states").stamp_ns) == 400
 
 
-def test_status_on_a_terminal(tmp_path: Path, start: Start) -> None:
+@pytest.mark.ros
+def test_status_on_a_terminal(tmp_path: Path, start: Start, node: Node) -> None:
     """On a terminal the recorder shows the number of messages and the simulated time."""
-    publisher = start_publisher(start)
+    suite = Suite(node)
     controller, terminal = pty.openpty()
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("4H", 24, 100, 0, 0))
-    recorder = start_recorder(start, tmp_path / "bag", "motor_states", stderr=terminal)
-    recorder.wait_for("ready: all 1 topics")
-    publisher.tell("4001 0")
+    recorder = record(start, tmp_path / "bag", "motor_states", ready=1, stderr=terminal)
+    suite.publish(4001, 0)
     shown = ""
     while "4.00k msgs" not in shown or "t = 1.000 s" not in shown:
         readable, _, _ = select.select([controller], [], [], TIMEOUT_S)
         assert readable, shown
         shown += os.read(controller, 65536).decode()
-    recorder.signal(signal.SIGINT)
-    assert recorder.finish()[0] == 0
+    assert recorder.finish(signal.SIGINT)[0] == 0
     os.close(terminal)
     os.close(controller)
 
 
-def test_a_recorder_that_did_not_run_for_long_reports_it_and_fails(tmp_path: Path, start: Start) -> None:
+@pytest.mark.ros
+def test_a_recorder_that_did_not_run_for_long_reports_it_and_fails(tmp_path: Path, start: Start, node: Node) -> None:
     """After a stop beyond the lease, in which nobody sent, the loss is not known: that is reported, and it fails."""
-    publisher = start_publisher(start, depth=1)
-    recorder = start_recorder(start, tmp_path / "bag", "motor_states")
-    recorder.wait_for("ready: all 1 topics")
-    publisher.tell("100 1000")
-    publisher.wait_for("done")
-    stopped = time.monotonic()
-    recorder.signal(signal.SIGSTOP)
-    wait_until(lambda: time.monotonic() > stopped + 4.5, "a stop that is too long")
-    recorder.signal(signal.SIGCONT)
-    recorder.signal(signal.SIGTERM)
-    code, _, err = recorder.finish()
+    suite = Suite(node, depth=1)
+    recorder = record(start, tmp_path / "bag", "motor_states", ready=1)
+    suite.publish(100, 1000)
+    recorder.child.send_signal(signal.SIGSTOP)
+    time.sleep(4.5)
+    recorder.child.send_signal(signal.SIGCONT)
+    code, _, err = recorder.finish(signal.SIGTERM)
     assert code == 1
     assert "lost: an unknown number of messages, in " in err
+
+
+STATE = "control_msgs/msg/JointTrajectoryControllerState"
+# Of the real package's definition (control_msgs 5.8.0), by Jazzy's rosidl_generator_type_description.
+STATE_HASH = "RIHS01_51d8dd89cc624cbe9daaeeb4d80d6de9b86168ffdc3be41fefc0953e3c26e480"
+OTHERS = {"/joint_states": 3, "/tf_static": 1, "/tf": 4, "/rx90_controller/controller_state": 3, "/diagnostics": 3}
+
+
+@pytest.mark.ros
+@pytest.mark.usefixtures("needs_action", "needs_tf")
+def test_types_of_others_are_recorded(
+    tmp_path: Path, start: Start, node: Node, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rosbags reads them with what the bag says of their types alone, each at its own stamp; so do info and compare.
+
+    Latched transforms that were sent before the recorder came are there, and latched again. Diagnostics with stamps of
+    the wall clock are dated when they came, and that is said: they do not stretch the bag.
+    """
+    from control_msgs.msg import JointTrajectoryControllerState
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import TransformStamped
+    from tf2_msgs.msg import TFMessage
+
+    fixed = node.create_publisher(TFMessage, "tf_static", LATCHED)
+    kinds = {"tf": TFMessage, "joint_states": JointState, "diagnostics": DiagnosticArray,
+             "rx90_controller/controller_state": JointTrajectoryControllerState}  # fmt: skip
+    publishers = [node.create_publisher(kind, name, 9) for name, kind in kinds.items()]
+    fixed.publish(TFMessage(transforms=[TransformStamped(child_frame_id="tool0")]))
+    recorder = record(start, tmp_path / "bag", *OTHERS, ready=5)
+    # A publisher may hear of a listener later than the listener of it.
+    wait_until(lambda: all(publisher.get_subscription_count() for publisher in publishers), "the recorder")
+    for nanosec in (10_000_000, 20_000_000, 30_000_000):
+        clock, state, report = (
+            JointState(name=["a"], position=[0.5]),
+            JointTrajectoryControllerState(),
+            DiagnosticArray(),
+        )
+        clock.header.stamp.nanosec = state.header.stamp.nanosec = nanosec
+        report.header.stamp.sec = 1_700_000_000
+        state.joint_names, state.reference.positions, state.speed_scaling_factor = (
+            ["a", "b"],
+            [0.25, nanosec * 1.0],
+            0.75,
+        )
+        one = TransformStamped(child_frame_id="link_1", header=state.header)
+        for publisher, message in zip(
+            publishers, (TFMessage(transforms=[one, one]), clock, report, state), strict=True
+        ):
+            publisher.publish(message)
+    publishers[0].publish(TFMessage())
+    assert all(publisher.wait_for_all_acked(Duration(seconds=TIMEOUT_S)) for publisher in publishers)
+    code, out, _ = recorder.finish(signal.SIGINT)
+    assert code == 0
+    assert "/diagnostics: 3 messages have stamps of another clock; they are dated by when they came" in out
+    found: dict[str, list[tuple[int, Any]]] = {}
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert reader.end_time < 1_000_000_000
+        for connection, log_ns, data in reader.messages():
+            found.setdefault(connection.topic, []).append((log_ns, reader.deserialize(data, connection.msgtype)))
+        connections = {connection.topic: connection for connection in reader.connections}
+    assert {topic: len(messages) for topic, messages in found.items()} == OTHERS
+    for topic in ("/rx90_controller/controller_state", "/tf", "/joint_states"):
+        assert [log_ns for log_ns, _ in found[topic][:3]] == [10_000_000, 20_000_000, 30_000_000]
+    state = found["/rx90_controller/controller_state"][1][1]
+    assert (state.joint_names, state.speed_scaling_factor) == (["a", "b"], 0.75)
+    assert state.reference.positions.tolist() == [0.25, 2e7]
+    assert [one.child_frame_id for _, message in found["/tf"] for one in message.transforms] == ["link_1"] * 6
+    assert found["/tf_static"][0][1].transforms[0].child_frame_id == "tool0"
+    durability = {topic: kind.ext.offered_qos_profiles[0].durability for topic, kind in connections.items()}  # type: ignore[union-attr]
+    assert [topic for topic, kind in durability.items() if kind is QosDurability.TRANSIENT_LOCAL] == ["/tf_static"]
+    assert connections["/rx90_controller/controller_state"].digest == STATE_HASH
+    assert run("rx90_bag", ["info", str(tmp_path / "bag")]) == 0
+    said = capsys.readouterr().out
+    assert re.search(rf"{STATE}.* 3 ", said)
+    assert re.search(r"/diagnostics .* 3 stamps of another clock; by log time", said)
+    assert run("rx90_bag", ["compare", str(tmp_path / "bag"), str(tmp_path / "bag")]) == 0
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_definition_goes_into_its_bag_alone(tmp_path: Path, storage: str) -> None:
+    """A type with arrays of every kind is read back; another bag without its definition still refuses the type."""
+    inner = "my_msgs/Inner[] inner\n" + "=" * 80 + "\nMSG: my_msgs/Inner\nbool flag\n"
+    text, odd = f"float64[2] pair\nstring<=3[] words\nint8[<=4] few\n{inner}", "my_msgs/msg/Odd"
+    cdr = b"\x00\x01\x00\x00" + bytes(16 + 8) + (1).to_bytes(4, "little") + b"\x01"
+    with BagWriter(tmp_path / "bag", storage) as bag:
+        write_one(bag, bag.add_topic("odd", odd, [offered_qos()], text), 5, cdr)
+    with AnyReader([tmp_path / "bag"]) as reader:
+        ((connection, log_ns, data),) = reader.messages()
+        message: Any = reader.deserialize(data, connection.msgtype)
+    assert (log_ns, message.pair.tolist(), message.words, message.inner[0].flag) == (5, [0.0, 0.0], [], True)
+    with BagWriter(tmp_path / "other", storage) as bag, pytest.raises(BagError, match="my_msgs/msg/Odd"):
+        bag.add_topic("odd", odd)
+
+
+@pytest.mark.ros
+def test_a_type_that_is_not_there_leaves_no_bag(tmp_path: Path, node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The refusal comes once the topic is found: by then the folder and those above it are there; none stays."""
+    from rx90_common.bags.recorder.recording import Recorder, StatusLine
+
+    node.create_publisher(String, "note", 1)
+    monkeypatch.delattr("std_msgs.msg.String")
+    with StatusLine() as status, pytest.raises(BagError, match="/note has type std_msgs/msg/String, which the std_"):
+        Recorder(["note"], [], status).run(lambda: BagWriter(tmp_path / "new" / "bag"), StopRequest())
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_only_an_error_before_the_first_message_leaves_no_bag(tmp_path: Path, storage: str) -> None:
+    """What was written stays, and so does an empty bag that ends as it should; what else lies beside it stays, too."""
+    (tmp_path / "mine").write_text("")
+    with BagWriter(tmp_path / "empty", storage):
+        pass
+
+    def refused(count: int) -> None:
+        with BagWriter(tmp_path / f"bag_{count}", storage) as bag:
+            topic = bag.add_topic("a", "std_msgs/msg/Empty")
+            for _ in range(count):
+                write_one(bag, topic, 5, bytes(4))
+            raise BagError("refused")
+
+    for count in (0, 1):
+        with pytest.raises(BagError, match="refused"):
+            refused(count)
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["bag_1", "empty", "mine"]
+    with AnyReader([tmp_path / "bag_1"]) as reader:
+        assert reader.message_count == 1
+
+
+@pytest.mark.usefixtures("needs_tf")
+@pytest.mark.parametrize(
+    "name",
+    [
+        "sensor_msgs/msg/CameraInfo",
+        "shape_msgs/msg/SolidPrimitive",
+        "rcl_interfaces/msg/ParameterEvent",
+        "trajectory_msgs/msg/MultiDOFJointTrajectory",
+        "geometry_msgs/msg/TwistWithCovarianceStamped",
+        "tf2_msgs/msg/TFMessage",
+    ],
+)
+def test_definitions_say_what_the_types_are(name: str) -> None:
+    """The text of a class has the type hash (REP 2016) that Jazzy's own definition has."""
+    text = stream.definition(stream.message_class("t", name), ())
+    own, jazzy = get_typestore(Stores.EMPTY), get_typestore(Stores.ROS2_JAZZY)
+    own.register(get_types_from_msg(text, name))
+    assert own.hash_rihs01(name) == jazzy.hash_rihs01(name)
+
+
+@pytest.mark.parametrize(
+    ("msgtype", "words"),
+    [
+        (STATE, "needs control_msgs, which is not installed; accepted: make action, in the project's folder"),
+        ("tf2_msgs/msg/TFMessage", "needs tf2_msgs, which is not installed; accepted: make action"),
+        ("std_msgs/msg/Strong", "which the std_msgs that is installed does not have"),
+    ],
+)
+def test_a_type_that_is_not_there_is_one_line(msgtype: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It names topic and type, and says how to get it."""
+    package = msgtype.partition("/")[0]
+    monkeypatch.delenv("ROS_DISTRO", raising=False)
+    if package != "std_msgs":
+        monkeypatch.setattr(sys, "path", [])
+        for module in [module for module in sys.modules if module.partition(".")[0] == package]:
+            monkeypatch.delitem(sys.modules, module)
+    with pytest.raises(BagError) as refusal:
+        stream.message_class("/t", msgtype)
+    text = str(refusal.value)
+    assert text.startswith(f"/t has type {msgtype}")
+    assert words in text
+    assert "\n" not in text

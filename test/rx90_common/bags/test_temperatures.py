@@ -82,19 +82,6 @@ def test_temperatures_are_a_series(bag: Path) -> None:
         rx.JointSeries("/t", NAMES, series.stamp_ns, series.temperature, temperature=series.temperature)
 
 
-def test_times_of_recording_are_those_of_a_moments_first_message(tmp_path: Path) -> None:
-    """With `record_time` the stamp of a row is when its first message was recorded; rows are by headers."""
-    told = usual()[:9]
-    with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        warmth = writer.add_connection("/temperatures", TEMPERATURE, typestore=ROS2)
-        for k, (stamp, name, value) in enumerate(told):
-            writer.write(warmth, START + 1000 * k, cdr(stamp, name, value))
-    series = rx.read_bag(tmp_path / "run", record_time=True)["temperatures"]
-    assert series.stamp_ns.tolist() == [START, START + 3000, START + 6000]
-    assert series.temperature is not None
-    assert series.temperature.tobytes() == VALUES[:3].tobytes()
-
-
 def test_temperatures_come_back_from_csv(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -118,20 +105,28 @@ def test_temperatures_come_back_from_csv(
 
 
 def test_names_that_come_and_go_leave_rows_whole(tmp_path: Path) -> None:
-    """One that falls silent, and one first told of after many rows, have a column from the first row to the last."""
+    """One that falls silent, and one that comes after many rows, have a column from the first row to the last.
+
+    With `record_time` the stamp of a row is when its first message was recorded; rows are by headers.
+    """
     told = [
         (stamp, name, float(VALUES[k, column]))
         for k, stamp in enumerate(STAMPS)
         for column, name in enumerate(NAMES)
         if {"joint_1": True, "joint_5_6": k >= 15, "motor_1": k < 4}[name]
     ]
-    found = rx.read_bag(write(tmp_path / "run", told))["temperatures"]
-    assert found.names == ("joint_1", "motor_1", "joint_5_6")
-    assert found.stamp_ns.tolist() == STAMPS
+    with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        warmth = writer.add_connection("/temperatures", TEMPERATURE, typestore=ROS2)
+        for k, (stamp, name, value) in enumerate(told):
+            writer.write(warmth, START + 1000 * k, cdr(stamp, name, value))
     expected = np.full((20, 3), np.nan)
     expected[:, 0], expected[:4, 1], expected[15:, 2] = VALUES[:, 0], VALUES[:4, 2], VALUES[15:, 1]
-    assert found.temperature is not None
-    assert found.temperature.tobytes() == expected.tobytes()
+    recorded = [START + 1000 * k for k, (_, name, _) in enumerate(told) if name == "joint_1"]
+    for record_time, stamps in ((False, STAMPS), (True, recorded)):
+        found = rx.read_bag(tmp_path / "run", record_time=record_time)["temperatures"]
+        assert (found.names, found.stamp_ns.tolist()) == (("joint_1", "motor_1", "joint_5_6"), stamps)
+        assert found.temperature is not None
+        assert found.temperature.tobytes() == expected.tobytes()
 
 
 def test_temperatures_are_compared(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,8 +150,8 @@ def test_bags_are_not_the_same_in_what_neither_has(bag: Path, capsys: pytest.Cap
     assert run("rx90_bag", [*words, "--fields", "position", "temperature"]) == 0
 
 
-def test_temperatures_are_drawn(bag: Path) -> None:
-    """A plot has a curve for each name over an axis in °C, without a gap where a message was lost."""
+def test_temperatures_are_drawn(bag: Path, tmp_path: Path) -> None:
+    """A plot has a curve for each name, in one line, over an axis in °C, without a gap where a message was lost."""
     (plot,) = plot_bags([bag], topics=["temperatures"])
     (panel,) = plot.plot.panels
     assert (panel.y_label, plot.messages) == ("temperature, °C", (len(usual()),))
@@ -164,10 +159,6 @@ def test_temperatures_are_drawn(bag: Path) -> None:
         assert isinstance(curve, Curve)
         assert curve.label == name
         assert curve.y.tolist() == [value for _, one, value in usual() if one == name]
-
-
-def test_names_from_outside_are_drawn_in_one_line(tmp_path: Path) -> None:
-    """A curve's name is that of the messages, with control characters written out."""
     odd = write(tmp_path / "odd", [(STAMPS[0], "a\n\x1b[31m", 20.0), (STAMPS[1], "a\n\x1b[31m", 21.0)])
     (plot,) = plot_bags([odd], topics=["temperatures"])
     assert [mark.label for mark in plot.plot.panels[0].marks if isinstance(mark, Curve)] == [r"a\n\x1b[31m"]

@@ -1,4 +1,4 @@
-"""Writing bags from arrays."""
+"""Bags that are written: what others read of them, byte by byte, names, and what stays when writing fails."""
 
 from __future__ import annotations
 
@@ -6,35 +6,133 @@ import errno
 import os
 import shutil
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
+from zlib import crc32
 
 import numpy as np
 import pytest
-from bag_making import STORAGES, series
+from bag_making import STORAGES, series, write_one
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapWriter
 
 from rx90_common.bags import writing
-from rx90_common.bags.batch import series_encoder
-from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.batch import MessageBatch, series_encoder
+from rx90_common.bags.reading import read_bag, read_joint_states
 from rx90_common.bags.topics import JOINT_STATE
-from rx90_common.bags.writing import BagWriter, RawMessage, offered_qos, string_message, write_joint_states
+from rx90_common.bags.writing import (
+    BagWriter,
+    RawMessage,
+    named_at_the_end,
+    offered_qos,
+    string_message,
+    typestore,
+    write_joint_states,
+)
 from rx90_common.base.errors import FAILED, REFUSED, BagError, BagWriteError
+from rx90_common.base.stamps import cdr_stamp_ns
+from rx90_emulator.cli.frame import run
+
+
+class ChecksummedWriter(McapWriter):
+    """rosbags' mcap writer with the checksums that it leaves out, by the layout in mcap's specification."""
+
+    def close_chunk(self) -> None:
+        """Write the chunk; its checksum comes after it, behind the record's head, two times and a size."""
+        crc, start = crc32(self.chunk.bio.getvalue()), self.bio.tell()
+        super().close_chunk()
+        end = self.bio.tell()
+        self.bio.seek(start + 9 + 24)
+        self.bio.write(crc.to_bytes(4, "little"))
+        self.bio.seek(end)
+
+    def close(self, version: int, metadata: str) -> None:
+        """Write the summary; the footer says where it begins, and has its checksum."""
+        super().close(version, metadata)
+        content = bytearray(self.path.read_bytes())
+        summary = int.from_bytes(content[-28:-20], "little")
+        content[-12:-8] = crc32(content[summary:-12]).to_bytes(4, "little")
+        self.path.write_bytes(content)
+
+
+class Theirs(Writer):
+    """rosbags' writer, message by message; checksums are put in afterwards."""
+
+    STORAGE_PLUGINS = Writer.STORAGE_PLUGINS | {StoragePlugin.MCAP: ChecksummedWriter}
+
+
+CHANNELS = (("/a", "std_msgs/msg/String"), ("/b", JOINT_STATE), ("/c", "std_msgs/msg/String"))
+
+
+@settings(max_examples=50)
+@given(st.lists(st.lists(st.binary(max_size=20))), st.data())
+def test_messages_are_kept_as_they_are(groups: list[list[bytes]], data: st.DataObject) -> None:
+    """Joined and taken in any order, messages of any length, also 0, stay whole and keep their stamps."""
+    flat = [message for group in groups for message in group]
+    batch = MessageBatch.join([MessageBatch.of(group) for group in groups])
+    assert (list(batch), len(batch), batch.total) == (flat, len(flat), sum(map(len, flat)))
+    rows = data.draw(st.lists(st.integers(0, len(flat) - 1))) if flat else []
+    assert list(batch.take(np.array(rows, dtype=np.intp))) == [flat[row] for row in rows]
+    assert list(batch.take(slice(1, 3))) == flat[1:3]
+    # cdr_stamp_ns looks at the last bit of the second byte alone, too, and leaves negative times to its caller.
+    assert batch.stamps_ns().tolist() == [max(0, cdr_stamp_ns(message)) for message in flat]
+
+
+@given(
+    st.lists(st.sampled_from([b"", b"a" * 12, b"b" * 12, b"a" * 13, b"a" * 12 + b"b"])), st.sampled_from([b"", b"x"])
+)
+def test_repetitions_are_found(messages: list[bytes], before: bytes) -> None:
+    """A message counts as a repetition where all its bytes are those of the one before it."""
+    expected = [one == other for one, other in zip(messages, [before, *messages], strict=False)]
+    assert MessageBatch.of(messages).repeats(before).tolist() == expected
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_files_are_those_of_rosbags(tmp_path: Path, storage: str) -> None:
+    """Batches of any size, also across chunks and with messages larger than one, give the bytes that rosbags gives."""
+    random = np.random.default_rng(3)
+    sizes = np.concatenate([random.integers(0, 3000, 1500), [3 << 20, 0, 1 << 20], random.integers(0, 50, 200)])
+    messages = [random.bytes(int(size)) for size in sizes]
+    log_ns = random.integers(0, 10**9, len(messages))  # in less than a second: without a checkpoint
+    channel = random.integers(1, 1 + len(CHANNELS), len(messages))
+    with Theirs(tmp_path / "theirs" / "bag", version=9, storage_plugin=StoragePlugin[storage.upper()]) as theirs:
+        connections = [theirs.add_connection(*each, typestore=typestore()) for each in CHANNELS]
+        for number, time, message in zip(channel, log_ns.tolist(), messages, strict=True):
+            theirs.write(connections[number - 1], time, message)
+    with BagWriter(tmp_path / "ours" / "bag", storage) as ours:
+        for each in CHANNELS:
+            ours.add_topic(*each)
+        for rows in np.split(np.arange(len(messages)), [1, 2, 700, 1501]):
+            ours.write_many(channel[rows], log_ns[rows], MessageBatch.of([messages[row] for row in rows]))
+    for file in (tmp_path / "theirs" / "bag").iterdir():
+        assert (tmp_path / "ours" / "bag" / file.name).read_bytes() == file.read_bytes()
 
 
 @pytest.mark.parametrize("storage", STORAGES)
 def test_bag_opens_elsewhere(tmp_path: Path, storage: str) -> None:
-    """Rosbags finds every message at its stamp, in order, with its values and its quality of service."""
+    """Rosbags finds every message at its stamp, in order, with its values and its quality of service.
+
+    Writing the same once more gives the same files.
+    """
     fast, slow = series(40, topic="/motor_states"), series(10, topic="joint_states", step_ns=4_000_000)
-    path = tmp_path / "bag"
-    write_joint_states(path, [fast, slow], storage=storage, messages=[string_message("robot_description", "<robot/>")])
+    text = string_message("robot_description", "<robot/>")
+    note = RawMessage("note", text.msgtype, 5_500_000, text.cdr)
+    paths = [tmp_path / name / "bag" for name in ("one", "other")]
+    for path in paths:
+        write_joint_states(path, [fast, slow], storage=storage, messages=[text, note])
+    for file in paths[0].iterdir():
+        assert (paths[1] / file.name).read_bytes() == file.read_bytes()
     found: list[tuple[int, str]] = []
-    with AnyReader([path]) as reader:
+    with AnyReader(paths[:1]) as reader:
         for connection, log_ns, data in reader.messages():
             found.append((log_ns, connection.topic))
             message: Any = reader.deserialize(data, connection.msgtype)
-            if connection.topic == "/robot_description":
+            if connection.msgtype != JOINT_STATE:
                 assert message.data == "<robot/>"
                 continue
             source = fast if connection.topic == fast.topic else slow
@@ -44,23 +142,13 @@ def test_bag_opens_elsewhere(tmp_path: Path, storage: str) -> None:
             for field, values in source.fields.items():
                 np.testing.assert_array_equal(getattr(message, field), values[row])
         qos = {c.topic: c.ext.offered_qos_profiles[0] for c in reader.connections}  # type: ignore[union-attr]
-    expected = [(t, "/motor_states") for t in range(0, 40_000_000, 1_000_000)]
-    expected += [(t, "/joint_states") for t in range(0, 40_000_000, 4_000_000)]
-    expected.append((0, "/robot_description"))
-    order = ["/motor_states", "/joint_states", "/robot_description"]
+    order = ["/motor_states", "/joint_states", "/robot_description", "/note"]
+    expected = [(t, order[0]) for t in range(0, 40_000_000, 1_000_000)]
+    expected += [(t, order[1]) for t in range(0, 40_000_000, 4_000_000)] + [(0, order[2]), (5_500_000, order[3])]
     assert found == sorted(expected, key=lambda entry: (entry[0], order.index(entry[1])))
     assert all(q.reliability is QosReliability.RELIABLE for q in qos.values())
-    assert [qos[t].durability for t in order] == [QosDurability.VOLATILE] * 2 + [QosDurability.TRANSIENT_LOCAL]
-
-
-@pytest.mark.parametrize("storage", STORAGES)
-def test_equal_calls_give_equal_files(tmp_path: Path, storage: str) -> None:
-    """Writing the same series twice gives the same bytes in every file."""
-    contents = []
-    for folder in ("first", "second"):
-        write_joint_states(tmp_path / folder / "bag", [series(3000)], storage=storage)
-        contents.append({p.name: p.read_bytes() for p in (tmp_path / folder / "bag").iterdir()})
-    assert contents[0] == contents[1]
+    durable = [qos[topic].durability is QosDurability.TRANSIENT_LOCAL for topic in order]
+    assert durable == [False, False, True, False]
 
 
 def test_messages_are_those_of_rclpy(tmp_path: Path) -> None:
@@ -85,48 +173,23 @@ def test_messages_are_those_of_rclpy(tmp_path: Path) -> None:
     assert len(different) <= 3 * (2 + len(written.names)) + 4 * 3
 
 
-def test_nothing_is_overwritten(tmp_path: Path) -> None:
-    """A folder that exists, even an empty one, is refused and stays as it is."""
-    path = tmp_path / "bag"
-    path.mkdir()
-    (path / "notes.txt").write_text("mine")
-    with pytest.raises(BagError, match="exists already"):
-        BagWriter(path)
-    assert [p.name for p in path.iterdir()] == ["notes.txt"]
-
-
 @pytest.mark.parametrize(
     ("call", "complaint"),
     [
         (lambda p: BagWriter(p / "x", "csv"), "storage is 'csv'; accepted: mcap, sqlite3"),
         (lambda p: BagWriter(p / "file" / "bag"), "cannot be written"),
+        (BagWriter, "exists already"),
         (lambda p: write_joint_states(p / "x", [series(), series()]), "each topic once"),
         (lambda p: BagWriter(p / "x").add_topic("t", "my_msgs/msg/Odd"), "common interfaces"),
     ],
 )
 def test_mistakes_are_refused(tmp_path: Path, call: Any, complaint: str) -> None:
-    """A wrong storage, place, topic list or type is refused with what is accepted."""
-    (tmp_path / "file").write_text("")
+    """A wrong storage, place, topic list or type, and a folder that exists, is refused with what is accepted."""
+    (tmp_path / "file").write_text("mine")
     with pytest.raises(BagError, match=complaint) as refusal:
         call(tmp_path)
     assert refusal.value.exit_code == REFUSED
-
-
-def test_a_full_disk_is_no_mistake_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A disk without room for a new bag's folder is a failure, not a refusal."""
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(Path, "mkdir", full)
-    with pytest.raises(BagWriteError, match="No space left on device"):
-        BagWriter(tmp_path / "bag")
-
-
-class _Usage(NamedTuple):
-    total: int
-    used: int
-    free: int
+    assert (tmp_path / "file").read_text() == "mine"
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -135,9 +198,9 @@ def test_bag_is_whole_when_the_disk_is_nearly_full(
 ) -> None:
     """Writing stops with a clear line while index and metadata still fit; what was written can be read.
 
-    Of a bag that gets its name at the end nothing stays.
+    Of a bag that gets its name at the end nothing stays. No room for a new bag's folder is a failure, too.
     """
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: _Usage(1 << 40, 1 << 40, 5 << 20))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=5 << 20))
     monkeypatch.setattr(writing, "_BYTES_PER_SPACE_CHECK", 100_000)
     written = series(3000)
     with pytest.raises(BagWriteError, match=r"nearly full \(5 MiB left; accepted: 64 MiB or more\)$") as failure:
@@ -153,6 +216,13 @@ def test_bag_is_whole_when_the_disk_is_nearly_full(
     read = read_joint_states(tmp_path / "bag", "joint_states")
     assert 0 < len(read.stamp_ns) < 3000
     np.testing.assert_array_equal(read.stamp_ns, written.stamp_ns[: len(read.stamp_ns)])
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "mkdir", full)
+    with pytest.raises(BagWriteError, match="No space left on device"):
+        BagWriter(tmp_path / "other")
 
 
 def test_a_bag_has_its_name_when_it_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,7 +240,6 @@ def test_a_bag_has_its_name_when_it_is_whole(tmp_path: Path, monkeypatch: pytest
     assert seen == [False, False]
     assert [p.name for p in path.parent.iterdir()] == ["bag"]
     assert sorted(p.name for p in path.iterdir()) == ["bag.mcap", "metadata.yaml"]
-    assert len(read_joint_states(path, "joint_states").stamp_ns) == 10
 
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
@@ -181,19 +250,35 @@ def test_a_bag_has_its_name_when_it_is_whole(tmp_path: Path, monkeypatch: pytest
     assert [p.name for p in tmp_path.iterdir()] == ["new"]
 
 
-def test_a_name_that_is_taken_meanwhile_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A folder that another process makes while a bag is written stays as it is, and the bag is refused in one line."""
-    path, whole = tmp_path / "bag", BagWriter.write_many
+@pytest.mark.parametrize("kind", ["file", "folder", "bag"])
+def test_what_came_first_stays(tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file or folder that another process makes while one of its name is written stays; ours is one line."""
+    output, whole = tmp_path / "export.csv", BagWriter.write_many
+
+    def overtake() -> None:
+        if kind == "file":
+            output.write_text("of the first")
+        else:
+            output.mkdir()
+            (output / "a").write_text("of the first")
 
     def overtaken(self: BagWriter, *arguments: Any) -> None:
-        path.mkdir()
-        (path / "theirs").touch()
+        overtake()
         whole(self, *arguments)
 
+    def second() -> None:
+        if kind == "bag":
+            write_joint_states(output, [series(10)])
+            return
+        with named_at_the_end(output) as folder:
+            (folder / output.name).write_text("of the second") if kind == "file" else (folder / output.name).mkdir()
+            overtake()
+
     monkeypatch.setattr(BagWriter, "write_many", overtaken)
-    with pytest.raises(BagError, match=r"bag exists already, not overwriting"):
-        write_joint_states(path, [series(10)])
-    assert [str(p.relative_to(tmp_path)) for p in sorted(tmp_path.rglob("*"))] == ["bag", "bag/theirs"]
+    with pytest.raises(BagError, match=r"export\.csv exists already, not overwriting"):
+        second()
+    assert all(file.is_dir() or file.read_text() == "of the first" for file in tmp_path.rglob("*"))
+    assert len(list(tmp_path.rglob("*"))) == (1 if kind == "file" else 2)
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -202,23 +287,64 @@ def test_a_checkpoint_outlives_the_process(tmp_path: Path, storage: str) -> None
     bag = BagWriter(tmp_path / "bag", storage)
     connection = bag.add_topic("text", "std_msgs/msg/String", [offered_qos()])
     message = string_message("text", "marked content")
-    bag.write(connection, 0, message.cdr)
+    write_one(bag, connection, 0, message.cdr)
     (file,) = (p for p in (tmp_path / "bag").iterdir() if p.suffix in {".mcap", ".db3"})
     assert b"marked content" not in file.read_bytes()
-    bag.write(connection, 1_000_000_000, message.cdr)
+    write_one(bag, connection, 1_000_000_000, message.cdr)
     assert file.read_bytes().count(b"marked content") == 2
     bag.close()
 
 
-def test_other_messages_keep_their_time(tmp_path: Path) -> None:
-    """A message of another type stands in the bag at its own log time."""
-    text = string_message("note", "x")
-    late = RawMessage("note", text.msgtype, 5_500_000, text.cdr)
-    write_joint_states(tmp_path / "bag", [series(10)], messages=[late])
-    with AnyReader([tmp_path / "bag"]) as reader:
-        times = [(c.topic, t) for c, t, _ in reader.messages()]
-    assert times[5:8] == [
-        ("/joint_states", 5_000_000),
-        ("/note", 5_500_000),
-        ("/joint_states", 6_000_000),
-    ]
+LONGEST = 243
+"""Bytes: a file system's 255 without the 12 of .db3-journal."""
+
+
+def test_the_longest_name_can_be_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bag with the longest name, also one of characters of four bytes, is written and read; one byte more is not."""
+    monkeypatch.chdir(tmp_path)
+    for character in "x", "\N{ROBOT FACE}":
+        name = character * (LONGEST // len(character.encode()))
+        write_joint_states(name, [series()])
+        assert run("rx90_bag", ["info", name]) == 0
+    for write in BagWriter, lambda path: write_joint_states(path, [series()]):
+        with pytest.raises(BagError, match=r"has 244 bytes; accepted: up to 243"):
+            write("z" * (LONGEST + 1))
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_path_beyond_that_of_a_database_is_refused(tmp_path: Path) -> None:
+    """SQLite takes paths of 512 bytes with that of the journal; one byte more is refused, and nothing stays."""
+    deep = tmp_path.joinpath(*["d" * 100] * 2)
+    path = deep / ("x" * ((512 - len(str(deep / "a" / "b.db3-journal")) + 2) // 2))
+    with BagWriter(path, "sqlite3") as bag:
+        bag.add_topic("a", "std_msgs/msg/String")
+    assert len(str(path / f"{path.name}.db3-journal")) in {511, 512}
+    read_bag(path)
+    path = deep / f"{path.name}x"
+    size = len(str(path / f"{path.name}.db3"))
+    with pytest.raises(BagError, match=rf"a path of {size} bytes; accepted by SQLite: up to 504"):
+        BagWriter(path, "sqlite3")
+    assert not path.exists()
+    write_joint_states(path, [series()])
+
+
+COMMANDS = {
+    "record": ["rx90_bag", "record", "--output", "{}"],
+    "import": ["rx90_bag", "import", "none.csv", "{}"],
+    "export": ["rx90_bag", "export", "none", "--output", "{}"],
+    "run": ["rx90_run", "--start", "0.6", "-0.2", "0.2", "--end", "0.6", "0.2", "0.2", "--output", "{}"],
+    "experiment": ["rx90_experiment", "run", "--engine", "--output", "{}"],
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_refuse_a_name_that_is_too_long_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever makes a bag or a folder says first that a name of 250 bytes is too long, and makes nothing."""
+    monkeypatch.chdir(tmp_path)
+    name, *arguments = (word.replace("{}", "x" * 250) for word in COMMANDS[command])
+    assert run(name, arguments) == 2
+    out, err = capsys.readouterr()
+    assert "its name has 250 bytes; accepted: up to 243" in err
+    assert (out, err.count("\n"), list(tmp_path.iterdir())) == ("", 1, [])

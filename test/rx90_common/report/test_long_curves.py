@@ -58,7 +58,7 @@ def test_each_column_keeps_its_extremes() -> None:
 
 
 def test_gaps_loops_and_decades_stay() -> None:
-    """A gap keeps its ends, a curve that goes back its way, and one over decades its points in each of them."""
+    """A gap keeps its ends, a curve that goes back its way, one over decades its points in each, and dots stay."""
     turns = np.linspace(0.0, 6.0 * np.pi, 1_000_000)
     loops = np.cos(turns), np.sin(turns) * np.exp(-0.01 * turns)
     holed = np.where((turns > 5.0) & (turns < 8.0), np.nan, loops[1])
@@ -78,15 +78,10 @@ def test_gaps_loops_and_decades_stay() -> None:
     assert np.diff(np.log10(spread.x[1:])).max() < 0.01
     steps = only_curve(thinned(Plot([Panel([Curve(turns, np.sign(np.sin(turns)))])])))[1]
     assert len(steps.x) < 17_000  # of equal values the first one is enough
+    dots = Curve(turns, np.sin(turns), dots=True)  # each of which is drawn
+    assert len(only_curve(thinned(Plot([Panel([dots])])))[1].x) == len(turns)
     nothing = only_curve(thinned(Plot([Panel([Curve(turns, np.full(len(turns), np.nan))])])))[1]
     assert len(nothing.x) == 2
-
-
-def test_dots_are_not_thinned() -> None:
-    """Of a curve with dots every point stays: each is drawn."""
-    x = np.arange(100_000.0)
-    assert len(only_curve(thinned(Plot([Panel([Curve(x, np.sin(x), dots=True)])])))[1].x) == 100_000
-    assert len(only_curve(thinned(Plot([Panel([Curve(x, np.sin(x))])])))[1].x) < 40_000
 
 
 def test_the_extremes_of_rows_leave_out_what_is_no_number() -> None:

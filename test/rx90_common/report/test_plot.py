@@ -91,8 +91,7 @@ def test_names_are_written_as_they_are() -> None:
 
 
 @pytest.mark.parametrize("columns", [1, 2])
-@pytest.mark.parametrize("count", [1, 3, 9])
-@pytest.mark.parametrize("words", ["up", "no feed-forward, no integral, soft gains"])
+@pytest.mark.parametrize(("count", "words"), [(1, "up"), (9, "up"), (3, "no feed-forward, no integral, soft gains")])
 def test_a_legend_covers_neither_title_nor_panel_nor_the_edge(count: int, words: str, columns: int) -> None:
     """Legends stand above their panel and beside or below its title, within the picture, whatever their length."""
     marks = [Curve(TIME[:2], NOISE[:2] + k, f"{words} {k}") for k in range(count)]

@@ -1,0 +1,446 @@
+"""Bags as they lie on the disk: of others, compressed, in parts, cut off, damaged; read whole, or refused in a line."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+import struct
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import lz4.frame
+import numpy as np
+import pytest
+import yaml
+from backports import zstd
+from bag_making import JOINT_STATE, ROS1, ROS2, STORAGES, joint_state, series, write_one, write_ros1, write_ros2
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+
+from rx90_common.bags.reading import BagReader, read_joint_bag, read_joint_states
+from rx90_common.bags.storage_files import MCAP_MAGIC
+from rx90_common.bags.summary import summarise
+from rx90_common.bags.writing import BagWriter, offered_qos, string_message, write_joint_states
+from rx90_common.base.errors import BagError
+from rx90_emulator.cli.frame import run
+
+STAMPS = list(range(0, 40_000_000, 1_000_000))
+Damage = Callable[[Path], object]
+
+
+def metadata(change: Callable[[dict[str, Any]], object]) -> Damage:
+    """Return what changes metadata.yaml."""
+
+    def edit(bag: Path) -> None:
+        path = bag / "metadata.yaml"
+        content = yaml.safe_load(path.read_text())
+        change(content["rosbag2_bagfile_information"])
+        path.write_text(yaml.safe_dump(content))
+
+    return edit
+
+
+def topic_of(content: dict[str, Any]) -> Any:
+    """Return what the metadata say of the first topic."""
+    return content["topics_with_message_count"][0]
+
+
+def text(content: bytes) -> Damage:
+    """Return what writes this into metadata.yaml."""
+    return lambda bag: (bag / "metadata.yaml").write_bytes(content)
+
+
+def truncate(share: float) -> Damage:
+    """Return what cuts the storage file to this share of its length."""
+    return lambda bag: os.truncate(bag / "bag.mcap", int(share * (bag / "bag.mcap").stat().st_size))
+
+
+ALIASES = "a0: &a0 1\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 60))  # 2^59 values
+DAMAGES: dict[str, tuple[Damage, str]] = {
+    "missing": (shutil.rmtree, "no such bag"),
+    "foreign folder": (
+        lambda bag: [*(file.unlink() for file in bag.iterdir()), (bag / "letter.txt").write_text("hello")],
+        "not a bag",
+    ),
+    "no YAML": (text(b"{]"), "metadata.yaml: not valid YAML"),
+    "empty": (text(b""), "metadata.yaml: holds nothing"),
+    "binary": (text(b"\xff\xfe"), "metadata.yaml: cannot be read"),
+    "aliases": (text(ALIASES.encode()), "metadata.yaml: not valid YAML (more than 400,000 values"),
+    "without topics": (metadata(lambda c: c.pop("topics_with_message_count")), "topics_with_message_count"),
+    "with other count": (
+        metadata(lambda c: [one.update(message_count=31) for one in (c, topic_of(c))]),
+        "metadata.yaml says 31 messages of /joint_states",
+    ),
+    "with 1e20": (metadata(lambda c: topic_of(c).update(message_count=1e20)), "is 1e+20; accepted: an integer in [0, "),
+    "with -1": (metadata(lambda c: c.update(message_count=-1)), "message_count is -1; accepted: an integer in [0, "),
+    "with other sum": (metadata(lambda c: c.update(message_count=7)), "metadata.yaml says 7 messages in all"),
+    "with other type": (
+        metadata(lambda c: topic_of(c)["topic_metadata"].update(type="a/msg/B")), "metadata.yaml says",
+    ),
+    "with other file": (metadata(lambda c: c.update(relative_file_paths=["other.mcap"])), "other.mcap is missing"),
+    "storage gone": (lambda bag: (bag / "bag.mcap").unlink(), "bag.mcap is missing, which metadata.yaml names"),
+    "storage empty": (truncate(0.0), "bag.mcap is empty"),
+    "storage of noise": (
+        lambda bag: (bag / "bag.mcap").write_bytes(bytes(range(256)) * 50),
+        "bag.mcap is no bag, or damaged at its beginning",
+    ),
+    "storage cut at the end": (
+        truncate(0.99),
+        "bag.mcap is cut off (its recorder was killed, or the disk was full?): 30 messages up to t = 0.029000 s are",
+    ),
+    "storage cut early": (truncate(0.5), "cut off before its first whole chunk: nothing can be recovered"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_each_damage_is_one_line(tmp_path: Path, damage: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A damaged, emptied, foreign or missing bag gives one line that names it and why, and exit code 2."""
+    good, bad = tmp_path / "good", tmp_path / "bag"
+    for path in (good, bad):
+        write_joint_states(path, [series(30)])
+    spoil, complaint = DAMAGES[damage]
+    spoil(bad)
+    for words in (["info", str(bad)], ["compare", str(good), str(bad)]):
+        assert run("rx90_bag", words) == 2
+        out, err = capsys.readouterr()
+        assert (out, err.count("\n")) == ("", 1)
+        assert err.startswith(f"rx90_bag: {bad}: ")
+        assert complaint in err
+
+
+@pytest.mark.parametrize("rows", ["1", "20, 3, 4", "30"])
+def test_deleted_rows_are_noticed(tmp_path: Path, rows: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A database that is read alone says how many messages were deleted from it, unless these were the last ones."""
+    write_joint_states(tmp_path / "bag", [series(30)], storage="sqlite3")
+    file = tmp_path / "bag" / "bag.db3"
+    with sqlite3.connect(file) as database:
+        database.execute(f"DELETE FROM messages WHERE id IN ({rows})")
+    database.close()
+    last, lost = rows == "30", len(rows.split(","))
+    assert run("rx90_bag", ["info", str(file)]) == (0 if last else 2)
+    err = capsys.readouterr().err
+    assert last or err == (
+        f"rx90_bag: {file}: bag.db3 is damaged: {lost} messages are gone: the last one has number 30, {30 - lost} are "
+        "there; 'ros2 bag convert' makes a bag of these\n"
+    )
+
+
+def test_bags_without_joint_states(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Bags without messages or without joint states cannot be compared, a pipe is not waited for; a line says why."""
+    write_joint_states(tmp_path / "good", [series()])
+    write_joint_states(tmp_path / "empty", [series(0)])
+    write_joint_states(tmp_path / "text", [], messages=[string_message("robot_description", "x")])
+    os.mkfifo(tmp_path / "pipe")
+    for name, complaint in (
+        ("empty", "holds no messages\n"),
+        ("text", "holds no JointState or Temperature topic, only /robot_description\n"),
+        ("pipe", "no file that can be read twice; accepted: "),
+    ):
+        for pair in (("good", name), (name, "good")):
+            assert run("rx90_bag", ["compare", *(str(tmp_path / n) for n in pair)]) == 2
+            assert capsys.readouterr().err.startswith(f"rx90_bag: {tmp_path / name}: {complaint}")
+
+
+def test_killed_sqlite3_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A database with a journal is refused with what to do, which gives all messages up to the checkpoint."""
+    bag = BagWriter(tmp_path / "bag", "sqlite3")
+    connection = bag.add_topic("text", "std_msgs/msg/String", [offered_qos()])
+    big = string_message("text", "x" * 10_000).cdr
+    for i in range(1500):
+        write_one(bag, connection, i * 1_000_000, big)
+    killed = tmp_path / "killed"
+    shutil.copytree(tmp_path / "bag", killed)  # as a process leaves it that is killed now
+    bag.close()
+    for path in (killed, killed / "bag.db3"):
+        assert run("rx90_bag", ["info", str(path)]) == 2
+        assert "bag.db3 was not closed" in capsys.readouterr().err
+    with sqlite3.connect(killed / "bag.db3") as database:
+        database.execute("CREATE TABLE opened(x)")
+    database.close()
+    assert run("rx90_bag", ["info", str(killed / "bag.db3")]) == 0
+    assert " 1001 messages" in capsys.readouterr().out
+
+
+Messages = list[tuple[str, int, bytes]]
+
+
+def read_all(path: Path) -> Messages:
+    """Return all messages as this project reads them."""
+    with BagReader(path) as bag:
+        return sorted((topic.name, log_ns, data) for topic, log_ns, data in bag.messages(bag.topics))
+
+
+def read_by_index(path: Path) -> Messages | None:
+    """Return all messages as rosbags follows the file's index to them; None if it cannot."""
+    try:
+        with Reader(path) as reader:
+            return sorted((c.topic, log_ns, bytes(data)) for c, log_ns, data in reader.messages(reader.connections))
+    except Exception:
+        return None
+
+
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3", "foreign mcap"])
+def test_a_bit_that_has_changed_is_noticed_or_does_no_harm(tmp_path: Path, kind: str) -> None:
+    """Each bag with a flipped bit is refused, or gives what another reader finds by the index; ours: what was written.
+
+    An mcap file of this project has checksums over all that leads to messages: no bit of it changes one unnoticed.
+    """
+    storage = kind.rpartition(" ")[2]
+    if kind.startswith("foreign"):
+        messages = [(f"/{x}", i, joint_state(i, [x], [1.0])) for i in range(4) for x in "ab"]
+        write_ros2(tmp_path / "bag", messages, storage)
+    else:
+        write_joint_states(tmp_path / "bag", [series(4, topic=f"/{x}") for x in "ab"], storage=storage)
+    source = next(file for file in (tmp_path / "bag").iterdir() if file.suffix != ".yaml")
+    content, written = source.read_bytes(), read_all(source)
+    file = tmp_path / f"flipped{source.suffix}"
+    random = np.random.default_rng(1)
+    noticed = 0
+    for at in random.choice(len(content), 60 if storage == "sqlite3" else 200, replace=False).tolist():
+        flipped = bytearray(content)
+        flipped[at] ^= 1 << int(random.integers(8))
+        file.write_bytes(flipped)
+        refusal = ""
+        try:
+            read = read_all(file)
+        except BagError as error:
+            refusal = str(error)
+        if refusal:
+            noticed += 1
+            assert refusal.startswith(f"{file}: {file.name} ")
+            continue
+        assert kind != "mcap" or read == written, at
+        assert read_by_index(file) in (read, None), at
+    assert noticed >= {"mcap": 80, "foreign mcap": 40, "sqlite3": 3}[kind]
+
+
+INDEX_FAULTS = {
+    "a message index": (0x07, 14, "the index of the chunk"),
+    "the chunk index": (0x08, 0, "its index is not that of its chunks"),
+    "the statistics": (0x0B, 0, "its statistics say"),
+    "a channel of the summary": (0x04, 0, "its summary lacks channel"),
+    "a channel's metadata": (0x04, 21, "is damaged: "),
+    "the kind of a record in the summary": (0x04, -9, "is damaged: "),
+    "the footer": (0x02, 0, "is damaged: "),
+}
+
+
+@pytest.mark.parametrize("fault", INDEX_FAULTS)
+def test_an_index_that_leads_elsewhere_is_refused(tmp_path: Path, fault: str) -> None:
+    """Without checksums, too, each record by which others find the messages is held against these."""
+    op, place, complaint = INDEX_FAULTS[fault]
+    write_ros2(tmp_path / "bag", [("/x", i, joint_state(i, ["a"], [1.0])) for i in range(4)])
+    file = tmp_path / "bag" / "bag.mcap"
+    content = bytearray(file.read_bytes())
+    at = last = 8
+    while at < len(content) - 8:  # from record to record: a byte for its kind, eight for its length
+        last = at if content[at] == op else last
+        at += 9 + int.from_bytes(content[at + 1 : at + 9], "little")
+    content[last + 9 + place] ^= 1 if place < 0 else 4
+    file.write_bytes(content)
+    with pytest.raises(BagError, match=complaint):
+        read_all(file)
+
+
+@pytest.mark.parametrize(("kind", "compress"), [("zstd", zstd.compress), ("lz4", lz4.frame.compress)])
+def test_a_chunk_takes_no_more_memory_than_its_head_says(
+    tmp_path: Path, kind: str, compress: Callable[[bytes], bytes]
+) -> None:
+    """A few kB that decompress to 64 MB are refused after some MB, and a chunk that is cut off at once."""
+    file = tmp_path / "bag.mcap"
+    content = compress(bytes(64 << 20))
+    for cut, complaint in ((content, "a chunk is longer than 1,000 bytes"), (content[:20], "a chunk is shorter")):
+        chunk = struct.pack("<QQQII", 0, 0, 1000, 0, len(kind)) + kind.encode() + struct.pack("<Q", len(cut)) + cut
+        records = ((0x01, bytes(8)), (0x06, chunk), (0x0F, bytes(4)), (0x02, bytes(20)))  # without an index
+        body = b"".join(struct.pack("<BQ", op, len(record)) + record for op, record in records)
+        file.write_bytes(MCAP_MAGIC + body + MCAP_MAGIC)
+        tracemalloc.start()
+        try:
+            with pytest.raises(BagError, match=complaint):
+                read_all(file)
+            assert tracemalloc.get_traced_memory()[1] < 16 << 20
+        finally:
+            tracemalloc.stop()
+
+
+# The list stands for that of the profile.
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(st.data())
+@pytest.mark.parametrize("kind", [*STORAGES, "ros1"])
+def test_no_other_exception(tmp_path: Path, kind: str, data: Any) -> None:
+    """Whatever bytes are cut off or changed, a bag is read or refused with a BagError of one line."""
+    path = tmp_path / ("bag.bag" if kind == "ros1" else "bag")
+    shutil.rmtree(path, ignore_errors=True)
+    path.unlink(missing_ok=True)
+    if kind == "ros1":
+        write_ros1(path, [("/x", i, joint_state(i, ["a"], [1.0], store=ROS1)) for i in range(20)])
+    else:
+        write_ros2(path, [("/x", i, joint_state(i, ["a"], [1.0])) for i in range(20)], kind)
+    file = data.draw(st.sampled_from([path] if path.is_file() else sorted(path.iterdir())))
+    content = bytearray(file.read_bytes())
+    for _ in range(data.draw(st.integers(0, 8))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    file.write_bytes(content[: data.draw(st.integers(0, len(content)))] if data.draw(st.booleans()) else content)
+    message = f"{path}"
+    try:
+        read_joint_bag(path)
+    except BagError as error:
+        message = str(error)
+    assert "\n" not in message
+    assert str(path) in message
+
+
+OTHERWISE: dict[str, Damage] = {
+    "quality of service": metadata(lambda c: topic_of(c)["topic_metadata"].update(offered_qos_profiles=[])),
+    "no quality of service": metadata(lambda c: topic_of(c)["topic_metadata"].pop("offered_qos_profiles")),
+    "another type hash": metadata(lambda c: topic_of(c)["topic_metadata"].update(type_description_hash="RIHS01_0")),
+    "another encoding": metadata(lambda c: topic_of(c)["topic_metadata"].update(serialization_format="other")),
+    "another storage": metadata(lambda c: c.update(storage_identifier="other")),
+    "a later version": metadata(lambda c: c.update(version=99)),
+    "no metadata": lambda bag: (bag / "metadata.yaml").unlink(),
+}
+
+
+@pytest.mark.parametrize("otherwise", OTHERWISE)
+def test_what_the_metadata_say_beside_the_counts_is_not_needed(tmp_path: Path, otherwise: str) -> None:
+    """Metadata that differ from the storage in what no message needs, or are not there, keep no message back."""
+    write_joint_states(tmp_path / "bag", [series(30)])
+    OTHERWISE[otherwise](tmp_path / "bag")
+    np.testing.assert_array_equal(read_joint_states(tmp_path / "bag", "joint_states").position, series(30).position)
+    with BagReader(tmp_path / "bag") as bag:
+        note = "metadata.yaml is missing; read as they are: bag.mcap"
+        assert bag.notes == ([note] if otherwise == "no metadata" else [])
+
+
+@pytest.mark.parametrize(
+    ("storage", "mode"), [("mcap", m) for m in ("NONE", "MESSAGE", "FILE", "STORAGE")] + [("sqlite3", "NONE"),
+    ("sqlite3", "MESSAGE"), ("sqlite3", "FILE")],
+)  # fmt: skip
+def test_types_that_cannot_be_parsed_and_compressed_bags(
+    tmp_path: Path, storage: str, mode: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Topics of unknown types are listed and left aside; storage and compression are named; a file alone will do."""
+    bag = tmp_path / "bag"
+    writer = Writer(bag, version=9, storage_plugin=StoragePlugin[storage.upper()])
+    if mode != "NONE":
+        writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
+    event, no_hash = "int64 a\nint64 b\n---\nint64 sum\n", "RIHS01_" + "0" * 64  # which rosbags does not parse
+    with writer:
+        joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=ROS2)
+        kind = "example_interfaces/srv/AddTwoInts_Event"
+        events = writer.add_connection("/add/_service_event", kind, msgdef=event, rihs01=no_hash)
+        old = writer.add_connection(
+            "/old", "sensor_msgs/JointState", msgdef="x", rihs01=no_hash, serialization_format="ros1"
+        )
+        for stamp in STAMPS:
+            writer.write(joints, stamp, ROS2.serialize_cdr(joint_state(stamp, ["a"], [1.0]), JOINT_STATE))
+        writer.write(events, 5, b"\0\1\0\0" + bytes(16))
+        writer.write(old, 7, bytes(ROS1.serialize_ros1(joint_state(9, ["b"], [2.0], store=ROS1), JOINT_STATE)))
+    kind = {"mcap": "mcap", "sqlite3": "db3"}[storage]
+    words = {"NONE": "", "MESSAGE": "zstd messages", "FILE": "zstd files", "STORAGE": "zstd chunks"}[mode]
+    (file,) = (file for file in bag.iterdir() if file.name != "metadata.yaml")
+    for path in (bag, shutil.copy(file, tmp_path / "alone")):
+        summary = summarise(path)
+        assert (summary.storage, summary.compression) == (kind, words)
+        assert {t.topic: t.count for t in summary.topics} == {"/joint_states": 40, "/add/_service_event": 1, "/old": 1}
+        read = read_joint_bag(path).series
+        assert read["/joint_states"][0].stamp_ns.tolist() == STAMPS
+        assert (read["/old"][0].names, read["/old"][0].stamp_ns.tolist()) == (("b",), [9])
+    assert run("rx90_bag", ["compare", str(bag), str(bag)]) == 0
+    assert "not compared, as they are no JointState or Temperature: /add/_service_event\n" in capsys.readouterr().out
+    assert run("rx90_bag", ["info", str(bag)]) == 0
+    assert f"{bag}: {kind}{f' ({words})' * bool(words)}, " in capsys.readouterr().out
+
+
+INDEXES = {"all": IndexType.ALL, "none of messages": IndexType.CHUNK, "none of chunks": IndexType.MESSAGE,
+           "no chunks": IndexType.ALL, "no summary": IndexType.NONE}  # fmt: skip
+
+
+@pytest.mark.parametrize("index", INDEXES)
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD])
+def test_an_mcap_file_is_read_by_whatever_index_it_has(
+    tmp_path: Path, index: str, compression: CompressionType
+) -> None:
+    """Files of the mcap project's writer, with less and less of an index, of another profile, with other topics.
+
+    Of chunks that hold other topics than those asked for no message too many is read.
+    """
+    path = tmp_path / "bag.mcap"
+    summary = index != "no summary"
+    writer = McapWriter(
+        str(path), chunk_size=500, compression=compression, index_types=INDEXES[index],
+        use_chunking=index != "no chunks", use_statistics=summary, use_summary_offsets=summary,
+        repeat_channels=summary, repeat_schemas=summary,
+    )  # fmt: skip
+    writer.start(profile="")
+    joints, late, other = (
+        writer.register_channel(topic, encoding, writer.register_schema(kind, schema, b""))
+        for topic, kind, encoding, schema in (
+            ("/joint_states", JOINT_STATE, "cdr", "ros2msg"),
+            ("/late", JOINT_STATE, "cdr", "ros2msg"),
+            ("/other", "Other", "json", "jsonschema"),
+        )
+    )
+    for stamp in STAMPS[::-1]:
+        data = bytes(ROS2.serialize_cdr(joint_state(stamp, ["a"], [stamp * 1e-9]), JOINT_STATE))
+        writer.add_message(joints, log_time=stamp, publish_time=stamp, data=data)
+        writer.add_message(other if stamp < STAMPS[20] else late, log_time=stamp, publish_time=stamp, data=data)
+    writer.finish()
+    assert {(t.topic, t.encoding, t.count) for t in summarise(path).topics} == {
+        ("/joint_states", "cdr", 40), ("/late", "cdr", 20), ("/other", "json", 20),
+    }  # fmt: skip
+    for topic, stamps in (("joint_states", STAMPS), ("late", STAMPS[20:])):
+        assert read_joint_states(path, topic).stamp_ns.tolist() == stamps
+    with BagReader(path) as bag:
+        wanted = [topic for topic in bag.topics if topic.name != "/joint_states"]
+        found = [(topic.name, log_ns) for topic, log_ns, _ in bag.messages(wanted)]
+    assert found == [("/other" if stamp < STAMPS[20] else "/late", stamp) for stamp in STAMPS]
+
+
+def test_parts_of_a_recording_are_read_as_one(tmp_path: Path) -> None:
+    """Without metadata files come in the order of log time, equal times in that of their numbers: 10 follows 9."""
+    for i in range(3, 13):
+        write_joint_states(tmp_path / f"part_{i}", [series(2, seed=i)])
+        (tmp_path / "bag").mkdir(exist_ok=True)
+        shutil.copy(tmp_path / f"part_{i}" / f"part_{i}.mcap", tmp_path / "bag" / f"bag_{i}.mcap")
+    read = read_joint_states(tmp_path / "bag", "joint_states")
+    parts = [series(2, seed=i).position for i in range(3, 13)]
+    np.testing.assert_array_equal(read.position, np.vstack([part[row : row + 1] for row in (0, 1) for part in parts]))
+
+
+@pytest.mark.parametrize(
+    "names", ["a b", "bag_0 bag_2", "a_0 b_1", "bag_0 bag_00", "bag bag_0", "bag_0.mcap bag_1.db3"]
+)
+def test_files_that_are_not_of_one_recording_are_refused(
+    tmp_path: Path, names: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Files of one folder without metadata, of which one is missing or foreign, are one line."""
+    write_joint_states(tmp_path / "whole", [series()])
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for name in names.split():
+        shutil.copy(tmp_path / "whole" / "whole.mcap", folder / (name if "." in name else f"{name}.mcap"))
+    assert run("rx90_bag", ["info", str(folder)]) == 2
+    there = ", ".join(sorted(file.name for file in folder.iterdir()))
+    assert capsys.readouterr() == ("", (
+        f"rx90_bag: {folder}: metadata.yaml is missing, and {there} are not the parts of one recording; accepted: "
+        "NAME_0.mcap, NAME_1.mcap and so on without a gap, or each file by its path\n"
+    ))  # fmt: skip
+
+
+def test_names_in_a_bag_forge_no_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A topic with line breaks in its name, or of thousands of characters, is one short row of the summary."""
+    hostile = "/a\n[INFO] [rx90_sim]: all is well\u202e" + "x" * 100_000
+    write_joint_states(tmp_path / "bag", [series(3, topic=hostile)])
+    assert run("rx90_bag", ["info", str(tmp_path / "bag")]) == 0
+    assert run("rx90_bag", ["compare", "--topics", "/b", "--", *[str(tmp_path / "bag")] * 2]) == 2
+    out, err = capsys.readouterr()
+    assert (out.count("\n"), err.count("\n")) == (3, 1)
+    assert max(len(out), len(err)) < 1500
+    assert "/a\\n[INFO]" in out
