@@ -45,7 +45,7 @@ _ACCEPTED = {
 _LOOK = 0.05  # s between two looks at the graph
 _SETTLED_LOOKS = 10
 _SLICE = Duration(nanoseconds=50_000_000)
-_RECEIVED_SLICES = 40
+_RECEIVED_WITHIN = 4.0  # s; shorter than the wait for the end of a ticking thread
 _SHARE = 0.75  # of the publishers' history that is sent before the next wait
 _PATIENCE = 6.0  # s; the lease of a process that was killed, in config/dds, is 5 s
 
@@ -110,7 +110,7 @@ def subscribe(
     node: Node,
     kind: Any,
     topic: str,
-    callback: Callable[[Any], None],
+    callback: Callable[[Any], object],
     qos: QoSProfile,
     check: Callable[[bytes], None] | None = None,
 ) -> None:
@@ -215,11 +215,11 @@ def wait_until_matched(
 
 
 def wait_until_received(publishers: Sequence[Publisher]) -> None:
-    """Let the last messages reach their subscribers, a recorder for example; at most 2 s for each topic."""
+    """Let the last messages reach their subscribers, a recorder for example; at most 4 s for all topics together."""
+    deadline = time.monotonic() + _RECEIVED_WITHIN
     for publisher in publishers:
-        for _ in range(_RECEIVED_SLICES):
-            if publisher.wait_for_all_acked(_SLICE):
-                break
+        while not publisher.wait_for_all_acked(_SLICE) and time.monotonic() < deadline:
+            pass
 
 
 class Listeners:

@@ -16,6 +16,8 @@ from rclpy.parameter import Parameter
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.description.robot_files import RobotFiles
+from rx90_common.exchange.channel import MakeChannel, TickChannel
+from rx90_common.exchange.endpoints import TICK_QOS
 from rx90_common.exchange.node_tools import TickingNode
 from rx90_common.exchange.parameters import (
     ParameterChanges,
@@ -72,6 +74,7 @@ class ManagedNode(LifecycleNode):
         name: of the node.
         own_args: arguments for ROS that concern this node of its process alone.
         managed: what the transitions are handed to.
+        make_channel: makes the node's end of the exchange.
 
     Attributes:
         changes: answers requests to set parameters.
@@ -81,9 +84,10 @@ class ManagedNode(LifecycleNode):
         error: why the last transition was refused, if it was.
     """
 
-    def __init__(self, name: str, own_args: Sequence[str], managed: Managed) -> None:
+    def __init__(self, name: str, own_args: Sequence[str], managed: Managed, make_channel: MakeChannel) -> None:
         super().__init__(name, cli_args=list(own_args))
-        self._managed = managed
+        self._managed, self._make_channel = managed, make_channel
+        self._channel: TickChannel | None = None
         self.changes = ParameterChanges(self, lambda: not self.configured)
         self.ticking = TickThread()
         self.autostart = declare_autostart(self)
@@ -97,6 +101,15 @@ class ManagedNode(LifecycleNode):
     def configured(self) -> bool:
         """Return whether its state is another than unconfigured."""
         return bool(self._state_machine.current_state[0] != State.PRIMARY_STATE_UNCONFIGURED)
+
+    def make_channel(self, publish_topic: str, subscribe_topic: str) -> TickChannel:
+        """Make the node's end of the exchange; the cleanup closes it.
+
+        Raises:
+            ExchangeError: if another process on this machine publishes `publish_topic`.
+        """
+        self._channel = channel = self._make_channel(self, publish_topic, subscribe_topic, TICK_QOS.profile)
+        return channel
 
     def declare_robot_files(self, *names: str) -> RobotFiles:
         """Declare what `parameters.declare_robot_files` does; with another robot come its files, but for named ones.
@@ -150,6 +163,9 @@ class ManagedNode(LifecycleNode):
 
     def _clean_up(self) -> None:
         self._managed.cleanup()
+        if self._channel is not None:
+            self._channel.close()
+            self._channel = None
         self.changes.forbid_all()
         for kind, kept in self._before.items():
             for entity in set(getattr(self, kind)) - kept:

@@ -130,7 +130,7 @@ class FollowJointTrajectoryAction:
         """Check a goal."""
         with self._checking:
             missing = "" if self._simulation_there() else "there is no simulation; accepted: once there is one"
-            self._checked = self._loop.receive_goal(message, _ENDS if self._ending else missing)
+            self._checked = self._loop.receive(message.trajectory, message, _ENDS if self._ending else missing)
         return GoalResponse.REJECT if self._checked is None else GoalResponse.ACCEPT
 
     def _on_accepted(self, handle: ServerGoalHandle) -> None:

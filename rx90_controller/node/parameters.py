@@ -40,16 +40,12 @@ _OF_JOINTS: Final = "; six values, one for each motor, seen from its joint"
 _CHANGEABLE: Final = ("servo", "feed_forward", "supervision")
 
 
-def declare_horizon(node: Node) -> float:
-    """Declare, unless it is, and return how far ahead a trajectory may start, s."""
+def declare_own(node: Node) -> tuple[float, int]:
+    """Declare, unless they are, how far ahead a trajectory may start, s, and the decimation of DETAILS; return both."""
     about = "how far ahead of the controller's own time the stamp of a trajectory may lie, s"
-    return declare(node, "start_horizon", 60.0, about, low=0.0, high=1e6)
-
-
-def declare_decimation(node: Node) -> int:
-    """Declare, unless it is, and return how many position ticks there are for each message of DETAILS."""
+    horizon = declare(node, "start_horizon", 60.0, about, low=0.0, high=1e6)
     about = f"position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}"
-    return declare(node, "detail_decimation", DETAIL_DECIMATION, about, low=1, high=1_000_000)
+    return horizon, declare(node, "detail_decimation", DETAIL_DECIMATION, about, low=1, high=1_000_000)
 
 
 @dataclass(frozen=True)

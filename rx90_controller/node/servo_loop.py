@@ -13,14 +13,14 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.motor_messages import MotorStates
 from rx90_common.exchange.topics import OF_ACTION
 from rx90_controller.law.cs7b import CS7B, DriveFault
 from rx90_controller.trajectory.generator import PastError, Schedule, points_left
@@ -36,6 +36,22 @@ from rx90_controller.trajectory.request import (
 
 INACTIVE: Final = "the controller is inactive; accepted: in state active"
 _ATTEMPTS = 3  # to join a long trajectory beside the ticks, each with more time than the one before
+
+
+class MotorStates(NamedTuple):
+    """The motor states of one tick; the arrays are valid until the next ones have been decoded.
+
+    Attributes:
+        stamp_ns: sample time, ns.
+        position: rad, shape (n,).
+        velocity: rad/s, shape (n,).
+        torque: reported by the drives, Nm, shape (n,), if it is.
+    """
+
+    stamp_ns: int
+    position: Array
+    velocity: Array
+    torque: Array | None = None
 
 
 class Outputs(Protocol):
@@ -67,7 +83,7 @@ class Outputs(Protocol):
 
 
 class ServoLoop:
-    """Runs the CS7B as `ServoLoops` says; requests and switches may come from another thread, between ticks.
+    """Runs the CS7B tick by tick; requests and switches may come from another thread, between ticks.
 
     Args:
         cs7b: the control law, warmed up.
@@ -232,40 +248,33 @@ class ServoLoop:
 
     # Requests, from the executor's thread.
 
-    def receive(self, message: Any) -> None:
-        """Follow a trajectory_msgs/JointTrajectory of the topic; the log says if not. One without points is a stop."""
-        try:
-            with self._lock:
-                if self.running and self.inactive:
-                    raise TrajectoryError(self.inactive)
-            request = self._checked(message)
-        except TrajectoryError as error:
-            with self._lock:
-                self._refused("trajectory", error)
-        else:
-            self.offer(request)
+    def receive(self, message: Any, goal: Any = None, missing: str = "") -> TrajectoryRequest | None:
+        """Return a trajectory, checked by itself, or None if it is refused: the log says why.
 
-    def receive_goal(self, goal: Any, missing: str = "") -> TrajectoryRequest | None:
-        """Return a goal of FollowJointTrajectory, checked wherever the arm is; None if it is refused: the log says why.
+        What takes long is not done between ticks. A trajectory of the topic is followed at once; a goal is left to
+        `offer`, and must have points that still lie ahead.
 
-        `missing` is why no goal can be followed now, beside `inactive`.
+        Args:
+            message: trajectory_msgs/JointTrajectory; of the topic, one without points is a stop.
+            goal: the goal of FollowJointTrajectory that it is of.
+            missing: why no goal can be followed now, beside `inactive`.
         """
+        kind = "trajectory" if goal is None else "goal"
         try:
-            request = self._checked(goal.trajectory, goal)
+            request = check_request(message, self.tolerances, self.options, self._cs7b.rates.position_hz, goal)
             with self._lock:
-                if self.inactive or missing:
+                if (self.running or goal is not None) and (self.inactive or missing):
                     raise TrajectoryError(self.inactive or missing)
-                assert request.points is not None
-                points_left(request.points, self._cs7b.position_tick, request.start, self._period)
+                if goal is not None:
+                    assert request.points is not None
+                    points_left(request.points, self._cs7b.position_tick, request.start, self._period)
         except TrajectoryError as error:
             with self._lock:
-                self._refused("goal", error)
+                self._refused(kind, error)
             return None
+        if goal is None:
+            self.offer(request)
         return request
-
-    def _checked(self, message: Any, goal: Any = None) -> TrajectoryRequest:
-        """Return a trajectory, of the topic or of a goal, checked by itself; may take long, so not between ticks."""
-        return check_request(message, self.tolerances, self.options, self._cs7b.rates.position_hz, goal)
 
     def offer(self, request: TrajectoryRequest) -> None:
         """Follow a request, at the latest once there are states, or refuse it.

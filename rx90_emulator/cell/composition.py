@@ -14,8 +14,8 @@ from itertools import pairwise
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 from rx90_common.exchange import node_tools
+from rx90_common.exchange.channel import LocalLink
 from rx90_common.exchange.lifecycle import Managed, started
-from rx90_common.exchange.local_link import LocalLink
 from rx90_common.exchange.node_tools import TickingNode
 from rx90_common.exchange.topics import MOTOR_STATES
 from rx90_controller.node.controller_node import ControllerNode

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -14,7 +13,7 @@ from std_srvs.srv import SetBool, Trigger
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.channel import Channel, Ends, MakeChannel
+from rx90_common.exchange.channel import Channel, MakeChannel
 from rx90_common.exchange.endpoints import LATCHED_QOS, REQUEST_QOS
 from rx90_common.exchange.lifecycle import ManagedNode, started
 from rx90_common.exchange.node_tools import Diagnostics
@@ -47,8 +46,7 @@ class Simulation:
     """
 
     def __init__(self, make_channel: MakeChannel = Channel, own_args: Sequence[str] = ()) -> None:
-        self.node = ManagedNode("rx90_sim", own_args, self)
-        self._ends = Ends(make_channel)
+        self.node = ManagedNode("rx90_sim", own_args, self, make_channel)
         self._arm: SimulatedArm | None = None
         self._follow: Callable[[TimeMode | None], None] = lambda _: None
         self._also_listening: Callable[[], Sequence[Publisher]] = tuple
@@ -73,7 +71,7 @@ class Simulation:
             Rx90Error: for files and parameters that are refused, and a second simulation.
         """
         parameters, files = read_parameters(self.node), self.node.declare_robot_files(*FILE_PARAMETERS)
-        self._arm = arm = SimulatedArm(self.node, files, parameters, self._ends.make)
+        self._arm = arm = SimulatedArm(self.node, files, parameters)
         arm.ticks.listeners.others = self._also_listening
         self._allow("real_time_factor", arm.check_pace, arm.ticks.pacer.change)
         self._allow("command_timeout", float, arm.ticks.held.wait_for)
@@ -105,7 +103,6 @@ class Simulation:
         self.node.ticking.finish()
         self._follow(None)
         self._arm = None
-        self._ends.close()
 
     def tick_loop(self) -> None:
         """Run ticks until the end of the run or `stop`.
@@ -127,7 +124,6 @@ class SimulatedArm:
         node: owner of topics and services.
         files: the robot's.
         parameters: of the node.
-        make_channel: makes the exchange with the controller.
 
     Attributes:
         ticks: for the ticking thread.
@@ -137,14 +133,12 @@ class SimulatedArm:
         Rx90Error: for files and parameters that are refused, and a second simulation.
     """
 
-    def __init__(
-        self, node: Node, files: RobotFiles, parameters: SimulationParameters, make_channel: MakeChannel
-    ) -> None:
+    def __init__(self, node: ManagedNode, files: RobotFiles, parameters: SimulationParameters) -> None:
         self._node, self._parameters = node, parameters
         robot, self._plant = build_plant(node, files, parameters)
         self._warm = False
         self._robot_name = plain(robot.model.name)
-        self.ticks = Ticks(node, robot, self._plant, parameters, make_channel)
+        self.ticks = Ticks(node, robot, self._plant, parameters)
         self._description = node.create_publisher(String, "robot_description", LATCHED_QOS.profile)
         self._description.publish(String(data=robot.urdf))
         self._mode = node.create_publisher(String, TIME_MODE, LATCHED_QOS.profile)

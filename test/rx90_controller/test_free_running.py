@@ -11,9 +11,9 @@ import pytest
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
-from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
 from rx90_common.exchange.pacing import Pacer
 from rx90_controller.node import serving
+from rx90_controller.node.servo_loop import MotorStates
 
 RATES = Rates(1000, 1000)
 TICK = RATES.period
@@ -78,12 +78,9 @@ class Loops:
         self.answered: list[tuple[int, int]] = []  # own tick, that of the states
         self.prepared = 0
         self.command = np.zeros(1)
+        link = serving.SimulationLink(simulation, ["a"], RATES, self.command, self.said.append, self.refused.append)
         self.side = serving.FreeRunningController(
-            simulation,
-            MotorMessages("/motor_states", ["a"], RATES, self.command, self.refused.append),
-            self,
-            Pacer(TICK, 1.0, lambda: simulation.now, simulation.sleep),
-            self.said.append,
+            link, self, Pacer(TICK, 1.0, lambda: simulation.now, simulation.sleep)
         )
 
     def begin(self) -> None:

@@ -102,9 +102,9 @@ def _control(listeners: int) -> None:
 
     from rx90_common.exchange.channel import Channel
     from rx90_common.exchange.endpoints import TICK_QOS, wait_until_matched
-    from rx90_common.exchange.lockstep import LockstepController
-    from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
     from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
+    from rx90_controller.node.serving import LockstepController, SimulationLink
+    from rx90_controller.node.servo_loop import MotorStates
 
     node = rclpy.create_node("controller")
     channel = Channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
@@ -128,8 +128,7 @@ def _control(listeners: int) -> None:
             pass
 
     loops = Loops()
-    messages = MotorMessages(channel.subscribe_topic, ["a"], Rates(), loops.command, say)
-    lockstep = LockstepController(channel, messages, loops, say)
+    lockstep = LockstepController(SimulationLink(channel, ["a"], Rates(), loops.command, say, say), loops)
     say("controller up")
     while True:
         lockstep.serve(0.2)

@@ -12,8 +12,7 @@ from joint_moves import HOME, NAMES, PERIOD, ZERO
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.rates import Rates
-from rx90_common.exchange.motor_messages import MotorStates
-from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.node.servo_loop import MotorStates, ServoLoop
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 from rx90_controller.trajectory.request import (
     Feedback,

@@ -15,7 +15,8 @@ from rx90_common.base.stamps import cdr_stamp_ns
 from rx90_common.exchange import lockstep
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
-from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
+from rx90_controller.node.serving import LockstepController, SimulationLink
+from rx90_controller.node.servo_loop import MotorStates
 
 PERIOD = 250_000
 CODEC = JointStateCodec(["a"])
@@ -97,8 +98,8 @@ class Controller:
         self.prepared = 0
         self.channel = channel
         self.command = np.zeros(1)
-        self.messages = MotorMessages("/other", ["a"], Rates(), self.command, self.refused.append)
-        self.side = lockstep.LockstepController(channel, self.messages, self, self.said.append)
+        self.link = SimulationLink(channel, ["a"], Rates(), self.command, self.said.append, self.refused.append)
+        self.side = LockstepController(self.link, self)
 
     def begin(self) -> None:
         """Count the preparations."""
@@ -169,7 +170,7 @@ def test_another_tick_is_refused(channel: FakeChannel) -> None:
 def test_foreign_states_at_another_pace_do_not_end_a_controller_that_knows_the_rates(channel: FakeChannel) -> None:
     """The loops begin anew with each of them, and with the simulation's own that follow."""
     controller = Controller(channel)
-    controller.messages.same_rates = True
+    controller.link.same_rates = True
     controller.hear(message(0), message(1), *(message(4000 * k) for k in range(1, 6)), message(2), message(3))
     assert controller.answered == [0, 1, 4000, 8000, 12000, 16000, 20000, 2, 3]
     assert controller.begun == [0, 4000, 8000, 12000, 16000, 20000, 2]
@@ -354,6 +355,6 @@ def test_a_stamp_between_two_ticks_is_refused(channel: FakeChannel) -> None:
     controller = Controller(channel)
     with pytest.raises(ExchangeError, match=r"/other: the stamp is 250007 ns; accepted: multiples of 250000 ns"):
         controller.hear(message(0), odd)
-    controller.messages.same_rates = True
+    controller.link.same_rates = True
     controller.hear(odd, message(1))
     assert controller.answered == [0, 1]

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from benchmarks.command_delay import HOME, Loop, constant, in_turns, motion, run, spectral_radius
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
-from rx90_common.exchange.lockstep import LockstepController
-from rx90_common.exchange.motor_messages import MotorMessages
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.topics import MOTOR_NAMES
 from rx90_controller.node import serving
@@ -71,11 +69,11 @@ class Nodes:
         )
         self.loop = ServoLoop(cs7b, outputs, horizon=60.0)
         self.cs7b = cs7b
-        messages = MotorMessages("/motor_states", MOTOR_NAMES, rates, cs7b.command, self.said.append)
-        messages.same_rates = True
+        link = serving.SimulationLink(theirs, MOTOR_NAMES, rates, cs7b.command, self.said.append, self.said.append)
+        link.same_rates = True
         pacer = Pacer(rates.period, 1.0, lambda: 0.0, lambda _: None)
-        self.controller = serving.FreeRunningController(theirs, messages, self.loop, pacer, self.said.append)
-        lockstep = LockstepController(theirs, messages, self.loop, self.said.append)
+        self.controller = serving.FreeRunningController(link, self.loop, pacer)
+        lockstep = serving.LockstepController(link, self.loop)
         self._modes = {"serving": self.controller.serve, "lock_step": lambda: lockstep.serve(0.0)}
         ours.serve = self.controller.serve
         self.setup = setup
