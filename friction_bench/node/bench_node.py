@@ -24,8 +24,8 @@ from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.exchange.endpoints import REQUEST_QOS, publish, ros_time
-from rx90_common.exchange.node_tools import Diagnostics
-from rx90_common.exchange.node_tools import spin as spin_node
+from rx90_common.exchange.lifecycle import Diagnostics
+from rx90_common.exchange.lifecycle import spin as spin_node
 from rx90_common.exchange.parameters import declare
 
 JOINT = "rig_motor"

@@ -21,7 +21,7 @@ from rx90_common.base.quoting import one_line, plain
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange import node_tools
+from rx90_common.exchange import lifecycle
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Channel, MakeChannel
 from rx90_common.exchange.endpoints import (
@@ -35,8 +35,7 @@ from rx90_common.exchange.endpoints import (
     wait_until_matched,
     wait_until_received,
 )
-from rx90_common.exchange.lifecycle import ManagedNode, started
-from rx90_common.exchange.node_tools import Diagnostics
+from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
 from rx90_common.exchange.pacing import Pacer, ThrottledLog
 from rx90_common.exchange.parameters import declare_rates
 from rx90_common.exchange.ros_start import missing_control_msgs
@@ -65,7 +64,7 @@ from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
 from rx90_controller.trajectory.points import check_trajectory_bytes
 
 if TYPE_CHECKING:
-    from rx90_controller.node.client_interfaces import ControllerState, FollowJointTrajectoryAction
+    from rx90_controller.node.client_interfaces import ClientInterfaces
 
 _TRAJECTORY = "~/joint_trajectory"
 _MATCH_ATTEMPTS = 100  # of 50 ms
@@ -87,7 +86,7 @@ class Control:
         loop: follows trajectories.
         serving: runs it tick by tick.
         publishers: of all that the ticking thread sends.
-        action: where control_msgs is there.
+        clients: where control_msgs is there.
         ready: the line that says that the first states have come.
     """
 
@@ -112,10 +111,6 @@ class Control:
             f"ready: {name}, velocity loops at {rates.base_hz} Hz, position loops at {rates.position_hz} Hz, states on "
             f"{channel.subscribe_topic}, trajectories on {node.resolve_topic_name(_TRAJECTORY)}"
         )
-        interfaces = import_client_interfaces(node)
-        self._state: ControllerState | None = None
-        if interfaces is not None:
-            self._state = interfaces.ControllerState(node, cs7b, goals.state_ticks)
 
         def topic(name: str) -> Publisher:
             return publish(node, JointState, f"~/{name}", STATE_QOS.profile)
@@ -130,13 +125,6 @@ class Control:
         self._details = [(topic(each), names.encoder(effort=values)) for each, names, values in details]
         self._detail_ns = tick_ns * decimation
         self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS.profile)
-        self.publishers: tuple[Publisher, ...] = (
-            *(row[0] for row in self._every_tick),
-            *(row[0] for row in self._details),
-            self._accepted,
-            *([] if self._state is None else [self._state.publisher]),
-            channel.publisher,
-        )
         self.loop = loop = ServoLoop(cs7b, self, horizon, goals.monitor_ticks)
         loop.active = loop.enabled = False
         law.change_with(loop.change_law)
@@ -152,9 +140,17 @@ class Control:
         qos = TRAJECTORY_QOS.profile
         subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, qos, check_trajectory_bytes)
         node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS.profile)
-        self.action: FollowJointTrajectoryAction | None = None
+        interfaces = import_client_interfaces(node)
+        self.clients: ClientInterfaces | None = None
         if interfaces is not None:
-            self.action = interfaces.serve_clients(node, loop, cs7b, lambda: channel.matches().publishers > 0)
+            self.clients = interfaces.ClientInterfaces(node, loop, cs7b, goals.state_ticks, channel)
+        self.publishers: tuple[Publisher, ...] = (
+            *(row[0] for row in self._every_tick),
+            *(row[0] for row in self._details),
+            self._accepted,
+            *([] if self.clients is None else [self.clients.publisher]),
+            channel.publisher,
+        )
         allow_goal_changes(node, cs7b, loop)
         self._reported = (0, time.monotonic())  # tick and time of the last status
         self._diagnostics = Diagnostics(node, self._status)
@@ -186,8 +182,8 @@ class Control:
             for publisher, encode in self._details:
                 if publisher.get_subscription_count():
                     publisher.publish(encode(stamp_ns))
-        if self._state is not None and stamp_ns % self._state.period_ns == 0:
-            self._state.publish(stamp_ns)
+        if self.clients is not None:
+            self.clients.publish_state(stamp_ns)
 
     # Any thread.
 
@@ -328,8 +324,8 @@ class ControllerNode:
         self.node.ticking.finish()
         with self._answering:
             control, self._control = self._control, None
-        if control is not None and control.action is not None:
-            control.action.close()
+        if control is not None and control.clients is not None:
+            control.clients.close()
         forget_law_parameters(self.node)
 
     # A simulation in this process.
@@ -369,8 +365,8 @@ class ControllerNode:
         """End `tick_loop` soon, and send what there is to say."""
         self.node.ticking.stop()
         if self._control is not None:
-            if self._control.action is not None:
-                self._control.action.end()
+            if self._control.clients is not None:
+                self._control.clients.end()
             self._control.loop.report()
 
 
@@ -380,4 +376,4 @@ def spin(args: Sequence[str]) -> None:
     Raises:
         Rx90Error: for parameters that are refused, or a simulation that does not fit.
     """
-    node_tools.spin(lambda: started([ControllerNode()]), args)
+    lifecycle.spin(lambda: started([ControllerNode()]), args)

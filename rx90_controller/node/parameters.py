@@ -25,7 +25,7 @@ from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CONTROLLER, CS7BParameters, read_controller
 from rx90_controller.node.servo_loop import ServoLoop
-from rx90_controller.trajectory.request import GoalOptions, GoalTolerances
+from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, constraint_parameters
 
 FILE_PARAMETERS: Final = ("urdf", "drives", "controller")
 """Files of the robot that the node can be given."""
@@ -75,18 +75,13 @@ def has_no_use(name: str) -> bool:
 
 
 def _take_out(node: Node, names: Sequence[str]) -> tuple[str, ...]:
-    """Take what has no use out of the parameters that were given to a node; return their names.
-
-    Raises:
-        ConfigError: for joints of another arm.
-    """
+    """Take what has no use out of the parameters given to a node, and return it; refuse joints of another arm."""
     given = node._parameter_overrides
-    found = sorted(filter(has_no_use, given))
-    for name in found:
-        value = given.pop(name).value
-        if name == "joints" and not (isinstance(value, Sequence) and sorted(map(str, value)) == sorted(names)):
-            raise ConfigError(f"parameter joints is {quoted(value)}; accepted: {', '.join(names)}, in any order")
-    return tuple(name for name in found if name != "joints")
+    found = {name: given.pop(name).value for name in sorted(given) if has_no_use(name)}
+    joints = found.pop("joints", names)
+    if not (isinstance(joints, Sequence) and sorted(map(str, joints)) == sorted(names)):
+        raise ConfigError(f"parameter joints is {quoted(joints)}; accepted: {', '.join(names)}, in any order")
+    return tuple(found)
 
 
 def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> GoalParameters:
@@ -104,7 +99,7 @@ def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> G
 
     tolerances = {
         name: declare(node, name, default, about, low=0.0, high=_LARGEST)
-        for name, (default, about) in _constraints(names).items()
+        for name, (default, about) in constraint_parameters(names).items()
     }
     options = {
         option.name: declare(node, option.name, False, option.metadata["about"]) for option in fields(GoalOptions)
@@ -139,22 +134,7 @@ def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:
     options = tuple(option.name for option in fields(GoalOptions))
     node.changes.allow(ChangeGroup(options, lambda values: GoalOptions(**values), setter("options")))
     tolerances = partial(GoalTolerances.of_parameters, names)
-    node.changes.allow(ChangeGroup(tuple(_constraints(names)), tolerances, setter("tolerances")))
-
-
-def _constraints(names: Sequence[str]) -> dict[str, tuple[float, str]]:
-    """Return the parameters of tolerances, with their defaults and what they mean."""
-    limits = {
-        "constraints.goal_time": (0.0, "how long after its end a motion may take to be at its goal, s; 0: for ever"),
-        "constraints.stopped_velocity_tolerance": (
-            0.01,
-            "velocity that a joint may have at the goal, rad/s; 0: any",
-        ),
-    }
-    for name in names:
-        limits[f"constraints.{name}.trajectory"] = (0.0, f"how far {name} may be off the path, rad; 0: any")
-        limits[f"constraints.{name}.goal"] = (0.0, f"how far {name} may be off at the goal, rad; 0: any")
-    return limits
+    node.changes.allow(ChangeGroup(tuple(constraint_parameters(names)), tolerances, setter("tolerances")))
 
 
 LAW_ENTRIES: Final = {

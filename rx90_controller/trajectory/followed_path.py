@@ -24,24 +24,13 @@ _SLACK = 1e-3  # of the limit, as accelerations between two set-points of a path
 _KEPT = 64  # changes of the rate that questions about the past may go back to
 
 
-class PathTime:
-    """Time and rate on a path from a tick on: the rate goes to a wanted one and stays there.
+class _Law:
+    """Time and rate on a path from a tick on: the rate goes to a wanted one, within accelerations, and stays there."""
 
-    Args:
-        spline: the path; its set-points at full speed keep to the accelerations.
-        limit: accelerations of the joints, rad/s^2, shape (6,).
-        period: of the position loop, s.
-        tick: first position tick.
-        time: on the path at this tick, s.
-        rate: of that time.
-        wanted: the rate that it goes to, in [0, 1].
-    """
-
-    def __init__(
-        self, spline: Spline, limit: Array, period: float, *, tick: int, time: float, rate: float, wanted: float
-    ) -> None:
+    def __init__(self, motion: FollowedPath, tick: int, time: float, rate: float, wanted: float) -> None:
         self.tick = tick
-        self._spline, self._limit, self._period, self._wanted = spline, limit, period, wanted
+        self._spline, self._limit, self._period = motion.path.spline, motion.limit, motion.period
+        self._wanted = wanted
         self._series = np.array([[time], [rate]])  # at its ticks
         self._settled = rate == wanted
 
@@ -57,7 +46,7 @@ class PathTime:
         return times[row] + ahead * (rates[row] + 0.5 * ahead * change), rates[row] + ahead * change, change
 
     def point(self, tick: int) -> tuple[float, float]:
-        """Return time, s, and rate at a tick, as `at`, in a fraction of its time."""
+        """Return time, s, and rate at a tick, faster than `at`."""
         since = tick - self.tick
         self._extend(since + 1)
         row = min(since, self._series.shape[1] - 1)
@@ -147,7 +136,7 @@ class Path(NamedTuple):
     """A spline, and the part of it that the trajectory taken last has.
 
     Attributes:
-        spline: set-points at full speed.
+        spline: set-points at full speed, which keep to the accelerations.
         begin: time at which that trajectory begins, s.
         last: time of its last point, s.
         stop: whether it is a stop.
@@ -167,6 +156,7 @@ class FollowedPath:
         start: the tick.
         path: from time 0 on.
         period: of the position loop, s.
+        limit: accelerations of the joints, rad/s^2, shape (6,).
         fixed: whether it runs at full speed whatever the scaling is, as stops do.
         announced: whether its end has been announced.
         laws: how the time on the path runs, each from its tick on; at full speed before the first.
@@ -177,9 +167,10 @@ class FollowedPath:
     start: int
     path: Path
     period: float
+    limit: Array
     fixed: bool = False
     announced: bool = False
-    laws: list[PathTime] = field(default_factory=list)
+    laws: list[_Law] = field(default_factory=list)
     before: Path | None = None
     oldest: int | None = None
 
@@ -233,16 +224,9 @@ class FollowedPath:
         """Return whether it has come to its end by a tick."""
         return not self.runs(tick) if self.laws else tick >= self.end
 
-    def halted(self, tick: int, limit: Array, most: int) -> Spline | None:
-        """Return the motion that comes to rest on the path from a tick on; None if that takes more than `most` ticks.
-
-        Args:
-            tick: at which it begins.
-            limit: accelerations of the joints, rad/s^2, shape (6,).
-            most: ticks that it may take.
-        """
-        time, rate = self.at(tick)
-        law = PathTime(self.path.spline, limit, self.period, tick=tick, time=time, rate=rate, wanted=0.0)
+    def halted(self, tick: int, most: int) -> Spline | None:
+        """Return the motion to rest on the path from a tick on; None if that takes more than `most` ticks."""
+        law = _Law(self, tick, *self.at(tick), 0.0)
         count = law.settles(most) if self.runs(tick) else 0
         if count is None:
             return None
@@ -268,23 +252,14 @@ class FollowedPath:
         for law in self.laws:
             law.tick += count
 
-    def go_at(self, wanted: float, limit: Array, tick: int, rate: float | None = None) -> None:
-        """Let the rate go to a wanted one from a tick on, within accelerations, rad/s^2, shape (6,).
-
-        Args:
-            wanted: the rate to go to.
-            limit: the accelerations.
-            tick: at which the rate begins to change; its start if that is later.
-            rate: at this tick; None for what it is there by now.
-        """
+    def go_at(self, wanted: float, tick: int, rate: float | None = None) -> None:
+        """Let the rate go from `rate`, None for the present one, to a wanted one from a tick, or its start, on."""
         begin = max(tick, self.start)
         time, present = self.at(begin)
         rate = present if rate is None else rate
         self.laws = [law for law in self.laws if law.tick < begin]
         if self.laws or not rate == wanted == 1.0:
-            self.laws.append(
-                PathTime(self.path.spline, limit, self.period, tick=begin, time=time, rate=rate, wanted=wanted)
-            )
+            self.laws.append(_Law(self, begin, time, rate, wanted))
         if len(self.laws) > _KEPT:
             self.oldest = self.laws[1].tick
             del self.laws[0]

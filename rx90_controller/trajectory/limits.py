@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, TrajectoryError
 from rx90_controller.trajectory.points import TrajectoryPoints
-from rx90_controller.trajectory.spline import Bounds, Spline
+from rx90_controller.trajectory.spline import Spline
 
 # A spline that should run exactly at a limit, or end on it, may miss it by rounding.
 _SLACK = 1e-9
@@ -149,7 +149,7 @@ class JointLimits:
         Raises:
             TrajectoryError: naming joint, point, time, amount and limit.
         """
-        if not allowed.any() and self._surely_kept(spline, points):
+        if not allowed.any() and self._surely_kept(spline):
             return
         last = int(np.ceil(spline.duration / period - 1e-6))
         for first in range(0, last, _CHECKED_AT_ONCE):
@@ -169,22 +169,10 @@ class JointLimits:
             allowed = reach[-1]
         self._check_between(spline, points)
 
-    def _surely_kept(self, spline: Spline, points: TrajectoryPoints) -> bool:
-        """Return whether bounds show that a spline is within the limits.
-
-        With a whole spline within the accelerations, its set-points are too, and the steps between them.
-        """
-        coefficients, span, bounds = spline.coefficients, np.diff(spline.times), []
-        if points.way is not None and len(span) == len(points.way.coefficients) + 1:
-            # Left is what leads to the first point.
-            coefficients, span, bounds = coefficients[:1], span[:1], [points.way.bounds]
-        bounds.append(Bounds.of(coefficients, span))
-        quantities = self._quantities(self.lower, self.upper)
-        return all(
-            quantity.first_outside(extremes) is None
-            for each in bounds
-            for quantity, extremes in zip(quantities, np.stack(each, axis=1), strict=True)
-        )
+    def _surely_kept(self, spline: Spline) -> bool:
+        """Return whether bounds of the spline, and so its set-points and the steps between them, are within limits."""
+        quantities, extremes = self._quantities(self.lower, self.upper), np.stack(spline.bounds(), axis=1)
+        return all(each.first_outside(pair) is None for each, pair in zip(quantities, extremes, strict=True))
 
     def _of_setpoints(
         self, setpoints: Array, times: Array, knots: Array, reach: Array

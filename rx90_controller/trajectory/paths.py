@@ -43,10 +43,7 @@ def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Splin
         return _by_degrees(times, (position, velocity, acceleration), degrees, limits, points.first - later)
     if points.smooth:
         return smooth(times, position, velocity)
-    if points.way is None or not later:
-        return interpolate(times, position, velocity, acceleration)
-    head = interpolate(times[:2], position[:2], velocity[:2], None if acceleration is None else acceleration[:2])
-    return Spline(times, np.concatenate([head.coefficients, points.way.coefficients]), position[-1].copy())
+    return interpolate(times, position, velocity, acceleration)
 
 
 def _by_degrees(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import comb
-from typing import NamedTuple
 
 import numpy as np
 
@@ -39,22 +38,14 @@ class Spline:
         sample_spline(self.times, self.coefficients, self.final, times, setpoints)
         return setpoints
 
-
-class Bounds(NamedTuple):
-    """What positions rad, velocities rad/s and accelerations rad/s^2 lie between, shape (3, 6) each."""
-
-    low: Array
-    high: Array
-
-    @classmethod
-    def of(cls, coefficients: Array, span: Array) -> Bounds:
-        """Return bounds of pieces, shape (n, 6 powers, 6 joints), over spans, s, shape (n,); infinite for no numbers.
+    def bounds(self) -> tuple[Array, Array]:
+        """Return what positions, velocities and accelerations lie between, shape (3, 6) each; infinite for no numbers.
 
         Between its ends a polynomial lies within its control points as a Bezier curve (Farin 2002, chapter 5).
         """
-        bounds = cls(np.full((3, 6), np.inf), np.full((3, 6), -np.inf))
-        _control_points(coefficients, span, *bounds)
-        return bounds
+        low, high = np.full((3, 6), np.inf), np.full((3, 6), -np.inf)
+        _control_points(self.coefficients, np.diff(self.times), low, high)
+        return low, high
 
 
 @kernel

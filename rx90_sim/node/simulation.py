@@ -15,9 +15,8 @@ from rx90_common.base.quoting import plain
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.channel import Channel, MakeChannel
 from rx90_common.exchange.endpoints import LATCHED_QOS, REQUEST_QOS
-from rx90_common.exchange.lifecycle import ManagedNode, started
-from rx90_common.exchange.node_tools import Diagnostics
-from rx90_common.exchange.node_tools import spin as spin_nodes
+from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
+from rx90_common.exchange.lifecycle import spin as spin_nodes
 from rx90_common.exchange.pacing import check_factor
 from rx90_common.exchange.parameters import ChangeGroup, Effective
 from rx90_common.exchange.topics import LOCK_STEP, MOTOR_STATES, SEED, TEMPERATURE_RATE, TIME_MODE, TimeMode

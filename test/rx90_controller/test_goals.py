@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from goal_arm import Arm, checked, message, stamp, tolerance, two
+from goal_arm import Arm, GoalError, checked, message, stamp, tolerance, two
 from joint_moves import HOME, NAMES, PERIOD, ZERO
 
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.request import (
-    GoalError,
     GoalOptions,
     GoalTolerances,
     ResultCode,
@@ -20,58 +19,50 @@ from rx90_controller.trajectory.request import (
     check_request,
 )
 
-REFUSED: dict[str, tuple[dict[str, Any], ResultCode, str]] = {
-    "no joints": ({"joint_names": []}, ResultCode.INVALID_JOINTS, "'joint_1' is missing; accepted: all of joint_1"),
-    "wrong joints": ({"joint_names": ["a", *NAMES[1:]]}, ResultCode.INVALID_JOINTS, "unknown joint 'a'; accepted:"),
-    "repeated": ({"joint_names": [*NAMES[:5], "joint_1"]}, ResultCode.INVALID_JOINTS, "'joint_1' stands 2 times"),
-    "no points": ({"points": []}, ResultCode.INVALID_GOAL, "no points; accepted: at least one"),
-    "end velocity": ({"velocities": [0, 0.1, 0, 0, 0, 0]}, ResultCode.INVALID_GOAL, "joint_2 ends at 0.1 rad/s"),
-    "falling times": ({"points": two(1.0, 0.5)}, ResultCode.INVALID_GOAL, "point 1: time_from_start 0.5 s after 1 s"),
-    "effort": ({"effort": [1.0] * 6}, ResultCode.INVALID_GOAL, "point 0: carries effort; accepted:"),
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "no joints": ({"joint_names": []}, "'joint_1' is missing; accepted: all of joint_1"),
+    "wrong joints": ({"joint_names": ["a", *NAMES[1:]]}, "unknown joint 'a'; accepted:"),
+    "repeated": ({"joint_names": [*NAMES[:5], "joint_1"]}, "'joint_1' stands 2 times"),
+    "no points": ({"points": []}, "no points; accepted: at least one"),
+    "end velocity": ({"velocities": [0, 0.1, 0, 0, 0, 0]}, "joint_2 ends at 0.1 rad/s"),
+    "falling times": ({"points": two(1.0, 0.5)}, "point 1: time_from_start 0.5 s after 1 s"),
+    "effort": ({"effort": [1.0] * 6}, "point 0: carries effort; accepted:"),
     "more than joints": (
         {"multi_dof_trajectory": SimpleNamespace(joint_names=["base"], points=[])},
-        ResultCode.INVALID_GOAL,
         "multi_dof_trajectory is given; accepted: an empty one",
     ),
     "components": (
         {"component_path_tolerance": [SimpleNamespace()]},
-        ResultCode.INVALID_GOAL,
         "component_path_tolerance of 1 joints; accepted: none",
     ),
     "tolerance of an unknown joint": (
         {"path_tolerance": [tolerance("elbow", 0.1)]},
-        ResultCode.INVALID_JOINTS,
         "path_tolerance: joint 'elbow' is unknown; accepted: joint_1",
     ),
     "tolerance twice": (
         {"goal_tolerance": [tolerance("joint_1", 0.1)] * 2},
-        ResultCode.INVALID_JOINTS,
         "goal_tolerance: joint 'joint_1' stands twice; accepted:",
     ),
     "negative tolerance": (
         {"goal_tolerance": [tolerance("joint_1", 0.1, -0.5)]},
-        ResultCode.INVALID_GOAL,
         "goal_tolerance: velocity of joint_1 is -0.5 rad/s; accepted: a finite number > 0, 0 for the default, -1 for",
     ),
     "infinite tolerance": (
         {"path_tolerance": [tolerance("joint_1", 0.1, 0.0, np.inf)]},
-        ResultCode.INVALID_GOAL,
         "path_tolerance: acceleration of joint_1 is inf rad/s^2; accepted: a finite",
     ),
     "negative goal time": (
         {"goal_time_tolerance": stamp(-0.5)},
-        ResultCode.INVALID_GOAL,
         "goal_time_tolerance is -0.5 s; accepted: a finite number > 0",
     ),
 }
 
 
-@pytest.mark.parametrize(("changed", "code", "words"), REFUSED.values(), ids=REFUSED)
-def test_a_bad_goal_is_refused_with_its_code(changed: dict[str, Any], code: ResultCode, words: str) -> None:
-    """Each fault of a goal gives the code of the action and one line with the value and what is accepted."""
-    with pytest.raises(GoalError) as caught:
+@pytest.mark.parametrize(("changed", "words"), REFUSED.values(), ids=REFUSED)
+def test_a_bad_goal_is_refused(changed: dict[str, Any], words: str) -> None:
+    """Each fault of a goal gives one line with the value and what is accepted."""
+    with pytest.raises(TrajectoryError) as caught:
         checked(message(**changed))
-    assert caught.value.code is code
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -85,9 +76,9 @@ def test_options_take_what_is_refused_without_them() -> None:
     assert points.position[0, [1, 3]].tolist() == [0.2, 0.4]
     assert points.velocity[0, [1, 3]].tolist() == [0.0, 0.5]
     for missing in allowed:
-        with pytest.raises(GoalError):
+        with pytest.raises(TrajectoryError):
             checked(some, **{name: value for name, value in allowed.items() if name != missing})
-    with pytest.raises(GoalError, match="no joints; accepted: joint_1"):
+    with pytest.raises(TrajectoryError, match="no joints; accepted: joint_1"):
         checked(message(joint_names=[]), **allowed)
 
 
@@ -120,9 +111,6 @@ def test_defaults_are_those_of_the_original() -> None:
     assert np.all(plain.goal[[0, 2]] == np.inf)
     assert np.all(plain.goal[1] == 0.01)
     assert plain.goal_time == np.inf
-    for bad in ({"constraints.goal_time": -1.0}, {"constraints.joint_1.trajectory": np.nan}):
-        with pytest.raises(ConfigError, match=r"^constraints.* accepted: "):
-            GoalTolerances.of_parameters(NAMES, bad)
 
 
 @pytest.mark.parametrize(
@@ -227,9 +215,7 @@ def test_feedback_says_what_is_wanted_and_what_is() -> None:
     assert feedback is not None
     assert feedback.tick == 300
     assert feedback.desired[0] == pytest.approx(HOME + 0.2 * (3 * 0.25**2 - 2 * 0.25**3))
-    assert feedback.error[0] == pytest.approx(arm.off)
-    assert feedback.error[1] == pytest.approx(arm.off_speed)
-    assert feedback.actual[:2] == pytest.approx(feedback.desired[:2] - feedback.error[:2])
+    assert (feedback.desired - feedback.actual)[:2] == pytest.approx(np.array([arm.off, arm.off_speed]))
     # The measured acceleration is the difference of the velocities over a tick.
     assert feedback.actual[2] == pytest.approx(feedback.desired[2], abs=0.05)
     assert (feedback.desired_time, feedback.actual_time) == pytest.approx((0.15, 0.3))

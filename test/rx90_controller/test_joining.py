@@ -96,33 +96,13 @@ def test_points_of_the_past_are_left_out(generator: TrajectoryGenerator) -> None
     assert np.all(got[902:, 0] == way[3])
 
 
-@pytest.mark.parametrize("late", [0, 250])
-def test_points_may_be_prepared(late: int) -> None:
-    """With the way between the points computed before, set-points are the same, and so is what is refused."""
-    way, rates = [HOME + 0.02, HOME + 0.1, HOME + 0.15, HOME + 0.05], [ZERO + 0.15, ZERO + 0.2, ZERO + 0.05, ZERO]
-    plain = points([0.2, 0.6, 1.1, 1.5], way, rates)
-    got = []
-    for each in (plain, plain.prepared()):
-        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-        generator.join(each, 200, 200 - late, anywhere=False)
-        got.append(generator.setpoints(200, 1500))
-    if not late:
-        assert np.array_equal(*got)
-    assert np.abs(got[0] - got[1]).max() < 1e-9
-    for times in ([0.2, 0.6, 1.1, 1.12], [0.005, 0.6, 1.1, 1.5]):
-        bad = points(times, way, rates).prepared()
-        with pytest.raises(TrajectoryError, match=r"gets a set-point|gets an acceleration"):
-            generator.join(bad, 3000, None, anywhere=False)
-
-
 @pytest.mark.parametrize("times", [[3600.0], [1800.0, 3600.0]])
 def test_an_hour_within_the_limits_is_not_sampled(times: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
-    """What its polynomials show to be within the limits is taken at once, be it one point or more, prepared or not."""
+    """What its polynomials show to be within the limits is taken at once, be it one point or more."""
     monkeypatch.setattr(JointLimits, "_of_setpoints", lambda *_: pytest.fail("millions of set-points are looked at"))
     plain = points(times, [HOME + 0.1] * len(times), [ZERO] * len(times))
-    for each in (plain, plain.prepared()):
-        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-        assert generator.join(each, 0, None, anywhere=False).end == 3_600_000
+    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    assert generator.join(plain, 0, None, anywhere=False).end == 3_600_000
 
 
 def test_a_trajectory_that_is_all_in_the_past_is_refused(generator: TrajectoryGenerator) -> None:

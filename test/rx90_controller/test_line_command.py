@@ -291,7 +291,7 @@ def test_ctrl_c_while_waiting(start_line: Callable[..., subprocess.Popen[str]]) 
 def test_an_empty_controller_name_is_refused() -> None:
     """`--node ''` would name a topic in the root namespace, where no controller listens."""
     with pytest.raises(ConfigError, match="is empty; accepted: a name such as"):
-        TrajectoryClient(SimpleNamespace(), "")  # type: ignore[arg-type]  # refused before it is looked at
+        TrajectoryClient(SimpleNamespace(node=None), "")  # type: ignore[arg-type]  # refused before it is looked at
 
 
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))

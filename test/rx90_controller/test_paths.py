@@ -10,7 +10,7 @@ from scipy.interpolate import BPoly, CubicHermiteSpline, PPoly
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory import JointLimits
 from rx90_controller.trajectory.paths import straight
-from rx90_controller.trajectory.spline import Bounds, interpolate
+from rx90_controller.trajectory.spline import interpolate
 
 Array = NDArray[np.float64]
 TIMES = np.array([0.0, 0.13, 0.5, 0.51, 1.7, 2.0])
@@ -42,16 +42,16 @@ def test_accelerations_make_it_quintic() -> None:
 
 def test_bounds_are_the_control_points() -> None:
     """Positions, velocities and accelerations lie between the least and the most of SciPy's Bernstein coefficients."""
-    coefficients = interpolate(TIMES, POSITION, VELOCITY, ACCELERATION).coefficients
-    bounds = Bounds.of(coefficients, np.diff(TIMES))
-    curve = PPoly(np.moveaxis(coefficients[:, ::-1], 1, 0), TIMES)
+    spline = interpolate(TIMES, POSITION, VELOCITY, ACCELERATION)
+    low, high = spline.bounds()
+    curve = PPoly(np.moveaxis(spline.coefficients[:, ::-1], 1, 0), TIMES)
     for row in range(3):
         control = BPoly.from_power_basis(curve.derivative(row) if row else curve).c
         scale = np.abs(control).max()
-        assert bounds.low[row] == pytest.approx(control.min(axis=(0, 1)), abs=1e-11 * scale)
-        assert bounds.high[row] == pytest.approx(control.max(axis=(0, 1)), abs=1e-11 * scale)
-    coefficients[2, 3, 4] = np.nan
-    low, high = Bounds.of(coefficients, np.diff(TIMES))
+        assert low[row] == pytest.approx(control.min(axis=(0, 1)), abs=1e-11 * scale)
+        assert high[row] == pytest.approx(control.max(axis=(0, 1)), abs=1e-11 * scale)
+    spline.coefficients[2, 3, 4] = np.nan
+    low, high = spline.bounds()
     assert np.all(low[:, 4] == -np.inf)
     assert np.all(high[:, 4] == np.inf)
     assert np.isfinite(low[:, :4]).all()

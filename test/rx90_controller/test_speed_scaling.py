@@ -184,7 +184,7 @@ def test_what_waits_behind_a_running_one_comes_later_by_as_much(generator: Traje
     assert off_the_path(got[::17, 0], path) < 1e-6
     assert np.all(got[-1, 0] == whole[-1])
     # It begins where the other one is at 0.6 s of its own time.
-    progress = [generator.progress(tick).time for tick in range(200, 2000)]
+    progress = [generator.progress(tick)[0] for tick in range(200, 2000)]
     begin = 200 + int(np.argmax(np.array(progress) >= 0.0))
     assert begin > 950
     assert generator.setpoints(begin)[0, 0] == pytest.approx(whole[600], abs=1e-3)
@@ -192,7 +192,7 @@ def test_what_waits_behind_a_running_one_comes_later_by_as_much(generator: Traje
     generator.accept(points(np.array([0.9]), HOME[None], ZERO[None]), 300, 1300)
     third = generator.setpoints(300, 3000)
     followed_within_limits(third)
-    assert generator.progress(1300).time == pytest.approx(0.0, abs=PERIOD)
+    assert generator.progress(1300)[0] == pytest.approx(0.0, abs=PERIOD)
     assert off_the_path(third[:1000:17, 0]) < 1e-6
     assert off_the_path(third[900:1000, 0], path) > 1e-3
 
@@ -261,7 +261,7 @@ def test_the_state_is_known_for_every_time(generator: TrajectoryGenerator) -> No
     past = [CURVE(0.2505, row) for row in range(3)]
     assert generator.state(250.5) == pytest.approx(np.array(past), abs=1e-9)
     assert np.array_equal(generator.state(700), generator.setpoints(700)[0])
-    time, later = generator.progress(settled).time, settled + 300.25
+    time, later = generator.progress(settled)[0], settled + 300.25
     ahead = [0.5**row * CURVE(time + 0.5 * 0.30025, row) for row in range(3)]
     assert generator.state(later) == pytest.approx(np.array(ahead), abs=1e-9)
     assert np.all(generator.state(1e6) == [HOME, ZERO, ZERO])
