@@ -139,7 +139,7 @@ class BenchNode:
             "unload": (_answering(lambda: self._couple(False), "joint taken off"), waiting),
             "stop": (_answering(self._link.stop_rig, "stop sent"), urgent),
         }
-        qos = REQUEST_QOS.profile
+        qos = REQUEST_QOS
         self._services = [
             self.node.create_service(Trigger, f"~/{name}", callback, callback_group=group, qos_profile=qos)
             for name, (callback, group) in callbacks.items()

@@ -64,7 +64,7 @@ class Diagnostics:
 
     def __init__(self, node: Node, collect: Callable[[], tuple[bytes, str, dict[str, str]]]) -> None:
         self._node, self._collect = node, collect
-        self._publisher = publish(node, DiagnosticArray, "/diagnostics", CLOCK_QOS.profile)
+        self._publisher = publish(node, DiagnosticArray, "/diagnostics", CLOCK_QOS)
         # Without the leading slash, as diagnostic_aggregator writes names.
         namespace = node.get_namespace().strip("/")
         self._prefix = f"{namespace}/" if namespace else ""
@@ -245,7 +245,7 @@ class ManagedNode(LifecycleNode):
         Raises:
             ExchangeError: if another process on this machine publishes `publish_topic`.
         """
-        self._channel = channel = self._make_channel(self, publish_topic, subscribe_topic, TICK_QOS.profile)
+        self._channel = channel = self._make_channel(self, publish_topic, subscribe_topic, TICK_QOS)
         return channel
 
     def declare_robot_files(self, *names: str) -> RobotFiles:

@@ -289,12 +289,10 @@ def hand_over(law: Any, state: Any) -> None:
 
 @kernel
 def _parted_friction(law: Any, own: Any, begins: bool) -> None:
-    """Advance the bristles of elements with parts; write their torques, Nm, to `own.friction.parts.friction`.
+    """Write the torques of elements with parts, Nm, to `own.friction.parts.friction`, and advance their bristles.
 
-    Args:
-        law: constants, a record of CONTROLLER_DTYPE.
-        own: a record of MODEL_STATE_DTYPE, whose `joint` is what the arm takes without friction, Nm.
-        begins: whether the bristles are undeflected, and the load is at once what is transmitted.
+    `own.joint` is what the arm takes without friction, Nm. If it `begins`, the bristles are undeflected, and the load is
+    at once what is transmitted.
     """
     friction, state, period = law.model.friction, own.friction, law.model.period
     transmit(law.model.arm.rotor, own.joint, own.a, state.parts.transmitted)

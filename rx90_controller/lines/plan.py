@@ -57,7 +57,6 @@ class JointPath:
         task: the line.
         distance: (n,) examined distances, m.
         position: (n, 6) joint angles there, rad.
-        slope: (n, 6) their derivative by the distance, rad/m.
         margins: smallest distance from each kind of singularity, and where on the line in m.
     """
 
@@ -65,7 +64,6 @@ class JointPath:
     task: LineTask
     distance: Array
     position: Array
-    slope: Array
     margins: dict[str, tuple[float, float]]
 
     def at(self, distance: Array) -> tuple[Array, Array, Array]:
@@ -165,7 +163,7 @@ def plan_path(robot: RobotModel, task: LineTask) -> JointPath:
     q = np.where(np.ptp(q, axis=0) < _STILL, np.round(q[0], 12), q)
     worst = {kind: int(np.argmin(values)) for kind, values in margins.items()}
     where = {kind: (float(margins[kind][k]), float(distance[k])) for kind, k in worst.items()}
-    return JointPath(robot, task, distance, q, slope, where)
+    return JointPath(robot, task, distance, q, where)
 
 
 def _first(rows: Mask) -> int:

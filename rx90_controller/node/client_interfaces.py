@@ -96,7 +96,7 @@ class ClientInterfaces:
         self._checking = threading.Lock()  # an executor of several threads goes on while the node ends
         self._ending = False
         self._seen = time.monotonic()  # when the simulation was there
-        qos = REQUEST_QOS.profile
+        qos = REQUEST_QOS
         self._server = _Server(
             node,
             FollowJointTrajectory,
@@ -116,9 +116,9 @@ class ClientInterfaces:
         self._complaints = ThrottledLog(lambda text: node.get_logger().error(text))
         self._scaling: float | None = None  # announced last
         # Latched, as the original has it: what was asked for before this node was there counts, too.
-        subscribe(node, SpeedScalingFactor, "~/speed_scaling_input", self._on_scaling, LATCHED_QOS.profile)
+        subscribe(node, SpeedScalingFactor, "~/speed_scaling_input", self._on_scaling, LATCHED_QOS)
         node.create_service(QueryTrajectoryState, "~/query_state", self._on_query, qos_profile=qos)
-        self.publisher = publish(node, JointTrajectoryControllerState, "~/controller_state", STATE_QOS.profile)
+        self.publisher = publish(node, JointTrajectoryControllerState, "~/controller_state", STATE_QOS)
         self._state, self._state_ns = _StateMessage(self._names), self._tick_ns * state_ticks
 
     def end(self) -> None:

@@ -113,7 +113,7 @@ class Control:
         )
 
         def topic(name: str) -> Publisher:
-            return publish(node, JointState, f"~/{name}", STATE_QOS.profile)
+            return publish(node, JointState, f"~/{name}", STATE_QOS)
 
         # The arrays are always the same, brought up to date by a call of the same method.
         codec, motors = JointStateCodec(cs7b.joint_names), JointStateCodec(MOTOR_NAMES)
@@ -124,7 +124,7 @@ class Control:
         details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
         self._details = [(topic(each), names.encoder(effort=values)) for each, names, values in details]
         self._detail_ns = tick_ns * decimation
-        self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS.profile)
+        self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS)
         self.loop = loop = ServoLoop(cs7b, self, horizon, goals.monitor_ticks)
         loop.active = loop.enabled = False
         law.change_with(loop.change_law)
@@ -136,10 +136,10 @@ class Control:
         self.serving = Serving(link, loop, self._pacer, name, local=local)
         self._complaints = ThrottledLog(self.error)
         if not local:
-            subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
-        qos = TRAJECTORY_QOS.profile
+            subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS)
+        qos = TRAJECTORY_QOS
         subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, qos, check_trajectory_bytes)
-        node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS.profile)
+        node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS)
         interfaces = import_client_interfaces(node)
         self.clients: ClientInterfaces | None = None
         if interfaces is not None:
@@ -191,7 +191,7 @@ class Control:
         """Have the node's executor report."""
         self._report.trigger()
 
-    def accepted(self, trajectory: JointTrajectory, start_ns: int, source: str = "") -> None:
+    def accepted(self, trajectory: JointTrajectory, start_ns: int, source: str) -> None:
         """Publish a trajectory as it came, stamped with its start; the frame says where from."""
         followed = JointTrajectory(joint_names=trajectory.joint_names, points=trajectory.points)
         followed.header.stamp, followed.header.frame_id = ros_time(start_ns), source

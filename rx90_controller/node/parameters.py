@@ -20,7 +20,7 @@ from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
 from rx90_common.base.section import Section
 from rx90_common.exchange.lifecycle import ManagedNode
-from rx90_common.exchange.parameters import ChangeGroup, Effective, declare
+from rx90_common.exchange.parameters import Effective, declare
 from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CONTROLLER, CS7BParameters, read_controller
@@ -132,9 +132,9 @@ def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:
 
     names = cs7b.joint_names
     options = tuple(option.name for option in fields(GoalOptions))
-    node.changes.allow(ChangeGroup(options, lambda values: GoalOptions(**values), setter("options")))
+    node.changes.allow(options, lambda values: GoalOptions(**values), setter("options"))
     tolerances = partial(GoalTolerances.of_parameters, names)
-    node.changes.allow(ChangeGroup(tuple(constraint_parameters(names)), tolerances, setter("tolerances")))
+    node.changes.allow(tuple(constraint_parameters(names)), tolerances, setter("tolerances"))
 
 
 LAW_ENTRIES: Final = {
@@ -178,8 +178,7 @@ class LawParameters:
 
     def change_with(self, change: Callable[[Any, Effective], None]) -> None:
         """Let the parameters be set: `change` gets the constants, and what to call with the time of their effect."""
-        group = ChangeGroup(tuple(LAW_ENTRIES), lambda values: self._record(self._read(values)), change)
-        self._node.changes.allow(group)
+        self._node.changes.allow(tuple(LAW_ENTRIES), lambda values: self._record(self._read(values)), change)
 
     def _of_file(self, name: str) -> Any:
         section, _, key = name.partition(".")

@@ -47,8 +47,6 @@ class SimulationLink:
         complain: prints a line about a message that is ignored; called now and then only.
 
     Attributes:
-        same_rates: whether the simulation is known to have these rates. A stamp between two ticks is then somebody
-            else's; until then it is an error of the simulation's.
         two_simulations: whether the stamps have gone back again and again, with two publishers there.
     """
 
@@ -62,7 +60,7 @@ class SimulationLink:
         complain: Callable[[str], None],
     ) -> None:
         self.channel, self.topic, self.rates, self.announce = channel, channel.subscribe_topic, rates, announce
-        self.same_rates = self.two_simulations = False
+        self.two_simulations = False
         self._period_ns = rates.period_ns
         # Two, in turns: a message that is refused half-way leaves the states before it as they are.
         self._codec, self._spare = JointStateCodec(names), JointStateCodec(names)
@@ -75,27 +73,22 @@ class SimulationLink:
         """Return the states in a message.
 
         Raises:
-            MessageError: if it holds none; a line says why.
-            ExchangeError: for a stamp between two ticks, unless the rates are known to be the same.
+            MessageError: if it holds none, or those of a time between two ticks; a line says why.
         """
         try:
             stamp_ns, position, velocity, torque = self._spare.decode(raw)
             if position is None or velocity is None:
                 raise ExchangeError("no positions or no velocities; accepted: both")
+            if stamp_ns < 0 or stamp_ns % self._period_ns:
+                raise ExchangeError(
+                    f"the stamp is {stamp_ns} ns; accepted: multiples of {self._period_ns} ns (base_rate "
+                    f"{self.rates.base_hz} Hz, as the simulation's)"
+                )
         except ExchangeError as error:
-            raise self._refused("states", str(error)) from error
-        if stamp_ns < 0 or stamp_ns % self._period_ns:
-            text = (
-                f"the stamp is {stamp_ns} ns; accepted: multiples of {self._period_ns} ns (base_rate "
-                f"{self.rates.base_hz} Hz, as the simulation's)"
-            )
-            raise self._refused("stamp", text) if self.same_rates else ExchangeError(f"{self.topic}: {text}")
+            self._complaints.say("states", f"{self.topic}: {error}; the message is ignored")
+            raise MessageError(str(error)) from error
         self._codec, self._spare = self._spare, self._codec
         return MotorStates(stamp_ns, position, velocity, torque)
-
-    def _refused(self, kind: str, text: str) -> MessageError:
-        self._complaints.say(kind, f"{self.topic}: {text}; the message is ignored")
-        return MessageError(text)
 
     def encode(self, stamp_ns: int, torque: bool) -> bytes:
         """Return the command as a message, or one without torques, which closes the brakes."""
@@ -134,14 +127,9 @@ class LockstepController:
         self._state: bytes | None = None  # as received; an empty message must not pass for a repetition
         self._command = b""
         self._heard = time.monotonic()
-        self._jump = 0  # by how much the last states jumped, ns
 
     def serve(self, timeout: float) -> None:
-        """Answer the next states; return after `timeout` seconds without any, or a wake-up.
-
-        Raises:
-            ExchangeError: if the simulation's tick is not the controller's.
-        """
+        """Answer the next states; return after `timeout` seconds without any, or a wake-up."""
         link, loop = self._link, self._loop
         raw = self._channel.receive(timeout)
         if raw is None:
@@ -160,12 +148,10 @@ class LockstepController:
             if self._stamp is None or stamp != self._stamp + self._period_ns:
                 loop.begin()
                 loop.hold(states)
-                if self._stamp is not None:
-                    self._check_jump(stamp - self._stamp)
-                if link.two_simulations:
-                    return
-            else:
-                self._jump = 0
+                if self._stamp is not None and stamp < self._stamp:
+                    link.note_backward()
+                    if link.two_simulations:
+                        return
             self._command = link.encode(stamp, loop.step(stamp, states))
             self._stamp, self._state = stamp, raw
             self._channel.publish(self._command)
@@ -175,17 +161,6 @@ class LockstepController:
         self._heard = time.monotonic()
         assert self._stamp is not None
         self._wait.end(self._stamp)
-
-    def _check_jump(self, size: int) -> None:
-        # Once the rates are known to be the same, such states are somebody else's, and no message ends a node.
-        if size == self._jump > 0 and not self._link.same_rates:
-            raise ExchangeError(
-                f"{self._link.topic} advances by {size} ns from tick to tick; accepted: {self._period_ns} ns, the same "
-                "base_rate in both nodes"
-            )
-        self._jump = size
-        if size < 0:
-            self._link.note_backward()
 
     def announce_silence(self) -> None:
         """Say that there is no simulation, if there has been none for a while."""
@@ -366,8 +341,6 @@ class Serving:
             self._refused = error
             self.stop()
             raise
-        # In this order: the ticking thread acts on the mode as soon as it is there.
-        self._link.same_rates = True
         self.mode = time_mode.mode
         self._changed.set()
         self._link.channel.wake()

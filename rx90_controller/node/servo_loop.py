@@ -23,7 +23,7 @@ from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.topics import OF_ACTION
 from rx90_controller.law.cs7b import CS7B, DriveFault
-from rx90_controller.trajectory.generator import PastError, Schedule, points_left
+from rx90_controller.trajectory.generator import PastError, points_left
 from rx90_controller.trajectory.request import (
     GoalOptions,
     GoalTolerances,
@@ -72,7 +72,7 @@ class Outputs(Protocol):
     def wake(self) -> None:
         """Have `ServoLoop.report` called soon, by another thread than the one that ticks."""
 
-    def accepted(self, trajectory: Any, start_ns: int, source: str = "") -> None:
+    def accepted(self, trajectory: Any, start_ns: int, source: str) -> None:
         """Publish a trajectory that is followed, when it starts, ns, and OF_ACTION for one that was a goal."""
 
     def info(self, text: str) -> None:
@@ -168,7 +168,7 @@ class ServoLoop:
             fault = cs7b.fault
             if fault is None:
                 return True
-            if fault.parameter:
+            if fault.quantity == "torque":
                 self._unpublished = False  # torques that are no numbers
             self._publish(stamp_ns)  # before the reset: what has led to the fault is to be seen
             self.enabled, self.fault = False, fault
@@ -338,7 +338,7 @@ class ServoLoop:
 
     def _follow(self, request: TrajectoryRequest, joined: JoinedAhead | None = None) -> None:
         """Follow a request, which may be joined already, in place of what runs, or refuse it and let that go on."""
-        now, trajectory, period = self._cs7b.position_tick, self._cs7b.trajectory, self._period
+        now, trajectory, period, points = self._cs7b.position_tick, self._cs7b.trajectory, self._period, request.points
         try:
             if self.inactive:
                 raise TrajectoryError(self.inactive)
@@ -360,17 +360,30 @@ class ServoLoop:
         if request.is_goal or request.tolerances.end_motions:
             # What runs until a trajectory of the topic starts is held to its tolerances, too.
             self._followed = request
-        self._announce(request, schedule)
+        begin, end = schedule.begin * period, schedule.end * period
+        if points is None:
+            text = f"empty trajectory: stopping from {begin:.3f} s on, at rest at {end:.3f} s"
+        else:
+            text = f"{request.kind} accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin:.3f} s"
+            if points.smooth:
+                text += "; velocities from its positions"
+            if schedule.blend_error > 0.0:
+                text += f"; its ramps pass the points in between at up to {schedule.blend_error:.3g} rad"
+        start = schedule.begin if request.start is None or points is None else request.start
+        start_ns = start * self._cs7b.rates.period_ns * self._cs7b.rates.ratio
+        source = OF_ACTION if request.is_goal else ""
+        self._reports.append(partial(self._outputs.accepted, request.message, start_ns, source))
+        self._note(text)
 
     def _drop(self, reason: str, *, wanted: bool = False) -> None:
         """End the goal, if there is one, with -1 and a reason; `wanted`, so nothing went wrong."""
         when = f", at {self._cs7b.position_tick * self._period:.6g} s"
-        waiting, followed, self._followed = self._waiting, self._followed, None
+        waiting, goal, self._followed = self._waiting, self._followed, None
         if waiting is not None and waiting.is_goal:
-            self._waiting, followed, when = None, waiting, ""
-        if followed is not None and followed.is_goal:
-            followed.end(State.ABORTED, ResultCode.INVALID_GOAL, f"{reason}{when}")
-            self._deliver(followed, wanted=wanted)
+            self._waiting, goal, when = None, waiting, ""
+        if goal is not None and goal.is_goal:
+            goal.end(State.ABORTED, ResultCode.INVALID_GOAL, f"{reason}{when}")
+            self._deliver(goal, wanted=wanted)
 
     def _deliver(self, request: TrajectoryRequest, *, wanted: bool = False) -> None:
         """Have the client of a goal learn how it has ended, and note it."""
@@ -380,24 +393,6 @@ class ServoLoop:
             self._note(one_line(f"goal {request.state.value}: {request.reason}"), wrong=aborted and not wanted)
         elif aborted:
             self._note(f"trajectory aborted: {request.reason}; stopping and holding", wrong=True)
-
-    def _announce(self, request: TrajectoryRequest, schedule: Schedule) -> None:
-        """Note what is followed, and publish it with its start."""
-        points = request.points
-        begin, end = schedule.begin * self._period, schedule.end * self._period
-        start = schedule.begin if request.start is None or points is None else request.start
-        if points is None:
-            text = f"empty trajectory: stopping from {begin:.3f} s on, at rest at {end:.3f} s"
-        else:
-            text = f"{request.kind} accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin:.3f} s"
-            if points.smooth:
-                text += "; velocities from its positions"
-            if schedule.blend_error > 0.0:
-                text += f"; its ramps pass the points in between at up to {schedule.blend_error:.3g} rad"
-        start_ns = start * self._cs7b.rates.period_ns * self._cs7b.rates.ratio
-        source = OF_ACTION if request.is_goal else ""
-        self._reports.append(partial(self._outputs.accepted, request.message, start_ns, source))
-        self._note(text)
 
     def _refused(self, kind: str, error: TrajectoryError, *, quiet: bool = False) -> None:
         """Count a goal or a trajectory that was refused, and note why, unless its result says so."""
@@ -413,7 +408,6 @@ class ServoLoop:
             self._note(f"trajectory dropped at {now * self._period:.3f} s: {why}")
 
     def _note(self, text: str, *, wrong: bool = False) -> None:
-        """Note a line."""
         self._post(partial(self._outputs.error if wrong else self._outputs.info, text))
 
     def _post(self, call: Callable[[], None]) -> None:
@@ -423,5 +417,4 @@ class ServoLoop:
 
 
 def _reason_replaced(request: TrajectoryRequest) -> str:
-    """Return why what ran before a request has ended."""
     return "pre-empted by a new goal" if request.is_goal else "replaced by a trajectory on the topic"

@@ -11,8 +11,7 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.followed_path import FollowedPath, Path
-from rx90_controller.trajectory.limits import JointLimits
-from rx90_controller.trajectory.paths import connect, stop
+from rx90_controller.trajectory.paths import JointLimits, connect, stop
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.spline import joined, merged, remainder, resting, smooth
 

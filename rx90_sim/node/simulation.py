@@ -18,7 +18,7 @@ from rx90_common.exchange.endpoints import LATCHED_QOS, REQUEST_QOS
 from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
 from rx90_common.exchange.lifecycle import spin as spin_nodes
 from rx90_common.exchange.pacing import check_factor
-from rx90_common.exchange.parameters import ChangeGroup, Effective
+from rx90_common.exchange.parameters import Effective
 from rx90_common.exchange.topics import LOCK_STEP, MOTOR_STATES, SEED, TEMPERATURE_RATE, TIME_MODE, TimeMode
 from rx90_sim.drives import warm_motors
 from rx90_sim.node.parameters import (
@@ -85,7 +85,7 @@ class Simulation:
             if self._arm is not None:
                 effective(self._arm.ticks.next_stamp_ns)
 
-        self.node.changes.allow(ChangeGroup((name,), lambda values: check(values[name]), apply))
+        self.node.changes.allow((name,), lambda values: check(values[name]), apply)
 
     def activate(self) -> None:
         """Let time run."""
@@ -138,14 +138,14 @@ class SimulatedArm:
         self._warm = False
         self._robot_name = plain(robot.model.name)
         self.ticks = Ticks(node, robot, self._plant, parameters)
-        self._description = node.create_publisher(String, "robot_description", LATCHED_QOS.profile)
+        self._description = node.create_publisher(String, "robot_description", LATCHED_QOS)
         self._description.publish(String(data=robot.urdf))
-        self._mode = node.create_publisher(String, TIME_MODE, LATCHED_QOS.profile)
+        self._mode = node.create_publisher(String, TIME_MODE, LATCHED_QOS)
         self.time_mode = TimeMode(parameters.time_mode, parameters.rates, self._robot_name)
         self._mode.publish(String(data=self.time_mode.text))
-        node.create_service(SetBool, "~/pause", self._on_pause, qos_profile=REQUEST_QOS.profile)
-        node.create_service(Trigger, "~/step", self._on_step, qos_profile=REQUEST_QOS.profile)
-        node.create_service(Trigger, "~/reset", self._on_reset, qos_profile=REQUEST_QOS.profile)
+        node.create_service(SetBool, "~/pause", self._on_pause, qos_profile=REQUEST_QOS)
+        node.create_service(Trigger, "~/step", self._on_step, qos_profile=REQUEST_QOS)
+        node.create_service(Trigger, "~/reset", self._on_reset, qos_profile=REQUEST_QOS)
         self._diagnostics = Diagnostics(node, self._status)
 
     def activate(self) -> None:

@@ -398,15 +398,9 @@ def test_the_largest_values_together_give_finite_torques(
     assert np.isfinite(rig.loop.command).all()
 
 
-@pytest.mark.parametrize(
-    ("field", "said"),
-    [
-        ("kp", "servo.kp"), ("kv", "servo.kv"), ("ki", "servo.ki"), ("inertia", "servo.inertia"),
-        ("viscous", "feed_forward.viscous_friction"), ("coulomb", "feed_forward.coulomb_torque"),
-    ],
-)  # fmt: skip
-def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, field: str, said: str) -> None:
-    """One line names joint and parameter, no torque that is not finite goes out, and enable after mending goes on.
+@pytest.mark.parametrize("field", ["kp", "ki", "viscous"])
+def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, field: str) -> None:
+    """One line names the joint, no torque that is not finite goes out, and enable after mending goes on.
 
     The value comes past the checks, as one would by Python.
     """
@@ -424,7 +418,7 @@ def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, fiel
     assert rig.around.published == [0, 4 * rig.period]  # torques that are no numbers are not published
     lines = [line for line in rig.around.lines if "torque nan Nm" in line]
     assert len(lines) == 1
-    assert lines[0].startswith(f"joint_4: torque nan Nm at 0.002 s, by {said}; accepted: finite torques; torque off")
+    assert lines[0].startswith("joint_4: torque nan Nm at 0.002 s; accepted: finite torques; torque off")
     assert np.isfinite(rig.loop.command).all()
     rig.loop.enable(True)  # nothing is mended: it stops again, and says so again
     assert not any(rig.run(48, 4))

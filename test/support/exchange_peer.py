@@ -73,7 +73,7 @@ def _simulate(ticks: int, period: float, listeners: int) -> None:
     from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
 
     node = rclpy.create_node("simulation")
-    channel = Channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
+    channel = Channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS)
     lockstep = LockstepSimulation(channel, say)
     codec = JointStateCodec(["a"])
     publisher = channel.publisher
@@ -107,7 +107,7 @@ def _control(listeners: int) -> None:
     from rx90_controller.node.servo_loop import MotorStates
 
     node = rclpy.create_node("controller")
-    channel = Channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
+    channel = Channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
 
     class Loops(Law):
         command = np.zeros(1)

@@ -28,7 +28,7 @@ from rx90_common.exchange.endpoints import TICK_QOS, wait_until_matched
 from rx90_common.exchange.parameters import declare_robot_files
 
 pytestmark = pytest.mark.ros
-QOS = TICK_QOS.profile
+QOS = TICK_QOS
 RAW = [JointStateCodec(["a"]).encode(tick) for tick in range(3)]
 ROOT = Path(__file__).parents[3]
 HOLD = """

@@ -70,7 +70,6 @@ class Nodes:
         self.loop = ServoLoop(cs7b, outputs, horizon=60.0)
         self.cs7b = cs7b
         link = serving.SimulationLink(theirs, MOTOR_NAMES, rates, cs7b.command, self.said.append, self.said.append)
-        link.same_rates = True
         pacer = Pacer(rates.period, 1.0, lambda: 0.0, lambda _: None)
         self.controller = serving.FreeRunningController(link, self.loop, pacer)
         lockstep = serving.LockstepController(link, self.loop)
