@@ -291,8 +291,8 @@ def hand_over(law: Any, state: Any) -> None:
 def _parted_friction(law: Any, own: Any, begins: bool) -> None:
     """Write the torques of elements with parts, Nm, to `own.friction.parts.friction`, and advance their bristles.
 
-    `own.joint` is what the arm takes without friction, Nm. If it `begins`, the bristles are undeflected, and the load is
-    at once what is transmitted.
+    `own.joint` is what the arm takes without friction, Nm. Where it `begins`, the bristles are undeflected, and the
+    load is at once what is transmitted.
     """
     friction, state, period = law.model.friction, own.friction, law.model.period
     transmit(law.model.arm.rotor, own.joint, own.a, state.parts.transmitted)

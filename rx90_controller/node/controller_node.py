@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from functools import partial
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -50,12 +49,12 @@ from rx90_common.exchange.topics import (
     TimeMode,
 )
 from rx90_controller.law.cs7b import CS7B
-from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.node.parameters import (
     FILE_PARAMETERS,
-    LawParameters,
+    LAW_ENTRIES,
     allow_goal_changes,
     declare_goal_parameters,
+    declare_law,
     declare_own,
     forget_law_parameters,
 )
@@ -94,9 +93,8 @@ class Control:
         self._node, self._log = node, node.get_logger()
         rates = declare_rates(node)
         robot, drives = load_robot(files.urdf), load_drives(files.drives)
-        record = partial(CS7BParameters.record, robot=robot, drives=drives, rates=rates)
-        law = LawParameters(node, files.controller, record)
-        self._cs7b = cs7b = CS7B(robot, drives, law.parameters, rates)
+        law, read_law = declare_law(node, files.controller)
+        self._cs7b = cs7b = CS7B(robot, drives, law, rates)
         cs7b.warm_up()
         name, tick_ns = plain(robot.model.name), rates.period_ns * rates.ratio
         channel = node.make_channel(MOTOR_COMMANDS, MOTOR_STATES)
@@ -127,7 +125,9 @@ class Control:
         self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS)
         self.loop = loop = ServoLoop(cs7b, self, horizon, goals.monitor_ticks)
         loop.active = loop.enabled = False
-        law.change_with(loop.change_law)
+        node.changes.allow(
+            tuple(LAW_ENTRIES), lambda values: read_law(values).record(robot, drives, rates), loop.change_law
+        )
         loop.options, loop.tolerances = goals.options, goals.tolerances
         cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
         self._report = node.create_guard_condition(loop.report)

@@ -13,7 +13,7 @@ from typing import Any, Final
 from rclpy.node import Node
 
 from rx90_common.base.config import load_yaml
-from rx90_common.base.entries import Entry, Numbers
+from rx90_common.base.entries import Numbers
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
 from rx90_common.base.quoting import quoted
@@ -153,49 +153,33 @@ def forget_law_parameters(node: Node) -> None:
             node.undeclare_parameter(name)
 
 
-class LawParameters:
-    """A controller file's values as parameters of the node: declared with the file's values, checked as the file is.
+def declare_law(node: Node, path: Path) -> tuple[CS7BParameters, Callable[[Mapping[str, Any]], CS7BParameters]]:
+    """Declare a controller file's values as parameters of a node, checked as the file is.
 
-    Args:
-        node: their owner.
-        path: the controller file.
-        record: returns the law's constants, shape (1,), CONTROLLER_DTYPE.
-
-    Attributes:
-        parameters: of the file, with what was given at the start in place of the file's.
+    Returns:
+        The file's parameters, with what was given at the start in place of the file's, and a function that gives them
+        with other values of LAW_ENTRIES and raises ConfigError.
 
     Raises:
         ConfigError: naming file or parameter, value and accepted range.
     """
+    root = load_yaml(path)
+    model = read_controller(root).model  # whose files are read once
+    of_file = CONTROLLER.read(root)
 
-    def __init__(self, node: ManagedNode, path: Path, record: Callable[[CS7BParameters], Any]) -> None:
-        self._node, self._record = node, record
-        root = load_yaml(path)
-        self._model = read_controller(root).model  # whose files are read once
-        self._content = CONTROLLER.read(root)
-        given = {name: declare(node, name, self._of_file(name), _about(shape)) for name, shape in LAW_ENTRIES.items()}
-        self.parameters = self._read(given)
-
-    def change_with(self, change: Callable[[Any, Effective], None]) -> None:
-        """Let the parameters be set: `change` gets the constants, and what to call with the time of their effect."""
-        self._node.changes.allow(tuple(LAW_ENTRIES), lambda values: self._record(self._read(values)), change)
-
-    def _of_file(self, name: str) -> Any:
-        section, _, key = name.partition(".")
-        value = self._content[section][key]
-        if isinstance(value, bool):
-            return value
-        return [float(each) for each in value] if isinstance(value, tuple) else float(value)
-
-    def _read(self, values: Mapping[str, Any]) -> CS7BParameters:
-        content = copy.deepcopy(self._content)
+    def read(values: Mapping[str, Any]) -> CS7BParameters:
+        content = copy.deepcopy(of_file)
         for name, value in values.items():
             section, _, key = name.partition(".")
             content[section][key] = value if isinstance(value, bool | float) else list(value)
-        return read_controller(Section(content, Path("parameter")), self._model)
+        return read_controller(Section(content, Path("parameter")), model)
 
-
-def _about(shape: Entry) -> str:
-    """Return what a value of the controller file means, as other parameters say it."""
-    unit = f", {shape.unit}" if len(shape.unit) > 1 else ""
-    return f"{shape.about[:-1]}{unit}{_OF_JOINTS if isinstance(shape, Numbers) else ''}"
+    given: dict[str, Any] = {}
+    for name, shape in LAW_ENTRIES.items():
+        section, _, key = name.partition(".")
+        value, unit = of_file[section][key], f", {shape.unit}" if len(shape.unit) > 1 else ""
+        if not isinstance(value, bool):
+            value = [float(each) for each in value] if isinstance(value, tuple) else float(value)
+        about = f"{shape.about[:-1]}{unit}{_OF_JOINTS if isinstance(shape, Numbers) else ''}"
+        given[name] = declare(node, name, value, about)
+    return read(given), read
