@@ -58,7 +58,7 @@ from rx90_controller.node.parameters import (
     declare_own,
     forget_law_parameters,
 )
-from rx90_controller.node.serving import Serving, SimulationLink
+from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
 from rx90_controller.trajectory.points import check_trajectory_bytes
 
@@ -131,9 +131,8 @@ class Control:
         loop.options, loop.tolerances = goals.options, goals.tolerances
         cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
         self._report = node.create_guard_condition(loop.report)
-        link = SimulationLink(channel, MOTOR_NAMES, rates, cs7b.command, self.info, self.error)
-        self._pacer = Pacer(rates.period, 1.0)
-        self.serving = Serving(link, loop, self._pacer, name, local=local)
+        self._pacer = pacer = Pacer(rates.period, 1.0)
+        self.serving = Serving(channel, MOTOR_NAMES, rates, loop, pacer, name, self.info, self.error, local=local)
         self._complaints = ThrottledLog(self.error)
         if not local:
             subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS)

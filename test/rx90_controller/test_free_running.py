@@ -78,10 +78,11 @@ class Loops:
         self.answered: list[tuple[int, int]] = []  # own tick, that of the states
         self.prepared = 0
         self.command = np.zeros(1)
-        link = serving.SimulationLink(simulation, ["a"], RATES, self.command, self.said.append, self.refused.append)
-        self.side = serving.FreeRunningController(
-            link, self, Pacer(TICK, 1.0, lambda: simulation.now, simulation.sleep)
+        pacer, said = (
+            Pacer(TICK, 1.0, lambda: simulation.now, simulation.sleep),
+            (self.said.append, self.refused.append),
         )
+        self.side = serving.Serving(simulation, ["a"], RATES, self, pacer, "robot", *said)  # type: ignore[arg-type]
 
     def begin(self) -> None:
         """Take half a second to get ready."""
@@ -112,7 +113,7 @@ class Loops:
         for _ in range(200_000):
             if until():
                 return
-            self.side.serve()
+            self.side.serve_free_running()
         pytest.fail("the condition never held")
 
     def run_for(self, seconds: float) -> None:
@@ -159,7 +160,7 @@ def test_a_short_stall_is_caught_up(loops: Loops) -> None:
     """After 4 ms in which the controller did not run, all ticks come at once, and one command answers them."""
     loops.simulation.sleep(4 * TICK)
     sent = len(loops.simulation.commands)
-    loops.side.serve()
+    loops.side.serve_free_running()
     assert len(loops.simulation.commands) == sent + 1
     loops.run_for(1.0)
     assert all(b[1] - a[1] == 1 for a, b in pairwise(loops.ticks))
@@ -182,7 +183,7 @@ def test_a_machine_that_is_too_slow_does_not_flood_the_terminal(loops: Loops) ->
     """Where the controller runs once in 20 ticks of the simulation's, lag after lag is skipped; few lines tell it."""
     end = loops.simulation.now + 30.0
     while loops.simulation.now < end:
-        loops.side.serve()
+        loops.side.serve_free_running()
         loops.simulation.sleep(20 * TICK)
     assert len(loops.skipped) > 20
     assert len(loops.begun) == 1

@@ -102,8 +102,9 @@ def _control(listeners: int) -> None:
 
     from rx90_common.exchange.channel import Channel
     from rx90_common.exchange.endpoints import TICK_QOS, wait_until_matched
+    from rx90_common.exchange.pacing import Pacer
     from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
-    from rx90_controller.node.serving import LockstepController, SimulationLink
+    from rx90_controller.node.serving import Serving
     from rx90_controller.node.servo_loop import MotorStates
 
     node = rclpy.create_node("controller")
@@ -128,10 +129,10 @@ def _control(listeners: int) -> None:
             pass
 
     loops = Loops()
-    lockstep = LockstepController(SimulationLink(channel, ["a"], Rates(), loops.command, say, say), loops)
+    serving = Serving(channel, ["a"], Rates(), loops, Pacer(Rates().period, 1.0), "robot", say, say)  # type: ignore[arg-type]
     say("controller up")
     while True:
-        lockstep.serve(0.2)
+        serving.serve_lock_step(0.2)
 
 
 def _record(ticks: int, nap: float) -> None:

@@ -14,7 +14,8 @@ from rx90_common.base.stamps import cdr_stamp_ns
 from rx90_common.exchange import lockstep
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
-from rx90_controller.node.serving import LockstepController, SimulationLink
+from rx90_common.exchange.pacing import Pacer
+from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import MotorStates
 
 PERIOD = 250_000
@@ -97,8 +98,8 @@ class Controller:
         self.prepared = 0
         self.channel = channel
         self.command = np.zeros(1)
-        self.link = SimulationLink(channel, ["a"], Rates(), self.command, self.said.append, self.refused.append)
-        self.side = LockstepController(self.link, self)
+        pacer, said = Pacer(Rates().period, 1.0), (self.said.append, self.refused.append)
+        self.side = Serving(channel, ["a"], Rates(), self, pacer, "robot", *said)  # type: ignore[arg-type]
 
     def begin(self) -> None:
         """Count the preparations."""
@@ -129,7 +130,7 @@ class Controller:
         """Serve these states."""
         for raw in messages:
             self.channel.inbox.append(raw)
-            self.side.serve(0.1)
+            self.side.serve_lock_step(0.1)
 
 
 def test_repeated_states_get_the_same_bytes_and_no_second_step(channel: FakeChannel) -> None:
@@ -197,7 +198,7 @@ def test_a_missing_simulation_is_announced_once_and_its_return_too(channel: Fake
     controller = Controller(channel)
     channel.peers = Matches(0, 0)
     for _ in range(100):
-        controller.side.serve(0.1)
+        controller.side.serve_lock_step(0.1)
     assert controller.said == ["waiting for a simulation on /other"]
     channel.peers = Matches(1, 1)
     controller.hear(message(0), message(1))

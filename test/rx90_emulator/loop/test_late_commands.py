@@ -69,12 +69,15 @@ class Nodes:
         )
         self.loop = ServoLoop(cs7b, outputs, horizon=60.0)
         self.cs7b = cs7b
-        link = serving.SimulationLink(theirs, MOTOR_NAMES, rates, cs7b.command, self.said.append, self.said.append)
         pacer = Pacer(rates.period, 1.0, lambda: 0.0, lambda _: None)
-        self.controller = serving.FreeRunningController(link, self.loop, pacer)
-        lockstep = serving.LockstepController(link, self.loop)
-        self._modes = {"serving": self.controller.serve, "lock_step": lambda: lockstep.serve(0.0)}
-        ours.serve = self.controller.serve
+        self.controller = serving.Serving(
+            theirs, MOTOR_NAMES, rates, self.loop, pacer, "robot", self.said.append, self.said.append
+        )
+        self._modes = {
+            "serving": self.controller.serve_free_running,
+            "lock_step": lambda: self.controller.serve_lock_step(0.0),
+        }
+        ours.serve = self.controller.serve_free_running
         self.setup = setup
         codec, self._encode = (
             JointStateCodec(MOTOR_NAMES),
