@@ -49,8 +49,8 @@ class _Newest:
 
     def take(self) -> list[Any]:
         """Return the messages that came since the last call, as far as they were kept, the newest last."""
-        taken = (self.subscription.handle.take_message(self._kind, self._raw) for _ in range(self._depth))
-        return [one[0] for one in takewhile(lambda one: one is not None, taken)]
+        messages = (self.subscription.handle.take_message(self._kind, self._raw) for _ in range(self._depth))
+        return [one[0] for one in takewhile(lambda one: one is not None, messages)]
 
 
 class JointSample(NamedTuple):

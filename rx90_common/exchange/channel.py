@@ -127,28 +127,28 @@ class Channel(TickChannel):
 
         With a timeout of 0 the wait set, which costs some 70 µs even then, is left out.
         """
-        taken = None
+        message = None
         # To take in vain costs as much as a message. A message that the count has missed is found by the wait set.
         if timeout_s == 0.0 or not self._counted or self._counter.value != self._count:
-            taken = self._take_next()
-        if taken is None and timeout_s > 0.0:
-            taken = self._busy_wait()
-            if taken is None:
+            message = self._take_next()
+        if message is None and timeout_s > 0.0:
+            message = self._busy_wait()
+            if message is None:
                 wait_set = self._wait_set
                 wait_set.clear_entities()
                 wait_set.add_subscription(self._raw_subscription)
                 wait_set.add_guard_condition(self._guard)
                 wait_set.wait(int(timeout_s * NANOSECONDS))
-                taken = self._take_next()
-        return None if taken is None else taken[0]
+                message = self._take_next()
+        return None if message is None else message[0]
 
     def _take_next(self) -> Any:
         """Take a message and keep the count of those taken next to the count of arrivals."""
         arrived = self._counter.value
-        taken = self._take(JointState, True)
+        message = self._take(JointState, True)
         # With nothing left, as many as arrived have been taken, or were replaced by newer ones.
-        self._count = arrived if taken is None else self._count + 1
-        return taken
+        self._count = arrived if message is None else self._count + 1
+        return message
 
     def _busy_wait(self) -> Any:
         """Poll for as long as an answer usually takes, unless that was in vain a short while ago.
@@ -162,9 +162,9 @@ class Channel(TickChannel):
         deadline = clock() + _BUSY_WAIT_NS
         while clock() < deadline:
             if counter.value != self._count or not self._counted:
-                taken = self._take_next()
-                if taken is not None:
-                    return taken
+                message = self._take_next()
+                if message is not None:
+                    return message
             give_way()
         self._blocking_waits = _BLOCKING_WAITS
         return None

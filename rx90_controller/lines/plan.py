@@ -90,8 +90,8 @@ def line_poses(task: LineTask, distance: Array) -> Pose:
     turn = turn_between(task.start_rpy, task.end_rpy)
     angle = length(turn)
     axis = turn / angle if angle > 0.0 else turn
-    turned = axis_rotation(axis, angle * (distance / task.length))
-    return Pose(position, product(turned, rpy_rotation(task.start_rpy)))
+    rotation = axis_rotation(axis, angle * (distance / task.length))
+    return Pose(position, product(rotation, rpy_rotation(task.start_rpy)))
 
 
 def _slope(robot: RobotModel, task: LineTask, q: Array) -> Array:

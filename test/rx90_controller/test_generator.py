@@ -12,7 +12,6 @@ from joint_moves import HOME, LIMITS, NAMES, PERIOD, ZERO, move, points
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.points import message_content
 
@@ -45,15 +44,6 @@ def test_a_stop_brakes_each_joint_within_its_limit_and_holds(generator: Trajecto
     assert got[:, 0] == pytest.approx(position + ramp * velocity - np.sign(velocity) * 30.0 * ramp**2, abs=1e-12)
     assert got[:, 1] == pytest.approx(velocity - np.sign(velocity) * 60.0 * ramp, abs=1e-12)
     assert [generator.ended(tick) for tick in range(399, end + 3)] == [None] * (end - 399) + [(end, True), None, None]
-
-
-def test_a_stop_drops_what_waits_and_is_refused_in_the_past(generator: TrajectoryGenerator) -> None:
-    """At rest a stop ends at once; a trajectory that waits for its start does not run any more."""
-    generator.accept(move(0.4, 0.5), 0, 300)
-    assert generator.stop(100, None) == (100, 100, 0.0)
-    assert np.all(generator.setpoints(100, 900)[:, 0] == HOME)
-    with pytest.raises(TrajectoryError, match=r"start time 0.05 s is 0.05 s in the past"):
-        generator.stop(100, 50)
 
 
 def test_each_end_is_told_once(generator: TrajectoryGenerator) -> None:

@@ -12,11 +12,8 @@ from joint_moves import HOME, NAMES, PERIOD, ZERO
 
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.request import (
-    GoalOptions,
-    GoalTolerances,
     ResultCode,
     State,
-    check_request,
 )
 
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
@@ -102,15 +99,6 @@ def test_tolerances_are_the_defaults_unless_the_goal_says_otherwise() -> None:
     assert after.goal.tolist() == [[none, none, 0.01] + [none] * 3, [0.02] * 6, [none] * 6]
     assert after.goal_time == 0.25
     assert checked(message()).tolerances.goal_time == 0.5
-
-
-def test_defaults_are_those_of_the_original() -> None:
-    """Without parameters there is no tolerance but 0.01 rad/s at the goal, and a goal may take for ever."""
-    plain = GoalTolerances.of_parameters(NAMES)
-    assert np.all(plain.path == np.inf)
-    assert np.all(plain.goal[[0, 2]] == np.inf)
-    assert np.all(plain.goal[1] == 0.01)
-    assert plain.goal_time == np.inf
 
 
 @pytest.mark.parametrize(
@@ -276,38 +264,6 @@ def test_what_ends_the_following_ends_the_goal() -> None:
     assert np.all(arm.setpoints[-1][0] != HOME)
 
 
-def test_a_goal_held_on_its_path_goes_on_and_succeeds() -> None:
-    """Scaled to 0 in mid-motion no time passes on the trajectory; scaled up again it ends as it would have."""
-    arm = Arm()
-    arm.offer("a", message())
-    arm.run(200)
-    arm.trajectory.set_speed_scaling(0.0, arm.tick)
-    assert arm.run(3000) == []
-    held = arm.feedback
-    assert held is not None
-    assert held.desired_time < 0.3
-    arm.trajectory.set_speed_scaling(1.0, arm.tick)
-    assert [each.state for each in arm.run(800)] == [State.SUCCEEDED]
-    assert arm.stopped_smoothly()
-
-
-def test_a_goal_may_start_where_the_path_is_now() -> None:
-    """With allow_trajectory_replacement a first point at the start may lie elsewhere; without, it may not."""
-    both = two(0.0, 0.8)
-    for allowed in (False, True):
-        arm = Arm(allow_trajectory_replacement=allowed)
-        arm.offer("a", message())
-        arm.run(300)
-        goal = message(points=both)
-        if allowed:
-            arm.offer("b", goal)
-            assert [each.state for each in arm.run(900)] == [State.SUCCEEDED]
-            assert arm.stopped_smoothly()
-        else:
-            with pytest.raises(GoalError, match=r"starts at .* accepted: within"):
-                arm.offer("b", goal)
-
-
 @pytest.mark.parametrize(
     ("goal", "row", "amount", "said"),
     [
@@ -338,17 +294,6 @@ def test_a_path_tolerance_holds_from_the_first_sample_on(
     assert np.abs(arm.setpoints[-1][0] - HOME).max() < 0.15
 
 
-def test_an_acceleration_beyond_its_tolerance_is_found() -> None:
-    """A jump of the measured velocity over a tick is an acceleration."""
-    arm = Arm()
-    arm.offer("a", message(path_tolerance=[tolerance("joint_1", 0.0, 0.0, 8.0)]))
-    assert arm.run(100) == []
-    arm.off_speed[0] = 0.02
-    event = arm.run(1)[0]
-    assert event.code is ResultCode.PATH_TOLERANCE_VIOLATED
-    assert event.text.startswith("joint_1: acceleration error 19.99 rad/s^2, accepted up to 8 rad/s^2 along")
-
-
 def test_the_first_sample_is_held_to_the_path_and_has_no_acceleration_of_its_own() -> None:
     """Also where it is the last point; the difference to a velocity of before nobody measured is no acceleration."""
     arm = Arm()
@@ -359,16 +304,6 @@ def test_the_first_sample_is_held_to_the_path_and_has_no_acceleration_of_its_own
     arm.run(10)
     arm.offer("a", message(path_tolerance=[tolerance("joint_1", 0.0, 0.0, 8.0)]))
     assert arm.run(10) == []
-
-
-def test_a_goal_goes_on_from_the_set_point_itself() -> None:
-    """A first point at the start that is within the tolerance makes no jump."""
-    arm, points = Arm(), two(0.0, 0.8)
-    for point in points:
-        point.positions = list(HOME + 9e-4)
-    arm.offer("a", message(points=points))
-    arm.run(1)
-    assert np.all(arm.setpoints[0][0] == HOME)
 
 
 def test_what_is_furthest_beyond_its_tolerance_is_named() -> None:
@@ -407,18 +342,6 @@ def test_a_goal_that_is_not_reached_in_time_is_aborted() -> None:
     arm.run(100)
     assert arm.stopped_smoothly()
     assert np.all(arm.setpoints[-1][0] == HOME + 0.2)
-
-
-def test_without_goal_time_a_goal_settles_for_ever() -> None:
-    """With goal_time 0 in defaults and goal, the stopped-velocity tolerance alone decides, however long it takes."""
-    arm = Arm()
-    goal = message()
-    tolerances = GoalTolerances.of_parameters(NAMES)
-    arm.offer("a", check_request(goal.trajectory, tolerances, GoalOptions(), 1000, goal))
-    arm.off_speed[0] = 0.011
-    assert arm.run(5000) == []
-    arm.off_speed[0] = 0.009
-    assert arm.run(1)[0].state is State.SUCCEEDED
 
 
 def test_tolerances_of_a_goal_end_with_it() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from time import process_time
 
 import numpy as np
 import pytest
@@ -47,17 +46,6 @@ def generator() -> TrajectoryGenerator:
 def hermite(times: Sequence[float], rows: Sequence[Sequence[Array]]) -> BPoly:
     """Return the piecewise polynomial with positions and derivatives at times, by SciPy."""
     return BPoly.from_derivatives(times, np.asarray(rows))
-
-
-def test_a_first_point_at_the_begin_makes_no_jump(generator: TrajectoryGenerator) -> None:
-    """A point at time 0 within the start tolerance is left out: the motion goes on from the set-point itself."""
-    generator.setpoints(0, 1200)
-    near = HOME + 0.4 + 9e-4
-    generator.join(points([0.0, 0.5], [near, HOME], [ZERO, ZERO]), 1200, None, anywhere=False)
-    got = generator.setpoints(1199, 700)
-    within_limits(got, MOST)
-    curve = hermite([0.0, 0.5], [[HOME + 0.4, ZERO], [HOME, ZERO]])
-    assert got[1:501, 0] == pytest.approx(curve(np.arange(500) * PERIOD), abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -223,27 +211,3 @@ def test_accelerations_count_between_set_points_too(generator: TrajectoryGenerat
     said = str(caught.value)
     assert said.startswith("point 1: joint_4 gets an acceleration of 6666.67 rad/s^2 on the way there, between two")
     assert "at 0.1002 s; accepted: [-40, 40], or velocities_from_positions" in said
-
-
-def test_many_points_do_not_slow_a_tick_down() -> None:
-    """A tick of a slowed trajectory of 10,000 points takes about as long as one of a hundred."""
-    spent = []
-    for count in (100, 10_000):
-        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-        times = np.arange(1, count + 1) * 0.01
-        turn = 2.0 * np.pi / times[-1]
-        way = HOME + 0.1 * (1.0 - np.cos(turn * times))[:, None]
-        velocity = 0.1 * turn * np.sin(turn * times)[:, None] + ZERO
-        velocity[-1] = 0.0
-        generator.accept(points(times.tolist(), list(way + ZERO), list(velocity)), 0, None)
-        generator.set_speed_scaling(0.5, 100)
-        best = np.inf
-        for _ in range(5):
-            begin = process_time()
-            for tick in range(200, 800, 4):
-                generator.setpoints(tick)
-                generator.ended(tick)
-                generator.progress(tick)
-            best = min(best, process_time() - begin)
-        spent.append(best)
-    assert spent[1] < 2.0 * spent[0]

@@ -237,24 +237,6 @@ SPEEDS = st.floats(1e-3, 2.0)
 ACCELERATIONS = st.floats(1e-2, 20.0)
 
 
-def test_the_reference_line_by_hand() -> None:
-    """0.4 m at 0.1 m/s and 1 m/s^2: 5 mm in each ramp of 0.1 s, 4.1 s in all."""
-    profile = TrapezoidalProfile(0.4, 0.1, 1.0)
-    assert profile.corners == pytest.approx((0.0, 0.1, 4.0, 4.1), abs=1e-14)
-    motion = profile.sample(np.array([-1.0, 0.05, 0.1, 2.05, 4.05, 4.1, 9.0]))
-    np.testing.assert_allclose(motion.distance, [0, 0.00125, 0.005, 0.2, 0.39875, 0.4, 0.4], atol=1e-15)
-    np.testing.assert_allclose(motion.speed, [0, 0.05, 0.1, 0.1, 0.05, 0, 0], atol=1e-14)
-    np.testing.assert_array_equal(motion.acceleration[[0, 1, 3, 4, 6]], [0, 1, 0, -1, 0])
-
-
-def test_a_short_line_is_a_triangle_by_hand() -> None:
-    """4 mm at 1 m/s^2 peak at sqrt(0.004) m/s in the middle and never reach 0.1 m/s."""
-    profile = TrapezoidalProfile(0.004, 0.1, 1.0)
-    assert profile.peak_speed == pytest.approx(np.sqrt(0.004))
-    assert profile.corners == pytest.approx((0.0, np.sqrt(0.004), 2 * np.sqrt(0.004)))
-    assert profile.sample(np.array([np.sqrt(0.004)])).distance[0] == pytest.approx(0.002)
-
-
 @given(LENGTHS, SPEEDS, ACCELERATIONS)
 def test_distance_is_the_integral_of_speed_and_speed_that_of_acceleration(
     length: float, speed: float, acceleration: float

@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from rx90_common.base.errors import ConfigError, LineError, Rx90Error
 from rx90_common.base.share import config_path
-from rx90_common.description.branch import Branch
 from rx90_common.description.kinematics import forward
 from rx90_controller.lines.plan import Approach, plan_line
 from rx90_controller.lines.task import LineTask, load_task
@@ -162,12 +161,6 @@ def test_a_bad_task_file_is_refused_naming_file_and_key(
         load_task(file)
     assert isinstance(refusal.value, LineError | ConfigError)
     assert str(refusal.value).startswith(str(file))
-
-
-def test_a_branch_has_three_known_labels() -> None:
-    """A label that is none of the known ones is an error, not a silent default."""
-    with pytest.raises(ValueError, match="not a branch"):
-        Branch("left")
 
 
 @pytest.mark.parametrize(("speed", "acceleration"), [(0.0, 1.0), (1.1, 1.0), (0.5, 0.0), (0.5, float("nan"))])

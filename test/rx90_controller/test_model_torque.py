@@ -16,7 +16,6 @@ from scipy.integrate import solve_ivp
 
 from rx90_common.description.drives import coupling_matrix, element_matrix
 from rx90_common.description.rigid_torque import rigid_torque
-from rx90_common.description.robot import load_robot
 from rx90_common.friction.tracing import prescribed_torque
 from rx90_controller.law.loops import LAW_STATE_DTYPE, law_reset, position_loop, velocity_loop
 from rx90_emulator.loop.closed_loop import run_ticks
@@ -73,19 +72,6 @@ def test_the_inverse_dynamics_are_those_of_the_model(request: pytest.FixtureRequ
     at = (q + late * (v + 0.5 * late * a), v + late * a, a)
     want = rigid_torque(model, drives.rotor_matrix, drives.spring_torque, *at)
     assert np.abs(got - friction - want).max() < 1e-12 * np.abs(want).max()
-
-
-def test_a_controller_has_a_tool_of_its_own(shipped: Setup) -> None:
-    """With a model without the tool, it is Pinocchio's torque without the tool."""
-    model = shipped.controller.model
-    assert model is not None
-    bare = dataclasses.replace(shipped.controller, model=dataclasses.replace(model, tool=None))
-    setup = by_model(dataclasses.replace(shipped, controller=bare), friction_model=False)
-    pose = np.array([[0.1, 0.5, 1.2, 0.2, 0.9, 0.3]])
-    got = fed_forward(setup, np.stack([pose, 0.0 * pose, 0.0 * pose], axis=1))
-    rest, drives = 0.0 * pose, shipped.drives
-    want = rigid_torque(load_robot(model.urdf).model, drives.rotor_matrix, drives.spring_torque, pose, rest, rest)
-    assert got == pytest.approx(want, abs=1e-10)
 
 
 def test_steady_sliding_is_compensated_by_the_stribeck_curve(shipped: Setup) -> None:
@@ -150,19 +136,6 @@ def test_the_friction_that_is_fed_forward_is_the_one_met_half_a_period_later(shi
         middle = times[k] + late
         met = [oracle.rates(solved.sol(t), velocity(t))[1] for t in middle + 0.5 * period * nodes]
         assert np.abs(got[k] - INPUTS.T @ (0.5 * weights @ np.array(met))).max() < 0.2
-
-
-def test_at_rest_nothing_of_it_moves(shipped: Setup) -> None:
-    """Once the set-points rest, what is fed forward keeps its bits: the bristles stay deflected, as the plant's do."""
-    velocity = np.zeros((500, 6))
-    velocity[:100] = 0.02
-    torque = fed_forward(by_model(shipped), moving(shipped, velocity))
-    # The weight is that of the pose, which no longer changes.
-    setpoints = moving(shipped, velocity)
-    assert np.array_equal(setpoints[100:, 0], np.tile(setpoints[100, 0], (400, 1)))
-    assert np.array_equal(torque[100:], np.tile(torque[100], (400, 1)))
-    friction = fed_forward(by_model(shipped, inverse_dynamics=False), setpoints)[-1]
-    assert np.all(friction[:4] > 0.9 * np.array([e.tau_c_positive for e in shipped.friction.elements[:4]]))
 
 
 def test_a_reset_begins_with_undeflected_bristles(shipped: Setup) -> None:

@@ -196,20 +196,6 @@ def test_what_the_time_was_too_short_for_is_joined_again_beside_the_ticks(ways: 
     assert "accepted" in rig.around.lines[-1]
 
 
-def test_the_last_of_several_is_followed(ways: Ways) -> None:
-    """Long and short ones that come close together are taken in their order, each in place of the one before."""
-    rig = ways.rig
-    ways.meanwhile = lambda _: ways.run(1)
-    for target, count in ((0.01, 30), (-0.01, 1), (0.015, 40), (0.02, 21)):
-        rig.loop.receive(message(rig, count, 2.0, target=target))
-    ways.run(12)
-    rig.loop.receive(rig.trajectory(0.005, stamp=(7, 0)))
-    rig.loop.receive(message(rig, 25, 1.0, start=6.0, target=0.03, base=0.02))
-    assert len(rig.around.taken) == 6
-    assert rig.cs7b.trajectory.setpoints(5900)[0, 0] == pytest.approx([0.02] * 6)
-    assert rig.cs7b.trajectory.setpoints(9000)[0, 0] == pytest.approx([0.03] * 6)
-
-
 @pytest.mark.parametrize("count", [4, 40])
 def test_of_a_trajectory_that_has_begun_the_rest_is_followed(ways: Ways, count: int) -> None:
     """As by joint_trajectory_controller: a stamp that is over leaves the points still to come; none: it is refused."""
@@ -226,17 +212,6 @@ def test_of_a_trajectory_that_has_begun_the_rest_is_followed(ways: Ways, count: 
         "trajectory rejected: the last point is at 2.1 s, the controller's time is 2.2 s; accepted: points later than "
         "that"
     )
-
-
-def test_what_is_no_trajectory_leaves_the_one_that_waits(rig: Rig) -> None:
-    """Before the first states a trajectory is checked by itself at once; a wrong one takes nobody's place."""
-    rig.loop.receive(rig.trajectory(0.1))
-    wrong = rig.trajectory(0.2)
-    wrong.joint_names[2] = "elbow"
-    rig.loop.receive(wrong)
-    assert rig.around.lines[-1].startswith("trajectory rejected: unknown joint 'elbow'")
-    rig.loop.hold(rig.states(400))
-    assert rig.around.lines[-1] == "trajectory accepted: 1 points, 1.000 s from 0.100 s"
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ import pytest
 from joint_moves import HOME, LIMITS, NAMES, PERIOD, move
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, JoinedAhead, TrajectoryRequest
 
@@ -81,31 +80,6 @@ def test_what_waits_is_replaced_unless_it_has_begun_meanwhile() -> None:
     assert np.array_equal(rest(generator, NOW + 10), rest(alone, NOW + 10))
 
 
-def test_a_change_of_the_speed_makes_it_out_of_date() -> None:
-    """One on the way, and one before, where what waits has been joined to what runs: the plan does not fit."""
-    generator = running()
-    plan = planned(generator)
-    generator.set_speed_scaling(0.5, NOW)
-    assert not plan.fits(NOW)
-    planned(generator).adopt(NOW)
-    generator.set_speed_scaling(0.8, NOW + LEAD - 1)
-    assert not planned(generator, now=NOW + LEAD - 1).fits(NOW + LEAD - 1)
-
-
-def test_to_join_leaves_the_generator_alone() -> None:
-    """What the ticks use meanwhile is not touched, not even what they would compute themselves."""
-    generator = running()
-    generator.set_speed_scaling(0.5, NOW)
-    (law,) = generator._current.laws
-    before, revision, shape = rest(copy(generator), NOW)[0], generator.revision, law._series.shape
-    fork = generator.fork(NOW)
-    assert fork is not None
-    fork.join(BACK, NOW + 400, None, anywhere=False)
-    assert generator.revision == revision
-    assert law._series.shape == shape
-    assert np.array_equal(generator.setpoints(NOW)[0], before)
-
-
 def test_an_end_is_told_once() -> None:
     """Where the motion ends, and is said to have, while the next one is joined, the end is not told again."""
     generator = running()
@@ -113,13 +87,3 @@ def test_an_end_is_told_once() -> None:
     assert generator.ended(END) is not None
     plan.adopt(END + 1)
     assert [generator.ended(END + k) for k in range(1, LEAD - 1)] == [None] * (LEAD - 2)
-
-
-def test_a_refusal_is_handed_over_too() -> None:
-    """What breaks a limit is not computed a second time between the ticks."""
-    generator = running()
-    plan = planned(generator, move(9.0, 1.0))
-    assert plan.fits(NOW + 900)
-    with pytest.raises(TrajectoryError, match="joint_1 has the position 9"):
-        plan.adopt(NOW + 900)
-    assert generator.setpoints(END + 1)[0, 0] == pytest.approx(HOME + 0.2)

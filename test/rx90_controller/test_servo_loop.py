@@ -102,17 +102,6 @@ def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: R
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 
 
-def test_off_and_on_between_two_ticks_ends_the_motion(rig: Rig) -> None:
-    """Switched off and on again before the next tick: one tick without torque, then the arm is held where it is."""
-    rig.loop.hold(rig.states(0))
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.run(0, 40)
-    rig.loop.enable(False)
-    rig.loop.enable(True)
-    assert rig.run(40, 4) == [False, True, True, True]
-    assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
-
-
 def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
     """The supervision takes the torque away for good, drops the motion and says why, once; `enable` brings it back."""
     rig.loop.hold(rig.states(0))
@@ -193,16 +182,6 @@ def test_an_empty_trajectory_stops_within_the_accelerations_and_holds(rig: Rig, 
     assert rig.around.taken[1:] == [(0, 420_000_000, "")]
     rig.run(1600, 4000)
     assert rig.around.lines[2:] == [f"stopped at {end:.3f} s; holding"]
-
-
-def test_an_empty_trajectory_for_other_joints_is_refused(rig: Rig) -> None:
-    """Names that are not all of the arm's joints stop nothing."""
-    rig.loop.hold(rig.states(0))
-    rig.around.lines.clear()
-    rig.loop.receive(rig.trajectory(0.2))
-    rig.loop.receive(rig.empty(["joint_1"]))
-    assert rig.around.lines[-1].startswith("trajectory rejected: joint 'joint_2' is missing; accepted: all of")
-    assert rig.cs7b.trajectory.moving(10)
 
 
 class Sender:
@@ -314,14 +293,6 @@ def test_a_goal_that_is_not_reached_in_time_is_told_once(held: Callable[..., Rig
     assert len(aborted(rig)) == 1
 
 
-def test_by_default_nothing_is_given_up(held: Callable[..., Rig]) -> None:
-    """Without constraints an arm that does not follow is the supervision's concern alone, as before."""
-    rig = held()
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.run(0, RATIO * 3000)
-    assert aborted(rig) == []
-
-
 @pytest.mark.parametrize("stops", [False, True])
 def test_what_runs_is_held_to_the_path_while_the_next_one_waits(held: Callable[..., Rig], stops: bool) -> None:
     """Also before the start of what came last, a trajectory or a stop, which is dropped then."""
@@ -353,34 +324,6 @@ def test_what_is_held_to_constraints(held: Callable[..., Rig]) -> None:
     offer(rig, 0.1)
     rig.run(0, RATIO * 1500)
     assert len(aborted(rig)) == 2
-
-
-def test_nothing_is_told_of_a_trajectory_that_is_over(held: Callable[..., Rig]) -> None:
-    """Dropped by an arm without torque, or reached: an arm that is pushed away later is not its concern."""
-    rig = held({"constraints.joint_1.goal": 0.02, "constraints.goal_time": 0.2})
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.run(0, RATIO)
-    rig.loop.enable(False)
-    rig.loop.enable(True)
-    rig.run(RATIO, RATIO)
-    rig.position = np.full(6, 3.0)
-    rig.run(2 * RATIO, RATIO * 401)
-    assert np.abs(rig.cs7b.setpoint[0] - rig.cs7b.measured()[0]).max() > 0.02
-    rig.position = np.zeros(6)
-    rig.loop.receive(rig.trajectory(0.01))
-    rig.run(403 * RATIO, RATIO * 1001)
-    rig.position = np.full(6, 3.0)
-    rig.run(1404 * RATIO, RATIO * 400)
-    assert aborted(rig) == []
-
-
-def test_one_that_waited_for_the_first_states_is_held_to_them_too(rig: Rig) -> None:
-    """From its start on; until there are states there is nothing to compare."""
-    rig.loop.tolerances = GoalTolerances.of_parameters(rig.names, {"constraints.joint_1.trajectory": 0.02})
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.loop.hold(rig.states(0))
-    rig.run(0, RATIO * 1000)
-    assert len(aborted(rig)) == 1
 
 
 @pytest.mark.parametrize("off", [0.0, 1e-3, -0.04])

@@ -197,18 +197,6 @@ def test_what_waits_behind_a_running_one_comes_later_by_as_much(generator: Traje
     assert off_the_path(third[900:1000, 0], path) > 1e-3
 
 
-def test_a_rest_between_two_trajectories_is_stretched_with_them(generator: TrajectoryGenerator) -> None:
-    """Slowed down while the next one waits for a time after its end, the arm rests in between as much longer."""
-    generator.accept(points(np.array([0.8]), HOME[None] + 0.1, ZERO[None]), 100, 1600)
-    generator.set_speed_scaling(0.5, 200)
-    got = generator.setpoints(200, 5000)
-    followed_within_limits(got)
-    resting = np.flatnonzero(np.all(got[:, 0] == HOME, axis=1))
-    assert len(resting) == pytest.approx(300 / 0.5, abs=2)
-    assert np.all(np.diff(resting) == 1)
-    assert np.all(got[-1, 0] == HOME + 0.1)
-
-
 def test_an_arm_that_is_held_on_its_path_may_go_elsewhere_from_there(generator: TrajectoryGenerator) -> None:
     """At scaling 0 it rests, and so a new trajectory begins at rest; it runs once it may."""
     generator.set_speed_scaling(0.0, 500)
@@ -242,16 +230,6 @@ def test_a_stop_joint_by_joint_begins_with_the_velocity_that_there_is(generator:
     generator.set_speed_scaling(0.1, 703)
     assert generator.halt(705) == (begin, end, 0.0)
     assert np.array_equal(generator.setpoints(705, 195), got[5:])
-
-
-def test_ticks_that_pass_delay_a_scaled_motion_too(generator: TrajectoryGenerator) -> None:
-    """After ticks without set-points a slowed motion goes on where it was."""
-    twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    twin.accept(points(TIMES, WAY, SPEED), 0, None)
-    for each in (generator, twin):
-        each.set_speed_scaling(0.3, 200)
-    generator.delay(70, 370)
-    assert np.array_equal(generator.setpoints(370, 3000), twin.setpoints(300, 3000))
 
 
 def test_the_state_is_known_for_every_time(generator: TrajectoryGenerator) -> None:

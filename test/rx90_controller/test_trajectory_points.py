@@ -45,15 +45,6 @@ def test_joints_may_come_in_any_order() -> None:
             assert np.array_equal(getattr(shuffled, table), getattr(plain, table))
 
 
-def test_what_is_not_given_is_none() -> None:
-    """Empty vectors mean: not given."""
-    empty: list[list[float]] = [[], [], []]
-    assert create(acceleration=empty).acceleration is None
-    plain = create(velocity=empty, acceleration=empty)
-    assert plain.velocity is None
-    assert plain.acceleration is None
-
-
 NAN_ROW = [0.1, 0.2, math.nan, 0.4, 0.5, 0.6]
 REFUSALS: list[tuple[dict[str, Any], str]] = [
     ({"joint_names": (*NAMES[:5], "joint_9")}, "unknown joint 'joint_9'; accepted: joint_1, joint_2"),
@@ -95,13 +86,6 @@ def test_a_bad_trajectory_is_refused_by_point_joint_and_reason(changed: dict[str
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
     assert isinstance(caught.value, Rx90Error)
-
-
-def test_faults_name_the_joint_in_the_order_it_came() -> None:
-    """With shuffled names the fault is reported for the joint whose value it is."""
-    names = list(reversed(NAMES))
-    with pytest.raises(TrajectoryError, match="positions of joint_4 is nan"):
-        create(joint_names=names, position=[ROW, NAN_ROW, ROW])
 
 
 @pytest.mark.parametrize("later", [0.0, 5e-17, 2e-9, 0.9e-3])
