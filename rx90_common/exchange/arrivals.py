@@ -22,8 +22,8 @@ _OK = 0
 _MICROSECONDS = 1_000_000
 
 # The numbers that `_receive_batch` works on: the pause in us, how often there was one, and a slot for each receiving
-# thread: its id, its voluntary context switches after its last pause, when it was here last in ns, and room for what the
-# system answers: a struct timespec or a struct rusage, here of 64-bit numbers.
+# thread: its id, its voluntary context switches after its last pause, when it was here last in ns, and room for what
+# the system answers: a struct timespec or a struct rusage, here of 64-bit numbers.
 _PAUSE: Final = 0
 _PAUSES: Final = 1
 _SLOTS: Final = 2

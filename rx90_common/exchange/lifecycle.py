@@ -7,6 +7,7 @@ ticks when.
 from __future__ import annotations
 
 import gc
+import os
 import sys
 import threading
 import traceback
@@ -44,6 +45,7 @@ from rx90_common.process.interrupts import end_with, stop_request
 _SPIN_SLICE = 0.2  # s
 _SWITCH_INTERVAL = 5e-4  # s
 _LAST_TICK_S = 5.0  # the longest wait for the end of a ticking thread
+_SHUTDOWN_S = 20.0  # after which a node that does not end is cut off: the middleware may wait for ever
 _ENTITIES = {  # what a configured node may have made, and what destroys it
     "publishers": "destroy_publisher",
     "subscriptions": "destroy_subscription",
@@ -111,14 +113,24 @@ def spin(
     Raises:
         Rx90Error: what the nodes' constructors or their ticks raise.
     """
+    cut_off = threading.Timer(_SHUTDOWN_S, _cut_off)
+    cut_off.daemon = True
     start_ros(args)
     try:
-        _spin(make(), make_executor)
+        _spin(make(), make_executor, cut_off)
     finally:
         try_shutdown()
+        cut_off.cancel()
 
 
-def _spin(members: Sequence[TickingNode], make_executor: Callable[[], Executor] | None) -> None:
+def _cut_off() -> None:
+    print(f"not ended after {_SHUTDOWN_S:g} s: cut off", file=sys.stderr, flush=True)
+    os._exit(FAILED)
+
+
+def _spin(
+    members: Sequence[TickingNode], make_executor: Callable[[], Executor] | None, cut_off: threading.Timer
+) -> None:
     nodes = [member.node for member in members]
     refuse_unknown_parameters(nodes)
     failures: list[BaseException] = []
@@ -150,6 +162,7 @@ def _spin(members: Sequence[TickingNode], make_executor: Callable[[], Executor] 
         while all(thread.is_alive() for thread in threads) and not stopped.is_set():
             _spin_once(executor, log)
     finally:
+        cut_off.start()
         # The simulation comes first: what its last tick has brought about is sent before the controller ends.
         for member, thread in zip(members, threads, strict=True):
             member.stop()

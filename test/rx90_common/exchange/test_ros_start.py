@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -121,3 +122,29 @@ def test_missing_types_are_one_line_that_says_how_to_get_them(
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setenv("ROS_DISTRO", distribution)
     assert missing_control_msgs() == f"needs control_msgs, which is not installed; accepted: {accepted}"
+
+
+STUCK = """
+import time
+from rx90_common.exchange import lifecycle
+from rx90_common.exchange.ros_start import prepare
+prepare()
+lifecycle._SHUTDOWN_S = 0.5
+class Stuck:
+    def __init__(self):
+        import rclpy
+        self.node = rclpy.create_node("stuck")
+    def tick_loop(self):
+        pass
+    def stop(self):
+        time.sleep(600)
+lifecycle.spin(lambda: [Stuck()], [])
+"""
+
+
+@pytest.mark.ros
+@pytest.mark.usefixtures("ros_domain")
+def test_a_node_that_does_not_end_is_cut_off() -> None:
+    """Where shutdown hangs, the process ends with a line and exit code 3."""
+    done = subprocess.run([sys.executable, "-c", STUCK], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr.splitlines()[-1]) == (3, "not ended after 0.5 s: cut off")
