@@ -16,6 +16,7 @@ from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange.cdr import CdrReader
+from rx90_controller.trajectory.spline import Spline
 
 LONGEST = 3600.0
 """The longest trajectory, s: each of its set-points is checked before it may start."""
@@ -27,6 +28,8 @@ _REST_VELOCITY = float(np.finfo(np.float32).eps)  # rad/s
 # by what was braked.
 _REPEATED_TIME, _REPEATED_POSITION, _REPEATED_VELOCITY = 0.999e-3, 1e-4, 1e-9  # s, rad, rad/s
 _MIN_POINT_BYTES = 4 * len(POINT_FIELDS) + 8  # four empty sequences and a time
+
+Way = Spline
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,7 @@ class TrajectoryPoints:
         acceleration: rad/s^2, shape (n, 6), or None if no point carries accelerations.
         named: which joints the points are of, shape (6,); the values of the others are 0 and mean nothing.
         first: number of the first point in the trajectory that was sent.
+        way: None; kept for programs that name it.
         smooth: whether only the velocities at both ends count, see `smoothed`.
         degrees: of the way to each point, shape (n,): 1, a straight line, where one of its two ends has no velocities,
             3, or 5 where both have accelerations, too; None where all are alike. Values that are not given are 0.
@@ -51,6 +55,7 @@ class TrajectoryPoints:
     acceleration: Array | None
     named: Mask = field(default_factory=lambda: np.ones(6, dtype=np.bool_))
     first: int = 0
+    way: Way | None = None
     smooth: bool = False
     degrees: NDArray[np.intp] | None = None
 
@@ -109,6 +114,10 @@ class TrajectoryPoints:
                     f"{_REST_VELOCITY:.3g} rad/s, the arm rests at the last point"
                 )
         return cls(np.array(times, dtype=np.float64), q, v, a, np.isin(np.arange(6), columns), degrees=degrees)
+
+    def prepared(self) -> TrajectoryPoints:
+        """Return them as they are: nothing need be computed beforehand; kept for programs that call it."""
+        return self
 
     def smoothed(self) -> TrajectoryPoints:
         """Return them for the smooth spline through their positions, with their velocities at both ends.
