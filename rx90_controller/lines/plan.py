@@ -102,7 +102,7 @@ def _slope(robot: RobotModel, task: LineTask, q: Array) -> Array:
 
 
 def _follow(robot: RobotModel, task: LineTask, distance: Array) -> Array:
-    """Return continuous joint angles (n, 6); NaN rows from where the line leaves the arm's reach."""
+    """Return continuous joint angles (n, 6) in the middle of the limits, as far as the line is within reach."""
     poses = line_poses(task, distance)
     arm = SphericalWristArm.from_chain(robot.chain)
     if arm is not None:
@@ -115,10 +115,11 @@ def _follow(robot: RobotModel, task: LineTask, distance: Array) -> Array:
             if guess is None:
                 break
             q[k] = guess
-    lost = _first(np.asarray(np.isnan(q).any(axis=1)))
-    q[lost:] = np.nan
-    q[:lost] = np.unwrap(q[:lost], axis=0)
-    return q
+    q = np.unwrap(q[: _first(np.asarray(np.isnan(q).any(axis=1)))], axis=0)
+    if len(q):  # whole joints by whole turns
+        middle = (q.min(axis=0) + q.max(axis=0)) / 2.0
+        q = q + (nearest_turn(middle, (robot.lower + robot.upper) / 2.0) - middle)
+    return np.asarray(q)
 
 
 def plan_path(robot: RobotModel, task: LineTask) -> JointPath:
@@ -129,10 +130,8 @@ def plan_path(robot: RobotModel, task: LineTask) -> JointPath:
     """
     distance = np.linspace(0.0, task.length, max(_MIN_EXAMINED, int(np.ceil(task.length / _EXAMINED_STEP))) + 1)
     q, faults = _follow(robot, task, distance), dict[int, str]()  # the first reason, by the place
-    reached = _first(np.asarray(np.isnan(q).any(axis=1)))
-    if reached < len(q):
-        faults[reached] = "out of reach; accepted: a pose that the arm can take"
-    q = _center_turns(robot, q[:reached])
+    if len(q) < len(distance):
+        faults[len(q)] = "out of reach; accepted: a pose that the arm can take"
     for j, name in enumerate(robot.joint_names):
         at = _first((q[:, j] < robot.lower[j]) | (q[:, j] > robot.upper[j]))
         if at < len(q):
@@ -152,8 +151,15 @@ def plan_path(robot: RobotModel, task: LineTask) -> JointPath:
         k, j = jumps[0].tolist()
         jump = q[k + 1, j] - q[k, j]
         faults[k + 1] = f"{robot.joint_names[j]} jumps by {jump:.3f} rad to another branch; accepted: no jump"
-    # What no speed can mend comes first: near a singularity the joint speeds grow, whatever the line's speed.
-    faults = faults or _speed_faults(robot, task, distance, slope)
+    if not faults:
+        # What no speed can mend came first: near a singularity the joint speeds grow, whatever the line's speed.
+        rate = np.abs(slope) * task.profile().speed_at(distance)[:, None]
+        for j, name in enumerate(robot.joint_names):
+            at = _first(rate[:, j] > robot.max_velocity[j])
+            if at < len(rate):
+                most = task.speed * robot.max_velocity[j] / rate[:, j].max()
+                accepted = f"<= {robot.max_velocity[j]:.3f} rad/s (a line speed of about {most:.3g} m/s)"
+                faults.setdefault(at, f"{name} would turn at {rate[at, j]:.3f} rad/s; accepted: {accepted}")
     if faults:
         first = min(faults)
         at_m = float(distance[first])
@@ -169,31 +175,6 @@ def plan_path(robot: RobotModel, task: LineTask) -> JointPath:
 def _first(rows: Mask) -> int:
     """Return the number of the first row that is true; how many rows there are if none is."""
     return int(np.argmax(rows)) if rows.any() else len(rows)
-
-
-def _center_turns(robot: RobotModel, q: Array) -> Array:
-    """Shift whole joints by whole turns, so that each path lies in the middle of its limits."""
-    if not len(q):
-        return q
-    path_middle = (q.min(axis=0) + q.max(axis=0)) / 2.0
-    shift = nearest_turn(path_middle, (robot.lower + robot.upper) / 2.0) - path_middle
-    return np.asarray(q + shift)
-
-
-def _speed_faults(robot: RobotModel, task: LineTask, distance: Array, slope: Array) -> dict[int, str]:
-    """Return where joints would be too fast, with what is accepted."""
-    faults: dict[int, str] = {}
-    rate = np.abs(slope) * task.profile().speed_at(distance)[:, None]
-    for j, name in enumerate(robot.joint_names):
-        at = _first(rate[:, j] > robot.max_velocity[j])
-        if at < len(rate):
-            most = task.speed * robot.max_velocity[j] / rate[:, j].max()
-            text = (
-                f"{name} would turn at {rate[at, j]:.3f} rad/s; accepted: <= {robot.max_velocity[j]:.3f} rad/s (a line "
-                f"speed of about {most:.3g} m/s)"
-            )
-            faults.setdefault(at, text)
-    return faults
 
 
 @dataclass(frozen=True, eq=False)

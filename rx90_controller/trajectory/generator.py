@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
-from rx90_controller.trajectory.followed_path import FollowedPath, Path
 from rx90_controller.trajectory.paths import JointLimits, connect, stop
 from rx90_controller.trajectory.points import TrajectoryPoints
-from rx90_controller.trajectory.spline import joined, merged, remainder, resting, smooth
+from rx90_controller.trajectory.spline import FollowedPath, Path, joined, merged, remainder, resting, smooth
 
 _ADVICE = ", or velocities_from_positions, where the points' velocities do not belong to their positions"
 _MAX_HALT_RATIO = 3  # a stop along the path may take so many times as long as one joint by joint
@@ -173,7 +173,10 @@ class TrajectoryGenerator:
         motion, waiting = self._effective(now), self._next
         if motion.runs(now) and not motion.fixed:
             if waiting is not None and motion is not waiting:
-                self._current, self._next = motion.over_to(waiting.path, waiting.start), None
+                # One path, which goes over to the other where it will, by its present rate, be at the start of that.
+                at, (spline, _, last, stops) = motion.at(waiting.start)[0], waiting.path
+                path = Path(joined(motion.path.spline, at, spline), at, at + last, stops)
+                self._current, self._next = motion.on(path, motion.path), None
                 motion = self._current
             motion.go_at(factor, now)
         elif waiting is not None and motion is not waiting:
@@ -269,7 +272,8 @@ class TrajectoryGenerator:
             return None
         fork = copy.copy(self)
         fork._origin = (self.revision, None if self._next is None else self._next.start)
-        fork._current, fork._next = self._current.copied(), None
+        laws = [copy.copy(law) for law in self._current.laws]  # what a fork computes is not this one's
+        fork._current, fork._next = replace(self._current, laws=laws), None
         return fork
 
     def continues(self, fork: TrajectoryGenerator, now: int) -> bool:
