@@ -192,23 +192,6 @@ def test_a_goal_that_is_followed_succeeds_at_its_last_point() -> None:
     assert np.all(arm.setpoints[-1] == [HOME + 0.2, ZERO, ZERO])
 
 
-def test_feedback_says_what_is_wanted_and_what_is() -> None:
-    """Desired, actual and error at the last tick, in time of the trajectory and of the clock, which scaling parts."""
-    arm = Arm()
-    arm.off[1], arm.off_speed[1] = 0.01, 0.1
-    arm.trajectory.set_speed_scaling(0.5, 0)
-    arm.offer("a", message())
-    arm.run(301)
-    feedback = arm.feedback
-    assert feedback is not None
-    assert feedback.tick == 300
-    assert feedback.desired[0] == pytest.approx(HOME + 0.2 * (3 * 0.25**2 - 2 * 0.25**3))
-    assert (feedback.desired - feedback.actual)[:2] == pytest.approx(np.array([arm.off, arm.off_speed]))
-    # The measured acceleration is the difference of the velocities over a tick.
-    assert feedback.actual[2] == pytest.approx(feedback.desired[2], abs=0.05)
-    assert (feedback.desired_time, feedback.actual_time) == pytest.approx((0.15, 0.3))
-
-
 @pytest.mark.parametrize("at", [1, 123, 300, 599])
 def test_a_cancelled_goal_stops_along_the_path(at: int) -> None:
     """CANCELED at once; the arm comes to rest on the straight way between the poses, and holds."""

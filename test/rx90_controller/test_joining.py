@@ -269,24 +269,3 @@ def test_from_rest_it_begins_when_it_is_there() -> None:
     alone = copy(generator)
     assert planned(generator).adopt(NOW + 77) == alone.join(BACK, NOW + 77, None, anywhere=False)
     assert np.array_equal(rest(generator, NOW + 77), rest(alone, NOW + 77))
-
-
-def test_what_waits_is_replaced_unless_it_has_begun_meanwhile() -> None:
-    """A trajectory that would have begun before the one that is joined never runs; once it runs, it is joined to."""
-    generator, alone = running(), running()
-    generator.join(move(0.6, 2.0), NOW, NOW + 10, anywhere=False)
-    plan = planned(generator)
-    assert not plan.fits(NOW + 11)
-    assert plan.fits(NOW + 10)
-    plan.adopt(NOW + 10)
-    alone.join(BACK, NOW, NOW + LEAD, anywhere=False)
-    assert np.array_equal(rest(generator, NOW + 10), rest(alone, NOW + 10))
-
-
-def test_an_end_is_told_once() -> None:
-    """Where the motion ends, and is said to have, while the next one is joined, the end is not told again."""
-    generator = running()
-    plan = planned(generator, now=END - 1)
-    assert generator.ended(END) is not None
-    plan.adopt(END + 1)
-    assert [generator.ended(END + k) for k in range(1, LEAD - 1)] == [None] * (LEAD - 2)

@@ -7,21 +7,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 from servo_rig import Rig
 
-from rx90_common.base.entries import Number, Numbers
-from rx90_common.description.robot_files import RobotFiles
-from rx90_controller.law.parameters import load_controller
-from rx90_controller.node.parameters import LAW_ENTRIES
 from rx90_controller.trajectory.request import Feedback, GoalTolerances, State, TrajectoryRequest
 from rx90_emulator.loop.setup import Setup
 
 RATIO = 4  # ticks for each of the position loop, which come every millisecond
-NUMBERS = {name: entry for name, entry in LAW_ENTRIES.items() if isinstance(entry, Number)}
 
 
 def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
@@ -58,20 +52,6 @@ def test_a_motion_that_comes_to_no_end_is_told_of(rig: Rig) -> None:
     rig.loop.enable(False)
     rig.run(0, 400)
     assert rig.around.lines[-1] == "trajectory dropped at 0.000 s: the torque is off"
-
-
-def test_an_end_is_called_what_it_is(rig: Rig) -> None:
-    """A motion that ends before a stop that was asked for in time, and a stop that ends before a motion begins."""
-    rig.loop.hold(rig.states(0))
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.run(0, 4)
-    rig.loop.receive(rig.empty(stamp=(1, 200_000_000)))
-    rig.run(4, 4000)
-    assert rig.around.lines[-1] == "trajectory ended at 1.000 s; holding"
-    rig.run(4004, 800)
-    rig.loop.receive(rig.trajectory(0.2, stamp=(3, 0)))
-    rig.run(4804, 4)
-    assert rig.around.lines[-1] == "stopped at 1.200 s; holding"
 
 
 def test_set_points_are_published_in_ticks_of_the_position_loop(rig: Rig) -> None:
@@ -133,18 +113,6 @@ def test_other_constants_of_the_law_count_from_a_position_tick_on(rig: Rig) -> N
     assert effective == []
     rig.run(12, 1)
     assert effective == [12 * rig.period]
-
-
-def test_skipped_ticks_come_later(rig: Rig) -> None:
-    """A motion goes on where it was after ticks without set-points."""
-    rig.loop.hold(rig.states(0))
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.run(0, 2000)
-    before = rig.cs7b.reference()[0].copy()
-    rig.loop.skip(300)
-    rig.run(2000 + 4 * 300, 1)
-    assert np.abs(rig.cs7b.reference()[0] - before).max() < 1e-3
-    assert rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 
 
 def test_a_stamp_too_far_ahead_is_refused(rig: Rig) -> None:
@@ -324,21 +292,6 @@ def test_what_is_held_to_constraints(held: Callable[..., Rig]) -> None:
     offer(rig, 0.1)
     rig.run(0, RATIO * 1500)
     assert len(aborted(rig)) == 2
-
-
-@pytest.mark.parametrize("off", [0.0, 1e-3, -0.04])
-def test_the_largest_values_together_give_finite_torques(
-    shipped: Setup, shipped_files: RobotFiles, edited_yaml: Callable[..., Path], off: float
-) -> None:
-    """Whatever the checks let pass, the law computes: all at their largest, on a motor beside its set-point."""
-    path = shipped_files.controller
-    for name, entry in NUMBERS.items():
-        path = edited_yaml(path, tuple(name.split(".")), [entry.high] * 6 if isinstance(entry, Numbers) else entry.high)
-    rig = Rig(dataclasses.replace(shipped, controller=load_controller(path)))
-    rig.loop.hold(rig.states(0))
-    rig.position = off * np.asarray(shipped.drives.gear)
-    assert rig.run(0, 400) == [True] * 400
-    assert np.isfinite(rig.loop.command).all()
 
 
 @pytest.mark.parametrize("field", ["kp", "ki", "viscous"])

@@ -197,20 +197,6 @@ def test_what_waits_behind_a_running_one_comes_later_by_as_much(generator: Traje
     assert off_the_path(third[900:1000, 0], path) > 1e-3
 
 
-def test_an_arm_that_is_held_on_its_path_may_go_elsewhere_from_there(generator: TrajectoryGenerator) -> None:
-    """At scaling 0 it rests, and so a new trajectory begins at rest; it runs once it may."""
-    generator.set_speed_scaling(0.0, 500)
-    position = generator.setpoints(999)[0, 0]
-    generator.accept(points(np.array([0.8]), HOME[None], ZERO[None]), 1000, None)
-    assert np.all(generator.setpoints(1000, 500)[:, 0] == position)
-    generator.set_speed_scaling(1.0, 1500)
-    got = generator.setpoints(1499, 1000)
-    followed_within_limits(got)
-    curve = CubicHermiteSpline([0.0, 0.8], np.array([position, HOME]), np.zeros((2, 6)))
-    assert off_the_path(got[:, 0], curve) < 1e-6
-    assert np.all(got[803:, 0] == HOME)
-
-
 def test_a_stop_joint_by_joint_begins_with_the_velocity_that_there_is(generator: TrajectoryGenerator) -> None:
     """Slowed down, each joint needs v^2/(2 a) by its real velocity; slower or halted meanwhile, it brakes as before."""
     generator.set_speed_scaling(0.4, 100)
