@@ -151,7 +151,7 @@ def test_a_controller_that_stays_away_closes_the_brakes(nodes: Nodes) -> None:
     nodes.run(1000, repeat(10_000))
     assert nodes.plant.brakes_closed
     assert "torque off, brakes closed" in nodes.said[-1]
-    nodes._channel.serve = nodes.controller.serve
+    nodes._channel.serve = nodes.controller.serve_free_running
     nodes.held._timeout = 0.1
     nodes.run(TICKS, repeat(1))
     assert not nodes.plant.brakes_closed
