@@ -79,23 +79,6 @@ def test_step_response_of_the_sampled_loop(servo: MakeServo, rates: Rates) -> No
     assert got == pytest.approx(np.outer(unit, JUMP), abs=1e-12)
 
 
-def test_step_response_tends_to_the_continuous_transfer_function(servo: MakeServo) -> None:
-    """With growing rates the answer tends, with order 1, to that of the continuous loop by SciPy."""
-    # q / q_r of M s^2 q = lag(s) M [kv (kp e - s q) + ki e / s], e = q_r - q, lag = 1 / (s / w + 1).
-    w = 2 * math.pi * BANDWIDTH
-    system = signal.lti([KV * KP, KI], [1 / w, 1.0, KV, KV * KP, KI])
-    errors = []
-    for base in (8000, 16000, 32000):
-        loop = servo(Rates(base, base // 4), inertia=INERTIA)
-        step_to(loop, JUMP)
-        ticks = base // 10
-        got, _ = loop.run(ticks)
-        _, want = signal.step(system, T=np.arange(ticks) / base)
-        errors.append(np.abs(got[:, 0] / JUMP[0] - want).max())
-    assert errors[0] < 0.1
-    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([1.0, 1.0], abs=0.2)
-
-
 def test_ramp_response(servo: MakeServo) -> None:
     """A ramp is followed as the sampled loop does, and in the end without position error."""
     speed = np.array([0.5, -0.4, 0.3, 0.2, 0.0, 0.1])

@@ -176,22 +176,6 @@ def test_a_point_at_the_start_elsewhere_or_over_is_refused() -> None:
     assert [event.state.name for event in arm.run(600)] == ["SUCCEEDED"]
 
 
-def test_a_goal_that_is_followed_succeeds_at_its_last_point() -> None:
-    """From waiting to running to succeeded, with code 0; then the last point is held and no goal is active."""
-    arm = Arm()
-    assert arm.offer("a", message(stamp=0.1)) is None
-    arm.run(100)
-    assert arm.active == "a"
-    assert arm.feedback is None
-    assert arm.run(600) == []
-    event = arm.run(1)[0]
-    assert event == ("a", State.SUCCEEDED, 0, "goal reached at 0.7 s, 0 s after the last point", 701)
-    assert arm.active is None
-    assert arm.feedback is None
-    assert arm.run(500) == []
-    assert np.all(arm.setpoints[-1] == [HOME + 0.2, ZERO, ZERO])
-
-
 @pytest.mark.parametrize("at", [1, 123, 300, 599])
 def test_a_cancelled_goal_stops_along_the_path(at: int) -> None:
     """CANCELED at once; the arm comes to rest on the straight way between the poses, and holds."""
@@ -209,24 +193,6 @@ def test_a_cancelled_goal_stops_along_the_path(at: int) -> None:
     share = (np.array(arm.setpoints)[:, 0] - HOME) / way
     assert np.abs(share - share[:, :1]).max() < 1e-9
     assert arm.outputs.info.call_args.args[0].startswith("stopped at ")
-
-
-def test_a_new_goal_pre_empts_the_one_before() -> None:
-    """The one before ends with code -1; a refused one leaves it and its set-points as they are."""
-    arm = Arm()
-    arm.offer("a", message())
-    arm.run(200)
-    with pytest.raises(GoalError) as caught:
-        arm.offer("b", message(HOME + 9.0))
-    assert caught.value.code is ResultCode.INVALID_GOAL
-    assert arm.active == "a"
-    event = arm.offer("c", message(HOME - 0.1, 0.9))
-    assert event is not None
-    assert event == ("a", State.ABORTED, ResultCode.INVALID_GOAL, "pre-empted by a new goal, at 0.2 s", 200)
-    ended = arm.run(1000)
-    assert [(each.key, each.state) for each in ended] == [("c", State.SUCCEEDED)]
-    assert arm.stopped_smoothly()
-    assert np.all(arm.setpoints[-1][0] == HOME - 0.1)
 
 
 def test_what_ends_the_following_ends_the_goal() -> None:
@@ -308,23 +274,6 @@ def test_a_goal_is_reached_once_its_tolerances_hold() -> None:
     assert arm.active == "a"
     arm.off[2] = 0.009
     assert arm.run(1)[0].text == "goal reached at 0.75 s, 0.15 s after the last point"
-
-
-def test_a_goal_that_is_not_reached_in_time_is_aborted() -> None:
-    """After goal_time: code -5 with joint, amount, limit and time; exactly goal_time is still in time."""
-    arm = Arm()
-    arm.offer("a", message(goal_time_tolerance=stamp(0.2)))
-    arm.off[2] = 0.011
-    assert arm.run(801) == []
-    event = arm.run(1)[0]
-    assert event[1:3] == (State.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
-    assert event.text == (
-        "joint_3: position error 0.011 rad, accepted up to 0.01 rad at the goal, 0.201 s after the last point, "
-        "at 0.801 s, 0.801 s on the trajectory"
-    )
-    arm.run(100)
-    assert arm.stopped_smoothly()
-    assert np.all(arm.setpoints[-1][0] == HOME + 0.2)
 
 
 def test_tolerances_of_a_goal_end_with_it() -> None:

@@ -15,7 +15,6 @@ from scipy.interpolate import BPoly
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
-from rx90_controller.trajectory.generator import PastError
 from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, JoinedAhead, TrajectoryRequest
 
 MOST = np.array([18.0, 12.0, 12.0, 40.0, 40.0, 60.0])
@@ -93,19 +92,6 @@ def test_an_hour_within_the_limits_is_not_sampled(times: list[float], monkeypatc
     plain = points(times, [HOME + 0.1] * len(times), [ZERO] * len(times))
     generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
     assert generator.join(plain, 0, None, anywhere=False).end == 3_600_000
-
-
-def test_a_trajectory_that_is_all_in_the_past_is_refused(generator: TrajectoryGenerator) -> None:
-    """It says when its last point was; the running motion goes on."""
-    twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    twin.accept(points([1.0], [HOME + 0.4], [ZERO]), 0, None)
-    for start in (0, 100):
-        with pytest.raises(PastError) as caught:
-            generator.join(points([0.1, 0.3], [HOME, HOME], [ZERO, ZERO]), 400, start, anywhere=True)
-        last = start * PERIOD + 0.3
-        wanted = f"the last point is at {last:g} s, the controller's time is 0.4 s; accepted: points later than that"
-        assert str(caught.value) == wanted
-    assert np.array_equal(generator.setpoints(400, 800), twin.setpoints(400, 800))
 
 
 def test_refusals_count_the_points_as_they_were_sent(generator: TrajectoryGenerator) -> None:

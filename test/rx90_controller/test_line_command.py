@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import threading
 import time
@@ -101,15 +100,6 @@ def test_a_mistake_gives_one_line_and_a_status(
     assert expected in error
     assert error.startswith("rx90_line: ")
     assert error.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    "arguments", ["", "--start 0.6 0 0.2", "--start a b c --end 0 0 1", "--shoulder up", "--timeout 0"]
-)
-def test_wrong_usage_ends_with_status_2(capsys: pytest.CaptureFixture[str], arguments: str) -> None:
-    """Missing or unreadable options end as argparse ends: usage, one line, status 2."""
-    assert run("rx90_line", arguments.split()) == 2
-    assert "rx90_line: " in capsys.readouterr().err
 
 
 class Listener:
@@ -267,21 +257,6 @@ def test_no_controller_within_the_timeout(start_line: Callable[..., subprocess.P
     _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 3
     assert err == "rx90_line: found no controller on /rx90_controller/joint_trajectory within 1 s\n"
-
-
-@pytest.mark.ros
-@pytest.mark.usefixtures("warm")
-def test_ctrl_c_while_waiting(start_line: Callable[..., subprocess.Popen[str]]) -> None:
-    """Ctrl-C ends the wait with one line, no traceback, and status 130."""
-    process = start_line("--timeout", str(PATIENCE))
-    assert process.stdout is not None
-    for line in process.stdout:
-        if line.startswith("waiting"):
-            break
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130
-    assert err == "rx90_line: interrupted\n"
 
 
 def test_an_empty_controller_name_is_refused() -> None:

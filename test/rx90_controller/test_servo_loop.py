@@ -41,19 +41,6 @@ def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
     assert not any("dropped" in line for line in rig.around.lines)
 
 
-def test_a_motion_that_comes_to_no_end_is_told_of(rig: Rig) -> None:
-    """States that begin anew, as after a reset, drop a motion, and one that waits for its start: one line with why."""
-    rig.loop.hold(rig.states(0))
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.run(0, 400)
-    rig.loop.hold(rig.states(0))
-    assert rig.around.lines[-1] == "trajectory dropped at 0.100 s: the states go on from 0 s; holding"
-    rig.loop.receive(rig.trajectory(0.1, stamp=(5, 0)))
-    rig.loop.enable(False)
-    rig.run(0, 400)
-    assert rig.around.lines[-1] == "trajectory dropped at 0.000 s: the torque is off"
-
-
 def test_set_points_are_published_in_ticks_of_the_position_loop(rig: Rig) -> None:
     """Of eight ticks two run the position loop, and each of these is published with its own stamp."""
     rig.loop.hold(rig.states(8))
@@ -113,22 +100,6 @@ def test_other_constants_of_the_law_count_from_a_position_tick_on(rig: Rig) -> N
     assert effective == []
     rig.run(12, 1)
     assert effective == [12 * rig.period]
-
-
-def test_a_stamp_too_far_ahead_is_refused(rig: Rig) -> None:
-    """A stamp of the wall clock, or one beyond the horizon, is one line with both times and what is accepted."""
-    rig.loop.hold(rig.states(400))
-    rig.around.lines.clear()
-    rig.loop.receive(rig.trajectory(0.1, stamp=(1_795_000_000, 250_000_000)))
-    assert rig.around.lines == [
-        "trajectory rejected: start time 1795000000.250 s, the controller's time is 0.100 s; accepted: 0 for now, "
-        "or simulated time within 60 s"
-    ]
-    rig.loop.receive(rig.empty(stamp=(60, 101_000_000)))
-    assert rig.loop.rejected == 2
-    rig.loop.receive(rig.trajectory(0.1, stamp=(60, 100_000_000)))
-    assert rig.around.lines[-1] == "trajectory accepted: 1 points, 1.000 s from 60.100 s"
-    assert rig.around.taken == [(1, 60_100_000_000, "")]
 
 
 @pytest.mark.parametrize("named", [False, True])
