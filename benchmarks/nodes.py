@@ -110,6 +110,8 @@ def _watch(
                 look(simulation.time)
             if time.monotonic() > heard + _TIMEOUT:
                 raise ExchangeError(f"no /clock within {_TIMEOUT:g} s; accepted: nodes that run")
+    if len(stamps) < 3:
+        raise ExchangeError(f"{len(stamps)} messages on /clock; accepted: a run that is heard from its begin on")
     tail = stamps[len(stamps) // 10 :]  # in the beginning the graph is still being discovered
     return (tail[-1][1] - tail[0][1]) / (tail[-1][0] - tail[0][0])
 
@@ -127,8 +129,11 @@ def lockstep(rounds: int) -> dict[str, float]:
         channel.append(pair[1])
         with ProcessGroup() as group:
             _start(group, "rx90_controller")
-            simulation = _start(group, "rx90_sim", "duration:=5.0", "real_time_factor:=0.0", "clock_rate:=10")
-            nodes.append(BASE_HZ * _watch(lambda _now, process=simulation: process.returncode is not None))  # type: ignore[misc]
+            # Paused until its client is connected: an unpaced run may be over before the graph has got to know that.
+            run = ("duration:=5.0", "real_time_factor:=0.0", "clock_rate:=10", "paused:=true")
+            simulation = _start(group, "rx90_sim", *run)
+            factor = _watch(lambda _now, process=simulation: process.returncode is not None, release=True)  # type: ignore[misc]
+            nodes.append(BASE_HZ * factor)
     with ProcessGroup() as group:
         _start(group, "rx90_controller")
         _start(group, "rx90_sim", "time_mode:=free_running")

@@ -83,7 +83,7 @@ def _ends(name: str, direction: int) -> list[Any]:
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(name)
     topics = zip((_WaitSet, Channel), (_BARE[::direction], _CHANNEL[::direction]), strict=True)
-    return [kind(node, *names, TICK_QOS.profile) for kind, names in topics]
+    return [kind(node, *names, TICK_QOS) for kind, names in topics]
 
 
 def _ask(exchanges: int, rounds: int) -> tuple[float, float]:

@@ -96,7 +96,7 @@ def test_the_house_is_found() -> None:
     """Ground, rooms and roof are read off the folders, and arrows are seen, so that the tests below test something."""
     assert (GROUND, ROOMS, ROOF) == ("rx90_common", ["friction_bench", "rx90_controller", "rx90_sim"], "rx90_emulator")
     assert "rx90_common.friction.bristle" in reached("rx90_emulator.loop.closed_loop")
-    assert "rclpy" in ros("rx90_common.exchange.node_tools")
+    assert "rclpy" in ros("rx90_common.exchange.lifecycle")
 
 
 def test_arrows_point_down() -> None:

@@ -24,8 +24,8 @@ from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.exchange.endpoints import REQUEST_QOS, publish, ros_time
-from rx90_common.exchange.node_tools import Diagnostics
-from rx90_common.exchange.node_tools import spin as spin_node
+from rx90_common.exchange.lifecycle import Diagnostics
+from rx90_common.exchange.lifecycle import spin as spin_node
 from rx90_common.exchange.parameters import declare
 
 JOINT = "rig_motor"
@@ -139,7 +139,7 @@ class BenchNode:
             "unload": (_answering(lambda: self._couple(False), "joint taken off"), waiting),
             "stop": (_answering(self._link.stop_rig, "stop sent"), urgent),
         }
-        qos = REQUEST_QOS.profile
+        qos = REQUEST_QOS
         self._services = [
             self.node.create_service(Trigger, f"~/{name}", callback, callback_group=group, qos_profile=qos)
             for name, (callback, group) in callbacks.items()

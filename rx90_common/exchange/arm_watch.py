@@ -16,70 +16,41 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, ExchangeError, MessageError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.endpoints import ManualCallbackGroup, never_called
-from rx90_common.exchange.ros_start import reason
+from rx90_common.exchange.ros_start import controller_topic
 from rx90_common.exchange.topics import SAMPLED, TIME_MODE, TRAJECTORY_ACCEPTED, TimeMode
 
 _NODES = 20  # that may all speak at once
 _SAMPLES = 100  # in a second
 _TICKS = 1000  # of the position loop in a second
-_SERVICE = "joint_trajectory"  # any name below the controller's
 
 
-class Newest:
+class _Newest:
     """A subscription that keeps the newest messages; others cost no processor time but the middleware's.
 
-    Best effort: the publisher neither waits for this subscription nor sends again what it has missed.
-
-    Args:
-        node: owner; an executor may spin it.
-        kind: class of the messages.
-        topic: relative or absolute name.
-        raw: take the bytes as they are.
-        latched: also what was published before; then reliable.
-        depth: how many are kept.
-
-    Attributes:
-        topic: resolved name of the topic.
+    Best effort, unless `latched`: the publisher neither waits for it nor sends again what it has missed.
     """
 
-    def __init__(
-        self, node: Node, kind: Any, topic: str, *, raw: bool = False, latched: bool = False, depth: int = 1
-    ) -> None:
+    def __init__(self, node: Node, kind: Any, topic: str, depth: int = 1, *, latched: bool = False) -> None:
         profile = QoSProfile(
             depth=depth,
             reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
-        self._node, self._kind, self._raw, self._depth = node, kind, raw, depth
-        self._subscription = node.create_subscription(
-            kind, topic, never_called, profile, raw=raw, callback_group=ManualCallbackGroup()
+        self._kind, self._depth, self._raw = kind, depth, kind is JointState
+        self.subscription = node.create_subscription(
+            kind, topic, never_called, profile, raw=self._raw, callback_group=ManualCallbackGroup()
         )
-        self.topic = str(self._subscription.topic_name)
+        self.topic = str(self.subscription.topic_name)
 
-    @property
-    def publishers(self) -> int:
-        """Return how many publishers the topic has."""
-        return int(self._subscription.get_publisher_count())
-
-    def close(self) -> None:
-        """Listen no more."""
-        self._node.destroy_subscription(self._subscription)
-
-    def take_all(self) -> list[Any]:
+    def take(self) -> list[Any]:
         """Return the messages that came since the last call, as far as they were kept, the newest last."""
-        taken = (self._subscription.handle.take_message(self._kind, self._raw) for _ in range(self._depth))
-        return [one[0] for one in takewhile(lambda one: one is not None, taken)]
-
-    def take(self) -> Any:
-        """Return the newest message that came since the last call, None if none did."""
-        messages = self.take_all()
-        return messages[-1] if messages else None
+        messages = (self.subscription.handle.take_message(self._kind, self._raw) for _ in range(self._depth))
+        return [one[0] for one in takewhile(lambda one: one is not None, messages)]
 
 
 class JointSample(NamedTuple):
@@ -141,40 +112,30 @@ class ArmWatch:
     """
 
     def __init__(self, node: Node, controller: str, joints: Sequence[str], elements: Sequence[str]) -> None:
-        try:
-            full = str(node.resolve_topic_name(f"{controller or '/'}/{_SERVICE}")).rsplit("/", 1)[0]
-        except RuntimeError as error:
-            raise ConfigError(
-                f"the controller node's name is {quoted(controller)} ({reason(error)}); "
-                "accepted: a name such as rx90_controller or /cell/rx90_controller"
-            ) from error
+        full = controller_topic(node, controller).rsplit("/", 1)[0]
         self.namespace = full.rsplit("/", 1)[0]
         self._codecs = JointStateCodec(joints), JointStateCodec(elements)
         self._node = node
         self._joints, self._elements = self._listen(self.namespace)
-        self._ticks: Newest | None = None
-        self._mode = Newest(node, String, f"{self.namespace}/{TIME_MODE}", latched=True)
-        self._accepted = Newest(node, JointTrajectory, f"{full}/{TRAJECTORY_ACCEPTED}", latched=True)
-        self._diagnostics = Newest(node, DiagnosticArray, "/diagnostics", depth=_NODES)
+        self._ticks: _Newest | None = None
+        self._mode = _Newest(node, String, f"{self.namespace}/{TIME_MODE}", latched=True)
+        self._accepted = _Newest(node, JointTrajectory, f"{full}/{TRAJECTORY_ACCEPTED}", latched=True)
+        self._diagnostics = _Newest(node, DiagnosticArray, "/diagnostics", _NODES)
         self.problem = ""
         self.robot: str | None = None
         self.trajectory: Trajectory | None = None
         self.diagnostics: dict[str, NodeStatus] = {}
 
-    def _listen(self, space: str) -> tuple[Newest, Newest]:
+    def _listen(self, space: str) -> tuple[_Newest, _Newest]:
         joints, elements = f"{space}/joint_states", f"{space}/friction_states"
-        return (
-            Newest(self._node, JointState, joints, raw=True, depth=_SAMPLES),
-            Newest(self._node, JointState, elements, raw=True, depth=_SAMPLES),
-        )
+        return _Newest(self._node, JointState, joints, _SAMPLES), _Newest(self._node, JointState, elements, _SAMPLES)
 
     def at_ticks(self, *, wanted: bool) -> None:
         """Listen to the friction elements at every tick of the position loop, or no more; see `elements_at_ticks`."""
         if wanted and self._ticks is None:
-            topic = f"{self.namespace}/friction_states"
-            self._ticks = Newest(self._node, JointState, topic, raw=True, depth=_TICKS)
+            self._ticks = _Newest(self._node, JointState, f"{self.namespace}/friction_states", _TICKS)
         elif not wanted and self._ticks is not None:
-            self._ticks.close()
+            self._node.destroy_subscription(self._ticks.subscription)
             self._ticks = None
 
     @property
@@ -190,13 +151,12 @@ class ArmWatch:
     @property
     def publishers(self) -> int:
         """Return how many publishers of the arm's joint states there are."""
-        return self._joints.publishers
+        return int(self._joints.subscription.get_publisher_count())
 
     def joints(self) -> list[JointSample]:
         """Return the samples of the joints that came since the last call, as far as they were kept."""
         samples = self._take(self._joints, self._codecs[0])
-        accepted = self._accepted.take()
-        if accepted is not None:
+        for accepted in self._accepted.take():
             self.trajectory = _trajectory(accepted, self._codecs[0].names)
         return samples
 
@@ -208,15 +168,15 @@ class ArmWatch:
         """Return likewise those of every tick of the position loop, while `at_ticks` listens to them."""
         return [] if self._ticks is None else self._take(self._ticks, self._codecs[1])
 
-    def _take(self, topic: Newest, codec: JointStateCodec) -> list[JointSample]:
+    def _take(self, newest: _Newest, codec: JointStateCodec) -> list[JointSample]:
         samples = []
-        for raw in topic.take_all():
+        for raw in newest.take():
             try:
                 stamp, position, velocity, effort = codec.decode(raw)
                 if position is None or velocity is None or effort is None:
                     raise ExchangeError("position, velocity or effort is empty; accepted: all three")
             except ExchangeError as error:
-                self.problem = f"{topic.topic}: {error}"
+                self.problem = f"{newest.topic}: {error}"
                 return []
             samples.append(JointSample(stamp / NANOSECONDS, position.copy(), velocity.copy(), effort.copy()))
         if samples:
@@ -229,17 +189,16 @@ class ArmWatch:
         sampled = f"{self.namespace}/{SAMPLED}"
         space = sampled if self._node.count_publishers(f"{sampled}/joint_states") else self.namespace
         if self.topic != f"{space}/joint_states":
-            self._joints.close()
-            self._elements.close()
+            for newest in (self._joints, self._elements):
+                self._node.destroy_subscription(newest.subscription)
             self._joints, self._elements = self._listen(space)
-        for status in (status for message in self._diagnostics.take_all() for status in message.status):
+        for status in (status for message in self._diagnostics.take() for status in message.status):
             of, _, name = f"/{status.name}".rpartition("/")
             if of == self.namespace:
                 level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
                 values = {pair.key: pair.value for pair in status.values}
                 self.diagnostics[name] = NodeStatus(level, status.message, values)
-        mode = self._mode.take()
-        if mode is not None:
+        for mode in self._mode.take():
             try:
                 self.robot = TimeMode.parse(mode.data).robot
             except MessageError as error:

@@ -21,15 +21,15 @@ from rx90_common.kernels.compiled import c_function, inlined
 _OK = 0
 _MICROSECONDS = 1_000_000
 
-# The numbers that `_gather` works on: the pause in us, how often there was one, and a slot for each receiving thread:
-# its id, its voluntary context switches after its last pause, when it was here last in ns, and room for what the system
-# answers: a struct timespec or a struct rusage, here of 64-bit numbers.
+# The numbers that `_receive_batch` works on: the pause in us, how often there was one, and a slot for each receiving
+# thread: its id, its voluntary context switches after its last pause, when it was here last in ns, and room for what
+# the system answers: a struct timespec or a struct rusage, here of 64-bit numbers.
 _PAUSE: Final = 0
 _PAUSES: Final = 1
 _SLOTS: Final = 2
 _SLOT_LENGTH: Final = 21
 _MOST_THREADS: Final = 16  # further ones do not pause
-_GATHER_LENGTH: Final = _SLOTS + _SLOT_LENGTH * _MOST_THREADS
+_BATCH_LENGTH: Final = _SLOTS + _SLOT_LENGTH * _MOST_THREADS
 _SWITCHES, _LAST, _ANSWER = 1, 2, 3  # in a slot
 _USAGE_SWITCHES: Final = 16  # in struct rusage
 _CLOCK_MONOTONIC: Final = 1
@@ -69,12 +69,12 @@ def _switches(answer):  # type: ignore[no-untyped-def]  # an array
 
 
 @c_function(types.int64(types.voidptr, types.int64))
-def _gather(state_at, _messages):  # type: ignore[no-untyped-def]  # an address and a number
+def _receive_batch(state_at, _messages):  # type: ignore[no-untyped-def]  # an address and a number
     """Be the callback: sleep, if this thread has given the processor away since its last pause, to wait for a message.
 
     A thread that finds the next message already there has not done so, and takes one after the other.
     """
-    state = carray(state_at, (_GATHER_LENGTH,), np.int64)
+    state = carray(state_at, (_BATCH_LENGTH,), np.int64)
     thread = _pthread_self()
     at = _SLOTS
     while state[at] != thread:
@@ -82,7 +82,7 @@ def _gather(state_at, _messages):  # type: ignore[no-untyped-def]  # an address 
             state[at] = thread
         else:
             at += _SLOT_LENGTH
-            if at == _GATHER_LENGTH:
+            if at == _BATCH_LENGTH:
                 return 0
     slot = state[at : at + _SLOT_LENGTH]
     answer = slot[_ANSWER:]
@@ -115,7 +115,7 @@ class ReceiveBatching:
     """
 
     def __init__(self, pause: float) -> None:
-        self._state = np.zeros(_GATHER_LENGTH, dtype=np.int64)
+        self._state = np.zeros(_BATCH_LENGTH, dtype=np.int64)
         self._state[_PAUSE] = round(pause * _MICROSECONDS)
         _kept.append(self._state)
 
@@ -130,7 +130,7 @@ class ReceiveBatching:
         Returns:
             Whether they are gathered: not every middleware has such a callback.
         """
-        return _set_callback(subscription, _gather, self._state.ctypes.data)
+        return _set_callback(subscription, _receive_batch, self._state.ctypes.data)
 
 
 def _set_callback(subscription: Subscription, function: object, argument: int) -> bool:

@@ -423,38 +423,28 @@ class JointStateCodec:
 
 def _parse_joint_state(raw: bytes, names: Sequence[str]) -> tuple[int, Arrays]:
     """Return stamp, ns, and (position, velocity, effort) in the order of `names`, None for an empty array."""
-    reader = CdrReader(raw)
+    reader, accepted = CdrReader(raw), ", ".join(names)
     stamp_ns = reader.stamp_ns()
     reader.string("header.frame_id")
     found = [reader.string(f"name[{i}]") for i in range(reader.count("name", least_bytes=4))]
-    order = _order(found, names)
-    position, velocity, effort = (
-        _pick(reader.doubles(field), order, field, names) for field in ("position", "velocity", "effort")
-    )
-    reader.finish()
-    return stamp_ns, (position, velocity, effort)
-
-
-def _order(found: list[str], names: Sequence[str]) -> list[int]:
-    """Return where each of `names` stands in the message."""
     for name in found:
         if name not in names:
-            raise ExchangeError(f"joint name {quoted(name)} is unknown; accepted: {', '.join(names)}")
+            raise ExchangeError(f"joint name {quoted(name)} is unknown; accepted: {accepted}")
         if found.count(name) > 1:
-            raise ExchangeError(f"joint name {quoted(name)} is repeated; accepted: {', '.join(names)}, each once")
+            raise ExchangeError(f"joint name {quoted(name)} is repeated; accepted: {accepted}, each once")
     for name in names:
         if name not in found:
-            raise ExchangeError(f"joint name {quoted(name)} is missing; accepted: {', '.join(names)}, each once")
-    return [found.index(name) for name in names]
-
-
-def _pick(values: Array, order: list[int], field: str, names: Sequence[str]) -> Array | None:
-    if not values.size:
-        return None
-    if values.size != len(names):
-        raise ExchangeError(f"{field} has {values.size} elements; accepted: {len(names)} or none")
-    picked = values[order]
-    for name, value in zip(names, picked, strict=True):
-        if not math.isfinite(value):
-            raise ExchangeError(f"{field} of {name} is {value}; accepted: a finite number")
-    return picked
+            raise ExchangeError(f"joint name {quoted(name)} is missing; accepted: {accepted}, each once")
+    order = [found.index(name) for name in names]
+    arrays: list[Array | None] = []
+    for field in ("position", "velocity", "effort"):
+        values = reader.doubles(field)
+        if values.size not in (0, len(names)):
+            raise ExchangeError(f"{field} has {values.size} elements; accepted: {len(names)} or none")
+        arrays.append(values[order] if values.size else None)
+        for name, value in zip(names, values[order] if values.size else (), strict=False):
+            if not math.isfinite(value):
+                raise ExchangeError(f"{field} of {name} is {value}; accepted: a finite number")
+    reader.finish()
+    position, velocity, effort = arrays
+    return stamp_ns, (position, velocity, effort)

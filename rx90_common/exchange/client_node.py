@@ -131,14 +131,6 @@ Outcome = Callable[["str | ExchangeError"], None]
 """Takes what an answer says, or why there is none, or none that is a yes."""
 
 
-class _Open(NamedTuple):
-    asked: ServiceRequest
-    caller: Client
-    answer: Future
-    deadline: float
-    then: Outcome
-
-
 class ServiceCalls:
     """Calls of services that go on while `ClientNode.spin` is called; `look` is to be called as often.
 
@@ -149,41 +141,42 @@ class ServiceCalls:
     def __init__(self, client: ClientNode) -> None:
         self._client = client
         self._callers: dict[str, Client] = {}
-        self._open: list[_Open] = []
+        self._open: list[tuple[ServiceRequest, Future, float, Outcome]] = []  # with the latest time of the answer
 
     def there(self, asked: ServiceRequest) -> bool:
         """Return whether somebody serves what is asked."""
-        return bool(self._caller(asked).service_is_ready())
+        if asked.service not in self._callers:
+            self._callers[asked.service] = self._client.node.create_client(asked.kind, asked.service)
+        return bool(self._callers[asked.service].service_is_ready())
 
     def ask(self, asked: ServiceRequest, then: Outcome) -> None:
         """Call a service; `then` gets what it says."""
-        caller = self._caller(asked)
-        if not caller.service_is_ready():
+        there, caller = self.there(asked), self._callers[asked.service]
+        if there:
+            deadline = time.monotonic() + self._client.timeout
+            self._open.append((asked, caller.call_async(asked.request), deadline, then))
+        else:
             then(ExchangeError(f"there is no service {caller.srv_name}; accepted: while its node runs"))
-            return
-        deadline = time.monotonic() + self._client.timeout
-        self._open.append(_Open(asked, caller, caller.call_async(asked.request), deadline, then))
 
     def look(self) -> None:
         """Hand over the answers that have come, and say of the calls that are too old that none has."""
-        now = time.monotonic()
-        ended = [call for call in self._open if call.answer.done() or now >= call.deadline]
-        self._open = [call for call in self._open if call not in ended]
-        for call in ended:
+        now, calls, self._open = time.monotonic(), self._open, []
+        for call in calls:
+            asked, answer, deadline, then = call
             outcome: str | ExchangeError
-            try:
-                if not call.answer.done():
-                    call.caller.remove_pending_request(call.answer)
-                    raise ExchangeError(f"no answer of {call.caller.srv_name} within {self._client.timeout:g} s")
-                outcome = call.asked.read(call.answer.result())
-            except ExchangeError as error:
-                outcome = error
-            call.then(outcome)
-
-    def _caller(self, asked: ServiceRequest) -> Client:
-        if asked.service not in self._callers:
-            self._callers[asked.service] = self._client.node.create_client(asked.kind, asked.service)
-        return self._callers[asked.service]
+            if answer.done():
+                try:
+                    outcome = asked.read(answer.result())
+                except ExchangeError as error:
+                    outcome = error
+            elif now >= deadline:
+                caller = self._callers[asked.service]
+                caller.remove_pending_request(answer)
+                outcome = ExchangeError(f"no answer of {caller.srv_name} within {self._client.timeout:g} s")
+            else:
+                self._open.append(call)
+                continue
+            then(outcome)
 
 
 def spoken(service: str) -> Callable[[Any], str]:
@@ -221,9 +214,8 @@ def parameter_request(node: str, name: str, value: Any) -> ServiceRequest:
     service = f"{node}/set_parameters"
 
     def read(answer: Any) -> str:
-        refused = [result.reason for result in answer.results if not result.successful]
-        if refused:
-            raise ExchangeError(f"{service}: {refused[0]}")
+        for refused in (result for result in answer.results if not result.successful):
+            raise ExchangeError(f"{service}: {refused.reason}")
         return f"{name}: set"
 
     given = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])

@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from builtin_interfaces.msg import Time
 from rclpy.callback_groups import CallbackGroup
@@ -45,34 +45,27 @@ _ACCEPTED = {
 _LOOK = 0.05  # s between two looks at the graph
 _SETTLED_LOOKS = 10
 _SLICE = Duration(nanoseconds=50_000_000)
-_RECEIVED_SLICES = 40
+_RECEIVED_WITHIN = 4.0  # s; shorter than the wait for the end of a ticking thread
 _SHARE = 0.75  # of the publishers' history that is sent before the next wait
 _PATIENCE = 6.0  # s; the lease of a process that was killed, in config/dds, is 5 s
 
 
-class Reliable(NamedTuple):
-    """A reliable quality of service that keeps `depth` messages, `latched` also for subscribers that come later."""
-
-    depth: int
-    latched: bool = False
-
-    @property
-    def profile(self) -> QoSProfile:
-        """Return it as rclpy has it."""
-        durability = DurabilityPolicy.TRANSIENT_LOCAL if self.latched else DurabilityPolicy.VOLATILE
-        return QoSProfile(depth=self.depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
+def _reliable(depth: int, *, latched: bool = False) -> QoSProfile:
+    """Return a profile that keeps `depth` messages, `latched` also for subscribers that come later."""
+    durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
 
 
 # Deep enough that a recorder which does not run for a second loses nothing. KEEP_ALL would stop the tick instead, for
 # as long as the lease of a recorder that was killed.
-TICK_QOS: Final = Reliable(8000)
-STATE_QOS: Final = Reliable(2000)
-CLOCK_QOS: Final = Reliable(10)
-LATCHED_QOS: Final = Reliable(1, latched=True)
+TICK_QOS: Final = _reliable(8000)
+STATE_QOS: Final = _reliable(2000)
+CLOCK_QOS: Final = _reliable(10)
+LATCHED_QOS: Final = _reliable(1, latched=True)
 # A burst is answered one by one, each with a line of its own; planning takes longer than sending.
-TRAJECTORY_QOS: Final = Reliable(1000)
+TRAJECTORY_QOS: Final = _reliable(1000)
 # ROS keeps 10 requests that wait for their turn, and drops the next ones without a word.
-REQUEST_QOS: Final = Reliable(2000)
+REQUEST_QOS: Final = _reliable(2000)
 
 
 def ros_time(nanoseconds: int) -> Time:
@@ -110,7 +103,7 @@ def subscribe(
     node: Node,
     kind: Any,
     topic: str,
-    callback: Callable[[Any], None],
+    callback: Callable[[Any], object],
     qos: QoSProfile,
     check: Callable[[bytes], None] | None = None,
 ) -> None:
@@ -136,14 +129,12 @@ def subscribe(
             if check is not None:
                 check(raw)
             message = deserialize_message(raw, kind)
-        except ExchangeError as error:
-            wrong = str(error)
-        except RuntimeError:  # of the middleware, whose text names a place in its source
-            wrong = f"{len(raw)} bytes are no {kind.__module__.split('.')[0]}/{kind.__name__}"
-        else:
-            callback(message)
+        except (ExchangeError, RuntimeError) as error:  # the middleware's text names a place in its source
+            type_name = f"{kind.__module__.split('.')[0]}/{kind.__name__}"
+            wrong = error if isinstance(error, ExchangeError) else f"{len(raw)} bytes are no {type_name}"
+            log.say("bytes", f"{subscription.topic_name}: {wrong}; the message is ignored")
             return
-        log.say("bytes", f"{subscription.topic_name}: {wrong}; the message is ignored")
+        callback(message)
 
     log = ThrottledLog(lambda text: node.get_logger().error(text))
     overrides = _overridable(node, topic, "subscription")
@@ -197,12 +188,10 @@ def wait_until_matched(
         attempts: how often to look, 50 ms apart.
         stop: returns whether there is something else to do.
     """
-    pause = threading.Event()
-    before: list[int] = []
-    quiet = 0
+    pause, before, quiet = threading.Event(), list[int](), 0
     for _ in range(attempts):
         if stop():
-            return False
+            break
         known = [fitting_subscriptions(node, publisher) for publisher in publishers]
         have = [publisher.get_subscription_count() for publisher in publishers]
         complete = all(h >= k for h, k in zip(have, known, strict=True))
@@ -215,11 +204,11 @@ def wait_until_matched(
 
 
 def wait_until_received(publishers: Sequence[Publisher]) -> None:
-    """Let the last messages reach their subscribers, a recorder for example; at most 2 s for each topic."""
+    """Let the last messages reach their subscribers, a recorder for example; at most 4 s for all topics together."""
+    deadline = time.monotonic() + _RECEIVED_WITHIN
     for publisher in publishers:
-        for _ in range(_RECEIVED_SLICES):
-            if publisher.wait_for_all_acked(_SLICE):
-                break
+        while not publisher.wait_for_all_acked(_SLICE) and time.monotonic() < deadline:
+            pass
 
 
 class Listeners:

@@ -1,31 +1,51 @@
-"""Managed nodes, as design.ros2.org/articles/node_lifecycle.html has them: states, transitions, and who ticks when."""
+"""What nodes run in: threads for the ticks, an executor for everything slow, diagnostics, and the lifecycle.
+
+Managed nodes are those of design.ros2.org/articles/node_lifecycle.html: here are their states and transitions, and who
+ticks when.
+"""
 
 from __future__ import annotations
 
+import gc
+import os
+import sys
 import threading
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from pathlib import PurePath
 from typing import Any, Protocol, TypeVar
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.msg import State
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.utilities import try_shutdown
 
-from rx90_common.base.errors import Rx90Error
+from rx90_common.base.errors import FAILED, Rx90Error
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.node_tools import TickingNode
+from rx90_common.exchange.channel import MakeChannel, TickChannel
+from rx90_common.exchange.endpoints import CLOCK_QOS, TICK_QOS, publish
+from rx90_common.exchange.pacing import ThrottledLog
 from rx90_common.exchange.parameters import (
     ParameterChanges,
+    answer_all_requests,
     declare,
     declare_robot_files,
     refuse_unknown_parameters,
     unknown_parameter,
 )
-from rx90_common.exchange.ros_start import reason
+from rx90_common.exchange.ros_start import reason, start_ros
+from rx90_common.process.interrupts import end_with, stop_request
 
+_SPIN_SLICE = 0.2  # s
+_SWITCH_INTERVAL = 5e-4  # s
+_LAST_TICK_S = 5.0  # the longest wait for the end of a ticking thread
+_SHUTDOWN_S = 25.0  # after which a node that does not end is cut off: the middleware may wait for ever
 _ENTITIES = {  # what a configured node may have made, and what destroys it
     "publishers": "destroy_publisher",
     "subscriptions": "destroy_subscription",
@@ -34,6 +54,138 @@ _ENTITIES = {  # what a configured node may have made, and what destroys it
     "timers": "destroy_timer",
     "guards": "destroy_guard_condition",
 }
+
+
+class Diagnostics:
+    """One status on /diagnostics, once a second.
+
+    Args:
+        node: the publisher's node.
+        collect: returns the level (OK, WARN or ERROR of DiagnosticStatus), the message and the values.
+    """
+
+    def __init__(self, node: Node, collect: Callable[[], tuple[bytes, str, dict[str, str]]]) -> None:
+        self._node, self._collect = node, collect
+        self._publisher = publish(node, DiagnosticArray, "/diagnostics", CLOCK_QOS)
+        # Without the leading slash, as diagnostic_aggregator writes names.
+        namespace = node.get_namespace().strip("/")
+        self._prefix = f"{namespace}/" if namespace else ""
+        self._timer = node.create_timer(1.0, self._publish)
+
+    def _publish(self) -> None:
+        level, message, values = self._collect()
+        status = DiagnosticStatus(
+            level=level,
+            name=self._prefix + self._node.get_name(),
+            message=message,
+            hardware_id=f"{self._prefix}rx90_emulator",
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(array)
+
+
+class TickingNode(Protocol):
+    """A node with a thread of its own for the ticks."""
+
+    @property
+    def node(self) -> Node:
+        """The node, for the executor."""
+
+    def tick_loop(self) -> None:
+        """Run ticks until `stop` is called; errors end the program."""
+
+    def stop(self) -> None:
+        """End `tick_loop` soon; callable from every thread."""
+
+
+def spin(
+    make: Callable[[], Sequence[TickingNode]],
+    args: Sequence[str],
+    make_executor: Callable[[], Executor] | None = None,
+) -> None:
+    """Run ticking nodes: ticks on threads of their own, everything slow on an executor in this one.
+
+    The first node that ends, ends all. A node whose services wait for something brings an executor with threads of its
+    own; several nodes have one for each, so that a service of one does not keep the others waiting.
+
+    Raises:
+        Rx90Error: what the nodes' constructors or their ticks raise.
+    """
+    cut_off = threading.Timer(_SHUTDOWN_S, _cut_off)
+    cut_off.daemon = True
+    start_ros(args)
+    try:
+        _spin(make(), make_executor, cut_off)
+    finally:
+        try_shutdown()
+        cut_off.cancel()
+
+
+def _cut_off() -> None:
+    print(f"not ended after {_SHUTDOWN_S:g} s: cut off", file=sys.stderr, flush=True)
+    os._exit(FAILED)
+
+
+def _spin(
+    members: Sequence[TickingNode], make_executor: Callable[[], Executor] | None, cut_off: threading.Timer
+) -> None:
+    nodes = [member.node for member in members]
+    refuse_unknown_parameters(nodes)
+    failures: list[BaseException] = []
+
+    def run(tick_loop: Callable[[], None]) -> None:
+        try:
+            tick_loop()
+        except BaseException as error:
+            failures.append(error)
+
+    threads = [threading.Thread(target=run, args=(one.tick_loop,), name="ticks", daemon=True) for one in members]
+    if make_executor is not None:
+        executor = make_executor()
+    else:
+        executor = SingleThreadedExecutor() if len(nodes) == 1 else MultiThreadedExecutor(len(nodes))
+    for node in nodes:
+        answer_all_requests(node)
+        executor.add_node(node)
+    # The executor must give the interpreter back to the ticks soon, and the collector must not walk through
+    # everything that was imported in the middle of a tick.
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    gc.collect()
+    gc.freeze()
+    stopped = stop_request()
+    log = ThrottledLog(lambda text: nodes[0].get_logger().error(text))
+    for thread in threads:
+        thread.start()
+    try:
+        while all(thread.is_alive() for thread in threads) and not stopped.is_set():
+            _spin_once(executor, log)
+    finally:
+        cut_off.start()
+        # The simulation comes first: what its last tick has brought about is sent before the controller ends.
+        for member, thread in zip(members, threads, strict=True):
+            member.stop()
+            thread.join(_LAST_TICK_S)
+            if thread.is_alive():  # in the middleware, whose end would wait for this thread for ever
+                end_with(FAILED)
+        executor.shutdown()
+        for node in nodes:
+            node.destroy_node()
+    if failures:
+        raise failures[0]
+
+
+def _spin_once(executor: Executor, log: ThrottledLog) -> None:
+    """Serve what has come, or wait a moment; a request or a message that cannot be served is a line, not the end."""
+    try:
+        executor.spin_once(timeout_sec=_SPIN_SLICE)
+    except ExternalShutdownException:
+        raise
+    except Exception as error:
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{PurePath(at.filename).name}:{at.lineno}"
+        log.say(where, f"not served: {type(error).__name__} in {where}: {reason(error)}")
 
 
 def declare_autostart(node: Node) -> bool:
@@ -72,6 +224,7 @@ class ManagedNode(LifecycleNode):
         name: of the node.
         own_args: arguments for ROS that concern this node of its process alone.
         managed: what the transitions are handed to.
+        make_channel: makes the node's end of the exchange.
 
     Attributes:
         changes: answers requests to set parameters.
@@ -81,9 +234,10 @@ class ManagedNode(LifecycleNode):
         error: why the last transition was refused, if it was.
     """
 
-    def __init__(self, name: str, own_args: Sequence[str], managed: Managed) -> None:
+    def __init__(self, name: str, own_args: Sequence[str], managed: Managed, make_channel: MakeChannel) -> None:
         super().__init__(name, cli_args=list(own_args))
-        self._managed = managed
+        self._managed, self._make_channel = managed, make_channel
+        self._channel: TickChannel | None = None
         self.changes = ParameterChanges(self, lambda: not self.configured)
         self.ticking = TickThread()
         self.autostart = declare_autostart(self)
@@ -97,6 +251,15 @@ class ManagedNode(LifecycleNode):
     def configured(self) -> bool:
         """Return whether its state is another than unconfigured."""
         return bool(self._state_machine.current_state[0] != State.PRIMARY_STATE_UNCONFIGURED)
+
+    def make_channel(self, publish_topic: str, subscribe_topic: str) -> TickChannel:
+        """Make the node's end of the exchange; the cleanup closes it.
+
+        Raises:
+            ExchangeError: if another process on this machine publishes `publish_topic`.
+        """
+        self._channel = channel = self._make_channel(self, publish_topic, subscribe_topic, TICK_QOS)
+        return channel
 
     def declare_robot_files(self, *names: str) -> RobotFiles:
         """Declare what `parameters.declare_robot_files` does; with another robot come its files, but for named ones.
@@ -150,6 +313,9 @@ class ManagedNode(LifecycleNode):
 
     def _clean_up(self) -> None:
         self._managed.cleanup()
+        if self._channel is not None:
+            self._channel.close()
+            self._channel = None
         self.changes.forbid_all()
         for kind, kept in self._before.items():
             for entity in set(getattr(self, kind)) - kept:

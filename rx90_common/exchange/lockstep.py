@@ -12,24 +12,18 @@ Where that does not reach, they are recognised by what they send, and time stand
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable
 
-from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import cdr_stamp_ns
 from rx90_common.exchange.channel import TickChannel
-from rx90_common.exchange.motor_messages import MotorMessages, ServoLoops
 
 _SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at
 _PATIENCE = 1.0  # s of silence before it is announced and, with a peer there, the message is sent again
 _CONFLICTS = 3  # different commands for a stamp that make two controllers; a restart in mid-tick makes one at most
-_JUMPS = 6  # discontinuities of the stamps that are remembered
-_BACKWARD_JUMPS = 3  # of those that make two simulations; a reset makes one
-_JUMP_WINDOW = 5.0  # s
 
 
-class _Wait:
+class Wait:
     """Announces a wait once, whatever it waits for in between, and its end once, by `over` and the time."""
 
     def __init__(self, announce: Callable[[str], None], over: str) -> None:
@@ -37,11 +31,13 @@ class _Wait:
         self._announced = False
 
     def begin(self, text: str) -> None:
+        """Announce what is waited for."""
         if not self._announced:
             self._announced = True
             self._announce(text)
 
     def end(self, stamp_ns: int) -> None:
+        """Announce that the wait is over."""
         if self._announced:
             self._announced = False
             self._announce(f"{self._over} {stamp_ns / NANOSECONDS:.6g} s")
@@ -56,7 +52,7 @@ class LockstepSimulation:
 
     def __init__(self, channel: TickChannel, announce: Callable[[str], None]) -> None:
         self._channel = channel
-        self._wait = _Wait(announce, "the controller answers: time runs on from")
+        self._wait = Wait(announce, "the controller answers: time runs on from")
         self._accepted = b""
         self._conflicts = 0
         self._two_controllers = False
@@ -135,97 +131,3 @@ class LockstepSimulation:
                 f"two controllers answer differently on {self._channel.subscribe_topic}: time stands still until one "
                 "is left"
             )
-
-
-class LockstepController:
-    """The controller's side; owned by the thread that ticks.
-
-    The loops begin and hold the arm when the states do not follow the last ones: at the start, after a reset of the
-    simulation, or after one of the two was away. Messages without usable states are left out.
-
-    Args:
-        channel: publishes commands, receives states.
-        messages: decodes and encodes them.
-        loops: what runs in each tick.
-        announce: prints a line for the user.
-    """
-
-    def __init__(
-        self, channel: TickChannel, messages: MotorMessages, loops: ServoLoops, announce: Callable[[str], None]
-    ) -> None:
-        self._channel, self._messages, self._loops = channel, messages, loops
-        self._wait = _Wait(announce, "the simulation is there:")
-        self._period_ns = messages.rates.period_ns
-        self._stamp: int | None = None
-        self._state: bytes | None = None  # as received; an empty message must not pass for a repetition
-        self._command = b""
-        self._heard = time.monotonic()
-        self._jumps: deque[tuple[float, int]] = deque(maxlen=_JUMPS)  # of the stamps: when, s of the clock; size, ns
-        self._jumped = 0  # by how much the last states jumped, ns
-        self._two_simulations = False
-
-    def serve(self, timeout: float) -> None:
-        """Answer the next states; return after `timeout` seconds without any, or a wake-up.
-
-        Raises:
-            ExchangeError: if the simulation's tick is not the controller's.
-        """
-        raw = self._channel.receive(timeout)
-        if raw is None:
-            self.announce_silence()
-            return
-        if self._two_simulations:
-            if self._channel.matches().publishers > 1:
-                return
-            self._two_simulations = False
-            self._stamp = self._state = None
-            self._jumps.clear()
-        if raw != self._state:
-            try:
-                states = self._messages.decode(raw)
-            except MessageError:
-                return
-            stamp = states.stamp_ns
-            if self._stamp is None or stamp != self._stamp + self._period_ns:
-                self._loops.begin()
-                self._loops.hold(states)
-                self._note_jump(stamp)
-                if self._two_simulations:
-                    return
-            else:
-                self._jumped = 0
-            self._command = self._messages.encode(stamp, self._loops.step(stamp, states))
-            self._stamp, self._state = stamp, raw
-            self._channel.publish(self._command)
-            self._loops.after_command(stamp)
-        else:
-            self._channel.publish(self._command)
-        self._heard = time.monotonic()
-        assert self._stamp is not None
-        self._wait.end(self._stamp)
-
-    def _note_jump(self, stamp: int) -> None:
-        if self._stamp is None:
-            return
-        now = time.monotonic()
-        size = stamp - self._stamp
-        # Once the rates are known to be the same, such states are somebody else's, and no message ends a node.
-        if size == self._jumped > 0 and not self._messages.same_rates:
-            raise ExchangeError(
-                f"{self._channel.subscribe_topic} advances by {size} ns from tick to tick; accepted: {self._period_ns} "
-                "ns, the same base_rate in both nodes"
-            )
-        self._jumped = size
-        self._jumps.append((now, size))
-        backward = sum(size < 0 and now - at < _JUMP_WINDOW for at, size in self._jumps)
-        if backward >= _BACKWARD_JUMPS and self._channel.matches().publishers > 1:
-            self._two_simulations = True
-            self._wait.begin(
-                f"two simulations publish on {self._channel.subscribe_topic}: no commands until one is left"
-            )
-
-    def announce_silence(self) -> None:
-        """Say that there is no simulation, if there has been none for a while."""
-        matches = self._channel.matches()
-        if matches.publishers == 0 and time.monotonic() - self._heard > _PATIENCE:
-            self._wait.begin(f"waiting for a simulation on {self._channel.subscribe_topic}")

@@ -7,7 +7,7 @@ from array import array
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -35,6 +35,7 @@ OF_ROS = ("use_sim_time", "start_type_description_service")
 """Parameters that rclpy declares and looks after itself."""
 Effective = Callable[[int], None]
 """To be called, on the executor's thread, with the simulated time, ns, of the first tick that has a change."""
+_Group = tuple[tuple[str, ...], Callable[[Mapping[str, Any]], Any], Callable[[Any, Effective], None]]
 _Value = TypeVar("_Value", bool, int, float, str, list[float])
 _REMEMBERED = 100  # changes that a recorder gets which comes later
 _TYPES = {kind.value for kind in Parameter.Type}
@@ -149,20 +150,6 @@ def unknown_parameter(node: Node, name: str, accepted: str | None = None) -> str
     return f"parameter {plain(name)} is unknown to {node.get_name()}; accepted: {accepted}"
 
 
-class ChangeGroup(NamedTuple):
-    """Parameters that are checked and applied together.
-
-    Attributes:
-        names: of declared parameters.
-        check: gets the values of all of them as they would be; returns what `apply` needs, raises Rx90Error.
-        apply: makes them count, and sees to it that its second argument is called.
-    """
-
-    names: tuple[str, ...]
-    check: Callable[[Mapping[str, Any]], Any]
-    apply: Callable[[Any, Effective], None]
-
-
 class ParameterChanges:
     """Answers every request to set parameters of a managed node.
 
@@ -177,7 +164,7 @@ class ParameterChanges:
 
     def __init__(self, node: Node, unconfigured: Callable[[], bool]) -> None:
         self._node, self._unconfigured = node, unconfigured
-        self._groups: list[ChangeGroup] = []
+        self._groups: list[_Group] = []
         self._constants: list[str] = []
         self._robot_files: tuple[str, ...] = ()
         qos = QoSProfile(depth=_REMEMBERED, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -186,9 +173,17 @@ class ParameterChanges:
         node.add_on_set_parameters_callback(self._answer)
         node.add_post_set_parameters_callback(self._apply)
 
-    def allow(self, group: ChangeGroup) -> None:
-        """Let a group be changed from now on, until `forbid_all`."""
-        self._groups.append(group)
+    def allow(
+        self, names: Sequence[str], check: Callable[[Mapping[str, Any]], Any], apply: Callable[[Any, Effective], None]
+    ) -> None:
+        """Let declared parameters be changed from now on, until `forbid_all`; they are checked and applied together.
+
+        Args:
+            names: of the parameters.
+            check: gets the values of all of them as they would be; returns what `apply` needs, raises Rx90Error.
+            apply: makes them count, and sees to it that its second argument is called.
+        """
+        self._groups.append((tuple(names), check, apply))
 
     def publish_constants(self, *names: str) -> None:
         """Have `publish_values` publish parameters that cannot be changed, too, until `forbid_all`."""
@@ -205,7 +200,7 @@ class ParameterChanges:
 
     def publish_values(self) -> None:
         """Publish the values that may be changed, and the constants: so a bag has them from its begin on."""
-        names = [*(name for group in self._groups for name in group.names), *self._constants]
+        names = [*(name for group in self._groups for name in group[0]), *self._constants]
         values = [self._node.get_parameter(name).to_parameter_msg() for name in names]
         self._publisher.publish(ParameterEvent(node=self._node.get_fully_qualified_name(), new_parameters=values))
 
@@ -229,39 +224,37 @@ class ParameterChanges:
 
     def _answer(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         try:
+            for name in (parameter.name for parameter in parameters):
+                free = name in OF_ROS or name.startswith(PREFIX) or any(name in group[0] for group in self._groups)
+                # A parameter that is not there yet is being declared.
+                if not (free or self._unconfigured()) and self._node.has_parameter(name):
+                    raise ConfigError(
+                        f"{plain(name)} is read when the node is configured; accepted: in state unconfigured, which "
+                        f"`ros2 lifecycle set {self._node.get_fully_qualified_name()}` deactivate and cleanup lead to"
+                    )
             for parameter in parameters:
-                self._check_state(parameter.name)
                 if parameter.name == "robot" and self._robot_files:
                     self._files_of(parameter.value)
-            for group, values in self._changed(parameters):
-                group.check(values)
+            for (_, check, _), values in self._changed(parameters):
+                check(values)
         except Rx90Error as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _check_state(self, name: str) -> None:
-        free = name in OF_ROS or name.startswith(PREFIX) or any(name in group.names for group in self._groups)
-        # A parameter that is not there yet is being declared.
-        if not (free or self._unconfigured()) and self._node.has_parameter(name):
-            raise ConfigError(
-                f"{plain(name)} is read when the node is configured; accepted: in state unconfigured, which `ros2 "
-                f"lifecycle set {self._node.get_fully_qualified_name()}` deactivate and cleanup lead to"
-            )
-
-    def _changed(self, parameters: Sequence[Parameter]) -> list[tuple[ChangeGroup, dict[str, Any]]]:
+    def _changed(self, parameters: Sequence[Parameter]) -> list[tuple[_Group, dict[str, Any]]]:
         """Return the groups that a request concerns, with all their values as they would be."""
         given = {parameter.name: parameter.value for parameter in parameters}
-        changed = [group for group in self._groups if not given.keys().isdisjoint(group.names)]
-        return [(group, {n: given.get(n, self._node.get_parameter(n).value) for n in group.names}) for group in changed]
+        changed = [group for group in self._groups if not given.keys().isdisjoint(group[0])]
+        return [(group, {n: given.get(n, self._node.get_parameter(n).value) for n in group[0]}) for group in changed]
 
     def _apply(self, parameters: Sequence[Parameter]) -> None:
-        for group, values in self._changed(parameters):
-            changed = [parameter for parameter in parameters if parameter.name in group.names]
-            group.apply(group.check(values), partial(self._publish_change, changed))
+        for (names, check, apply), values in self._changed(parameters):
+            event = ParameterEvent(node=self._node.get_fully_qualified_name())
+            event.changed_parameters = [each.to_parameter_msg() for each in parameters if each.name in names]
+            apply(check(values), partial(self._publish_change, event))
 
-    def _publish_change(self, changed: Sequence[Parameter], stamp_ns: int) -> None:
-        event = ParameterEvent(stamp=ros_time(stamp_ns), node=self._node.get_fully_qualified_name())
-        event.changed_parameters = [parameter.to_parameter_msg() for parameter in changed]
+    def _publish_change(self, event: ParameterEvent, stamp_ns: int) -> None:
+        event.stamp = ros_time(stamp_ns)
         self._publisher.publish(event)
 
 
@@ -292,7 +285,7 @@ def answer_all_requests(node: Node) -> None:
 
 def _set_one_by_one(set_parameters: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
     for parameter in request.parameters:
-        refused = _refusal(parameter)
+        refused = _refused([parameter])
         if refused is None:
             set_parameters(SetParameters.Request(parameters=[parameter]), response)
         else:
@@ -301,23 +294,25 @@ def _set_one_by_one(set_parameters: Callable[[Any, Any], Any], request: Any, res
 
 
 def _set_all_or_none(set_parameters: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-    for refused in filter(None, map(_refusal, request.parameters)):
-        response.result = refused
-        return response
-    return set_parameters(request, response)
+    refused = _refused(request.parameters)
+    if refused is None:
+        return set_parameters(request, response)
+    response.result = refused
+    return response
 
 
 def _describe_type(describe: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
     if _TYPE_HASH.fullmatch(request.type_hash):
         return describe(request, response)
-    response.successful = False
     response.failure_reason = f"type_hash is {quoted(request.type_hash)}; accepted: RIHS01_ and 64 digits"
     return response
 
 
-def _refusal(parameter: Any) -> SetParametersResult | None:
-    kind = parameter.value.type
-    if kind in _TYPES:
-        return None
-    reason = f"parameter {quoted(parameter.name)} has a value of type {kind}; accepted: {min(_TYPES)} to {max(_TYPES)}"
-    return SetParametersResult(successful=False, reason=reason)
+def _refused(parameters: Sequence[Any]) -> SetParametersResult | None:
+    """Return why a request is refused, if one of its values has a type that does not exist."""
+    for name, kind in ((each.name, each.value.type) for each in parameters):
+        if kind not in _TYPES:
+            accepted = f"accepted: {min(_TYPES)} to {max(_TYPES)}"
+            reason = f"parameter {quoted(name)} has a value of type {kind}; {accepted}"
+            return SetParametersResult(successful=False, reason=reason)
+    return None

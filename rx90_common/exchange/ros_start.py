@@ -8,7 +8,7 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
@@ -100,3 +100,20 @@ def missing_control_msgs() -> str | None:
     except ImportError as error:
         return missing_module(error) or str(error)
     return None
+
+
+def controller_topic(node: Any, controller: str) -> str:
+    """Return the absolute name of the topic on which a controller node, relative or absolute, takes trajectories.
+
+    Raises:
+        ConfigError: if that cannot be a node's name.
+    """
+    accepted = "accepted: a name such as rx90_controller or /cell/rx90_controller"
+    if not controller:  # with which the topic would have a name too, an absolute one
+        raise ConfigError(f"the controller node's name is empty; {accepted}")
+    try:
+        return str(node.resolve_topic_name(f"{controller}/joint_trajectory"))
+    except RuntimeError as error:
+        raise ConfigError(
+            f"the controller node's name is {quoted(controller)} ({reason(error)}); {accepted}"
+        ) from error

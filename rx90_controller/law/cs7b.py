@@ -18,17 +18,6 @@ from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.trajectory import TrajectoryGenerator
 
 _LOOKAHEAD = 64  # set-points that are sampled at once
-_PARAMETERS = {
-    "inertia": "servo.inertia",
-    "derivative": "servo.kv",
-    "proportional": "servo.kp",
-    "integral": "servo.ki",
-    "integrator_limit": "servo.integrator_limit",
-    "coulomb": "feed_forward.coulomb_torque",
-    "viscous": "feed_forward.viscous_friction",
-}
-"""Constants of the law by the parameter that makes them; those that go into others come first."""
-_ABSURD = 1e100
 
 
 class DriveFault(NamedTuple):
@@ -38,10 +27,9 @@ class DriveFault(NamedTuple):
         joint: name of the joint.
         quantity: "following error", "speed" or "torque".
         value: of it, in `unit`.
-        limit: the most that is accepted.
+        limit: the most that is accepted; infinite for a torque, which has to be finite.
         unit: "rad", "rad/s" or "Nm".
         time: of the measurement, s.
-        parameter: what made the law give no finite torque; empty for a limit.
     """
 
     joint: str
@@ -50,7 +38,6 @@ class DriveFault(NamedTuple):
     limit: float
     unit: str
     time: float
-    parameter: str = ""
 
     @classmethod
     def of(cls, names: Sequence[str], laws: Record, states: Record, time: float) -> DriveFault:
@@ -69,27 +56,10 @@ class DriveFault(NamedTuple):
             found.append((float(share[k]), fault))
         return max(found, key=lambda each: each[0])[1]
 
-    @classmethod
-    def of_torque(cls, names: Sequence[str], laws: Record, states: Record, time: float) -> DriveFault:
-        """Return the first joint whose torque is not finite after a velocity loop that found one at `time`, s."""
-        law, torque = laws[0], states[0]["command"]
-        motor = int(np.argmin(np.isfinite(torque)))
-        absurd = [name for constant, name in _PARAMETERS.items() if not abs(law[constant][motor]) < _ABSURD]
-        other = "the feed-forward's model" if law["model"]["parts"] else "a measured state"
-        parameter = absurd[0] if absurd else other
-        return cls(names[motor], "torque", float(torque[motor]), np.inf, "Nm", time, parameter)
-
     def __str__(self) -> str:
         """Return it as one line with the value and what is accepted."""
-        if self.parameter:
-            return (
-                f"{self.joint}: torque {self.value:g} {self.unit} at {self.time:.6g} s, by {self.parameter}; "
-                "accepted: finite torques"
-            )
-        return (
-            f"{self.joint}: {self.quantity} {self.value:.4g} {self.unit} at {self.time:.6g} s; accepted: up to "
-            f"{self.limit:.4g} {self.unit}"
-        )
+        accepted = f"up to {self.limit:.4g} {self.unit}" if self.limit < np.inf else "finite torques"
+        return f"{self.joint}: {self.quantity} {self.value:.4g} {self.unit} at {self.time:.6g} s; accepted: {accepted}"
 
 
 class CS7B:
@@ -193,8 +163,8 @@ class CS7B:
             if position_loop(self.law, self.state, self.setpoint, position, velocity):
                 self.note_fault()
         if velocity_loop(self.law, self.state, velocity) and self.fault is None:
-            time = self.tick * self.rates.period
-            self.fault = DriveFault.of_torque(self.joint_names, self.law, self.state, time)
+            motor, time = int(np.argmin(np.isfinite(self.command))), self.tick * self.rates.period
+            self.fault = DriveFault(self.joint_names[motor], "torque", float(self.command[motor]), np.inf, "Nm", time)
         self.tick += 1
         return self.command
 

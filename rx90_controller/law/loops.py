@@ -98,20 +98,8 @@ def velocity_servo(
 
 
 @inlined
-def _not_finite(torque: Lanes) -> bool:
-    """Return whether one of six torques is infinite or NaN."""
-    return any_lane(select(absolute(torque) <= _LARGEST, 0.0, 1.0) > 0.0)
-
-
-@inlined
 def _beyond_limits(law: Any, error: Lanes, velocity: Lanes) -> bool:
-    """Return whether a joint is beyond a limit, or a value is NaN; six lanes, motor side.
-
-    Args:
-        law: constants, a record of CONTROLLER_DTYPE.
-        error: position errors, rad.
-        velocity: measured velocities, rad/s.
-    """
+    """Return whether a joint is beyond a limit, or NaN, by position errors and velocities of the motors."""
     # Motor 6 turns with joints 5 and 6 together.
     share = law.gear[5] / law.gear[4]
     following = append(first(error, 5), lane(error, 5) - share * lane(error, 4))
@@ -214,4 +202,4 @@ def velocity_loop(laws: Record, states: Record, velocity: Array) -> bool:
     store(state.command, command)
     store(state.limited, limited)
     store(state.saturated, load(state.saturated, 6) + limited * limited)
-    return _not_finite(command)
+    return any_lane(select(absolute(command) <= _LARGEST, 0.0, 1.0) > 0.0)

@@ -12,17 +12,8 @@ error and driven by what is wanted instead of what is measured. Nothing measured
 oscillate, however wrong its parameters are. Each bristle takes its exact step over the period, and what is fed forward
 is the mean torque over it; at rest both stay as they are, to the last bit.
 
-Elements may have the parts of rx90_common/friction/parts, stepped by the same functions as the plant's:
-
-- load: the torque that the joints transmit where the arm moves as wanted, M(q) a + h less what the rotors take. It
-  follows from the set-points alone, so that here it is no algebraic loop;
-- ripple: by the angles of the set-points;
-- bristles of another kind: driven by the velocities of the set-points, as LuGre's;
-- temperature: a thermal node of the model's own, heated by what the model's friction takes and by the torques that the
-  motors must give, with windings as warm as the resistance is given for. The arm measures no temperature of its joints.
-  One that is given would be right for a moment; a node is right for a day, and forgets within capacity times resistance
-  what it began with wrong. It begins at `start`, cools while the torque is off, and rests while the model is off;
-- scatter: its mean, which is nothing: nobody knows what a random walk will do.
+Elements may have the parts of rx90_common/friction/parts, stepped by the same functions as the plant's and driven by
+the set-points alone, so that even load is no algebraic loop (docs/explanation/compensation.md).
 """
 
 from __future__ import annotations
@@ -289,12 +280,10 @@ def hand_over(law: Any, state: Any) -> None:
 
 @kernel
 def _parted_friction(law: Any, own: Any, begins: bool) -> None:
-    """Advance the bristles of elements with parts; write their torques, Nm, to `own.friction.parts.friction`.
+    """Write the torques of elements with parts, Nm, to `own.friction.parts.friction`, and advance their bristles.
 
-    Args:
-        law: constants, a record of CONTROLLER_DTYPE.
-        own: a record of MODEL_STATE_DTYPE, whose `joint` is what the arm takes without friction, Nm.
-        begins: whether the bristles are undeflected, and the load is at once what is transmitted.
+    `own.joint` is what the arm takes without friction, Nm. Where it `begins`, the bristles are undeflected, and the
+    load is at once what is transmitted.
     """
     friction, state, period = law.model.friction, own.friction, law.model.period
     transmit(law.model.arm.rotor, own.joint, own.a, state.parts.transmitted)

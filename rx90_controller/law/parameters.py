@@ -232,18 +232,15 @@ class CS7BParameters(Declared):
         law["following_error"] = self.following_error * gear
         law["over_speed"] = self.over_speed * robot.max_velocity * gear
         if switch.model_parts:
-            self._fill_model(law, rates)
+            assert self.model is not None
+            model = law["model"]
+            model["parts"] = switch.model_parts
+            self.model.constants.fill(model, rates.position_period)
+            model["period"] = rates.position_period
+            # The current follows by (1 - gain) of what is missing, tick by tick: in the mean so many ticks later.
+            late = rates.period * (1.0 - law["current_gain"]) / law["current_gain"]
+            model["lead"] = 0.5 * rates.position_period + late
         return record
-
-    def _fill_model(self, law: Any, rates: Rates) -> None:
-        assert self.model is not None
-        model = law["model"]
-        model["parts"] = self.feed_forward.model_parts
-        self.model.constants.fill(model, rates.position_period)
-        model["period"] = rates.position_period
-        # The current follows by (1 - gain) of what is missing, tick by tick: in the mean so many ticks later.
-        late = rates.period * (1.0 - law["current_gain"]) / law["current_gain"]
-        model["lead"] = 0.5 * rates.position_period + late
 
 
 CONTROLLER = CS7BParameters.group()

@@ -184,17 +184,7 @@ class LineTask:
                 raise LineError(f"the line's {name} is {value}; accepted: three finite numbers")
         if self.length == 0.0:
             raise LineError(f"the line starts and ends at {self.start} m; accepted: two different points")
-        self._check_motion()
-        for name in ("rest_before", "rest_after"):
-            value = getattr(self, name)
-            if not 0.0 <= value <= LONGEST_REST:
-                raise LineError(f"{name} is {value:g} s; accepted: a number in [0, {LONGEST_REST:g}]")
-        low, high = MARGIN_RANGE
-        if not low <= self.singularity_margin <= high:
-            raise LineError(f"singularity_margin is {self.singularity_margin:g}; accepted: in [{low:g}, {high:g}]")
-
-    def _check_motion(self) -> None:
-        """Refuse what no arm does, before the planning fills the memory with points of it."""
+        # What no arm does, before the planning fills the memory with points of it.
         if self.length > LONGEST_LINE:
             raise LineError(f"the line's length is {self.length:g} m; accepted: up to {LONGEST_LINE:g} m")
         profile = self.profile()
@@ -204,6 +194,11 @@ class LineTask:
                 f"the line takes {duration:g} s at speed {self.speed:g} m/s and acceleration "
                 f"{self.acceleration:g} m/s^2; accepted: up to {LONGEST_MOTION:g} s"
             )
+        rests = (("rest_before", 0.0, LONGEST_REST, " s"), ("rest_after", 0.0, LONGEST_REST, " s"))
+        for name, low, high, unit in (*rests, ("singularity_margin", *MARGIN_RANGE, "")):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise LineError(f"{name} is {value:g}{unit}; accepted: a number in [{low:g}, {high:g}]")
 
     @property
     def length(self) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -28,6 +28,7 @@ from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import ENCAPSULATION, message_time_ns
 from rx90_common.exchange.cdr import CdrBody
+from rx90_common.exchange.channel import TickChannel
 from rx90_common.exchange.endpoints import LATCHED_QOS, REQUEST_QOS, STATE_QOS, publish, ros_time, subscribe
 from rx90_common.exchange.pacing import ThrottledLog
 from rx90_controller.law.cs7b import CS7B
@@ -40,9 +41,8 @@ _RESULT_KEPT = 60.0  # s for which results are kept for clients that ask late; a
 _RESULT_GRACE = 2.0  # s in which the client of the last goal may ask for its result
 _FLUSH_SPINS, _SPIN_TIMEOUT = 10, 0.01  # turns of the executor in which a result is sent, and s of each at the most
 _ENDS = "the controller ends"
-_MOTION = ("positions", "velocities", "accelerations")
-_POINTS = {"reference": _MOTION, "feedback": _MOTION[:2], "error": _MOTION[:2], "output": ("effort",)}
-"""The points of the controller's state, and what each of them has."""
+_POINT_ROWS = ((1, 1, 1, 0), (1, 1, 0, 0), (1, 1, 0, 0), (0, 0, 0, 1))
+"""Which of positions, velocities, accelerations, efforts the state's reference, feedback, error and output have."""
 _OF_SEVERAL_AXES = 4  # points of joints that the arm has not, of three empty sequences and a time each
 
 
@@ -69,21 +69,26 @@ class _Server(ActionServer):
         super().notify_execute(handle, end)
 
 
-class FollowJointTrajectoryAction:
-    """The action server: goals are checked and answered on the executor's thread, and followed by the one that ticks.
+class ClientInterfaces:
+    """The action, speed scaling, state query and state topic of a controller.
 
-    What can be seen by a goal itself, and what is sent to a controller that is not active, is rejected. What depends on
-    where the arm then is (start, limits) is accepted and aborted at once: a result has a text, a rejection has none.
+    Goals are checked and answered on the executor's thread, and followed by the one that ticks. What can be seen by a
+    goal itself, and what is sent to a controller that is not active, is rejected. What depends on where the arm then is
+    (start, limits) is accepted and aborted at once: a result has a text, a rejection has none.
 
     Args:
-        node: whose action it is.
+        node: whose interfaces they are.
         loop: follows the goals.
         cs7b: of the loop.
-        simulation_there: returns whether there is a simulation.
+        state_ticks: position ticks from one state to the next.
+        channel: to the simulation.
+
+    Attributes:
+        publisher: of the state, to look at what it is matched with.
     """
 
-    def __init__(self, node: Node, loop: ServoLoop, cs7b: CS7B, simulation_there: Callable[[], bool]) -> None:
-        self._node, self._loop, self._simulation_there = node, loop, simulation_there
+    def __init__(self, node: Node, loop: ServoLoop, cs7b: CS7B, state_ticks: int, channel: TickChannel) -> None:
+        self._node, self._loop, self._cs7b, self._channel = node, loop, cs7b, channel
         self._names, self._tick_ns = list(cs7b.joint_names), cs7b.rates.period_ns * cs7b.rates.ratio
         self._goals: dict[bytes, TrajectoryRequest] = {}  # that may still be cancelled
         self._asked: set[bytes] = set()  # goals whose client has asked for the result
@@ -91,6 +96,7 @@ class FollowJointTrajectoryAction:
         self._checking = threading.Lock()  # an executor of several threads goes on while the node ends
         self._ending = False
         self._seen = time.monotonic()  # when the simulation was there
+        qos = REQUEST_QOS
         self._server = _Server(
             node,
             FollowJointTrajectory,
@@ -99,13 +105,21 @@ class FollowJointTrajectoryAction:
             goal_callback=self._on_goal,
             handle_accepted_callback=self._on_accepted,
             cancel_callback=self._on_cancel,
-            goal_service_qos_profile=REQUEST_QOS.profile,
-            result_service_qos_profile=REQUEST_QOS.profile,
-            cancel_service_qos_profile=REQUEST_QOS.profile,
+            goal_service_qos_profile=qos,
+            result_service_qos_profile=qos,
+            cancel_service_qos_profile=qos,
             result_timeout=_RESULT_KEPT,
         )
         self._server.on_result_request = self._on_result_request
         node.create_timer(_WATCH_PERIOD, self._watch_simulation)
+        # Some repeat their speed scaling hundreds of times a second, right or wrong.
+        self._complaints = ThrottledLog(lambda text: node.get_logger().error(text))
+        self._scaling: float | None = None  # announced last
+        # Latched, as the original has it: what was asked for before this node was there counts, too.
+        subscribe(node, SpeedScalingFactor, "~/speed_scaling_input", self._on_scaling, LATCHED_QOS)
+        node.create_service(QueryTrajectoryState, "~/query_state", self._on_query, qos_profile=qos)
+        self.publisher = publish(node, JointTrajectoryControllerState, "~/controller_state", STATE_QOS)
+        self._state, self._state_ns = _StateMessage(self._names), self._tick_ns * state_ticks
 
     def end(self) -> None:
         """End the active goal because the node ends, and send its result; take no other."""
@@ -126,11 +140,12 @@ class FollowJointTrajectoryAction:
 
     # Requests of clients, in the order in which they come.
 
-    def _on_goal(self, message: Any) -> GoalResponse:
+    def _on_goal(self, goal: Any) -> GoalResponse:
         """Check a goal."""
         with self._checking:
-            missing = "" if self._simulation_there() else "there is no simulation; accepted: once there is one"
-            self._checked = self._loop.receive_goal(message, _ENDS if self._ending else missing)
+            there = self._channel.matches().publishers > 0
+            missing = "" if there else "there is no simulation; accepted: once there is one"
+            self._checked = self._loop.receive(goal.trajectory, goal, _ENDS if self._ending else missing)
         return GoalResponse.REJECT if self._checked is None else GoalResponse.ACCEPT
 
     def _on_accepted(self, handle: ServerGoalHandle) -> None:
@@ -139,7 +154,7 @@ class FollowJointTrajectoryAction:
             goal = self._checked
             assert goal is not None
             handle.execute()
-            goal.on_feedback = lambda feedback: handle.publish_feedback(self._feedback_message(feedback))
+            goal.on_feedback = partial(self._send_feedback, handle)
             goal.on_result = partial(self._finish, handle, goal)
             self._goals[bytes(handle.goal_id.uuid)] = goal
             self._loop.offer(goal)
@@ -160,10 +175,41 @@ class FollowJointTrajectoryAction:
     def _watch_simulation(self) -> None:
         """Give the goal up whose simulation is gone."""
         now = time.monotonic()
-        if not self._loop.has_goal or self._simulation_there():
+        if not self._loop.has_goal or self._channel.matches().publishers > 0:
             self._seen = now
         elif now - self._seen > _SIMULATION_TIMEOUT:
             self._loop.drop(f"the simulation is gone, for more than {_SIMULATION_TIMEOUT:g} s", halt=True)
+
+    def _on_scaling(self, message: SpeedScalingFactor) -> None:
+        """Follow trajectories at the share of their speed that is asked for, also while one runs."""
+        try:
+            with self._loop.between_ticks():
+                self._cs7b.trajectory.set_speed_scaling(message.factor, self._cs7b.position_tick)
+        except TrajectoryError as error:
+            self._complaints.say("factor", f"{error}; ignored")
+            return
+        if message.factor != self._scaling:
+            self._scaling = message.factor
+            self._node.get_logger().info(f"speed scaling {message.factor:g}")
+
+    def _on_query(
+        self, request: QueryTrajectoryState.Request, response: QueryTrajectoryState.Response
+    ) -> QueryTrajectoryState.Response:
+        """Answer what the set-point was, or will be, at a time of the running trajectory."""
+        trajectory, tick = self._cs7b.trajectory, message_time_ns(request.time) / self._tick_ns
+        response.name = self._names
+        with self._loop.between_ticks():
+            reason = self._loop.inactive or ("" if self._loop.running else "no states have come yet")
+            try:
+                state, moving = trajectory.state(tick), trajectory.moving(math.ceil(tick) - 1)
+            except TrajectoryError as error:
+                response.message = reason or str(error)
+                return response
+        response.position, response.velocity, response.acceleration = state.tolist()
+        if not moving:
+            reason = reason or f"time {tick * self._tick_ns * 1e-9:.6g} s; accepted: up to the end of the motion"
+        response.success, response.message = not reason, reason
+        return response
 
     # What clients get.
 
@@ -181,15 +227,26 @@ class FollowJointTrajectoryAction:
         if not self._ending:
             self._asked.discard(name)
 
-    def _feedback_message(self, feedback: Feedback) -> Any:
-        """Return a FollowJointTrajectory.Feedback."""
-        return FollowJointTrajectory.Feedback(
+    def _send_feedback(self, handle: ServerGoalHandle, feedback: Feedback) -> None:
+        message = FollowJointTrajectory.Feedback(
             header=Header(stamp=ros_time(feedback.tick * self._tick_ns)),
             joint_names=self._names,
             desired=_point(feedback.desired, feedback.desired_time),
             actual=_point(feedback.actual, feedback.actual_time),
-            error=_point(feedback.error, feedback.desired_time),
+            error=_point(feedback.desired - feedback.actual, feedback.desired_time),
         )
+        handle.publish_feedback(message)
+
+    def publish_state(self, stamp_ns: int) -> None:
+        """Publish what the position loop has left, if it is time to and somebody listens."""
+        if stamp_ns % self._state_ns or not self.publisher.get_subscription_count():
+            return
+        cs7b = self._cs7b
+        tick = cs7b.position_tick - 1
+        (since, last), scaling = cs7b.trajectory.progress(tick), cs7b.trajectory.speed_scaling(tick)
+        since_ns = round(min(max(since, 0.0), last) * NANOSECONDS)
+        measured, torque = np.array(cs7b.measured()), cs7b.tracking_error()[2]
+        self.publisher.publish(self._state.encode(stamp_ns, since_ns, cs7b.setpoint, measured, torque, scaling))
 
 
 def _point(state: Array, seconds: float) -> JointTrajectoryPoint:
@@ -203,94 +260,25 @@ def _point(state: Array, seconds: float) -> JointTrajectoryPoint:
     )
 
 
-def serve_clients(
-    node: Node, loop: ServoLoop, cs7b: CS7B, simulation_there: Callable[[], bool]
-) -> FollowJointTrajectoryAction:
-    """Serve the action, which is returned, `query_state`, and speed scaling; the arguments are the action's."""
-    _serve_speed_scaling(node, loop, cs7b)
-    _serve_state_query(node, loop, cs7b)
-    return FollowJointTrajectoryAction(node, loop, cs7b, simulation_there)
+class _StateMessage:
+    """JointTrajectoryControllerState as CDR bytes whose numbers are written in place.
 
-
-def _serve_speed_scaling(node: Node, loop: ServoLoop, cs7b: CS7B) -> None:
-    """Follow trajectories at the share of their speed that is asked for, also while one runs."""
-    log, announced = node.get_logger(), None
-    # Some repeat theirs hundreds of times a second, right or wrong.
-    complaints = ThrottledLog(lambda text: node.get_logger().error(text))
-
-    def on_factor(message: SpeedScalingFactor) -> None:
-        nonlocal announced
-        try:
-            with loop.between_ticks():
-                cs7b.trajectory.set_speed_scaling(message.factor, cs7b.position_tick)
-        except TrajectoryError as error:
-            complaints.say("factor", f"{error}; ignored")
-        else:
-            if message.factor != announced:
-                log.info(f"speed scaling {message.factor:g}")
-                announced = message.factor
-
-    # Latched, as the original has it: what was asked for before this node was there counts, too.
-    subscribe(node, SpeedScalingFactor, "~/speed_scaling_input", on_factor, LATCHED_QOS.profile)
-
-
-def _serve_state_query(node: Node, loop: ServoLoop, cs7b: CS7B) -> None:
-    """Answer what the set-point was, or will be, at a time of the running trajectory."""
-    trajectory, tick_ns = cs7b.trajectory, cs7b.rates.period_ns * cs7b.rates.ratio
-
-    def answer(
-        request: QueryTrajectoryState.Request, response: QueryTrajectoryState.Response
-    ) -> QueryTrajectoryState.Response:
-        tick = message_time_ns(request.time) / tick_ns
-        response.name = list(cs7b.joint_names)
-        with loop.between_ticks():
-            reason = loop.inactive or ("" if loop.running else "no states have come yet")
-            try:
-                state, moving = trajectory.state(tick), trajectory.moving(math.ceil(tick) - 1)
-            except TrajectoryError as error:
-                response.message = reason or str(error)
-                return response
-        response.position, response.velocity, response.acceleration = state.tolist()
-        if not moving:
-            reason = reason or f"time {tick * tick_ns * 1e-9:.6g} s; accepted: up to the end of the motion"
-        response.success, response.message = not reason, reason
-        return response
-
-    node.create_service(QueryTrajectoryState, "~/query_state", answer, qos_profile=REQUEST_QOS.profile)
-
-
-class ControllerState:
-    """Set-points, measured joints, their difference and the commanded torques, a few times a second.
-
-    JointTrajectoryControllerState is sent as CDR bytes whose numbers are written in place: to fill and serialise a
-    message in Python takes longer than a tick. Alignment padding is written as zeros, so that equal values give equal
-    bytes; the serialiser of rclpy leaves there whatever was in memory.
-
-    Args:
-        node: the publisher's.
-        cs7b: whose state it is.
-        state_ticks: position ticks from one message to the next.
-
-    Attributes:
-        publisher: to look at what it is matched with.
-        period_ns: from one message to the next.
+    To fill and serialise a message in Python takes longer than a tick. Alignment padding is written as zeros, so that
+    equal values give equal bytes; the serialiser of rclpy leaves there whatever was in memory.
     """
 
-    def __init__(self, node: Node, cs7b: CS7B, state_ticks: int) -> None:
-        self._cs7b = cs7b
-        self.publisher = publish(node, JointTrajectoryControllerState, "~/controller_state", STATE_QOS.profile)
-        self.period_ns = cs7b.rates.period_ns * cs7b.rates.ratio * state_ticks
-        body, joints = CdrBody(), len(cs7b.joint_names)
+    def __init__(self, joint_names: Sequence[str]) -> None:
+        body, joints = CdrBody(), len(joint_names)
         stamp = body.zeros(8)
         body.string("")  # frame_id
-        body.strings(cs7b.joint_names)
-        numbers, times = {}, []
-        for point, given in _POINTS.items():
-            for name in (*_MOTION, "effort"):
-                body.count(joints if name in given else 0)
-                if name in given:
+        body.strings(joint_names)
+        numbers, times = [], []
+        for rows in _POINT_ROWS:
+            for there in rows:
+                body.count(joints if there else 0)
+                if there:
                     body.align(8)
-                    numbers[point, name] = body.zeros(8 * joints)
+                    numbers.append(body.zeros(8 * joints))
             times.append(body.zeros(8))
         body.strings([])
         for _ in range(_OF_SEVERAL_AXES):
@@ -306,26 +294,17 @@ class ControllerState:
 
         self._stamp = view("<i4", stamp, 2)  # seconds and nanoseconds, as the times from the start
         self._times = [view("<i4", at, 2) for at in times[:2]]  # of reference and feedback
-        self._numbers = {key: view("<f8", at, joints) for key, at in numbers.items()}
+        self._rows = [view("<f8", at, joints) for at in numbers]
         self._scaling = view("<f8", scaling, 1)
 
-    def publish(self, stamp_ns: int) -> None:
-        """Publish what the position loop has left, if somebody listens."""
-        if not self.publisher.get_subscription_count():
-            return
-        cs7b, numbers = self._cs7b, self._numbers
-        tick = cs7b.position_tick - 1
-        progress = cs7b.trajectory.progress(tick)
-        since = round(min(max(progress.time, 0.0), progress.last) * NANOSECONDS)
+    def encode(
+        self, stamp_ns: int, since_ns: int, setpoint: Array, measured: Array, torque: Array, scaling: float
+    ) -> bytes:
+        """Return the message: set-points (3, 6), measured positions and velocities (2, 6), commanded torques (6,)."""
         self._stamp[:] = divmod(stamp_ns, NANOSECONDS)
         for from_start in self._times:
-            from_start[:] = divmod(since, NANOSECONDS)
-        measured = cs7b.measured()
-        for row, name in enumerate(_MOTION):
-            numbers["reference", name][:] = cs7b.setpoint[row]
-            if row < len(measured):
-                numbers["feedback", name][:] = measured[row]
-                numbers["error", name][:] = cs7b.setpoint[row] - measured[row]
-        numbers["output", "effort"][:] = cs7b.tracking_error()[2]
-        self._scaling[:] = cs7b.trajectory.speed_scaling(tick)
-        self.publisher.publish(bytes(self._raw))
+            from_start[:] = divmod(since_ns, NANOSECONDS)
+        for row, values in zip(self._rows, (*setpoint, *measured, *(setpoint[:2] - measured), torque), strict=True):
+            row[:] = values
+        self._scaling[:] = scaling
+        return bytes(self._raw)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -21,22 +20,21 @@ from rx90_common.base.quoting import one_line, plain
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange import endpoints, node_tools
+from rx90_common.exchange import lifecycle
 from rx90_common.exchange.cdr import JointStateCodec
-from rx90_common.exchange.channel import Channel, Ends, MakeChannel
+from rx90_common.exchange.channel import Channel, MakeChannel
 from rx90_common.exchange.endpoints import (
     LATCHED_QOS,
     REQUEST_QOS,
     STATE_QOS,
-    TICK_QOS,
     TRAJECTORY_QOS,
     publish,
     ros_time,
     subscribe,
+    wait_until_matched,
+    wait_until_received,
 )
-from rx90_common.exchange.lifecycle import ManagedNode, started
-from rx90_common.exchange.motor_messages import MotorMessages
-from rx90_common.exchange.node_tools import Diagnostics
+from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
 from rx90_common.exchange.pacing import Pacer, ThrottledLog
 from rx90_common.exchange.parameters import declare_rates
 from rx90_common.exchange.ros_start import missing_control_msgs
@@ -51,14 +49,13 @@ from rx90_common.exchange.topics import (
     TimeMode,
 )
 from rx90_controller.law.cs7b import CS7B
-from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.node.parameters import (
     FILE_PARAMETERS,
-    LawParameters,
+    LAW_ENTRIES,
     allow_goal_changes,
-    declare_decimation,
     declare_goal_parameters,
-    declare_horizon,
+    declare_law,
+    declare_own,
     forget_law_parameters,
 )
 from rx90_controller.node.serving import Serving
@@ -66,7 +63,7 @@ from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
 from rx90_controller.trajectory.points import check_trajectory_bytes
 
 if TYPE_CHECKING:
-    from rx90_controller.node.client_interfaces import ControllerState, FollowJointTrajectoryAction
+    from rx90_controller.node.client_interfaces import ClientInterfaces
 
 _TRAJECTORY = "~/joint_trajectory"
 _MATCH_ATTEMPTS = 100  # of 50 ms
@@ -78,8 +75,8 @@ class Control:
     Args:
         node: owner of topics, services and parameters.
         files: the robot's.
-        make_channel: makes the exchange with the simulation.
-        local: whether a simulation in this process says how time is kept, by `serving.follow`; else the topic does.
+        local: whether a simulation in this process says how time is kept, by `serving.follow`, and calls
+            `serving.answer`; else the topic says it.
 
     Raises:
         Rx90Error: for files and parameters that are refused, and a second controller.
@@ -88,20 +85,20 @@ class Control:
         loop: follows trajectories.
         serving: runs it tick by tick.
         publishers: of all that the ticking thread sends.
-        action: where control_msgs is there.
+        clients: where control_msgs is there.
         ready: the line that says that the first states have come.
     """
 
-    def __init__(self, node: ManagedNode, files: RobotFiles, make_channel: MakeChannel, *, local: bool) -> None:
+    def __init__(self, node: ManagedNode, files: RobotFiles, *, local: bool) -> None:
         self._node, self._log = node, node.get_logger()
         rates = declare_rates(node)
         robot, drives = load_robot(files.urdf), load_drives(files.drives)
-        record = partial(CS7BParameters.record, robot=robot, drives=drives, rates=rates)
-        law = LawParameters(node, files.controller, record)
-        self._cs7b = cs7b = CS7B(robot, drives, law.parameters, rates)
+        law, read_law = declare_law(node, files.controller)
+        self._cs7b = cs7b = CS7B(robot, drives, law, rates)
         cs7b.warm_up()
         name, tick_ns = plain(robot.model.name), rates.period_ns * rates.ratio
-        channel = make_channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
+        channel = node.make_channel(MOTOR_COMMANDS, MOTOR_STATES)
+        horizon, decimation = declare_own(node)
         goals = declare_goal_parameters(node, cs7b.joint_names, rates)
         if goals.without_use:
             self._log.warning(
@@ -112,13 +109,9 @@ class Control:
             f"ready: {name}, velocity loops at {rates.base_hz} Hz, position loops at {rates.position_hz} Hz, states on "
             f"{channel.subscribe_topic}, trajectories on {node.resolve_topic_name(_TRAJECTORY)}"
         )
-        interfaces = import_client_interfaces(node)
-        self._state: ControllerState | None = None
-        if interfaces is not None:
-            self._state = interfaces.ControllerState(node, cs7b, goals.state_ticks)
 
         def topic(name: str) -> Publisher:
-            return publish(node, JointState, f"~/{name}", STATE_QOS.profile)
+            return publish(node, JointState, f"~/{name}", STATE_QOS)
 
         # The arrays are always the same, brought up to date by a call of the same method.
         codec, motors = JointStateCodec(cs7b.joint_names), JointStateCodec(MOTOR_NAMES)
@@ -128,33 +121,35 @@ class Control:
         ]
         details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
         self._details = [(topic(each), names.encoder(effort=values)) for each, names, values in details]
-        self._detail_ns = tick_ns * declare_decimation(node)
-        self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS.profile)
+        self._detail_ns = tick_ns * decimation
+        self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS)
+        self.loop = loop = ServoLoop(cs7b, self, horizon, goals.monitor_ticks)
+        loop.active = loop.enabled = False
+        node.changes.allow(
+            tuple(LAW_ENTRIES), lambda values: read_law(values).record(robot, drives, rates), loop.change_law
+        )
+        loop.options, loop.tolerances = goals.options, goals.tolerances
+        cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
+        self._report = node.create_guard_condition(loop.report)
+        self._pacer = pacer = Pacer(rates.period, 1.0)
+        self.serving = Serving(channel, MOTOR_NAMES, rates, loop, pacer, name, self.info, self.error, local=local)
+        self._complaints = ThrottledLog(self.error)
+        if not local:
+            subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS)
+        qos = TRAJECTORY_QOS
+        subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, qos, check_trajectory_bytes)
+        node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS)
+        interfaces = import_client_interfaces(node)
+        self.clients: ClientInterfaces | None = None
+        if interfaces is not None:
+            self.clients = interfaces.ClientInterfaces(node, loop, cs7b, goals.state_ticks, channel)
         self.publishers: tuple[Publisher, ...] = (
             *(row[0] for row in self._every_tick),
             *(row[0] for row in self._details),
             self._accepted,
-            *([] if self._state is None else [self._state.publisher]),
+            *([] if self.clients is None else [self.clients.publisher]),
             channel.publisher,
         )
-        self.loop = loop = ServoLoop(cs7b, self, declare_horizon(node), goals.monitor_ticks)
-        loop.active = loop.enabled = False
-        law.change_with(loop.change_law)
-        loop.options, loop.tolerances = goals.options, goals.tolerances
-        cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
-        self._report = node.create_guard_condition(loop.report)
-        messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, self.error)
-        self._pacer = Pacer(rates.period, 1.0)
-        self.serving = Serving(channel, messages, loop, self._pacer, self.info, name)
-        self._complaints = ThrottledLog(self.error)
-        if not local:
-            subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
-        qos = TRAJECTORY_QOS.profile
-        subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, qos, check_trajectory_bytes)
-        node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS.profile)
-        self.action: FollowJointTrajectoryAction | None = None
-        if interfaces is not None:
-            self.action = interfaces.serve_clients(node, loop, cs7b, lambda: channel.matches().publishers > 0)
         allow_goal_changes(node, cs7b, loop)
         self._reported = (0, time.monotonic())  # tick and time of the last status
         self._diagnostics = Diagnostics(node, self._status)
@@ -168,11 +163,11 @@ class Control:
             ExchangeError: if the simulation's rates are not this one's.
         """
         self.serving.run()
-        endpoints.wait_until_received(self.publishers)
+        wait_until_received(self.publishers)
 
     def wait_for_subscribers(self) -> None:
         """Wait until subscribers, also those of the commands, are matched."""
-        endpoints.wait_until_matched(self._node, self.publishers, _MATCH_ATTEMPTS)
+        wait_until_matched(self._node, self.publishers, _MATCH_ATTEMPTS, self.serving.is_stopped)
 
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""
@@ -186,8 +181,8 @@ class Control:
             for publisher, encode in self._details:
                 if publisher.get_subscription_count():
                     publisher.publish(encode(stamp_ns))
-        if self._state is not None and stamp_ns % self._state.period_ns == 0:
-            self._state.publish(stamp_ns)
+        if self.clients is not None:
+            self.clients.publish_state(stamp_ns)
 
     # Any thread.
 
@@ -195,7 +190,7 @@ class Control:
         """Have the node's executor report."""
         self._report.trigger()
 
-    def accepted(self, trajectory: JointTrajectory, start_ns: int, source: str = "") -> None:
+    def accepted(self, trajectory: JointTrajectory, start_ns: int, source: str) -> None:
         """Publish a trajectory as it came, stamped with its start; the frame says where from."""
         followed = JointTrajectory(joint_names=trajectory.joint_names, points=trajectory.points)
         followed.header.stamp, followed.header.frame_id = ros_time(start_ns), source
@@ -278,8 +273,7 @@ class ControllerNode:
     Args:
         make_channel: makes the exchange with the simulation.
         own_args: arguments for ROS that concern this node of its process alone.
-        local: whether the simulation is in this process: it then calls `follow`, and `answer` in each tick in
-            lock-step.
+        local: whether the simulation is in this process, and calls `follow`, and `answer` in each tick in lock-step.
 
     Attributes:
         node: for the executor.
@@ -288,16 +282,14 @@ class ControllerNode:
     def __init__(
         self, make_channel: MakeChannel = Channel, own_args: Sequence[str] = (), *, local: bool = False
     ) -> None:
-        self.node = ManagedNode("rx90_controller", own_args, self)
-        self._ends, self._local = Ends(make_channel), local
+        self.node = ManagedNode("rx90_controller", own_args, self, make_channel)
+        self._local = local
         self._control: Control | None = None
-        self._answer: Callable[[], None] | None = None
         self._time_mode: TimeMode | None = None
         self._answering = threading.Lock()
         declare_rates(self.node)
         self.node.declare_robot_files(*FILE_PARAMETERS)
-        declare_horizon(self.node)
-        declare_decimation(self.node)
+        declare_own(self.node)
 
     # Transitions, on the executor's thread.
 
@@ -309,11 +301,9 @@ class ControllerNode:
                 that does not fit.
         """
         files = self.node.declare_robot_files(*FILE_PARAMETERS)
-        self._control = control = Control(self.node, files, self._ends.make, local=self._local)
+        self._control = control = Control(self.node, files, local=self._local)
         if self._time_mode is not None:
             control.serving.follow(self._time_mode)
-        if self._local:
-            self._answer = control.serving.hand_over()
         self.node.ticking.begin(control.tick_loop, control.serving.stop)
 
     def activate(self) -> None:
@@ -332,10 +322,9 @@ class ControllerNode:
         """Let go of the robot."""
         self.node.ticking.finish()
         with self._answering:
-            control, self._control, self._answer = self._control, None, None
-        if control is not None and control.action is not None:
-            control.action.close()
-        self._ends.close()
+            control, self._control = self._control, None
+        if control is not None and control.clients is not None:
+            control.clients.close()
         forget_law_parameters(self.node)
 
     # A simulation in this process.
@@ -358,8 +347,8 @@ class ControllerNode:
     def answer(self) -> None:
         """Answer one tick in lock-step, on the thread that ticks; nothing while there is nothing to answer with."""
         with self._answering:
-            if self._answer is not None:
-                self._answer()
+            if self._control is not None:
+                self._control.serving.answer()
 
     # Its ticking thread, and the end.
 
@@ -375,8 +364,8 @@ class ControllerNode:
         """End `tick_loop` soon, and send what there is to say."""
         self.node.ticking.stop()
         if self._control is not None:
-            if self._control.action is not None:
-                self._control.action.end()
+            if self._control.clients is not None:
+                self._control.clients.end()
             self._control.loop.report()
 
 
@@ -386,4 +375,4 @@ def spin(args: Sequence[str]) -> None:
     Raises:
         Rx90Error: for parameters that are refused, or a simulation that does not fit.
     """
-    node_tools.spin(lambda: started([ControllerNode()]), args)
+    lifecycle.spin(lambda: started([ControllerNode()]), args)

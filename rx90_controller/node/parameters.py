@@ -13,19 +13,19 @@ from typing import Any, Final
 from rclpy.node import Node
 
 from rx90_common.base.config import load_yaml
-from rx90_common.base.entries import Entry, Numbers
+from rx90_common.base.entries import Numbers
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
 from rx90_common.base.section import Section
 from rx90_common.exchange.lifecycle import ManagedNode
-from rx90_common.exchange.parameters import ChangeGroup, Effective, declare
+from rx90_common.exchange.parameters import Effective, declare
 from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CONTROLLER, CS7BParameters, read_controller
 from rx90_controller.node.servo_loop import ServoLoop
-from rx90_controller.trajectory.request import GoalOptions, GoalTolerances
+from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, constraint_parameters
 
 FILE_PARAMETERS: Final = ("urdf", "drives", "controller")
 """Files of the robot that the node can be given."""
@@ -40,16 +40,12 @@ _OF_JOINTS: Final = "; six values, one for each motor, seen from its joint"
 _CHANGEABLE: Final = ("servo", "feed_forward", "supervision")
 
 
-def declare_horizon(node: Node) -> float:
-    """Declare, unless it is, and return how far ahead a trajectory may start, s."""
+def declare_own(node: Node) -> tuple[float, int]:
+    """Declare, unless they are, how far ahead a trajectory may start, s, and the decimation of DETAILS; return both."""
     about = "how far ahead of the controller's own time the stamp of a trajectory may lie, s"
-    return declare(node, "start_horizon", 60.0, about, low=0.0, high=1e6)
-
-
-def declare_decimation(node: Node) -> int:
-    """Declare, unless it is, and return how many position ticks there are for each message of DETAILS."""
+    horizon = declare(node, "start_horizon", 60.0, about, low=0.0, high=1e6)
     about = f"position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}"
-    return declare(node, "detail_decimation", DETAIL_DECIMATION, about, low=1, high=1_000_000)
+    return horizon, declare(node, "detail_decimation", DETAIL_DECIMATION, about, low=1, high=1_000_000)
 
 
 @dataclass(frozen=True)
@@ -79,18 +75,13 @@ def has_no_use(name: str) -> bool:
 
 
 def _take_out(node: Node, names: Sequence[str]) -> tuple[str, ...]:
-    """Take what has no use out of the parameters that were given to a node; return their names.
-
-    Raises:
-        ConfigError: for joints of another arm.
-    """
+    """Take what has no use out of the parameters given to a node, and return it; refuse joints of another arm."""
     given = node._parameter_overrides
-    found = sorted(filter(has_no_use, given))
-    for name in found:
-        value = given.pop(name).value
-        if name == "joints" and not (isinstance(value, Sequence) and sorted(map(str, value)) == sorted(names)):
-            raise ConfigError(f"parameter joints is {quoted(value)}; accepted: {', '.join(names)}, in any order")
-    return tuple(name for name in found if name != "joints")
+    found = {name: given.pop(name).value for name in sorted(given) if has_no_use(name)}
+    joints = found.pop("joints", names)
+    if not (isinstance(joints, Sequence) and sorted(map(str, joints)) == sorted(names)):
+        raise ConfigError(f"parameter joints is {quoted(joints)}; accepted: {', '.join(names)}, in any order")
+    return tuple(found)
 
 
 def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> GoalParameters:
@@ -108,7 +99,7 @@ def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> G
 
     tolerances = {
         name: declare(node, name, default, about, low=0.0, high=_LARGEST)
-        for name, (default, about) in _constraints(names).items()
+        for name, (default, about) in constraint_parameters(names).items()
     }
     options = {
         option.name: declare(node, option.name, False, option.metadata["about"]) for option in fields(GoalOptions)
@@ -141,24 +132,9 @@ def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:
 
     names = cs7b.joint_names
     options = tuple(option.name for option in fields(GoalOptions))
-    node.changes.allow(ChangeGroup(options, lambda values: GoalOptions(**values), setter("options")))
+    node.changes.allow(options, lambda values: GoalOptions(**values), setter("options"))
     tolerances = partial(GoalTolerances.of_parameters, names)
-    node.changes.allow(ChangeGroup(tuple(_constraints(names)), tolerances, setter("tolerances")))
-
-
-def _constraints(names: Sequence[str]) -> dict[str, tuple[float, str]]:
-    """Return the parameters of tolerances, with their defaults and what they mean."""
-    limits = {
-        "constraints.goal_time": (0.0, "how long after its end a motion may take to be at its goal, s; 0: for ever"),
-        "constraints.stopped_velocity_tolerance": (
-            0.01,
-            "velocity that a joint may have at the goal, rad/s; 0: any",
-        ),
-    }
-    for name in names:
-        limits[f"constraints.{name}.trajectory"] = (0.0, f"how far {name} may be off the path, rad; 0: any")
-        limits[f"constraints.{name}.goal"] = (0.0, f"how far {name} may be off at the goal, rad; 0: any")
-    return limits
+    node.changes.allow(tuple(constraint_parameters(names)), tolerances, setter("tolerances"))
 
 
 LAW_ENTRIES: Final = {
@@ -177,50 +153,33 @@ def forget_law_parameters(node: Node) -> None:
             node.undeclare_parameter(name)
 
 
-class LawParameters:
-    """A controller file's values as parameters of the node: declared with the file's values, checked as the file is.
+def declare_law(node: Node, path: Path) -> tuple[CS7BParameters, Callable[[Mapping[str, Any]], CS7BParameters]]:
+    """Declare a controller file's values as parameters of a node, checked as the file is.
 
-    Args:
-        node: their owner.
-        path: the controller file.
-        record: returns the law's constants, shape (1,), CONTROLLER_DTYPE.
-
-    Attributes:
-        parameters: of the file, with what was given at the start in place of the file's.
+    Returns:
+        The file's parameters, with what was given at the start in place of the file's, and a function that gives them
+        with other values of LAW_ENTRIES and raises ConfigError.
 
     Raises:
         ConfigError: naming file or parameter, value and accepted range.
     """
+    root = load_yaml(path)
+    model = read_controller(root).model  # whose files are read once
+    of_file = CONTROLLER.read(root)
 
-    def __init__(self, node: ManagedNode, path: Path, record: Callable[[CS7BParameters], Any]) -> None:
-        self._node, self._record = node, record
-        root = load_yaml(path)
-        self._model = read_controller(root).model  # whose files are read once
-        self._content = CONTROLLER.read(root)
-        given = {name: declare(node, name, self._of_file(name), _about(shape)) for name, shape in LAW_ENTRIES.items()}
-        self.parameters = self._read(given)
-
-    def change_with(self, change: Callable[[Any, Effective], None]) -> None:
-        """Let the parameters be set: `change` gets the constants, and what to call with the time of their effect."""
-        group = ChangeGroup(tuple(LAW_ENTRIES), lambda values: self._record(self._read(values)), change)
-        self._node.changes.allow(group)
-
-    def _of_file(self, name: str) -> Any:
-        section, _, key = name.partition(".")
-        value = self._content[section][key]
-        if isinstance(value, bool):
-            return value
-        return [float(each) for each in value] if isinstance(value, tuple) else float(value)
-
-    def _read(self, values: Mapping[str, Any]) -> CS7BParameters:
-        content = copy.deepcopy(self._content)
+    def read(values: Mapping[str, Any]) -> CS7BParameters:
+        content = copy.deepcopy(of_file)
         for name, value in values.items():
             section, _, key = name.partition(".")
             content[section][key] = value if isinstance(value, bool | float) else list(value)
-        return read_controller(Section(content, Path("parameter")), self._model)
+        return read_controller(Section(content, Path("parameter")), model)
 
-
-def _about(shape: Entry) -> str:
-    """Return what a value of the controller file means, as other parameters say it."""
-    unit = f", {shape.unit}" if len(shape.unit) > 1 else ""
-    return f"{shape.about[:-1]}{unit}{_OF_JOINTS if isinstance(shape, Numbers) else ''}"
+    given: dict[str, Any] = {}
+    for name, shape in LAW_ENTRIES.items():
+        section, _, key = name.partition(".")
+        value, unit = of_file[section][key], f", {shape.unit}" if len(shape.unit) > 1 else ""
+        if not isinstance(value, bool):
+            value = [float(each) for each in value] if isinstance(value, tuple) else float(value)
+        about = f"{shape.about[:-1]}{unit}{_OF_JOINTS if isinstance(shape, Numbers) else ''}"
+        given[name] = declare(node, name, value, about)
+    return read(given), read

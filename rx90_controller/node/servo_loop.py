@@ -13,17 +13,17 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.motor_messages import MotorStates
 from rx90_common.exchange.topics import OF_ACTION
 from rx90_controller.law.cs7b import CS7B, DriveFault
-from rx90_controller.trajectory.generator import PastError, Schedule, points_left
+from rx90_controller.trajectory.generator import PastError, points_left
 from rx90_controller.trajectory.request import (
     GoalOptions,
     GoalTolerances,
@@ -36,6 +36,22 @@ from rx90_controller.trajectory.request import (
 
 INACTIVE: Final = "the controller is inactive; accepted: in state active"
 _ATTEMPTS = 3  # to join a long trajectory beside the ticks, each with more time than the one before
+
+
+class MotorStates(NamedTuple):
+    """The motor states of one tick; the arrays are valid until the next ones have been decoded.
+
+    Attributes:
+        stamp_ns: sample time, ns.
+        position: rad, shape (n,).
+        velocity: rad/s, shape (n,).
+        torque: reported by the drives, Nm, shape (n,), if it is.
+    """
+
+    stamp_ns: int
+    position: Array
+    velocity: Array
+    torque: Array | None = None
 
 
 class Outputs(Protocol):
@@ -56,7 +72,7 @@ class Outputs(Protocol):
     def wake(self) -> None:
         """Have `ServoLoop.report` called soon, by another thread than the one that ticks."""
 
-    def accepted(self, trajectory: Any, start_ns: int, source: str = "") -> None:
+    def accepted(self, trajectory: Any, start_ns: int, source: str) -> None:
         """Publish a trajectory that is followed, when it starts, ns, and OF_ACTION for one that was a goal."""
 
     def info(self, text: str) -> None:
@@ -67,7 +83,7 @@ class Outputs(Protocol):
 
 
 class ServoLoop:
-    """Runs the CS7B as `ServoLoops` says; requests and switches may come from another thread, between ticks.
+    """Runs the CS7B tick by tick; requests and switches may come from another thread, between ticks.
 
     Args:
         cs7b: the control law, warmed up.
@@ -152,7 +168,7 @@ class ServoLoop:
             fault = cs7b.fault
             if fault is None:
                 return True
-            if fault.parameter:
+            if fault.quantity == "torque":
                 self._unpublished = False  # torques that are no numbers
             self._publish(stamp_ns)  # before the reset: what has led to the fault is to be seen
             self.enabled, self.fault = False, fault
@@ -232,40 +248,33 @@ class ServoLoop:
 
     # Requests, from the executor's thread.
 
-    def receive(self, message: Any) -> None:
-        """Follow a trajectory_msgs/JointTrajectory of the topic; the log says if not. One without points is a stop."""
-        try:
-            with self._lock:
-                if self.running and self.inactive:
-                    raise TrajectoryError(self.inactive)
-            request = self._checked(message)
-        except TrajectoryError as error:
-            with self._lock:
-                self._refused("trajectory", error)
-        else:
-            self.offer(request)
+    def receive(self, message: Any, goal: Any = None, missing: str = "") -> TrajectoryRequest | None:
+        """Return a trajectory, checked by itself, or None if it is refused: the log says why.
 
-    def receive_goal(self, goal: Any, missing: str = "") -> TrajectoryRequest | None:
-        """Return a goal of FollowJointTrajectory, checked wherever the arm is; None if it is refused: the log says why.
+        What takes long is not done between ticks. A trajectory of the topic is followed at once; a goal is left to
+        `offer`, and must have points that still lie ahead.
 
-        `missing` is why no goal can be followed now, beside `inactive`.
+        Args:
+            message: trajectory_msgs/JointTrajectory; of the topic, one without points is a stop.
+            goal: the goal of FollowJointTrajectory that it is of.
+            missing: why no goal can be followed now, beside `inactive`.
         """
+        kind = "trajectory" if goal is None else "goal"
         try:
-            request = self._checked(goal.trajectory, goal)
+            request = check_request(message, self.tolerances, self.options, self._cs7b.rates.position_hz, goal)
             with self._lock:
-                if self.inactive or missing:
+                if (self.running or goal is not None) and (self.inactive or missing):
                     raise TrajectoryError(self.inactive or missing)
-                assert request.points is not None
-                points_left(request.points, self._cs7b.position_tick, request.start, self._period)
+                if goal is not None:
+                    assert request.points is not None
+                    points_left(request.points, self._cs7b.position_tick, request.start, self._period)
         except TrajectoryError as error:
             with self._lock:
-                self._refused("goal", error)
+                self._refused(kind, error)
             return None
+        if goal is None:
+            self.offer(request)
         return request
-
-    def _checked(self, message: Any, goal: Any = None) -> TrajectoryRequest:
-        """Return a trajectory, of the topic or of a goal, checked by itself; may take long, so not between ticks."""
-        return check_request(message, self.tolerances, self.options, self._cs7b.rates.position_hz, goal)
 
     def offer(self, request: TrajectoryRequest) -> None:
         """Follow a request, at the latest once there are states, or refuse it.
@@ -329,7 +338,7 @@ class ServoLoop:
 
     def _follow(self, request: TrajectoryRequest, joined: JoinedAhead | None = None) -> None:
         """Follow a request, which may be joined already, in place of what runs, or refuse it and let that go on."""
-        now, trajectory, period = self._cs7b.position_tick, self._cs7b.trajectory, self._period
+        now, trajectory, period, points = self._cs7b.position_tick, self._cs7b.trajectory, self._period, request.points
         try:
             if self.inactive:
                 raise TrajectoryError(self.inactive)
@@ -351,17 +360,30 @@ class ServoLoop:
         if request.is_goal or request.tolerances.end_motions:
             # What runs until a trajectory of the topic starts is held to its tolerances, too.
             self._followed = request
-        self._announce(request, schedule)
+        begin, end = schedule.begin * period, schedule.end * period
+        if points is None:
+            text = f"empty trajectory: stopping from {begin:.3f} s on, at rest at {end:.3f} s"
+        else:
+            text = f"{request.kind} accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin:.3f} s"
+            if points.smooth:
+                text += "; velocities from its positions"
+            if schedule.blend_error > 0.0:
+                text += f"; its ramps pass the points in between at up to {schedule.blend_error:.3g} rad"
+        start = schedule.begin if request.start is None or points is None else request.start
+        start_ns = start * self._cs7b.rates.period_ns * self._cs7b.rates.ratio
+        source = OF_ACTION if request.is_goal else ""
+        self._reports.append(partial(self._outputs.accepted, request.message, start_ns, source))
+        self._note(text)
 
     def _drop(self, reason: str, *, wanted: bool = False) -> None:
         """End the goal, if there is one, with -1 and a reason; `wanted`, so nothing went wrong."""
         when = f", at {self._cs7b.position_tick * self._period:.6g} s"
-        waiting, followed, self._followed = self._waiting, self._followed, None
+        waiting, goal, self._followed = self._waiting, self._followed, None
         if waiting is not None and waiting.is_goal:
-            self._waiting, followed, when = None, waiting, ""
-        if followed is not None and followed.is_goal:
-            followed.end(State.ABORTED, ResultCode.INVALID_GOAL, f"{reason}{when}")
-            self._deliver(followed, wanted=wanted)
+            self._waiting, goal, when = None, waiting, ""
+        if goal is not None and goal.is_goal:
+            goal.end(State.ABORTED, ResultCode.INVALID_GOAL, f"{reason}{when}")
+            self._deliver(goal, wanted=wanted)
 
     def _deliver(self, request: TrajectoryRequest, *, wanted: bool = False) -> None:
         """Have the client of a goal learn how it has ended, and note it."""
@@ -371,24 +393,6 @@ class ServoLoop:
             self._note(one_line(f"goal {request.state.value}: {request.reason}"), wrong=aborted and not wanted)
         elif aborted:
             self._note(f"trajectory aborted: {request.reason}; stopping and holding", wrong=True)
-
-    def _announce(self, request: TrajectoryRequest, schedule: Schedule) -> None:
-        """Note what is followed, and publish it with its start."""
-        points = request.points
-        begin, end = schedule.begin * self._period, schedule.end * self._period
-        start = schedule.begin if request.start is None or points is None else request.start
-        if points is None:
-            text = f"empty trajectory: stopping from {begin:.3f} s on, at rest at {end:.3f} s"
-        else:
-            text = f"{request.kind} accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin:.3f} s"
-            if points.smooth:
-                text += "; velocities from its positions"
-            if schedule.blend_error > 0.0:
-                text += f"; its ramps pass the points in between at up to {schedule.blend_error:.3g} rad"
-        start_ns = start * self._cs7b.rates.period_ns * self._cs7b.rates.ratio
-        source = OF_ACTION if request.is_goal else ""
-        self._reports.append(partial(self._outputs.accepted, request.message, start_ns, source))
-        self._note(text)
 
     def _refused(self, kind: str, error: TrajectoryError, *, quiet: bool = False) -> None:
         """Count a goal or a trajectory that was refused, and note why, unless its result says so."""
@@ -404,7 +408,6 @@ class ServoLoop:
             self._note(f"trajectory dropped at {now * self._period:.3f} s: {why}")
 
     def _note(self, text: str, *, wrong: bool = False) -> None:
-        """Note a line."""
         self._post(partial(self._outputs.error if wrong else self._outputs.info, text))
 
     def _post(self, call: Callable[[], None]) -> None:
@@ -414,5 +417,4 @@ class ServoLoop:
 
 
 def _reason_replaced(request: TrajectoryRequest) -> str:
-    """Return why what ran before a request has ended."""
     return "pre-empted by a new goal" if request.is_goal else "replaced by a trajectory on the topic"

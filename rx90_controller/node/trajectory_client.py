@@ -16,14 +16,13 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, ExchangeError, LineError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.errors import ExchangeError, LineError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange import endpoints
 from rx90_common.exchange.client_node import POLL, ClientNode, ServiceRequest, spoken
 from rx90_common.exchange.endpoints import ros_time
-from rx90_common.exchange.ros_start import reason
+from rx90_common.exchange.ros_start import controller_topic
 from rx90_controller.lines.plan import Approach, LinePlan, approached
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.points import message_content
@@ -75,16 +74,8 @@ class TrajectoryClient:
     """
 
     def __init__(self, client: ClientNode, controller: str) -> None:
+        self.topic = controller_topic(client.node, controller)
         self._client, self._controller = client, controller
-        accepted = "accepted: a name such as rx90_controller or /cell/rx90_controller"
-        if not controller:  # with which the topic would have a name too, an absolute one
-            raise ConfigError(f"the controller node's name is empty; {accepted}")
-        try:
-            self.topic = str(client.node.resolve_topic_name(f"{controller}/joint_trajectory"))
-        except RuntimeError as error:
-            raise ConfigError(
-                f"the controller node's name is {quoted(controller)} ({reason(error)}); {accepted}"
-            ) from error
         self._publisher = client.node.create_publisher(JointTrajectory, self.topic, 1)
         self._arm: NewestPositions | None = None
 
@@ -152,10 +143,9 @@ class TrajectoryClient:
         Raises:
             ExchangeError: if there are none within the client's timeout.
         """
-        return self._newest(f"{self._controller}/reference", names, "set-point")
+        return self._newest(self.topic.rsplit("/", 1)[0] + "/reference", names, "set-point")
 
     def _newest(self, topic: str, names: Sequence[str], what: str) -> NewestPositions:
-        topic = self._client.node.resolve_topic_name(topic)
         newest = NewestPositions(self._client, topic, names)
         self._client.wait(lambda: newest.position is not None, f"a {what} on {topic}")
         return newest

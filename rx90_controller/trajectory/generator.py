@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
-from rx90_controller.trajectory.followed_path import FollowedPath, Path, PathTime
-from rx90_controller.trajectory.limits import JointLimits
-from rx90_controller.trajectory.paths import connect, stop
+from rx90_controller.trajectory.paths import JointLimits, connect, stop
 from rx90_controller.trajectory.points import TrajectoryPoints
-from rx90_controller.trajectory.spline import Bounds, joined, merged, remainder, resting, smooth
+from rx90_controller.trajectory.spline import FollowedPath, Path, joined, merged, remainder, resting, smooth
 
 _ADVICE = ", or velocities_from_positions, where the points' velocities do not belong to their positions"
 _MAX_HALT_RATIO = 3  # a stop along the path may take so many times as long as one joint by joint
@@ -33,13 +32,6 @@ class Schedule(NamedTuple):
     begin: int
     end: int
     blend_error: float
-
-
-class Progress(NamedTuple):
-    """How far a trajectory is: time on its path from its begin, negative before, and that of its last point, s."""
-
-    time: float
-    last: float
 
 
 class TrajectoryGenerator:
@@ -70,15 +62,18 @@ class TrajectoryGenerator:
         """Compile, or load, the kernels that a running arm may need."""
         rest = np.zeros((2, 6))
         spline = smooth(np.array([0.0, 1.0]), rest, rest)
-        Bounds.of(spline.coefficients, np.ones(1))
-        PathTime(spline, self.limits.acceleration, self.period, tick=0, time=0.0, rate=1.0, wanted=0.0).settles(1)
+        spline.bounds()
+        self._followed(0, Path(spline, 0.0, 1.0)).halted(0, 1)
 
     def reset(self, hold: Array) -> None:
         """Drop every trajectory and hold a position, rad, shape (6,)."""
-        rest = Path(resting(np.array(hold, dtype=np.float64)), 0.0, 0.0)
-        self._current = FollowedPath(0, rest, self.period, announced=True)
+        self._current = self._followed(0, Path(resting(np.array(hold, dtype=np.float64)), 0.0, 0.0))
+        self._current.announced = True
         self._next: FollowedPath | None = None
         self.revision += 1
+
+    def _followed(self, start: int, path: Path, *, fixed: bool = False) -> FollowedPath:
+        return FollowedPath(start, path, self.period, self.limits.acceleration, fixed)
 
     def delay(self, count: int, now: int) -> None:
         """Shift the running trajectory by `count` ticks, which passed without set-points up to tick `now`.
@@ -140,10 +135,10 @@ class TrajectoryGenerator:
         state: Array = motion.states(np.array([tick], dtype=np.float64))[0]
         return state
 
-    def progress(self, tick: int) -> Progress:
-        """Return how far the trajectory that was taken last is at a position tick."""
+    def progress(self, tick: int) -> tuple[float, float]:
+        """Return times on the path from the begin of the trajectory taken last, s: now, below 0 before, and its end."""
         motion = self._next or self._current
-        return Progress(motion.at(tick)[0] - motion.path.begin, motion.path.last - motion.path.begin)
+        return motion.at(tick)[0] - motion.path.begin, motion.path.last - motion.path.begin
 
     def refined(self, ratio: int) -> TrajectoryGenerator:
         """Return a generator of the same motions, at full speed, whose ticks are `ratio` times as frequent."""
@@ -176,14 +171,16 @@ class TrajectoryGenerator:
             return
         self.factor = factor
         motion, waiting = self._effective(now), self._next
-        acceleration = self.limits.acceleration
         if motion.runs(now) and not motion.fixed:
             if waiting is not None and motion is not waiting:
-                self._current, self._next = motion.over_to(waiting.path, waiting.start), None
+                # One path, which goes over to the other where it will, by its present rate, be at the start of that.
+                at, (spline, _, last, stops) = motion.at(waiting.start)[0], waiting.path
+                path = Path(joined(motion.path.spline, at, spline), at, at + last, stops)
+                self._current, self._next = motion.on(path, motion.path), None
                 motion = self._current
-            motion.go_at(factor, acceleration, now)
+            motion.go_at(factor, now)
         elif waiting is not None and motion is not waiting:
-            waiting.go_at(factor, acceleration, waiting.start, 1.0 if motion.runs(waiting.start) else factor)
+            waiting.go_at(factor, waiting.start, 1.0 if motion.runs(waiting.start) else factor)
         self.revision += 1
 
     # New motions.
@@ -257,7 +254,7 @@ class TrajectoryGenerator:
             return Schedule(base.start, base.end, 0.0)
         position, velocity, _ = base.setpoints(now, 1)[0]
         shortest = float((np.abs(velocity) / acceleration).max())
-        spline = base.halted(now, acceleration, _MAX_HALT_RATIO * math.ceil(shortest / self.period) + 2)
+        spline = base.halted(now, _MAX_HALT_RATIO * math.ceil(shortest / self.period) + 2)
         if spline is None:
             spline = stop(position, velocity, acceleration)
         return self._follow(base, Path(spline, 0.0, spline.duration, stop=True), now, None)
@@ -275,7 +272,8 @@ class TrajectoryGenerator:
             return None
         fork = copy.copy(self)
         fork._origin = (self.revision, None if self._next is None else self._next.start)
-        fork._current, fork._next = self._current.copied(), None
+        laws = [copy.copy(law) for law in self._current.laws]  # what a fork computes is not this one's
+        fork._current, fork._next = replace(self._current, laws=laws), None
         return fork
 
     def continues(self, fork: TrajectoryGenerator, now: int) -> bool:
@@ -316,7 +314,7 @@ class TrajectoryGenerator:
         if motion.before is None or motion.at(now)[0] >= motion.path.begin:
             return motion
         base = motion.on(motion.before)
-        base.go_at(self.factor, self.limits.acceleration, now)
+        base.go_at(self.factor, now)
         return base
 
     def _rate(self, base: FollowedPath, begin: int) -> float:
@@ -355,10 +353,10 @@ class TrajectoryGenerator:
     def _follow(self, base: FollowedPath, path: Path, begin: int, rate: float | None) -> Schedule:
         """Follow a path from a tick on, behind `base`, from a rate on; None for full speed whatever the scaling is."""
         self.revision += 1
-        self._current, self._next = base, FollowedPath(begin, path, self.period, fixed=rate is None)
+        self._current, self._next = base, self._followed(begin, path, fixed=rate is None)
         end = self._next.end
         if rate is not None:
-            self._next.go_at(self.factor, self.limits.acceleration, begin, rate)
+            self._next.go_at(self.factor, begin, rate)
         return Schedule(begin, end, path.spline.blend_error)
 
 

@@ -1,4 +1,4 @@
-"""Paths from where the arm is through the points of a trajectory: splines, straight lines with ramps, and stops.
+"""The limits that set-points keep, and paths within them through the points of a trajectory: splines, lines, stops.
 
 A line from point to point would change its velocity in no time. An arm that is to do so lags, and passes the point by
 about v^2/(2 a). Each change of velocity therefore becomes a ramp of constant acceleration, as short as the limits
@@ -8,14 +8,224 @@ allow and of the same duration in all joints, so that the motion stays straight:
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import TrajectoryError
-from rx90_controller.trajectory.limits import JointLimits
+from rx90_common.base.errors import ConfigError, TrajectoryError
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.spline import Spline, interpolate, resting, smooth
+
+# A spline that should run exactly at a limit, or end on it, may miss it by rounding.
+_SLACK = 1e-9
+_POSITION_SLACK = 1e-6  # rad; planners clip to limits that were printed, or were held as angles of their own
+# Times in messages are whole nanoseconds, which changes an acceleration over some milliseconds by some millionths.
+_ACCELERATION_SLACK = 1e-5  # of the limit
+# The largest acceleration lies between two set-points, and may be a little more than the largest set-point.
+_BETWEEN_SLACK = 1e-3  # of the limit
+_CHECKED_AT_ONCE = 4096  # set-points
+
+
+class _Quantity(NamedTuple):
+    """A quantity with its limits, of shape (6,) or with a row for each value."""
+
+    what: str
+    unit: str
+    low: Array
+    high: Array
+    slack: Array | float = _SLACK
+
+    def first_outside(self, values: Array) -> tuple[int, int] | None:
+        """Return row and joint of the first value, of shape (m, 6), that is not within the limits, or no number."""
+        within = (values >= self.low - self.slack) & (values <= self.high + self.slack)
+        if within.all():
+            return None
+        row, joint = np.argwhere(~within)[0].tolist()
+        return row, joint
+
+    def accepted(self, row: int, joint: int) -> str:
+        """Return the limits of a joint in a row."""
+        low, high = (bound if bound.ndim == 1 else bound[row] for bound in (self.low, self.high))
+        return f"[{low[joint]:.6g}, {high[joint]:.6g}]"
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of six joints, each of shape (6,): positions in rad, speeds in rad/s, accelerations in rad/s^2.
+
+    Attributes:
+        start_tolerance: how far, rad, a trajectory may start from the set-point that is held.
+    """
+
+    names: tuple[str, ...]
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+    start_tolerance: float
+
+    def __post_init__(self) -> None:
+        if np.any(self.lower >= self.upper) or np.any(self.velocity <= 0) or np.any(self.acceleration <= 0):
+            raise ConfigError(
+                f"joint limits {self.lower.tolist()}, {self.upper.tolist()}, {self.velocity.tolist()}, "
+                f"{self.acceleration.tolist()}; accepted: lower < upper, velocity > 0, acceleration > 0"
+            )
+
+    def _quantities(self, lower: Array, upper: Array) -> tuple[_Quantity, _Quantity, _Quantity]:
+        """Return position, velocity and acceleration with their limits; those of the position are given."""
+        v, a = self.velocity, self.acceleration
+        return (
+            _Quantity("position", "rad", lower, upper, _POSITION_SLACK),
+            _Quantity("velocity", "rad/s", -v, v),
+            _Quantity("acceleration", "rad/s^2", -a, a, _ACCELERATION_SLACK * a),
+        )
+
+    def outside(self, position: Array) -> Array:
+        """Return how far positions, rad, shape (..., 6), lie beyond the limits; 0 within."""
+        return np.asarray(np.maximum(np.maximum(self.lower - position, position - self.upper), 0.0))
+
+    def check_near(self, points: TrajectoryPoints, held: Array) -> None:
+        """Check that the first point lies at the set-point that is held, shape (3, 6).
+
+        Raises:
+            TrajectoryError: naming the joint that is furthest away.
+        """
+        gap = points.position[0] - held[0]
+        joint = int(np.argmax(np.abs(gap)))
+        if abs(gap[joint]) > self.start_tolerance:
+            raise TrajectoryError(
+                f"point {points.first}: {self.names[joint]} starts at {points.position[0, joint]:.6g} rad, the "
+                f"set-point there is {held[0, joint]:.6g} rad; accepted: within {self.start_tolerance:g} rad, or a "
+                "first point later than the start"
+            )
+
+    def check_start(self, held: Array, velocity: Array, period: float, number: int = 0) -> None:
+        """Check that the first velocity, rad/s, shape (6,), follows on the set-point that is `held` there, (3, 6).
+
+        `period` is that of the position loop, s, `number` that of the first point.
+
+        Raises:
+            TrajectoryError: naming the joint whose velocity would jump, both velocities and what is accepted.
+        """
+        allowed = self.acceleration * period
+        found = _Quantity("", "", held[1] - allowed, held[1] + allowed).first_outside(velocity[None])
+        if found is not None:
+            joint = found[1]
+            raise TrajectoryError(
+                f"point {number}: {self.names[joint]} starts at {velocity[joint]:.6g} rad/s, the set-point there moves "
+                f"at {held[1, joint]:.6g} rad/s; accepted: within {allowed[joint]:.6g} rad/s, or a first point later "
+                "than the start"
+            )
+
+    def check_points(self, points: TrajectoryPoints, allowed: Array) -> None:
+        """Check the points themselves: a spline through points within the limits has finite coefficients.
+
+        They may lie beyond the position limits by as much as is `allowed`, rad, shape (6,).
+
+        Raises:
+            TrajectoryError: naming point, joint, value and limit of the first one outside.
+        """
+        tables = (points.position, points.velocity, points.acceleration)
+        for quantity, table in zip(self._quantities(self.lower - allowed, self.upper + allowed), tables, strict=True):
+            if table is not None and (found := quantity.first_outside(table)) is not None:
+                row, joint = found
+                raise TrajectoryError(
+                    f"point {points.first + row}: {self.names[joint]} has the {quantity.what} {table[row, joint]:.6g} "
+                    f"{quantity.unit}; accepted: {quantity.accepted(row, joint)}"
+                )
+
+    def check_motion(self, spline: Spline, period: float, points: TrajectoryPoints, allowed: Array) -> None:
+        """Check a motion: its set-points, and the accelerations between them.
+
+        What passes is within the accelerations wherever it is, so that it can be travelled at every lower speed too.
+        It ends within the position limits, and could therefore, wherever it is, be braked to rest before it reaches
+        them.
+
+        Args:
+            spline: the motion.
+            period: of the position loop, s.
+            points: that it goes through, to say which one is meant.
+            allowed: how far beyond the position limits the first set-point may lie, rad, shape (6,); none may lie
+                further beyond than the one before.
+
+        Raises:
+            TrajectoryError: naming joint, point, time, amount and limit.
+        """
+        if not allowed.any() and self._surely_kept(spline):
+            return
+        last = int(np.ceil(spline.duration / period - 1e-6))
+        for first in range(0, last, _CHECKED_AT_ONCE):
+            # The blocks share a set-point, so that the step from one to the next is checked, too.
+            times = np.asarray(np.arange(first, min(first + _CHECKED_AT_ONCE, last) + 1) * period, dtype=np.float64)
+            setpoints = spline.sample(times)
+            reach = np.minimum.accumulate(np.vstack([allowed, self.outside(setpoints[:, 0])]), axis=0)
+            for quantity, values, at, point in self._of_setpoints(setpoints, times, points.times, reach[:-1]):
+                found = quantity.first_outside(values)
+                if found is not None:
+                    row, joint = found
+                    raise TrajectoryError(
+                        f"point {points.first + point[row]}: {self.names[joint]} gets a set-point {quantity.what} "
+                        f"{values[row, joint]:.6g} {quantity.unit} on the way there, at {at[row]:.3f} s; accepted: "
+                        f"{quantity.accepted(row, joint)}"
+                    )
+            allowed = reach[-1]
+        self._check_between(spline, points)
+
+    def _surely_kept(self, spline: Spline) -> bool:
+        """Return whether bounds of the spline, and so its set-points and the steps between them, are within limits."""
+        quantities, extremes = self._quantities(self.lower, self.upper), np.stack(spline.bounds(), axis=1)
+        return all(each.first_outside(pair) is None for each, pair in zip(quantities, extremes, strict=True))
+
+    def _of_setpoints(
+        self, setpoints: Array, times: Array, knots: Array, reach: Array
+    ) -> Iterator[tuple[_Quantity, Array, Array, NDArray[np.intp]]]:
+        """Yield quantities of set-points, their values, shape (m, 6), the times and the points that they lead to.
+
+        Points closer to each other than two set-points can hide a jump from every sampled derivative, so that the steps
+        from one to the next are checked, too.
+        """
+        q, v, a = setpoints[:, 0], setpoints[:, 1], setpoints[:, 2]
+        step = np.diff(times)[:, None]
+        last = knots.size - 1
+        point = np.minimum(np.searchsorted(knots, times), last)
+        # At a knot the derivatives are already those of the way to the next point.
+        after = np.minimum(np.searchsorted(knots, times, side="right"), last)
+        position, velocity, acceleration = self._quantities(self.lower - reach, self.upper + reach)
+        yield position, q, times, point
+        yield velocity, v, times, after
+        yield acceleration, a, times, after
+        steps = acceleration._replace(what="step of the velocity of")
+        yield steps, np.diff(v, axis=0) / step, times[1:], point[1:]
+        # With accelerations up to a, the way between velocities v0 and v1 is (v0 + v1) T/2, within a (T/2)^2.
+        most = self.acceleration * (step / 2.0) ** 2
+        jump = _Quantity("jump of", "rad", -most, most)
+        yield jump, np.diff(q, axis=0) - step * (v[1:] + v[:-1]) / 2.0, times[1:], point[1:]
+
+    def _check_between(self, spline: Spline, points: TrajectoryPoints) -> None:
+        """Check the largest accelerations of all pieces."""
+        c, span = spline.coefficients, np.diff(spline.times)[:, None]
+        # The derivative of the acceleration is 6 c3 + 24 c4 s + 60 c5 s^2; the extremes lie at its roots or the ends.
+        half, square = 12.0 * c[:, 4], 60.0 * c[:, 5]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            root = half + np.copysign(np.sqrt(half * half - square * 6.0 * c[:, 3]), half)
+            extremes = (-root / square, -6.0 * c[:, 3] / root)
+        for at in (np.zeros_like(half), span + np.zeros_like(half), *extremes):
+            inside = np.where((at > 0.0) & (at < span), at, np.where(at == span, at, 0.0))
+            value = 2.0 * c[:, 2] + inside * (6.0 * c[:, 3] + inside * (12.0 * c[:, 4] + inside * 20.0 * c[:, 5]))
+            beyond = np.argwhere(~(np.abs(value) <= (1.0 + _BETWEEN_SLACK) * self.acceleration))
+            if len(beyond):
+                row, joint = beyond[0]
+                time, most = spline.times[row] + inside[row, joint], self.acceleration[joint]
+                middle = 0.5 * (spline.times[row] + spline.times[row + 1])
+                point = points.first + min(int(np.searchsorted(points.times, middle)), len(points.times) - 1)
+                raise TrajectoryError(
+                    f"point {point}: {self.names[joint]} gets an acceleration of {value[row, joint]:.6g} rad/s^2 on "
+                    f"the way there, between two set-points, at {time:.6g} s; accepted: [{-most:.6g}, {most:.6g}]"
+                )
 
 
 def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Spline:
@@ -43,10 +253,7 @@ def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Splin
         return _by_degrees(times, (position, velocity, acceleration), degrees, limits, points.first - later)
     if points.smooth:
         return smooth(times, position, velocity)
-    if points.way is None or not later:
-        return interpolate(times, position, velocity, acceleration)
-    head = interpolate(times[:2], position[:2], velocity[:2], None if acceleration is None else acceleration[:2])
-    return Spline(times, np.concatenate([head.coefficients, points.way.coefficients]), position[-1].copy())
+    return interpolate(times, position, velocity, acceleration)
 
 
 def _by_degrees(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange.cdr import CdrReader
-from rx90_controller.trajectory.spline import Bounds, interpolate
+from rx90_controller.trajectory.spline import Spline
 
 LONGEST = 3600.0
 """The longest trajectory, s: each of its set-points is checked before it may start."""
@@ -29,12 +29,7 @@ _REST_VELOCITY = float(np.finfo(np.float32).eps)  # rad/s
 _REPEATED_TIME, _REPEATED_POSITION, _REPEATED_VELOCITY = 0.999e-3, 1e-4, 1e-9  # s, rad, rad/s
 _MIN_POINT_BYTES = 4 * len(POINT_FIELDS) + 8  # four empty sequences and a time
 
-
-class Way(NamedTuple):
-    """The spline between points: coefficients of its pieces, shape (n - 1, 6, 6), and bounds of them."""
-
-    coefficients: Array
-    bounds: Bounds
+Way = Spline
 
 
 @dataclass(frozen=True)
@@ -48,7 +43,7 @@ class TrajectoryPoints:
         acceleration: rad/s^2, shape (n, 6), or None if no point carries accelerations.
         named: which joints the points are of, shape (6,); the values of the others are 0 and mean nothing.
         first: number of the first point in the trajectory that was sent.
-        way: between the points, if `prepared` has computed it.
+        way: None; kept for programs that name it.
         smooth: whether only the velocities at both ends count, see `smoothed`.
         degrees: of the way to each point, shape (n,): 1, a straight line, where one of its two ends has no velocities,
             3, or 5 where both have accelerations, too; None where all are alike. Values that are not given are 0.
@@ -121,13 +116,8 @@ class TrajectoryPoints:
         return cls(np.array(times, dtype=np.float64), q, v, a, np.isin(np.arange(6), columns), degrees=degrees)
 
     def prepared(self) -> TrajectoryPoints:
-        """Return them with the way between them computed, so that less is left to do between two ticks."""
-        if self.velocity is None or self.degrees is not None or len(self.times) < 2 or self.smooth:
-            return self
-        # What overflows is beyond the limits, and refused by them.
-        with np.errstate(over="ignore", invalid="ignore"):
-            coefficients = interpolate(self.times, self.position, self.velocity, self.acceleration).coefficients
-        return replace(self, way=Way(coefficients, Bounds.of(coefficients, np.diff(self.times))))
+        """Return them as they are: nothing need be computed beforehand; kept for programs that call it."""
+        return self
 
     def smoothed(self) -> TrajectoryPoints:
         """Return them for the smooth spline through their positions, with their velocities at both ends.
@@ -140,21 +130,19 @@ class TrajectoryPoints:
         # A first point that is later than the start is passed like any other.
         ends = [0, -1] if self.times[0] == 0.0 else [-1]
         velocity[ends] = self.velocity[ends]
-        return replace(self, velocity=velocity, acceleration=None, way=None, smooth=True, degrees=None)
+        return replace(self, velocity=velocity, acceleration=None, smooth=True, degrees=None)
 
     def after(self, time: float) -> TrajectoryPoints:
         """Return the points later than a time, s, with times from there on."""
         kept = self.times > time + _SHORTEST_STEP
         velocity, acceleration = (None if rows is None else rows[kept] for rows in (self.velocity, self.acceleration))
-        dropped = int(np.count_nonzero(~kept))
         return replace(
             self,
             times=self.times[kept] - time,
             position=self.position[kept],
             velocity=velocity,
             acceleration=acceleration,
-            first=self.first + dropped,
-            way=None if self.way is None else self.way._replace(coefficients=self.way.coefficients[dropped:]),
+            first=self.first + int(np.count_nonzero(~kept)),
             degrees=None if self.degrees is None else self.degrees[kept],
         )
 
@@ -162,7 +150,7 @@ class TrajectoryPoints:
         """Return points whose joints that are not named hold a position, rad, shape (6,)."""
         if self.named.all():
             return self
-        return replace(self, position=np.where(self.named, self.position, position), way=None)
+        return replace(self, position=np.where(self.named, self.position, position))
 
 
 def check_joints(robot_joints: Sequence[str], joint_names: Sequence[str], *, partial: bool = False) -> None:

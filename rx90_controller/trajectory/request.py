@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, TrajectoryError
+from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
@@ -24,8 +24,6 @@ from rx90_controller.trajectory.generator import PastError, Schedule, Trajectory
 from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, points_from_message
 
 _QUANTITIES = (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s^2"))  # the rows of tolerances
-_ERASED = -1.0
-_NOT_SERVED = ("component_path_tolerance", "component_goal_tolerance")
 _SHORT_POINTS, _SHORT_S = 20, 20.0  # points, s: of a trajectory that can be joined between two ticks
 # A long trajectory whose start is "now" begins so much later: s, for each point, and for each second of it, in which a
 # thousand set-points may have to be checked.
@@ -34,27 +32,13 @@ _LEAD_GROWTH = 4  # at each further attempt
 
 
 class ResultCode(IntEnum):
-    """The codes of a FollowJointTrajectory result (control_msgs)."""
+    """The codes of a FollowJointTrajectory result (control_msgs) that are used here."""
 
     SUCCESSFUL = 0
     INVALID_GOAL = -1
-    INVALID_JOINTS = -2
     OLD_HEADER_TIMESTAMP = -3
     PATH_TOLERANCE_VIOLATED = -4
     GOAL_TOLERANCE_VIOLATED = -5
-
-
-class GoalError(TrajectoryError):
-    """A request is refused; the text is one line with the value and what is accepted.
-
-    Attributes:
-        code: the result code that says why.
-    """
-
-    def __init__(self, code: ResultCode, text: str) -> None:
-        """Refuse a request with a code and a line."""
-        super().__init__(text)
-        self.code = code
 
 
 def _option(about: str) -> bool:
@@ -83,9 +67,24 @@ class GoalOptions:
     )
 
 
+def constraint_parameters(names: Sequence[str]) -> dict[str, tuple[float, str]]:
+    """Return joint_trajectory_controller's parameters of tolerances: default and meaning, by name; 0 is for none."""
+    parameters = {
+        "constraints.goal_time": (0.0, "how long after its end a motion may take to be at its goal, s; 0: for ever"),
+        "constraints.stopped_velocity_tolerance": (
+            0.01,
+            "velocity that a joint may have at the goal, rad/s; 0: any",
+        ),
+    }
+    for name in names:
+        parameters[f"constraints.{name}.trajectory"] = (0.0, f"how far {name} may be off the path, rad; 0: any")
+        parameters[f"constraints.{name}.goal"] = (0.0, f"how far {name} may be off at the goal, rad; 0: any")
+    return parameters
+
+
 @dataclass(frozen=True)
 class GoalTolerances:
-    """GoalTolerances of six joints; infinite where there is none.
+    """Tolerances of six joints; infinite where there is none.
 
     Attributes:
         names: of the joints.
@@ -101,28 +100,14 @@ class GoalTolerances:
 
     @classmethod
     def of_parameters(cls, names: Sequence[str], values: Mapping[str, float] | None = None) -> GoalTolerances:
-        """Return the tolerances that joint_trajectory_controller's parameters `constraints.*` stand for, 0 for none.
-
-        Args:
-            names: of the joints.
-            values: by parameter; what is left out has the original's default.
-
-        Raises:
-            ConfigError: for a number that is negative or not finite.
-        """
-        defaults = {"constraints.stopped_velocity_tolerance": 0.01}
-
-        def limit(name: str) -> float:
-            value = {**defaults, **(values or {})}.get(f"constraints.{name}", 0.0)
-            if not 0.0 <= value < math.inf:
-                raise ConfigError(f"constraints.{name} is {value}; accepted: a finite number >= 0, 0 for no limit")
-            return value or math.inf
-
+        """Return the tolerances that some of `constraint_parameters` stand for, with the defaults of the others."""
+        known = {name: default for name, (default, _) in constraint_parameters(names).items()} | dict(values or {})
+        limits = {name.removeprefix("constraints."): value or math.inf for name, value in known.items()}
         path, goal = np.full((3, 6), np.inf), np.full((3, 6), np.inf)
-        path[0] = [limit(f"{name}.trajectory") for name in names]
-        goal[0] = [limit(f"{name}.goal") for name in names]
-        goal[1] = limit("stopped_velocity_tolerance")
-        return cls(tuple(names), path, goal, limit("goal_time"))
+        path[0] = [limits[f"{name}.trajectory"] for name in names]
+        goal[0] = [limits[f"{name}.goal"] for name in names]
+        goal[1] = limits["stopped_velocity_tolerance"]
+        return cls(tuple(names), path, goal, limits["goal_time"])
 
     @property
     def end_motions(self) -> bool:
@@ -138,32 +123,23 @@ class GoalTolerances:
             goal_time: goal_time_tolerance, s; 0 keeps the default, -1 is "for ever".
 
         Raises:
-            GoalError: INVALID_JOINTS for an unknown or repeated joint, INVALID_GOAL for another negative number or one
-                that is not finite.
+            TrajectoryError: for an unknown or repeated joint, and another negative number or one that is not finite.
         """
-        return GoalTolerances(
-            self.names,
-            self._table("path_tolerance", path, self.path),
-            self._table("goal_tolerance", goal, self.goal),
-            _resolved("goal_time_tolerance", "s", goal_time, self.goal_time),
-        )
-
-    def _table(self, what: str, given: Sequence[Any], defaults: Array) -> Array:
-        table, seen = defaults.copy(), set()
-        for tolerance in given:
-            name = str(tolerance.name)
-            if name not in self.names or name in seen:
-                reason = "stands twice" if name in seen else "is unknown"
-                raise GoalError(
-                    ResultCode.INVALID_JOINTS,
-                    f"{what}: joint {quoted(name)} {reason}; accepted: {', '.join(self.names)}, each at most once",
-                )
-            seen.add(name)
-            joint = self.names.index(name)
-            for row, (quantity, unit) in enumerate(_QUANTITIES):
-                value = float(getattr(tolerance, quantity))
-                table[row, joint] = _resolved(f"{what}: {quantity} of {name}", unit, value, table[row, joint])
-        return table
+        tables = []
+        for what, given, defaults in (("path_tolerance", path, self.path), ("goal_tolerance", goal, self.goal)):
+            table, joints = defaults.copy(), [str(tolerance.name) for tolerance in given]
+            for name, tolerance in zip(joints, given, strict=True):
+                if name not in self.names or joints.count(name) > 1:
+                    reason = "stands twice" if name in self.names else "is unknown"
+                    accepted = f"{', '.join(self.names)}, each at most once"
+                    raise TrajectoryError(f"{what}: joint {quoted(name)} {reason}; accepted: {accepted}")
+                joint = self.names.index(name)
+                for row, (quantity, unit) in enumerate(_QUANTITIES):
+                    value = float(getattr(tolerance, quantity))
+                    table[row, joint] = _resolved(f"{what}: {quantity} of {name}", unit, value, table[row, joint])
+            tables.append(table)
+        most = _resolved("goal_time_tolerance", "s", goal_time, self.goal_time)
+        return GoalTolerances(self.names, tables[0], tables[1], most)
 
     def worst(self, error: Array, limit: Array) -> str | None:
         """Return what is furthest beyond its tolerance, relatively, in words; None if nothing is; shape (3, 6) each."""
@@ -183,12 +159,11 @@ def _resolved(what: str, unit: str, value: float, default: float) -> float:
     """Return what a goal's tolerance stands for."""
     if value == 0.0:
         return default
-    if value == _ERASED:
+    if value == -1.0:
         return math.inf
     if not 0.0 < value < math.inf:
-        raise GoalError(
-            ResultCode.INVALID_GOAL,
-            f"{what} is {value:g} {unit}; accepted: a finite number > 0, 0 for the default, -1 for none",
+        raise TrajectoryError(
+            f"{what} is {value:g} {unit}; accepted: a finite number > 0, 0 for the default, -1 for none"
         )
     return value
 
@@ -211,7 +186,6 @@ class Feedback(NamedTuple):
         tick: position tick.
         desired: set-point: position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6).
         actual: measured, shape (3, 6); the acceleration is the difference of the velocities over a tick.
-        error: desired less actual, shape (3, 6).
         desired_time: time on the trajectory, s from its start; slower than `actual_time` where speed is scaled.
         actual_time: time since its start, s.
     """
@@ -219,7 +193,6 @@ class Feedback(NamedTuple):
     tick: int
     desired: Array
     actual: Array
-    error: Array
     desired_time: float
     actual_time: float
 
@@ -230,7 +203,7 @@ class TrajectoryRequest:
 
     Attributes:
         message: trajectory_msgs/JointTrajectory, as it came.
-        points: times from the stamp on; prepared, because they are joined between two ticks. None stops the arm.
+        points: times from the stamp on. None stops the arm.
         start: its stamp in position ticks; None for now.
         tolerances: that hold for it.
         options: what else was accepted when it came.
@@ -296,16 +269,16 @@ class TrajectoryRequest:
             actual: measured, likewise.
             trajectory: generator that follows it.
         """
-        progress, period, tolerances = trajectory.progress(tick), trajectory.period, self.tolerances
-        if self.state is State.WAITING and progress.time < 0.0:
+        (time, last), period, tolerances = trajectory.progress(tick), trajectory.period, self.tolerances
+        if self.state is State.WAITING and time < 0.0:
             return
         first = self.feedback is None
         if first:
             self.state, self._began = State.FOLLOWED, tick
         error = desired - actual
-        self.feedback = Feedback(tick, desired, actual, error, progress.time, (tick - self._began) * period)
-        reached, now = progress.time >= progress.last, f"{tick * period:.6g} s"
-        where = f"at {now}, {progress.time:.6g} s on the trajectory"
+        self.feedback = Feedback(tick, desired, actual, time, (tick - self._began) * period)
+        reached, now = time >= last, f"{tick * period:.6g} s"
+        where = f"at {now}, {time:.6g} s on the trajectory"
         if (first or not reached) and (worst := tolerances.worst(error, tolerances.path)) is not None:
             self.end(State.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, f"{worst} along the path, {where}")
         elif reached:
@@ -337,33 +310,24 @@ def check_request(
         goal: control_msgs/action/FollowJointTrajectory goal that the trajectory is of, or anything with its attributes.
 
     Raises:
-        GoalError: INVALID_JOINTS for names that are empty, unknown, repeated or missing, in the trajectory or in
-            tolerances; else INVALID_GOAL; naming joint, index of the point and reason.
+        TrajectoryError: naming joint, index of the point or field, and reason.
     """
     tolerances, points = defaults, None
     if goal is not None:
         if goal.multi_dof_trajectory.joint_names or goal.multi_dof_trajectory.points:
-            raise GoalError(ResultCode.INVALID_GOAL, "multi_dof_trajectory is given; accepted: an empty one")
-        for name in _NOT_SERVED:
+            raise TrajectoryError("multi_dof_trajectory is given; accepted: an empty one")
+        for name in ("component_path_tolerance", "component_goal_tolerance"):
             if given := getattr(goal, name):
-                raise GoalError(ResultCode.INVALID_GOAL, f"{name} of {len(given)} joints; accepted: none")
-    moves = goal is not None or len(message.points) > 0
-    partial = options.allow_partial_joints_goal and moves
-    try:
-        if moves or message.joint_names:
-            check_joints(defaults.names, list(message.joint_names), partial=partial)
-    except TrajectoryError as error:
-        raise GoalError(ResultCode.INVALID_JOINTS, str(error)) from error
-    if goal is not None:
+                raise TrajectoryError(f"{name} of {len(given)} joints; accepted: none")
         goal_time = message_time_ns(goal.goal_time_tolerance) / NANOSECONDS
         tolerances = defaults.of_goal(goal.path_tolerance, goal.goal_tolerance, goal_time)
-    try:
-        if moves:
-            moving_end = options.allow_nonzero_velocity_at_trajectory_end
-            points = points_from_message(defaults.names, message, partial=partial, moving_end=moving_end)
-            points = (points.smoothed() if options.velocities_from_positions else points).prepared()
-    except TrajectoryError as error:
-        raise GoalError(ResultCode.INVALID_GOAL, str(error)) from error
+    if goal is not None or len(message.points) > 0:
+        moving_end = options.allow_nonzero_velocity_at_trajectory_end
+        partial = options.allow_partial_joints_goal
+        points = points_from_message(defaults.names, message, partial=partial, moving_end=moving_end)
+        points = points.smoothed() if options.velocities_from_positions else points
+    elif message.joint_names:
+        check_joints(defaults.names, list(message.joint_names))
     stamp_ns = message_time_ns(message.header.stamp)
     start = int(-(-stamp_ns * position_hz // NANOSECONDS)) if stamp_ns else None  # the first tick not before it
     return TrajectoryRequest(message, points, start, tolerances, options, is_goal=goal is not None)

@@ -1,15 +1,25 @@
-"""Piecewise polynomials: cubic or quintic through points, put together in time, and bounds of what they reach."""
+"""Piecewise polynomials, and how they are followed on the ticks of the position loop: speed scaling and stops.
+
+Along a path q(s) that is travelled at the rate r = ds/dt, the velocities are q' r and the accelerations
+q'' r^2 + q' dr/dt (Bobrow, Dubowsky and Gibson 1985). A path that keeps to the accelerations at full speed keeps to
+them at every constant rate below; what is left of them changes the rate.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import comb
+import math
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from rx90_common.base.arrays import Array, Mask
-from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.compiled import inlined, kernel
+
+_BLOCK = 64  # ticks that are computed at once, at least
+_HALVINGS = 20
+_SLACK = 1e-3  # of the limit, as accelerations between two set-points of a path have it
+_KEPT = 64  # changes of the rate that questions about the past may go back to
 
 
 @dataclass(frozen=True)
@@ -39,22 +49,14 @@ class Spline:
         sample_spline(self.times, self.coefficients, self.final, times, setpoints)
         return setpoints
 
-
-class Bounds(NamedTuple):
-    """What positions rad, velocities rad/s and accelerations rad/s^2 lie between, shape (3, 6) each."""
-
-    low: Array
-    high: Array
-
-    @classmethod
-    def of(cls, coefficients: Array, span: Array) -> Bounds:
-        """Return bounds of pieces, shape (n, 6 powers, 6 joints), over spans, s, shape (n,); infinite for no numbers.
+    def bounds(self) -> tuple[Array, Array]:
+        """Return what positions, velocities and accelerations lie between, shape (3, 6) each; infinite for no numbers.
 
         Between its ends a polynomial lies within its control points as a Bezier curve (Farin 2002, chapter 5).
         """
-        bounds = cls(np.full((3, 6), np.inf), np.full((3, 6), -np.inf))
-        _control_points(coefficients, span, *bounds)
-        return bounds
+        low, high = np.full((3, 6), np.inf), np.full((3, 6), -np.inf)
+        _control_points(self.coefficients, np.diff(self.times), low, high)
+        return low, high
 
 
 @kernel
@@ -216,6 +218,250 @@ def _expanded(spline: Spline, knots: Array) -> Array:
         # Taylor's formula, by Horner's scheme.
         value = np.zeros((len(old), 6))
         for n in range(5, power - 1, -1):
-            value = value * since + comb(n, power) * old[:, n]
+            value = value * since + math.comb(n, power) * old[:, n]
         coefficients[~ended, power] = value
     return coefficients
+
+
+# Paths that are followed.
+
+
+class _Law:
+    """Time and rate on a path from a tick on: the rate goes to a wanted one, within accelerations, and stays there."""
+
+    def __init__(self, motion: FollowedPath, tick: int, time: float, rate: float, wanted: float) -> None:
+        self.tick = tick
+        self._spline, self._limit, self._period = motion.path.spline, motion.limit, motion.period
+        self._wanted = wanted
+        self._series = np.array([[time], [rate]])  # at its ticks
+        self._settled = rate == wanted
+
+    def at(self, ticks: Array) -> tuple[Array, Array, Array]:
+        """Return times on the path, s, rates, and their changes, 1/s, at ticks, whole or not, shape (n,) each."""
+        since = ticks - self.tick
+        self._extend(int(since.max(initial=0.0)) + 2)
+        times, rates = self._series
+        last = times.size - 1
+        row = np.clip(since.astype(np.int64), 0, last)
+        ahead = (since - row) * self._period
+        change = (rates[np.minimum(row + 1, last)] - rates[row]) / self._period
+        return times[row] + ahead * (rates[row] + 0.5 * ahead * change), rates[row] + ahead * change, change
+
+    def point(self, tick: int) -> tuple[float, float]:
+        """Return time, s, and rate at a tick, faster than `at`."""
+        since = tick - self.tick
+        self._extend(since + 1)
+        row = min(since, self._series.shape[1] - 1)
+        time, rate = self._series[:, row].tolist()
+        return time + (since - row) * self._period * rate, rate
+
+    def settles(self, within: int) -> int | None:
+        """Return after how many ticks the wanted rate, or the end of the path, is reached; None if they are more."""
+        self._extend(within + 2)
+        last = self._series.shape[1] - 1
+        return last if self._settled and last <= within else None
+
+    def _extend(self, count: int) -> None:
+        """Compute `count` ticks, or as many as there are until the wanted rate is reached."""
+        while not self._settled and self._series.shape[1] < count:
+            # As many as there are: so that what is copied does not grow with the square of a long change.
+            block = max(_BLOCK, self._series.shape[1])
+            series = np.empty((2, block + 1))
+            series[:, 0] = self._series[:, -1]
+            path = self._spline
+            done = _advance(path.times, path.coefficients, path.final, self._limit, self._period, self._wanted, series)
+            self._settled = done < block
+            self._series = np.concatenate([self._series, series[:, 1 : done + 1]], axis=1)
+
+
+@kernel
+def _advance(
+    knots: Array, coefficients: Array, final: Array, limit: Array, period: float, wanted: float, series: Array
+) -> int:
+    """Fill times and rates, shape (2, n), from their first entries on; return how many ticks the rate changes for."""
+    here, there = np.empty((1, 3, 6)), np.empty((1, 3, 6))
+    at = np.empty(1)
+    count: int = series.shape[1] - 1
+    for k in range(count):
+        time, rate = series[0, k], series[1, k]
+        if rate == wanted or time >= knots[-1]:
+            return k
+        at[0] = time
+        sample_spline(knots, coefficients, final, at, here)
+        bound = _bound(here[0], rate, wanted, limit, period)
+        # The rate may always stay; how far it may change is searched for between that and the bound.
+        kept, beyond, tried = rate, bound, bound
+        for _ in range(_HALVINGS):
+            at[0] = time + 0.5 * period * (rate + tried)
+            sample_spline(knots, coefficients, final, at, there)
+            if _follows(here[0], rate, there[0], tried, limit, period):
+                kept = tried
+                if tried == bound:
+                    break
+            else:
+                beyond = tried
+            tried = 0.5 * (kept + beyond)
+        series[0, k + 1], series[1, k + 1] = time + 0.5 * period * (rate + kept), kept
+    return count
+
+
+@inlined
+def _bound(here: Array, rate: float, wanted: float, limit: Array, period: float) -> float:
+    """Return how far the rate may go towards the wanted one by the accelerations q'' r^2 + q' dr/dt at its begin."""
+    change = (wanted - rate) / period
+    for j in range(6):
+        slope, bend = here[1, j], here[2, j] * rate * rate
+        asked = slope * change
+        room = max(limit[j] - bend if asked > 0.0 else limit[j] + bend, 0.0)
+        if abs(asked) > room:
+            change *= room / abs(asked)
+    if change == (wanted - rate) / period:
+        return wanted
+    return rate + change * period
+
+
+@inlined
+def _follows(before: Array, rate: float, after: Array, then: float, limit: Array, period: float) -> bool:
+    """Return whether velocities q' r change by no more than the limits, and the tick ends within the accelerations.
+
+    Without the second one the path's own acceleration could grow within the tick to what the change leaves no room for.
+    """
+    follows, change = True, (then - rate) / period
+    for j in range(6):
+        step = after[1, j] * then - before[1, j] * rate
+        end = after[2, j] * then * then + after[1, j] * change
+        follows = follows and abs(step) <= limit[j] * period and abs(end) <= limit[j] * (1.0 + _SLACK)
+    return follows
+
+
+class Path(NamedTuple):
+    """A spline, and the part of it that the trajectory taken last has.
+
+    Attributes:
+        spline: set-points at full speed, which keep to the accelerations.
+        begin: time at which that trajectory begins, s.
+        last: time of its last point, s.
+        stop: whether it is a stop.
+    """
+
+    spline: Spline
+    begin: float
+    last: float
+    stop: bool = False
+
+
+@dataclass
+class FollowedPath:
+    """A path that is followed from a position tick on.
+
+    Attributes:
+        start: the tick.
+        path: from time 0 on.
+        period: of the position loop, s.
+        limit: accelerations of the joints, rad/s^2, shape (6,).
+        fixed: whether it runs at full speed whatever the scaling is, as stops do.
+        announced: whether its end has been announced.
+        laws: how the time on the path runs, each from its tick on; at full speed before the first.
+        before: the path without the trajectory that has been joined to it for later, if that is so.
+        oldest: the first tick for which `laws` are complete; None for `start`.
+    """
+
+    start: int
+    path: Path
+    period: float
+    limit: Array
+    fixed: bool = False
+    announced: bool = False
+    laws: list[_Law] = field(default_factory=list)
+    before: Path | None = None
+    oldest: int | None = None
+
+    @property
+    def end(self) -> int:
+        """Return the first position tick at which it rests, at full speed."""
+        # The rounding of a duration makes no tick more.
+        return self.start + math.ceil(self.path.spline.duration / self.period - 1e-6)
+
+    def setpoints(self, tick: int, count: int) -> Array:
+        """Return the set-points of `count` ticks from `tick` on, shape (count, 3, 6)."""
+        return self.states(np.arange(tick, tick + count, dtype=np.float64))
+
+    def states(self, ticks: Array) -> Array:
+        """Return the set-points at n ticks, whole or not, shape (n, 3, 6)."""
+        if not self.laws:
+            return self.path.spline.sample((ticks - self.start) * self.period)
+        times = (ticks - self.start) * self.period
+        rates, changes = np.ones(len(times)), np.zeros(len(times))
+        left = np.ones(len(times), dtype=bool)
+        for law in reversed(self.laws):
+            rows = left & (ticks >= law.tick)
+            times[rows], rates[rows], changes[rows] = law.at(ticks[rows])
+            left &= ~rows
+            if not left.any():
+                break
+        setpoints = self.path.spline.sample(times)
+        slope, rate = setpoints[:, 1].copy(), rates[:, None]
+        # Without the signs of zeros.
+        setpoints[:, 1] = slope * rate + 0.0
+        setpoints[:, 2] = setpoints[:, 2] * (rate * rate) + slope * changes[:, None] + 0.0
+        return setpoints
+
+    def at(self, tick: int) -> tuple[float, float]:
+        """Return the time on the path at a tick, s, and its rate."""
+        for law in reversed(self.laws):
+            if tick >= law.tick:
+                return law.point(tick)
+        return (tick - self.start) * self.period, 1.0
+
+    def entry(self, tick: int) -> Array:
+        """Return position and its derivatives by the time on the path at a tick, shape (3, 6)."""
+        entry: Array = self.path.spline.sample(np.array([self.at(tick)[0]]))[0]
+        return entry
+
+    def runs(self, tick: int) -> bool:
+        """Return whether it is not at its end at a tick."""
+        return self.at(tick)[0] < self.path.spline.duration
+
+    def over(self, tick: int) -> bool:
+        """Return whether it has come to its end by a tick."""
+        return not self.runs(tick) if self.laws else tick >= self.end
+
+    def halted(self, tick: int, most: int) -> Spline | None:
+        """Return the motion to rest on the path from a tick on; None if that takes more than `most` ticks."""
+        law = _Law(self, tick, *self.at(tick), 0.0)
+        count = law.settles(most) if self.runs(tick) else 0
+        if count is None:
+            return None
+        states = replace(self, laws=[law]).setpoints(tick, count + 1)
+        states[-1, 1:] = 0.0
+        if count == 0:
+            return resting(states[0, 0])
+        times = np.arange(count + 1, dtype=np.float64) * self.period
+        return interpolate(times, states[:, 0], states[:, 1], states[:, 2])
+
+    def refined(self, ratio: int) -> FollowedPath:
+        """Return it at full speed, on ticks that are `ratio` times as frequent."""
+        return replace(self, start=self.start * ratio, period=self.period / ratio, laws=[], oldest=None)
+
+    def delay(self, count: int) -> None:
+        """Shift it by `count` ticks."""
+        self.start += count
+        self.oldest = None if self.oldest is None else self.oldest + count
+        for law in self.laws:
+            law.tick += count
+
+    def go_at(self, wanted: float, tick: int, rate: float | None = None) -> None:
+        """Let the rate go from `rate`, None for the present one, to a wanted one from a tick, or its start, on."""
+        begin = max(tick, self.start)
+        time, present = self.at(begin)
+        rate = present if rate is None else rate
+        self.laws = [law for law in self.laws if law.tick < begin]
+        if self.laws or not rate == wanted == 1.0:
+            self.laws.append(_Law(self, begin, time, rate, wanted))
+        if len(self.laws) > _KEPT:
+            self.oldest = self.laws[1].tick
+            del self.laws[0]
+
+    def on(self, path: Path, before: Path | None = None) -> FollowedPath:
+        """Return it on another path, whose past is the same."""
+        return replace(self, path=path, before=before, laws=list(self.laws))

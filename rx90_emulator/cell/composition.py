@@ -13,10 +13,9 @@ from itertools import pairwise
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
-from rx90_common.exchange import node_tools
-from rx90_common.exchange.lifecycle import Managed, started
-from rx90_common.exchange.local_link import LocalLink
-from rx90_common.exchange.node_tools import TickingNode
+from rx90_common.exchange import lifecycle
+from rx90_common.exchange.channel import LocalLink
+from rx90_common.exchange.lifecycle import Managed, TickingNode, started
 from rx90_common.exchange.topics import MOTOR_STATES
 from rx90_controller.node.controller_node import ControllerNode
 from rx90_sim.node.simulation import Simulation
@@ -31,7 +30,7 @@ def spin(args: Sequence[str]) -> None:
     Raises:
         Rx90Error: for parameters that are refused, or what ends the ticks.
     """
-    node_tools.spin(partial(compose, own_parameters(args)), args)
+    lifecycle.spin(partial(compose, own_parameters(args)), args)
 
 
 def own_parameters(args: Sequence[str]) -> dict[str, list[str]]:

@@ -28,10 +28,9 @@ from rx90_common.exchange.parameters import OF_ROS, declare_rates, declare_robot
 from rx90_controller.node.parameters import FILE_PARAMETERS as CONTROLLER_FILES
 from rx90_controller.node.parameters import (
     LAW_ENTRIES,
-    LawParameters,
-    declare_decimation,
     declare_goal_parameters,
-    declare_horizon,
+    declare_law,
+    declare_own,
     has_no_use,
 )
 from rx90_emulator.configuration.kinds import NODE_PARAMETERS, FileKind
@@ -125,9 +124,8 @@ def _declare_controller(node: Any) -> None:
     declare_autostart(node)
     rates = declare_rates(node)
     files = declare_robot_files(node, *CONTROLLER_FILES)
-    declare_horizon(node)
-    declare_decimation(node)
-    LawParameters(node, files.controller, lambda _: None)
+    declare_own(node)
+    declare_law(node, files.controller)
     for name, entry in LAW_ENTRIES.items():  # which say more than a descriptor: the range of each number
         node.entries[name] = replace(entry, default=node.entries[name].default)
     declare_goal_parameters(node, load_robot(files.urdf).joint_names, rates)

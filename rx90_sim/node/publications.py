@@ -50,8 +50,8 @@ class SampledStates:
         self._encode_joints = JointStateCodec(plant.joint_names).encoder(*plant.joint_states())
         self._encode_friction = JointStateCodec(plant.friction_names).encoder(*plant.friction_states())
         self.publishers: tuple[Publisher, Publisher] = (
-            node.create_publisher(JointState, f"{SAMPLED}/joint_states", CLOCK_QOS.profile),
-            node.create_publisher(JointState, f"{SAMPLED}/friction_states", CLOCK_QOS.profile),
+            node.create_publisher(JointState, f"{SAMPLED}/joint_states", CLOCK_QOS),
+            node.create_publisher(JointState, f"{SAMPLED}/friction_states", CLOCK_QOS),
         )
         self._samples: tuple[bytes, ...] = ()
         self._due = self._published = 0.0  # s of the steady clock: when the next is due, and when the last one was
@@ -88,7 +88,7 @@ class Temperatures:
 
     def __init__(self, node: Node, plant: Plant, rates: Rates) -> None:
         self._period_ns, self._ticks = rates.period_ns, rates.temperature_ticks
-        self.publisher: Publisher = publish(node, Temperature, TEMPERATURES, STATE_QOS.profile)
+        self.publisher: Publisher = publish(node, Temperature, TEMPERATURES, STATE_QOS)
         warm = plant.temperatures
         self._values = [(plant.friction_names[i], warm.now, i) for i in warm.elements]
         if plant.constants["winding"]["used"][0]:
@@ -140,8 +140,8 @@ class Transforms:
         self._position = plant.joint_states()[0]
         self._codec = TransformCodec(self._moving.links, self._moving.translation)
         self._sample = b""  # the newest
-        self.publisher: Publisher = node.create_publisher(TFMessage, "/tf", STATE_QOS.profile)
-        self._static = node.create_publisher(TFMessage, "/tf_static", LATCHED_QOS.profile)
+        self.publisher: Publisher = node.create_publisher(TFMessage, "/tf", STATE_QOS)
+        self._static = node.create_publisher(TFMessage, "/tf_static", LATCHED_QOS)
         still = fixed.rotation(np.zeros(len(fixed.links)))
         self._static.publish(TransformCodec(fixed.links, fixed.translation).encode(0, still))
 
@@ -181,13 +181,13 @@ class Publications:
         self._clock_ticks = ticks_per("clock_rate", rates.base_hz, parameters.clock_rate)
         self._encode_joints = JointStateCodec(plant.joint_names).encoder(*plant.joint_states())
         self._encode_friction = JointStateCodec(plant.friction_names).encoder(*plant.friction_states())
-        self._joints = publish(node, JointState, "joint_states", STATE_QOS.profile)
-        self._friction = publish(node, JointState, "friction_states", STATE_QOS.profile)
+        self._joints = publish(node, JointState, "joint_states", STATE_QOS)
+        self._friction = publish(node, JointState, "friction_states", STATE_QOS)
         self._joint_sample = self._friction_sample = b""  # the newest, as it was sent; empty: not sent
         self._sampled = SampledStates(node, plant, rates)
         self._temperatures = Temperatures(node, plant, rates)
         self._time = Clock()
-        self._clock = publish(node, Clock, "/clock", CLOCK_QOS.profile)
+        self._clock = publish(node, Clock, "/clock", CLOCK_QOS)
         own = (self._joints, self._friction, self._temperatures.publisher, self._clock, *self._sampled.publishers)
         self.publishers = own if self._transforms is None else (*own, self._transforms.publisher)
 

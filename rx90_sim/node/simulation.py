@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -14,13 +13,12 @@ from std_srvs.srv import SetBool, Trigger
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.channel import Channel, Ends, MakeChannel
+from rx90_common.exchange.channel import Channel, MakeChannel
 from rx90_common.exchange.endpoints import LATCHED_QOS, REQUEST_QOS
-from rx90_common.exchange.lifecycle import ManagedNode, started
-from rx90_common.exchange.node_tools import Diagnostics
-from rx90_common.exchange.node_tools import spin as spin_nodes
+from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
+from rx90_common.exchange.lifecycle import spin as spin_nodes
 from rx90_common.exchange.pacing import check_factor
-from rx90_common.exchange.parameters import ChangeGroup, Effective
+from rx90_common.exchange.parameters import Effective
 from rx90_common.exchange.topics import LOCK_STEP, MOTOR_STATES, SEED, TEMPERATURE_RATE, TIME_MODE, TimeMode
 from rx90_sim.drives import warm_motors
 from rx90_sim.node.parameters import (
@@ -47,8 +45,7 @@ class Simulation:
     """
 
     def __init__(self, make_channel: MakeChannel = Channel, own_args: Sequence[str] = ()) -> None:
-        self.node = ManagedNode("rx90_sim", own_args, self)
-        self._ends = Ends(make_channel)
+        self.node = ManagedNode("rx90_sim", own_args, self, make_channel)
         self._arm: SimulatedArm | None = None
         self._follow: Callable[[TimeMode | None], None] = lambda _: None
         self._also_listening: Callable[[], Sequence[Publisher]] = tuple
@@ -73,7 +70,7 @@ class Simulation:
             Rx90Error: for files and parameters that are refused, and a second simulation.
         """
         parameters, files = read_parameters(self.node), self.node.declare_robot_files(*FILE_PARAMETERS)
-        self._arm = arm = SimulatedArm(self.node, files, parameters, self._ends.make)
+        self._arm = arm = SimulatedArm(self.node, files, parameters)
         arm.ticks.listeners.others = self._also_listening
         self._allow("real_time_factor", arm.check_pace, arm.ticks.pacer.change)
         self._allow("command_timeout", float, arm.ticks.held.wait_for)
@@ -88,7 +85,7 @@ class Simulation:
             if self._arm is not None:
                 effective(self._arm.ticks.next_stamp_ns)
 
-        self.node.changes.allow(ChangeGroup((name,), lambda values: check(values[name]), apply))
+        self.node.changes.allow((name,), lambda values: check(values[name]), apply)
 
     def activate(self) -> None:
         """Let time run."""
@@ -105,7 +102,6 @@ class Simulation:
         self.node.ticking.finish()
         self._follow(None)
         self._arm = None
-        self._ends.close()
 
     def tick_loop(self) -> None:
         """Run ticks until the end of the run or `stop`.
@@ -127,7 +123,6 @@ class SimulatedArm:
         node: owner of topics and services.
         files: the robot's.
         parameters: of the node.
-        make_channel: makes the exchange with the controller.
 
     Attributes:
         ticks: for the ticking thread.
@@ -137,22 +132,20 @@ class SimulatedArm:
         Rx90Error: for files and parameters that are refused, and a second simulation.
     """
 
-    def __init__(
-        self, node: Node, files: RobotFiles, parameters: SimulationParameters, make_channel: MakeChannel
-    ) -> None:
+    def __init__(self, node: ManagedNode, files: RobotFiles, parameters: SimulationParameters) -> None:
         self._node, self._parameters = node, parameters
         robot, self._plant = build_plant(node, files, parameters)
         self._warm = False
         self._robot_name = plain(robot.model.name)
-        self.ticks = Ticks(node, robot, self._plant, parameters, make_channel)
-        self._description = node.create_publisher(String, "robot_description", LATCHED_QOS.profile)
+        self.ticks = Ticks(node, robot, self._plant, parameters)
+        self._description = node.create_publisher(String, "robot_description", LATCHED_QOS)
         self._description.publish(String(data=robot.urdf))
-        self._mode = node.create_publisher(String, TIME_MODE, LATCHED_QOS.profile)
+        self._mode = node.create_publisher(String, TIME_MODE, LATCHED_QOS)
         self.time_mode = TimeMode(parameters.time_mode, parameters.rates, self._robot_name)
         self._mode.publish(String(data=self.time_mode.text))
-        node.create_service(SetBool, "~/pause", self._on_pause, qos_profile=REQUEST_QOS.profile)
-        node.create_service(Trigger, "~/step", self._on_step, qos_profile=REQUEST_QOS.profile)
-        node.create_service(Trigger, "~/reset", self._on_reset, qos_profile=REQUEST_QOS.profile)
+        node.create_service(SetBool, "~/pause", self._on_pause, qos_profile=REQUEST_QOS)
+        node.create_service(Trigger, "~/step", self._on_step, qos_profile=REQUEST_QOS)
+        node.create_service(Trigger, "~/reset", self._on_reset, qos_profile=REQUEST_QOS)
         self._diagnostics = Diagnostics(node, self._status)
 
     def activate(self) -> None:

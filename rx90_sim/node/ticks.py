@@ -7,15 +7,13 @@ import time
 from collections.abc import Callable
 from enum import Enum, auto
 
-from rclpy.node import Node
-
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.cdr import JointStateCodec
-from rx90_common.exchange.channel import MakeChannel
-from rx90_common.exchange.endpoints import TICK_QOS, Listeners, wait_until_matched, wait_until_received
+from rx90_common.exchange.endpoints import Listeners, wait_until_matched, wait_until_received
+from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.lockstep import LockstepSimulation
 from rx90_common.exchange.pacing import Pacer, ThrottledLog
 from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
@@ -167,7 +165,6 @@ class Ticks:
         robot: with its tool.
         plant: at rest in tick 0.
         parameters: of the node.
-        make_channel: makes the exchange with the controller.
 
     Attributes:
         control: takes requests from other threads.
@@ -180,21 +177,14 @@ class Ticks:
         Rx90Error: for rates that do not divide, and a second simulation.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        robot: RobotModel,
-        plant: Plant,
-        parameters: SimulationParameters,
-        make_channel: MakeChannel,
-    ) -> None:
+    def __init__(self, node: ManagedNode, robot: RobotModel, plant: Plant, parameters: SimulationParameters) -> None:
         self._node, self._plant, self._initial_position = node, plant, parameters.initial_position
         rates, log = parameters.rates, node.get_logger()
         self._period_ns = rates.period_ns
         self._lock_step = parameters.time_mode == LOCK_STEP
         self._publications = Publications(node, robot, plant, parameters)
         self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
-        self._channel = make_channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
+        self._channel = node.make_channel(MOTOR_STATES, MOTOR_COMMANDS)
         self._waiting_tick, self._heartbeat_due = -1, 0.0  # the tick that does not end; s of the steady clock
         self._publishers = (*self._publications.publishers, self._channel.publisher)
         self._published_tick = -1

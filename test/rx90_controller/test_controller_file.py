@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,19 +21,6 @@ MODEL_SWITCHES = [("feed_forward", key) for key in ("inverse_dynamics", "frictio
 def refusal(path: Path) -> str:
     """Return the one line with which the file is refused."""
     return refusal_by(load_controller, path)
-
-
-def test_the_viscous_exponents_may_be_left_out(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
-    """Without them all are 1; six numbers in [0.3, 2] are taken, others are refused by key, index and value."""
-    assert load_controller(shipped_files.controller).viscous_exponent.tolist() == [1.0] * 6
-    place, good = ("feed_forward", "viscous_exponent"), [0.3, 0.6, 0.7, 1.0, 1.5, 2.0]
-    read = load_controller(edited_yaml(shipped_files.controller, place, good))
-    assert read.viscous_exponent.tolist() == good
-    for bad in (0.0, -0.6, 0.29, 2.01, math.nan, "half"):
-        said = refusal(edited_yaml(shipped_files.controller, place, [*good[:5], bad]))
-        assert f"feed_forward.viscous_exponent[5] is {bad!r}; accepted: 6 numbers, each a number in [0.3, 2]" in said
-    said = refusal(edited_yaml(shipped_files.controller, place, 0.6))
-    assert "feed_forward.viscous_exponent is 0.6; accepted: 6 numbers" in said
 
 
 @pytest.mark.parametrize("place", MODEL_SWITCHES, ids=".".join)

@@ -79,23 +79,6 @@ def test_step_response_of_the_sampled_loop(servo: MakeServo, rates: Rates) -> No
     assert got == pytest.approx(np.outer(unit, JUMP), abs=1e-12)
 
 
-def test_step_response_tends_to_the_continuous_transfer_function(servo: MakeServo) -> None:
-    """With growing rates the answer tends, with order 1, to that of the continuous loop by SciPy."""
-    # q / q_r of M s^2 q = lag(s) M [kv (kp e - s q) + ki e / s], e = q_r - q, lag = 1 / (s / w + 1).
-    w = 2 * math.pi * BANDWIDTH
-    system = signal.lti([KV * KP, KI], [1 / w, 1.0, KV, KV * KP, KI])
-    errors = []
-    for base in (8000, 16000, 32000):
-        loop = servo(Rates(base, base // 4), inertia=INERTIA)
-        step_to(loop, JUMP)
-        ticks = base // 10
-        got, _ = loop.run(ticks)
-        _, want = signal.step(system, T=np.arange(ticks) / base)
-        errors.append(np.abs(got[:, 0] / JUMP[0] - want).max())
-    assert errors[0] < 0.1
-    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([1.0, 1.0], abs=0.2)
-
-
 def test_ramp_response(servo: MakeServo) -> None:
     """A ramp is followed as the sampled loop does, and in the end without position error."""
     speed = np.array([0.5, -0.4, 0.3, 0.2, 0.0, 0.1])
@@ -106,16 +89,6 @@ def test_ramp_response(servo: MakeServo) -> None:
     assert got == pytest.approx(np.outer(unit, speed), abs=1e-12)
     error = loop.controller.state["error"][0]
     assert np.abs(error).max() < 1e-3 * 0.5 / 40  # without the integrator of the loop: dq_r / kp
-
-
-def test_without_the_velocity_set_point_d_damps_the_motion_itself(servo: MakeServo) -> None:
-    """With D on the measured velocity alone a ramp is answered as the sampled loop with no velocity input does."""
-    loop = servo(inertia=INERTIA, feed_forward=FeedForward.off())
-    speed = np.array([0.5, -0.4, 0.3, 0.2, 0.0, 0.1])
-    ramp(loop, speed, 2.0)
-    got, _ = loop.run(4000)
-    unit = sampled_loop(lambda row: (row * 1e-3, 0.0), 4000, 4, 250e-6)
-    assert got == pytest.approx(np.outer(unit, speed), abs=1e-12)
 
 
 def test_the_integrator_takes_a_constant_load(servo: MakeServo) -> None:
@@ -158,23 +131,6 @@ def test_the_amplifier_slews_no_faster_than_it_can(servo: MakeServo) -> None:
         assert got == pytest.approx(np.full(6, current), rel=1e-12)
     assert currents[1] == pytest.approx(np.full(6, 4.0))
     assert controller.state["command"][0] == pytest.approx(0.5 * currents[-1])
-
-
-def test_pi_and_feed_forward_run_on_every_fourth_tick_only(servo: MakeServo) -> None:
-    """Between position ticks PI and FF torques are held, while velocity feedback and current go on."""
-    loop = servo(viscous=np.full(6, 3.0), feed_forward=FeedForward())
-    rows, rest = [[0.3] * 6], [[0.0] * 6]
-    loop.controller.trajectory.accept(TrajectoryPoints.create(NAMES, NAMES, [0.5], rows, rest, [[]]), 0, None)
-    held, moving = [], []
-    for _ in range(400):
-        loop.run(1)
-        state = loop.controller.state[0]
-        held.append(np.concatenate([state["position_torque"], state["feed_forward"], state["error"]]))
-        moving.append(state["command"].copy())
-    changes = np.any(np.diff(held, axis=0) != 0.0, axis=1)
-    ticks = np.arange(1, 400)
-    assert np.array_equal(changes, ticks % 4 == 0)
-    assert np.all(np.any(np.diff(moving, axis=0) != 0.0, axis=1)[8:])
 
 
 def limited_loop(size: float, ticks: int) -> tuple[Array, Array, int]:

@@ -1,7 +1,8 @@
-"""The set-point generator: follow, replace, stop, delay, hold, and the same rules written down a second time."""
+"""The set-point generator: what it follows tick by tick, and what breaks a limit."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +13,8 @@ from joint_moves import HOME, LIMITS, NAMES, PERIOD, ZERO, move, points
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import TrajectoryError
-from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
+from rx90_common.base.errors import ConfigError, TrajectoryError
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.points import message_content
 
 
@@ -45,15 +46,6 @@ def test_a_stop_brakes_each_joint_within_its_limit_and_holds(generator: Trajecto
     assert got[:, 0] == pytest.approx(position + ramp * velocity - np.sign(velocity) * 30.0 * ramp**2, abs=1e-12)
     assert got[:, 1] == pytest.approx(velocity - np.sign(velocity) * 60.0 * ramp, abs=1e-12)
     assert [generator.ended(tick) for tick in range(399, end + 3)] == [None] * (end - 399) + [(end, True), None, None]
-
-
-def test_a_stop_drops_what_waits_and_is_refused_in_the_past(generator: TrajectoryGenerator) -> None:
-    """At rest a stop ends at once; a trajectory that waits for its start does not run any more."""
-    generator.accept(move(0.4, 0.5), 0, 300)
-    assert generator.stop(100, None) == (100, 100, 0.0)
-    assert np.all(generator.setpoints(100, 900)[:, 0] == HOME)
-    with pytest.raises(TrajectoryError, match=r"start time 0.05 s is 0.05 s in the past"):
-        generator.stop(100, 50)
 
 
 def test_each_end_is_told_once(generator: TrajectoryGenerator) -> None:
@@ -210,3 +202,176 @@ def test_a_block_equals_the_same_ticks_one_by_one(blocks: list[int], start: int,
         assert block.shape == (count, 3, 6)
         assert np.array_equal(block, np.concatenate([single.setpoints(tick + k) for k in range(count)]))
         tick += count
+
+
+def other(joint: int, value: float, base: Array = HOME) -> Array:
+    """Return a pose with one joint elsewhere."""
+    return np.where(np.arange(6) == joint, value, base)
+
+
+EDGE, SPIKE = np.full(6, 1.99), other(5, -2.0 - 2e-6)
+ADVICE = ", or velocities_from_positions, where the points' velocities do not belong to their positions"
+REFUSED: list[tuple[tuple[list[float], list[Array], list[Array]], int | None, str]] = [
+    (([1.0], [HOME + 0.1], [ZERO]), 100, "start time 0.1 s is 0.5 s in the past; accepted: now or later"),
+    (
+        ([0.0, 1.0], [other(3, 0.4011, HOME + 0.4), HOME], [ZERO, ZERO]),
+        None,
+        "point 0: joint_4 starts at 0.4011 rad, the set-point there is 0.4 rad",
+    ),
+    (
+        ([1.0, 3.0, 5.0], [HOME, other(1, 2.1), HOME], [ZERO] * 3),
+        None,
+        "point 1: joint_2 has the position 2.1 rad; accepted: [-2, 2]",
+    ),
+    # It swings beyond a limit between two good points.
+    (
+        ([2.0, 2.5, 4.0], [EDGE, EDGE, HOME], [ZERO, other(4, 2.0, ZERO), ZERO]),
+        None,
+        "point 2: joint_5 gets a set-point position 2.0",
+    ),
+    (
+        ([0.5, 0.9], [HOME, HOME + 1.0], [ZERO] * 2),
+        None,
+        # 15 s (1 - s) rad/s at the share s of 0.4 s.
+        "point 1: joint_1 gets a set-point velocity 3.00741 rad/s on the way there, at 0.611 s; accepted: [-3, 3]"
+        f"{ADVICE}",
+    ),
+    # Points that fit between two set-points cannot hide a jump.
+    (
+        ([0.9, 0.9002, 0.9003, 1.2], [HOME, HOME, HOME - 0.5, HOME - 0.5], [ZERO] * 4),
+        None,
+        "point 3: joint_1 gets a set-point jump of -0.5 rad",
+    ),
+    # A cubic from rest to rest begins with 6 d/T^2.
+    (
+        ([0.5, 0.6], [HOME, HOME + 0.15], [ZERO] * 2),
+        None,
+        "point 1: joint_1 gets a set-point acceleration 90 rad/s^2 on the way there, at 0.500 s; accepted: [-60, 60]"
+        f"{ADVICE}",
+    ),
+    (
+        ([0.0, 1.0], [HOME + 0.4, HOME], [ZERO + 0.1, ZERO]),
+        None,
+        "point 0: joint_1 starts at 0.1 rad/s, the set-point there moves at 0 rad/s; accepted: wit",
+    ),
+    (
+        ([0.5, 0.50045, 0.5005, 1.0], [HOME, HOME, HOME + 1e-5, HOME + 0.05], [ZERO, ZERO, ZERO + 0.1, ZERO]),
+        None,
+        "point 3: joint_1 gets a set-point step of the velocity of 100.2 rad/s^2",
+    ),
+    # At whichever set-point it lies, minutes into a trajectory.
+    *(
+        (([at - 1.0, at, at + 1.0, at + 400.0], [HOME, SPIKE, HOME, HOME], [ZERO] * 4), None, "point 1: joint_6")
+        for at in (4.095, 4.096, 4.097, 300.0)
+    ),
+]
+
+
+@pytest.mark.parametrize(("sent", "start", "words"), REFUSED, ids=[words for *_, words in REFUSED])
+def test_what_breaks_a_limit_is_refused(
+    generator: TrajectoryGenerator,
+    sent: tuple[list[float], list[Array], list[Array]],
+    start: int | None,
+    words: str,
+) -> None:
+    """One line names point, joint, value and what is accepted; the running motion goes on untouched."""
+    twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    for each in (generator, twin):
+        each.accept(move(0.4, 0.5), now=0, start=None)
+        each.setpoints(0, 600)
+    with pytest.raises(TrajectoryError) as caught:
+        generator.accept(points(*sent), 600, start)
+    assert np.array_equal(generator.setpoints(600, 1000), twin.setpoints(600, 1000))
+    assert str(caught.value).startswith(words)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_start_within_the_tolerance_is_taken(generator: TrajectoryGenerator) -> None:
+    """A first point at time 0 within the start tolerance is accepted and is the first set-point."""
+    generator.accept(points([0.0, 1.0], [HOME + 9e-4, HOME], [ZERO, ZERO]), 0, None)
+    assert np.all(generator.setpoints(0)[0, 0] == HOME + 9e-4)
+
+
+@pytest.mark.parametrize("value", [1e300, -1e300, 1e5])
+@pytest.mark.parametrize("carries", ["positions", "velocities", "accelerations"])
+@pytest.mark.filterwarnings("error")
+def test_absurd_values_are_refused_without_a_warning(
+    generator: TrajectoryGenerator, value: float, carries: str
+) -> None:
+    """Numbers whose powers overflow are refused by point, joint and value, and NumPy has nothing to say."""
+    bad = ZERO.copy()
+    bad[3] = value
+    tables = {
+        name: [ZERO, bad if name == carries else ZERO, ZERO] for name in ("positions", "velocities", "accelerations")
+    }
+    given = TrajectoryPoints.create(NAMES, NAMES, [1e-9, 2e-9, 0.1], *tables.values())
+    with pytest.raises(
+        TrajectoryError, match=rf"^point 1: joint_4 has the .* {re.escape(f'{value:g}')} rad\S*; accepted: \["
+    ):
+        generator.accept(given, 0, None)
+
+
+def test_limits_are_reached_exactly(generator: TrajectoryGenerator) -> None:
+    """A motion that ends on the limit, or runs at it, is accepted."""
+    end = np.full(6, 2.0)
+    generator.accept(points([2.0], [end], [ZERO]), 0, None)
+    assert np.all(generator.setpoints(2001)[0, 0] == 2.0)
+    # Ramps of 0.05 s, in each of which half of the way is lost.
+    generator.accept(points([4.0 / 3.0 + 0.05], [np.full(6, -2.0)], None), 2002, None)
+    assert generator.setpoints(2002 + 50)[0, 1] == pytest.approx(-3.0)
+
+
+def test_limits_that_are_none_are_refused() -> None:
+    """Joint limits with lower >= upper or without velocity are refused."""
+    one = np.ones(6)
+    for bad in ((one, one, one, one), (-one, one, ZERO, one), (-one, one, one, ZERO)):
+        with pytest.raises(ConfigError, match="accepted: lower < upper, velocity > 0, acceleration > 0"):
+            JointLimits(NAMES, *bad, 1e-3)
+
+
+@pytest.mark.parametrize("beyond", [1e-6, 0.05])
+def test_an_arm_beyond_a_limit_may_come_back(beyond: float) -> None:
+    """From a held position beyond a limit a trajectory that begins there, or a joint move, leads inwards."""
+    held = HOME.copy()
+    held[2] = LIMITS.upper[2] + beyond
+    for back in (points([1.0], [HOME], [ZERO]), points([0.0, 1.0], [held + 2e-4, HOME], [ZERO, ZERO])):
+        generator = TrajectoryGenerator(LIMITS, PERIOD, held)
+        generator.accept(back, 0, None)
+        assert generator.setpoints(0, 1200)[-1, 0] == pytest.approx(HOME)
+
+
+def test_an_arm_beyond_a_limit_is_not_led_further_out() -> None:
+    """From beyond a limit neither a motion outwards nor one that turns back outwards is accepted."""
+    held = HOME.copy()
+    held[2] = LIMITS.upper[2] + 0.05
+    inwards, out_again = held.copy(), held.copy()
+    inwards[2], out_again[2] = LIMITS.upper[2] + 0.01, LIMITS.upper[2] + 0.04
+    generator = TrajectoryGenerator(LIMITS, PERIOD, held)
+    for bad in (points([1.0], [held + 0.02], [ZERO]), points([1.0, 2.0], [inwards, out_again], [ZERO, ZERO])):
+        with pytest.raises(TrajectoryError, match=r"joint_3 (gets a set-point|has the) position"):
+            generator.accept(bad, 0, None)
+    with pytest.raises(TrajectoryError, match="joint_3"):
+        TrajectoryGenerator(LIMITS, PERIOD, HOME).accept(points([2.0], [held], [ZERO]), 0, None)
+
+
+@given(data=st.data())
+@settings(max_examples=60)
+def test_wherever_it_is_stopped_an_accepted_motion_stays_within_the_limits(data: st.DataObject) -> None:
+    """Between any two set-points the accelerations are kept, and braking finds room before the position limits."""
+    values = st.floats(-1.0, 1.0)
+    count = data.draw(st.integers(1, 3))
+    times = np.cumsum([data.draw(st.floats(0.05, 0.8)) for _ in range(count)])
+    position = [np.full(6, 2.0 * data.draw(values)) for _ in range(count)]
+    velocity = [np.full(6, 3.0 * data.draw(values)) for _ in range(count - 1)] + [ZERO]
+    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    try:
+        _, end, _ = generator.accept(
+            points(times.tolist(), position, data.draw(st.sampled_from([velocity, None]))), 0, None
+        )
+    except TrajectoryError:
+        return
+    got = generator.setpoints(0, end + 2)
+    assert np.abs(np.diff(got[:, 1], axis=0)).max() <= 60.0 * PERIOD * (1 + 1e-5)
+    assert np.abs(np.diff(got[:, 0], axis=0) / PERIOD).max() <= 3.0 + 60.0 * PERIOD
+    room = got[:, 0] + got[:, 1] * np.abs(got[:, 1]) / 120.0
+    assert np.abs(room).max() <= 2.0 + 1e-5

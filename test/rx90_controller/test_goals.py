@@ -7,71 +7,59 @@ from typing import Any
 
 import numpy as np
 import pytest
-from goal_arm import Arm, checked, message, stamp, tolerance, two
+from goal_arm import Arm, GoalError, checked, message, stamp, tolerance, two
 from joint_moves import HOME, NAMES, PERIOD, ZERO
 
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.request import (
-    GoalError,
-    GoalOptions,
-    GoalTolerances,
     ResultCode,
     State,
-    check_request,
 )
 
-REFUSED: dict[str, tuple[dict[str, Any], ResultCode, str]] = {
-    "no joints": ({"joint_names": []}, ResultCode.INVALID_JOINTS, "'joint_1' is missing; accepted: all of joint_1"),
-    "wrong joints": ({"joint_names": ["a", *NAMES[1:]]}, ResultCode.INVALID_JOINTS, "unknown joint 'a'; accepted:"),
-    "repeated": ({"joint_names": [*NAMES[:5], "joint_1"]}, ResultCode.INVALID_JOINTS, "'joint_1' stands 2 times"),
-    "no points": ({"points": []}, ResultCode.INVALID_GOAL, "no points; accepted: at least one"),
-    "end velocity": ({"velocities": [0, 0.1, 0, 0, 0, 0]}, ResultCode.INVALID_GOAL, "joint_2 ends at 0.1 rad/s"),
-    "falling times": ({"points": two(1.0, 0.5)}, ResultCode.INVALID_GOAL, "point 1: time_from_start 0.5 s after 1 s"),
-    "effort": ({"effort": [1.0] * 6}, ResultCode.INVALID_GOAL, "point 0: carries effort; accepted:"),
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "no joints": ({"joint_names": []}, "'joint_1' is missing; accepted: all of joint_1"),
+    "wrong joints": ({"joint_names": ["a", *NAMES[1:]]}, "unknown joint 'a'; accepted:"),
+    "repeated": ({"joint_names": [*NAMES[:5], "joint_1"]}, "'joint_1' stands 2 times"),
+    "no points": ({"points": []}, "no points; accepted: at least one"),
+    "end velocity": ({"velocities": [0, 0.1, 0, 0, 0, 0]}, "joint_2 ends at 0.1 rad/s"),
+    "falling times": ({"points": two(1.0, 0.5)}, "point 1: time_from_start 0.5 s after 1 s"),
+    "effort": ({"effort": [1.0] * 6}, "point 0: carries effort; accepted:"),
     "more than joints": (
         {"multi_dof_trajectory": SimpleNamespace(joint_names=["base"], points=[])},
-        ResultCode.INVALID_GOAL,
         "multi_dof_trajectory is given; accepted: an empty one",
     ),
     "components": (
         {"component_path_tolerance": [SimpleNamespace()]},
-        ResultCode.INVALID_GOAL,
         "component_path_tolerance of 1 joints; accepted: none",
     ),
     "tolerance of an unknown joint": (
         {"path_tolerance": [tolerance("elbow", 0.1)]},
-        ResultCode.INVALID_JOINTS,
         "path_tolerance: joint 'elbow' is unknown; accepted: joint_1",
     ),
     "tolerance twice": (
         {"goal_tolerance": [tolerance("joint_1", 0.1)] * 2},
-        ResultCode.INVALID_JOINTS,
         "goal_tolerance: joint 'joint_1' stands twice; accepted:",
     ),
     "negative tolerance": (
         {"goal_tolerance": [tolerance("joint_1", 0.1, -0.5)]},
-        ResultCode.INVALID_GOAL,
         "goal_tolerance: velocity of joint_1 is -0.5 rad/s; accepted: a finite number > 0, 0 for the default, -1 for",
     ),
     "infinite tolerance": (
         {"path_tolerance": [tolerance("joint_1", 0.1, 0.0, np.inf)]},
-        ResultCode.INVALID_GOAL,
         "path_tolerance: acceleration of joint_1 is inf rad/s^2; accepted: a finite",
     ),
     "negative goal time": (
         {"goal_time_tolerance": stamp(-0.5)},
-        ResultCode.INVALID_GOAL,
         "goal_time_tolerance is -0.5 s; accepted: a finite number > 0",
     ),
 }
 
 
-@pytest.mark.parametrize(("changed", "code", "words"), REFUSED.values(), ids=REFUSED)
-def test_a_bad_goal_is_refused_with_its_code(changed: dict[str, Any], code: ResultCode, words: str) -> None:
-    """Each fault of a goal gives the code of the action and one line with the value and what is accepted."""
-    with pytest.raises(GoalError) as caught:
+@pytest.mark.parametrize(("changed", "words"), REFUSED.values(), ids=REFUSED)
+def test_a_bad_goal_is_refused(changed: dict[str, Any], words: str) -> None:
+    """Each fault of a goal gives one line with the value and what is accepted."""
+    with pytest.raises(TrajectoryError) as caught:
         checked(message(**changed))
-    assert caught.value.code is code
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -85,9 +73,9 @@ def test_options_take_what_is_refused_without_them() -> None:
     assert points.position[0, [1, 3]].tolist() == [0.2, 0.4]
     assert points.velocity[0, [1, 3]].tolist() == [0.0, 0.5]
     for missing in allowed:
-        with pytest.raises(GoalError):
+        with pytest.raises(TrajectoryError):
             checked(some, **{name: value for name, value in allowed.items() if name != missing})
-    with pytest.raises(GoalError, match="no joints; accepted: joint_1"):
+    with pytest.raises(TrajectoryError, match="no joints; accepted: joint_1"):
         checked(message(joint_names=[]), **allowed)
 
 
@@ -111,18 +99,6 @@ def test_tolerances_are_the_defaults_unless_the_goal_says_otherwise() -> None:
     assert after.goal.tolist() == [[none, none, 0.01] + [none] * 3, [0.02] * 6, [none] * 6]
     assert after.goal_time == 0.25
     assert checked(message()).tolerances.goal_time == 0.5
-
-
-def test_defaults_are_those_of_the_original() -> None:
-    """Without parameters there is no tolerance but 0.01 rad/s at the goal, and a goal may take for ever."""
-    plain = GoalTolerances.of_parameters(NAMES)
-    assert np.all(plain.path == np.inf)
-    assert np.all(plain.goal[[0, 2]] == np.inf)
-    assert np.all(plain.goal[1] == 0.01)
-    assert plain.goal_time == np.inf
-    for bad in ({"constraints.goal_time": -1.0}, {"constraints.joint_1.trajectory": np.nan}):
-        with pytest.raises(ConfigError, match=r"^constraints.* accepted: "):
-            GoalTolerances.of_parameters(NAMES, bad)
 
 
 @pytest.mark.parametrize(
@@ -200,41 +176,6 @@ def test_a_point_at_the_start_elsewhere_or_over_is_refused() -> None:
     assert [event.state.name for event in arm.run(600)] == ["SUCCEEDED"]
 
 
-def test_a_goal_that_is_followed_succeeds_at_its_last_point() -> None:
-    """From waiting to running to succeeded, with code 0; then the last point is held and no goal is active."""
-    arm = Arm()
-    assert arm.offer("a", message(stamp=0.1)) is None
-    arm.run(100)
-    assert arm.active == "a"
-    assert arm.feedback is None
-    assert arm.run(600) == []
-    event = arm.run(1)[0]
-    assert event == ("a", State.SUCCEEDED, 0, "goal reached at 0.7 s, 0 s after the last point", 701)
-    assert arm.active is None
-    assert arm.feedback is None
-    assert arm.run(500) == []
-    assert np.all(arm.setpoints[-1] == [HOME + 0.2, ZERO, ZERO])
-
-
-def test_feedback_says_what_is_wanted_and_what_is() -> None:
-    """Desired, actual and error at the last tick, in time of the trajectory and of the clock, which scaling parts."""
-    arm = Arm()
-    arm.off[1], arm.off_speed[1] = 0.01, 0.1
-    arm.trajectory.set_speed_scaling(0.5, 0)
-    arm.offer("a", message())
-    arm.run(301)
-    feedback = arm.feedback
-    assert feedback is not None
-    assert feedback.tick == 300
-    assert feedback.desired[0] == pytest.approx(HOME + 0.2 * (3 * 0.25**2 - 2 * 0.25**3))
-    assert feedback.error[0] == pytest.approx(arm.off)
-    assert feedback.error[1] == pytest.approx(arm.off_speed)
-    assert feedback.actual[:2] == pytest.approx(feedback.desired[:2] - feedback.error[:2])
-    # The measured acceleration is the difference of the velocities over a tick.
-    assert feedback.actual[2] == pytest.approx(feedback.desired[2], abs=0.05)
-    assert (feedback.desired_time, feedback.actual_time) == pytest.approx((0.15, 0.3))
-
-
 @pytest.mark.parametrize("at", [1, 123, 300, 599])
 def test_a_cancelled_goal_stops_along_the_path(at: int) -> None:
     """CANCELED at once; the arm comes to rest on the straight way between the poses, and holds."""
@@ -254,24 +195,6 @@ def test_a_cancelled_goal_stops_along_the_path(at: int) -> None:
     assert arm.outputs.info.call_args.args[0].startswith("stopped at ")
 
 
-def test_a_new_goal_pre_empts_the_one_before() -> None:
-    """The one before ends with code -1; a refused one leaves it and its set-points as they are."""
-    arm = Arm()
-    arm.offer("a", message())
-    arm.run(200)
-    with pytest.raises(GoalError) as caught:
-        arm.offer("b", message(HOME + 9.0))
-    assert caught.value.code is ResultCode.INVALID_GOAL
-    assert arm.active == "a"
-    event = arm.offer("c", message(HOME - 0.1, 0.9))
-    assert event is not None
-    assert event == ("a", State.ABORTED, ResultCode.INVALID_GOAL, "pre-empted by a new goal, at 0.2 s", 200)
-    ended = arm.run(1000)
-    assert [(each.key, each.state) for each in ended] == [("c", State.SUCCEEDED)]
-    assert arm.stopped_smoothly()
-    assert np.all(arm.setpoints[-1][0] == HOME - 0.1)
-
-
 def test_what_ends_the_following_ends_the_goal() -> None:
     """Brakes, a reset or a deactivation: code -1 with the reason; what the arm does is left to who says so."""
     arm = Arm()
@@ -288,38 +211,6 @@ def test_what_ends_the_following_ends_the_goal() -> None:
     arm.run(300)
     assert arm.stopped_smoothly()
     assert np.all(arm.setpoints[-1][0] != HOME)
-
-
-def test_a_goal_held_on_its_path_goes_on_and_succeeds() -> None:
-    """Scaled to 0 in mid-motion no time passes on the trajectory; scaled up again it ends as it would have."""
-    arm = Arm()
-    arm.offer("a", message())
-    arm.run(200)
-    arm.trajectory.set_speed_scaling(0.0, arm.tick)
-    assert arm.run(3000) == []
-    held = arm.feedback
-    assert held is not None
-    assert held.desired_time < 0.3
-    arm.trajectory.set_speed_scaling(1.0, arm.tick)
-    assert [each.state for each in arm.run(800)] == [State.SUCCEEDED]
-    assert arm.stopped_smoothly()
-
-
-def test_a_goal_may_start_where_the_path_is_now() -> None:
-    """With allow_trajectory_replacement a first point at the start may lie elsewhere; without, it may not."""
-    both = two(0.0, 0.8)
-    for allowed in (False, True):
-        arm = Arm(allow_trajectory_replacement=allowed)
-        arm.offer("a", message())
-        arm.run(300)
-        goal = message(points=both)
-        if allowed:
-            arm.offer("b", goal)
-            assert [each.state for each in arm.run(900)] == [State.SUCCEEDED]
-            assert arm.stopped_smoothly()
-        else:
-            with pytest.raises(GoalError, match=r"starts at .* accepted: within"):
-                arm.offer("b", goal)
 
 
 @pytest.mark.parametrize(
@@ -352,17 +243,6 @@ def test_a_path_tolerance_holds_from_the_first_sample_on(
     assert np.abs(arm.setpoints[-1][0] - HOME).max() < 0.15
 
 
-def test_an_acceleration_beyond_its_tolerance_is_found() -> None:
-    """A jump of the measured velocity over a tick is an acceleration."""
-    arm = Arm()
-    arm.offer("a", message(path_tolerance=[tolerance("joint_1", 0.0, 0.0, 8.0)]))
-    assert arm.run(100) == []
-    arm.off_speed[0] = 0.02
-    event = arm.run(1)[0]
-    assert event.code is ResultCode.PATH_TOLERANCE_VIOLATED
-    assert event.text.startswith("joint_1: acceleration error 19.99 rad/s^2, accepted up to 8 rad/s^2 along")
-
-
 def test_the_first_sample_is_held_to_the_path_and_has_no_acceleration_of_its_own() -> None:
     """Also where it is the last point; the difference to a velocity of before nobody measured is no acceleration."""
     arm = Arm()
@@ -373,16 +253,6 @@ def test_the_first_sample_is_held_to_the_path_and_has_no_acceleration_of_its_own
     arm.run(10)
     arm.offer("a", message(path_tolerance=[tolerance("joint_1", 0.0, 0.0, 8.0)]))
     assert arm.run(10) == []
-
-
-def test_a_goal_goes_on_from_the_set_point_itself() -> None:
-    """A first point at the start that is within the tolerance makes no jump."""
-    arm, points = Arm(), two(0.0, 0.8)
-    for point in points:
-        point.positions = list(HOME + 9e-4)
-    arm.offer("a", message(points=points))
-    arm.run(1)
-    assert np.all(arm.setpoints[0][0] == HOME)
 
 
 def test_what_is_furthest_beyond_its_tolerance_is_named() -> None:
@@ -404,35 +274,6 @@ def test_a_goal_is_reached_once_its_tolerances_hold() -> None:
     assert arm.active == "a"
     arm.off[2] = 0.009
     assert arm.run(1)[0].text == "goal reached at 0.75 s, 0.15 s after the last point"
-
-
-def test_a_goal_that_is_not_reached_in_time_is_aborted() -> None:
-    """After goal_time: code -5 with joint, amount, limit and time; exactly goal_time is still in time."""
-    arm = Arm()
-    arm.offer("a", message(goal_time_tolerance=stamp(0.2)))
-    arm.off[2] = 0.011
-    assert arm.run(801) == []
-    event = arm.run(1)[0]
-    assert event[1:3] == (State.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
-    assert event.text == (
-        "joint_3: position error 0.011 rad, accepted up to 0.01 rad at the goal, 0.201 s after the last point, "
-        "at 0.801 s, 0.801 s on the trajectory"
-    )
-    arm.run(100)
-    assert arm.stopped_smoothly()
-    assert np.all(arm.setpoints[-1][0] == HOME + 0.2)
-
-
-def test_without_goal_time_a_goal_settles_for_ever() -> None:
-    """With goal_time 0 in defaults and goal, the stopped-velocity tolerance alone decides, however long it takes."""
-    arm = Arm()
-    goal = message()
-    tolerances = GoalTolerances.of_parameters(NAMES)
-    arm.offer("a", check_request(goal.trajectory, tolerances, GoalOptions(), 1000, goal))
-    arm.off_speed[0] = 0.011
-    assert arm.run(5000) == []
-    arm.off_speed[0] = 0.009
-    assert arm.run(1)[0].state is State.SUCCEEDED
 
 
 def test_tolerances_of_a_goal_end_with_it() -> None:

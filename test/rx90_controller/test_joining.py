@@ -1,21 +1,21 @@
-"""Trajectories joined to a path: without a jump, points of the past left out, joints that are not named."""
+"""Trajectories that are joined to the motion: at once, or beside the ticks."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from time import process_time
+from copy import copy
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from joint_moves import HOME, NAMES, PERIOD, ZERO, within_limits
+from joint_moves import HOME, NAMES, PERIOD, ZERO, move, within_limits
 from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
-from rx90_controller.trajectory.generator import PastError
+from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, JoinedAhead, TrajectoryRequest
 
 MOST = np.array([18.0, 12.0, 12.0, 40.0, 40.0, 60.0])
 LIMITS = JointLimits(NAMES, np.full(6, -3.0), np.full(6, 3.0), np.full(6, 4.0), MOST, 1e-3)
@@ -47,17 +47,6 @@ def generator() -> TrajectoryGenerator:
 def hermite(times: Sequence[float], rows: Sequence[Sequence[Array]]) -> BPoly:
     """Return the piecewise polynomial with positions and derivatives at times, by SciPy."""
     return BPoly.from_derivatives(times, np.asarray(rows))
-
-
-def test_a_first_point_at_the_begin_makes_no_jump(generator: TrajectoryGenerator) -> None:
-    """A point at time 0 within the start tolerance is left out: the motion goes on from the set-point itself."""
-    generator.setpoints(0, 1200)
-    near = HOME + 0.4 + 9e-4
-    generator.join(points([0.0, 0.5], [near, HOME], [ZERO, ZERO]), 1200, None, anywhere=False)
-    got = generator.setpoints(1199, 700)
-    within_limits(got, MOST)
-    curve = hermite([0.0, 0.5], [[HOME + 0.4, ZERO], [HOME, ZERO]])
-    assert got[1:501, 0] == pytest.approx(curve(np.arange(500) * PERIOD), abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -96,46 +85,13 @@ def test_points_of_the_past_are_left_out(generator: TrajectoryGenerator) -> None
     assert np.all(got[902:, 0] == way[3])
 
 
-@pytest.mark.parametrize("late", [0, 250])
-def test_points_may_be_prepared(late: int) -> None:
-    """With the way between the points computed before, set-points are the same, and so is what is refused."""
-    way, rates = [HOME + 0.02, HOME + 0.1, HOME + 0.15, HOME + 0.05], [ZERO + 0.15, ZERO + 0.2, ZERO + 0.05, ZERO]
-    plain = points([0.2, 0.6, 1.1, 1.5], way, rates)
-    got = []
-    for each in (plain, plain.prepared()):
-        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-        generator.join(each, 200, 200 - late, anywhere=False)
-        got.append(generator.setpoints(200, 1500))
-    if not late:
-        assert np.array_equal(*got)
-    assert np.abs(got[0] - got[1]).max() < 1e-9
-    for times in ([0.2, 0.6, 1.1, 1.12], [0.005, 0.6, 1.1, 1.5]):
-        bad = points(times, way, rates).prepared()
-        with pytest.raises(TrajectoryError, match=r"gets a set-point|gets an acceleration"):
-            generator.join(bad, 3000, None, anywhere=False)
-
-
 @pytest.mark.parametrize("times", [[3600.0], [1800.0, 3600.0]])
 def test_an_hour_within_the_limits_is_not_sampled(times: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
-    """What its polynomials show to be within the limits is taken at once, be it one point or more, prepared or not."""
+    """What its polynomials show to be within the limits is taken at once, be it one point or more."""
     monkeypatch.setattr(JointLimits, "_of_setpoints", lambda *_: pytest.fail("millions of set-points are looked at"))
     plain = points(times, [HOME + 0.1] * len(times), [ZERO] * len(times))
-    for each in (plain, plain.prepared()):
-        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-        assert generator.join(each, 0, None, anywhere=False).end == 3_600_000
-
-
-def test_a_trajectory_that_is_all_in_the_past_is_refused(generator: TrajectoryGenerator) -> None:
-    """It says when its last point was; the running motion goes on."""
-    twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    twin.accept(points([1.0], [HOME + 0.4], [ZERO]), 0, None)
-    for start in (0, 100):
-        with pytest.raises(PastError) as caught:
-            generator.join(points([0.1, 0.3], [HOME, HOME], [ZERO, ZERO]), 400, start, anywhere=True)
-        last = start * PERIOD + 0.3
-        wanted = f"the last point is at {last:g} s, the controller's time is 0.4 s; accepted: points later than that"
-        assert str(caught.value) == wanted
-    assert np.array_equal(generator.setpoints(400, 800), twin.setpoints(400, 800))
+    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    assert generator.join(plain, 0, None, anywhere=False).end == 3_600_000
 
 
 def test_refusals_count_the_points_as_they_were_sent(generator: TrajectoryGenerator) -> None:
@@ -245,25 +201,57 @@ def test_accelerations_count_between_set_points_too(generator: TrajectoryGenerat
     assert "at 0.1002 s; accepted: [-40, 40], or velocities_from_positions" in said
 
 
-def test_many_points_do_not_slow_a_tick_down() -> None:
-    """A tick of a slowed trajectory of 10,000 points takes about as long as one of a hundred."""
-    spent = []
-    for count in (100, 10_000):
-        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-        times = np.arange(1, count + 1) * 0.01
-        turn = 2.0 * np.pi / times[-1]
-        way = HOME + 0.1 * (1.0 - np.cos(turn * times))[:, None]
-        velocity = 0.1 * turn * np.sin(turn * times)[:, None] + ZERO
-        velocity[-1] = 0.0
-        generator.accept(points(times.tolist(), list(way + ZERO), list(velocity)), 0, None)
-        generator.set_speed_scaling(0.5, 100)
-        best = np.inf
-        for _ in range(5):
-            begin = process_time()
-            for tick in range(200, 800, 4):
-                generator.setpoints(tick)
-                generator.ended(tick)
-                generator.progress(tick)
-            best = min(best, process_time() - begin)
-        spent.append(best)
-    assert spent[1] < 2.0 * spent[0]
+NOW, END = 500, 1000
+LEAD = 24  # ticks: at the second attempt four times 5 ms, and a little for one point and one second
+BACK = move(0.05, 1.0)
+
+
+def running() -> TrajectoryGenerator:
+    """Return a generator in the midst of a motion that ends at END."""
+    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    generator.accept(move(0.2, 1.0), 0, 0)
+    generator.setpoints(0, NOW)
+    return generator
+
+
+def planned(
+    generator: TrajectoryGenerator, points: TrajectoryPoints = BACK, now: int = NOW, start: int | None = None
+) -> JoinedAhead:
+    """Return a trajectory that was joined at a tick."""
+    request = TrajectoryRequest(None, points, start, GoalTolerances.of_parameters(NAMES), GoalOptions(), is_goal=True)
+    ahead = JoinedAhead(request, generator, now, 1)
+    ahead.compute()
+    return ahead
+
+
+def rest(generator: TrajectoryGenerator, tick: int) -> Array:
+    """Return what the generator does from a tick on."""
+    return generator.setpoints(tick, 3000)
+
+
+@pytest.mark.parametrize("late", [0, 10, LEAD])
+def test_what_is_handed_over_in_time_is_what_the_generator_would_do(late: int) -> None:
+    """It begins after the lead, to the bit; set-points that were sampled in advance are said to be out of date."""
+    generator, alone = running(), running()
+    plan, revision = planned(generator), generator.revision
+    schedule = plan.adopt(NOW + late)
+    assert schedule == alone.join(BACK, NOW, NOW + LEAD, anywhere=False)
+    assert schedule.begin == NOW + LEAD
+    assert generator.revision != revision
+    assert np.array_equal(rest(generator, NOW + late), rest(alone, NOW + late))
+
+
+def test_what_would_come_too_late_is_not_handed_over() -> None:
+    """On the way, one tick behind the lead, or behind a start that has been stamped: to be joined anew."""
+    for start, late in ((None, LEAD + 1), (NOW + 5, 6), (NOW, 1)):
+        plan = planned(running(), start=start)
+        assert not plan.fits(NOW + late)
+        assert plan.fits(NOW + late - 1)
+
+
+def test_from_rest_it_begins_when_it_is_there() -> None:
+    """Then the time that it took shifts the motion, and when it is said to run."""
+    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    alone = copy(generator)
+    assert planned(generator).adopt(NOW + 77) == alone.join(BACK, NOW + 77, None, anywhere=False)
+    assert np.array_equal(rest(generator, NOW + 77), rest(alone, NOW + 77))

@@ -1,9 +1,11 @@
-"""Straight lines as joint trajectories: the speed profile, and exact where it matters, between the knots too."""
+"""Straight lines: against SciPy and by hand, and where the arm cannot go."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -123,20 +125,6 @@ def test_rest_is_exactly_still(plan: LinePlan) -> None:
     assert not np.ptp(plan.position[:, 3])
 
 
-def test_reference_task_shows_friction(shipped: Setup, plan: LinePlan) -> None:
-    """It is 0.4 m at 100 mm/s; joints 2, 3 and 5 reverse once each at full speed; no singularity is near."""
-    assert plan.task.length == pytest.approx(0.4, abs=1e-12)
-    assert plan.task.profile().peak_speed == 0.1
-    assert plan.duration == pytest.approx(5.6)
-    times = np.arange(1.1005, 4.9995, 1e-3)
-    velocity = plan.setpoints(times)[:, 1]
-    reversals = [int(np.sum(velocity[1:, j] * velocity[:-1, j] < 0)) for j in range(6)]
-    assert reversals == [0, 1, 1, 0, 1, 0]
-    assert min(margin for margin, _ in plan.path.margins.values()) > 0.7
-    room = np.minimum(plan.position - shipped.robot.lower, shipped.robot.upper - plan.position)
-    assert np.degrees(room.min()) > 40.0
-
-
 @pytest.mark.parametrize("branch", BRANCHES, ids=str)
 def test_the_branch_asked_for_is_kept(shipped: Setup, branch: Branch) -> None:
     """Where a branch is within limits, the whole line stays in it and runs through the same points."""
@@ -237,24 +225,6 @@ SPEEDS = st.floats(1e-3, 2.0)
 ACCELERATIONS = st.floats(1e-2, 20.0)
 
 
-def test_the_reference_line_by_hand() -> None:
-    """0.4 m at 0.1 m/s and 1 m/s^2: 5 mm in each ramp of 0.1 s, 4.1 s in all."""
-    profile = TrapezoidalProfile(0.4, 0.1, 1.0)
-    assert profile.corners == pytest.approx((0.0, 0.1, 4.0, 4.1), abs=1e-14)
-    motion = profile.sample(np.array([-1.0, 0.05, 0.1, 2.05, 4.05, 4.1, 9.0]))
-    np.testing.assert_allclose(motion.distance, [0, 0.00125, 0.005, 0.2, 0.39875, 0.4, 0.4], atol=1e-15)
-    np.testing.assert_allclose(motion.speed, [0, 0.05, 0.1, 0.1, 0.05, 0, 0], atol=1e-14)
-    np.testing.assert_array_equal(motion.acceleration[[0, 1, 3, 4, 6]], [0, 1, 0, -1, 0])
-
-
-def test_a_short_line_is_a_triangle_by_hand() -> None:
-    """4 mm at 1 m/s^2 peak at sqrt(0.004) m/s in the middle and never reach 0.1 m/s."""
-    profile = TrapezoidalProfile(0.004, 0.1, 1.0)
-    assert profile.peak_speed == pytest.approx(np.sqrt(0.004))
-    assert profile.corners == pytest.approx((0.0, np.sqrt(0.004), 2 * np.sqrt(0.004)))
-    assert profile.sample(np.array([np.sqrt(0.004)])).distance[0] == pytest.approx(0.002)
-
-
 @given(LENGTHS, SPEEDS, ACCELERATIONS)
 def test_distance_is_the_integral_of_speed_and_speed_that_of_acceleration(
     length: float, speed: float, acceleration: float
@@ -284,10 +254,123 @@ def test_speed_by_distance_is_speed_by_time(length: float, speed: float, acceler
     assert profile.speed_at(motion.distance)[0] == pytest.approx(motion.speed[0], abs=tolerance)
 
 
-@pytest.mark.parametrize("bad", [0.0, -0.1, float("nan"), float("inf")])
-@pytest.mark.parametrize("which", ["length", "speed", "acceleration"])
-def test_values_that_make_no_motion_are_refused(which: str, bad: float) -> None:
-    """Zero, negative and non-finite length, speed or acceleration are refused by name and value."""
-    values = {"length": 0.4, "speed": 0.1, "acceleration": 1.0, which: bad}
-    with pytest.raises(LineError, match=rf"the line's {which} is {bad:g} .*accepted: a number > 0"):
-        TrapezoidalProfile(**values)
+REFERENCE = "robots/rx90b/task.yaml"
+DOWN = (0.0, np.pi, 0.0)
+# The beam along y; the wrist is so far behind the spot.
+SIDEWAYS, WRIST = (-np.pi / 2, 0.0, 0.0), 0.285
+
+
+def _line(start: tuple[float, ...], end: tuple[float, ...], **more: Any) -> LineTask:
+    values: dict[str, Any] = {"speed": 0.1, "acceleration": 1.0, "start_rpy": DOWN, "end_rpy": DOWN} | more
+    return LineTask(start, end, **values)
+
+
+def _refusal(shipped: Setup, line: LineTask) -> tuple[str, float]:
+    """Return the message and the distance it names."""
+    with pytest.raises(LineError) as refusal:
+        plan_line(shipped.robot, line)
+    message = str(refusal.value)
+    assert "\n" not in message
+    assert "accepted: " in message
+    found = re.search(r"at (\d+\.\d+) m from its start \((\d+)%\)", message)
+    assert found is not None, message
+    assert float(found[1]) / line.length == pytest.approx(int(found[2]) / 100, abs=0.006)
+    return message, float(found[1])
+
+
+def test_out_of_reach_names_where_the_arm_ends(shipped: Setup) -> None:
+    """Straight outwards with the tool down, the wrist leaves its sphere of 0.9 m where Pythagoras has it."""
+    message, distance = _refusal(shipped, _line((0.6, 0.0, 0.2), (1.6, 0.0, 0.2), singularity_margin=1e-3))
+    # The wrist is 0.285 m above the spot, axis 2 at 0.42 m.
+    assert distance == pytest.approx(np.sqrt(0.9**2 - (0.485 - 0.42) ** 2) - 0.6, abs=1.1e-3)
+    assert "out of reach" in message
+
+
+def test_elbow_singularity_is_met_before_the_end_of_reach(shipped: Setup) -> None:
+    """With a margin of 0.3 the same outward line is refused where the elbow angle's sine falls below 0.3."""
+    message, distance = _refusal(shipped, _line((0.6, 0.0, 0.2), (1.6, 0.0, 0.2), singularity_margin=0.3))
+    stretched = 2 * 0.45 * np.cos(np.arcsin(0.3) / 2)
+    assert distance == pytest.approx(np.sqrt(stretched**2 - 0.065**2) - 0.6, abs=1.1e-3)
+    assert "elbow singularity" in message
+
+
+def test_wrist_singularity_in_the_middle_of_a_line(shipped: Setup) -> None:
+    """Raising the forearm until it points along the tool is refused at the wrist, not at a joint speed."""
+    outward = (0.0, np.pi / 2, 0.0)
+    message, distance = _refusal(shipped, _line((0.9, 0.0, 0.6), (0.9, 0.0, 1.1), start_rpy=outward, end_rpy=outward))
+    assert "wrist singularity" in message
+    assert 0.0 < distance < 0.5
+
+
+def test_shoulder_singularity_above_axis_1(shipped: Setup) -> None:
+    """A wrist that would pass 20 mm from axis 1 is refused at the shoulder, 45 mm before the axis."""
+    line = _line((0.3, WRIST + 0.02, 1.0), (-0.3, WRIST + 0.02, 1.0), start_rpy=SIDEWAYS, end_rpy=SIDEWAYS)
+    robot = replace(shipped.robot, lower=np.full(6, -7.0), upper=np.full(6, 7.0))
+    with pytest.raises(LineError, match="shoulder singularity") as refusal:
+        plan_line(robot, line)
+    at = float(re.search(r"at (\d+\.\d+) m", str(refusal.value))[1])  # type: ignore[index]
+    assert 0.3 - at == pytest.approx(np.sqrt(0.045**2 - 0.02**2), abs=1.1e-3)
+
+
+def test_a_thin_margin_does_not_let_a_line_through_a_singularity(shipped: Setup) -> None:
+    """A tool that turns through the straight wrist between two examined points is caught by the jump."""
+    before, after = (forward(shipped.robot.chain, np.array([0.0, 0.4, 1.0, 0.0, q5, 0.0])) for q5 in (0.6, -0.57))
+    turn = [Rotation.from_matrix(pose.rotation).as_euler("xyz") for pose in (before, after)]
+    line = _line(
+        tuple(before.position),
+        tuple(after.position),
+        start_rpy=tuple(turn[0]),
+        end_rpy=tuple(turn[1]),
+        singularity_margin=1e-3,
+    )
+    message, distance = _refusal(shipped, line)
+    assert re.search(r"joint_4 jumps by -?3\.14\d rad to another branch", message), message
+    assert 0.0 < distance < line.length
+
+
+def test_joint_limit_names_joint_and_range(shipped: Setup) -> None:
+    """Behind the robot joint 1 meets its limit where the line is seen at 160 degrees from axis 1."""
+    message, distance = _refusal(shipped, _line((-0.5, 0.4, 0.5), (-0.5, -0.2, 0.5)))
+    assert "joint_1 at 2.79" in message
+    assert "[-2.7925, 2.7925]" in message
+    assert distance == pytest.approx(0.4 - 0.5 * np.tan(np.radians(20)), abs=1.1e-3)
+
+
+def test_joint_speed_names_joint_and_a_speed_that_would_do(shipped: Setup) -> None:
+    """Too fast a line names the joint; the line speed it offers is then accepted, and 1 % more is not."""
+    fast = _line((0.5, -0.2, 0.3), (0.5, 0.2, 0.3), speed=5.0, acceleration=100.0)
+    message, distance = _refusal(shipped, fast)
+    assert re.search(r"joint_\d would turn at .* rad/s; accepted: <= ", message)
+    assert 0.0 < distance <= 0.4
+    slow = float(re.search(r"about ([\d.]+) m/s", message)[1])  # type: ignore[index]
+    plan_line(shipped.robot, replace(fast, speed=0.99 * slow))
+    with pytest.raises(LineError, match="would turn"):
+        plan_line(shipped.robot, replace(fast, speed=1.01 * slow))
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"end": (0.6, -0.3, 0.2)}, "two different points"),
+        ({"speed": 0.0}, "speed is 0 m/s"),
+        ({"speed": -0.1}, "speed is -0.1 m/s"),
+        ({"acceleration": 0.0}, "acceleration is 0 m/s"),
+        ({"start": (0.6, float("nan"), 0.2)}, "start is .*three finite numbers"),
+        ({"rest_before": -1.0}, "rest_before is -1 s"),
+        ({"singularity_margin": 0.0}, "singularity_margin is 0"),
+        ({"end": (0.6, 9e9, 0.2)}, r"length is 9e\+09 m; accepted: up to 10 m"),
+        ({"speed": 1e-9}, r"takes 4e\+08 s at speed 1e-09 m/s .*; accepted: up to 3600 s"),
+        ({"acceleration": 5e-324}, "takes inf s"),
+    ],
+)
+def test_values_that_make_no_line_are_refused(change: dict[str, Any], expected: str) -> None:
+    """A task that is not a line is refused when it is made, by the name and value of what is wrong."""
+    with pytest.raises(LineError, match=expected):
+        replace(load_task(config_path(REFERENCE)), **change)
+
+
+@pytest.mark.parametrize(("speed", "acceleration"), [(0.0, 1.0), (1.1, 1.0), (0.5, 0.0), (0.5, float("nan"))])
+def test_approach_limits_are_checked(speed: float, acceleration: float) -> None:
+    """A share outside (0, 1] or a useless acceleration is refused."""
+    with pytest.raises(LineError, match="accepted:"):
+        Approach(speed, acceleration)

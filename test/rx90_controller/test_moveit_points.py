@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import time_optimal
 import yaml
-from scipy.interpolate import BPoly, CubicSpline
+from scipy.interpolate import CubicSpline
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import LineError, TrajectoryError
@@ -23,7 +23,6 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.generator import TrajectoryGenerator
 from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.loop.setup import Setup
-from tools import moveit_files
 
 QUANTITIES = ("velocity", "acceleration")
 SAMPLING = 0.1  # s: of Pilz' planner and of MoveIt's time-optimal parameterization
@@ -211,22 +210,3 @@ def off_the_line(setup: Setup, plan: LinePlan, joints: Array) -> float:
     along = (end - start) / np.linalg.norm(end - start)
     away = forward(setup.robot.chain, joints).position - start
     return float(np.linalg.norm(away - np.outer(away @ along, along), axis=1).max())
-
-
-def test_half_the_acceleration_is_enough_for_every_switch() -> None:
-    """Between samples of a profile that switches its acceleration a quintic exceeds it by 81 %, and v by 0.068 a T."""
-    most, faster = 0.0, 0.0
-    for before, after in itertools.product((1.0, 0.0, -1.0), repeat=2):
-        for switch in np.linspace(0.0, 1.0, 41):
-            v = before * switch + after * (1.0 - switch)
-            s = before * switch * (1.0 - switch / 2.0) + after * (1.0 - switch) ** 2 / 2.0
-            # At the ends of a motion the acceleration is sent as 0.
-            for ends in itertools.product({before, 0.0}, {after, 0.0}):
-                quintic = BPoly.from_derivatives([0.0, 1.0], [[0.0, 0.0, ends[0]], [s, v, ends[1]]])
-                t = np.linspace(0.0, 1.0, 101)
-                most = max(most, abs(quintic(t, 2)).max())
-                if ends == (before, after):
-                    of_profile = np.where(t < switch, before * t, before * switch + after * (t - switch)).max()
-                    faster = max(faster, quintic(t, 1).max() - of_profile)
-    assert 1.80 < most < 1.81 < 1.0 / moveit_files.ACCELERATION_SHARE
-    assert 0.0675 < faster < 0.0685

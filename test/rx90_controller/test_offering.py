@@ -126,22 +126,6 @@ def test_what_may_take_long_is_checked_while_ticks_run(
     assert not any("rejected" in line for line in rig.around.lines)
 
 
-def test_ten_thousand_points_and_an_hour_leave_the_ticks_alone(ways: Ways) -> None:
-    """On the topic the lock of the ticks is held only to ask and to hand over, never while set-points are checked."""
-    rig = ways.rig
-    rig.loop.receive(message(rig, 10_000, 100.0))
-    ways.run(100)
-    hour = message(rig, 3, 3600.0)
-    for each in hour.points:
-        each.velocities = []
-    rig.loop.receive(hour)
-    assert ways.beside == [True, True]
-    assert [line.split(" from ")[0] for line in rig.around.lines] == [
-        "trajectory accepted: 10000 points, 100.000 s",
-        "trajectory accepted: 3 points, 3600.000 s",
-    ]
-
-
 def test_a_long_stamped_trajectory_gives_the_same_bits_whenever_it_comes(ways: Ways, rig: Rig) -> None:
     """On the way, behind one that waits, early or just in time: the set-points of the generator that is asked alone."""
     first, last = message(rig, 30, 2.0, start=0.1), message(rig, 2, 21.0, start=1.0)
@@ -196,20 +180,6 @@ def test_what_the_time_was_too_short_for_is_joined_again_beside_the_ticks(ways: 
     assert "accepted" in rig.around.lines[-1]
 
 
-def test_the_last_of_several_is_followed(ways: Ways) -> None:
-    """Long and short ones that come close together are taken in their order, each in place of the one before."""
-    rig = ways.rig
-    ways.meanwhile = lambda _: ways.run(1)
-    for target, count in ((0.01, 30), (-0.01, 1), (0.015, 40), (0.02, 21)):
-        rig.loop.receive(message(rig, count, 2.0, target=target))
-    ways.run(12)
-    rig.loop.receive(rig.trajectory(0.005, stamp=(7, 0)))
-    rig.loop.receive(message(rig, 25, 1.0, start=6.0, target=0.03, base=0.02))
-    assert len(rig.around.taken) == 6
-    assert rig.cs7b.trajectory.setpoints(5900)[0, 0] == pytest.approx([0.02] * 6)
-    assert rig.cs7b.trajectory.setpoints(9000)[0, 0] == pytest.approx([0.03] * 6)
-
-
 @pytest.mark.parametrize("count", [4, 40])
 def test_of_a_trajectory_that_has_begun_the_rest_is_followed(ways: Ways, count: int) -> None:
     """As by joint_trajectory_controller: a stamp that is over leaves the points still to come; none: it is refused."""
@@ -226,17 +196,6 @@ def test_of_a_trajectory_that_has_begun_the_rest_is_followed(ways: Ways, count: 
         "trajectory rejected: the last point is at 2.1 s, the controller's time is 2.2 s; accepted: points later than "
         "that"
     )
-
-
-def test_what_is_no_trajectory_leaves_the_one_that_waits(rig: Rig) -> None:
-    """Before the first states a trajectory is checked by itself at once; a wrong one takes nobody's place."""
-    rig.loop.receive(rig.trajectory(0.1))
-    wrong = rig.trajectory(0.2)
-    wrong.joint_names[2] = "elbow"
-    rig.loop.receive(wrong)
-    assert rig.around.lines[-1].startswith("trajectory rejected: unknown joint 'elbow'")
-    rig.loop.hold(rig.states(400))
-    assert rig.around.lines[-1] == "trajectory accepted: 1 points, 1.000 s from 0.100 s"
 
 
 @pytest.mark.parametrize(
@@ -267,16 +226,3 @@ def test_options_of_goals_hold_for_the_topic(rig: Rig, option: str, change: str,
     held, velocity, _ = rig.cs7b.trajectory.setpoints(2000)[0]
     assert held == pytest.approx([0.0 if change == "joints" else 0.02, *[0.02] * 5])
     assert velocity == pytest.approx([0.01 if change == "end" else 0.0] * 6)
-
-
-def test_two_senders_are_one_queue_and_none_is_heard_while_not_active(rig: Rig) -> None:
-    """Each message takes the place of the one before, whoever sent it; deactivated, each is refused with why."""
-    rig.loop.hold(rig.states(0))
-    for target in (0.01, -0.01, 0.02):
-        rig.loop.receive(rig.trajectory(target))
-    assert rig.cs7b.trajectory.setpoints(1000)[0, 0] == pytest.approx([0.02] * 6)
-    rig.loop.activate(False)
-    for given in (rig.trajectory(0.1), rig.empty(), message(rig, 30, 1.0)):
-        rig.loop.receive(given)
-        assert rig.around.lines[-1] == "trajectory rejected: the controller is inactive; accepted: in state active"
-    assert rig.loop.rejected == 3

@@ -13,11 +13,11 @@ from joint_moves import NAMES, PERIOD
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import Rates
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory import TrajectoryGenerator
 from rx90_controller.trajectory.request import (
-    GoalError,
     GoalOptions,
     GoalTolerances,
     JoinedAhead,
@@ -119,7 +119,7 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
             else:
                 reasons.append(goal.reason)
                 assert active is None or not active.reason or active.reason.startswith("cancelled")
-        except GoalError as error:
+        except TrajectoryError as error:
             reasons.append(str(error))
         count = int(generator.integers(0, 400))
         cs7b.position_tick = now

@@ -7,21 +7,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 from servo_rig import Rig
 
-from rx90_common.base.entries import Number, Numbers
-from rx90_common.description.robot_files import RobotFiles
-from rx90_controller.law.parameters import load_controller
-from rx90_controller.node.parameters import LAW_ENTRIES
 from rx90_controller.trajectory.request import Feedback, GoalTolerances, State, TrajectoryRequest
 from rx90_emulator.loop.setup import Setup
 
 RATIO = 4  # ticks for each of the position loop, which come every millisecond
-NUMBERS = {name: entry for name, entry in LAW_ENTRIES.items() if isinstance(entry, Number)}
 
 
 def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
@@ -45,33 +39,6 @@ def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
     rig.loop.report()
     assert rig.around.lines.count("ready") == 1
     assert not any("dropped" in line for line in rig.around.lines)
-
-
-def test_a_motion_that_comes_to_no_end_is_told_of(rig: Rig) -> None:
-    """States that begin anew, as after a reset, drop a motion, and one that waits for its start: one line with why."""
-    rig.loop.hold(rig.states(0))
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.run(0, 400)
-    rig.loop.hold(rig.states(0))
-    assert rig.around.lines[-1] == "trajectory dropped at 0.100 s: the states go on from 0 s; holding"
-    rig.loop.receive(rig.trajectory(0.1, stamp=(5, 0)))
-    rig.loop.enable(False)
-    rig.run(0, 400)
-    assert rig.around.lines[-1] == "trajectory dropped at 0.000 s: the torque is off"
-
-
-def test_an_end_is_called_what_it_is(rig: Rig) -> None:
-    """A motion that ends before a stop that was asked for in time, and a stop that ends before a motion begins."""
-    rig.loop.hold(rig.states(0))
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.run(0, 4)
-    rig.loop.receive(rig.empty(stamp=(1, 200_000_000)))
-    rig.run(4, 4000)
-    assert rig.around.lines[-1] == "trajectory ended at 1.000 s; holding"
-    rig.run(4004, 800)
-    rig.loop.receive(rig.trajectory(0.2, stamp=(3, 0)))
-    rig.run(4804, 4)
-    assert rig.around.lines[-1] == "stopped at 1.200 s; holding"
 
 
 def test_set_points_are_published_in_ticks_of_the_position_loop(rig: Rig) -> None:
@@ -99,17 +66,6 @@ def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: R
     rig.loop.enable(True)
     assert rig.run(3, 8) == [True] * 8
     assert rig.loop.command == pytest.approx(np.zeros(6), abs=1e-9)
-    assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
-
-
-def test_off_and_on_between_two_ticks_ends_the_motion(rig: Rig) -> None:
-    """Switched off and on again before the next tick: one tick without torque, then the arm is held where it is."""
-    rig.loop.hold(rig.states(0))
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.run(0, 40)
-    rig.loop.enable(False)
-    rig.loop.enable(True)
-    assert rig.run(40, 4) == [False, True, True, True]
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 
 
@@ -146,34 +102,6 @@ def test_other_constants_of_the_law_count_from_a_position_tick_on(rig: Rig) -> N
     assert effective == [12 * rig.period]
 
 
-def test_skipped_ticks_come_later(rig: Rig) -> None:
-    """A motion goes on where it was after ticks without set-points."""
-    rig.loop.hold(rig.states(0))
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.run(0, 2000)
-    before = rig.cs7b.reference()[0].copy()
-    rig.loop.skip(300)
-    rig.run(2000 + 4 * 300, 1)
-    assert np.abs(rig.cs7b.reference()[0] - before).max() < 1e-3
-    assert rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
-
-
-def test_a_stamp_too_far_ahead_is_refused(rig: Rig) -> None:
-    """A stamp of the wall clock, or one beyond the horizon, is one line with both times and what is accepted."""
-    rig.loop.hold(rig.states(400))
-    rig.around.lines.clear()
-    rig.loop.receive(rig.trajectory(0.1, stamp=(1_795_000_000, 250_000_000)))
-    assert rig.around.lines == [
-        "trajectory rejected: start time 1795000000.250 s, the controller's time is 0.100 s; accepted: 0 for now, "
-        "or simulated time within 60 s"
-    ]
-    rig.loop.receive(rig.empty(stamp=(60, 101_000_000)))
-    assert rig.loop.rejected == 2
-    rig.loop.receive(rig.trajectory(0.1, stamp=(60, 100_000_000)))
-    assert rig.around.lines[-1] == "trajectory accepted: 1 points, 1.000 s from 60.100 s"
-    assert rig.around.taken == [(1, 60_100_000_000, "")]
-
-
 @pytest.mark.parametrize("named", [False, True])
 def test_an_empty_trajectory_stops_within_the_accelerations_and_holds(rig: Rig, named: bool) -> None:
     """Position and velocity of the set-points go on without a jump, then the place is held; two lines tell it."""
@@ -193,16 +121,6 @@ def test_an_empty_trajectory_stops_within_the_accelerations_and_holds(rig: Rig, 
     assert rig.around.taken[1:] == [(0, 420_000_000, "")]
     rig.run(1600, 4000)
     assert rig.around.lines[2:] == [f"stopped at {end:.3f} s; holding"]
-
-
-def test_an_empty_trajectory_for_other_joints_is_refused(rig: Rig) -> None:
-    """Names that are not all of the arm's joints stop nothing."""
-    rig.loop.hold(rig.states(0))
-    rig.around.lines.clear()
-    rig.loop.receive(rig.trajectory(0.2))
-    rig.loop.receive(rig.empty(["joint_1"]))
-    assert rig.around.lines[-1].startswith("trajectory rejected: joint 'joint_2' is missing; accepted: all of")
-    assert rig.cs7b.trajectory.moving(10)
 
 
 class Sender:
@@ -314,14 +232,6 @@ def test_a_goal_that_is_not_reached_in_time_is_told_once(held: Callable[..., Rig
     assert len(aborted(rig)) == 1
 
 
-def test_by_default_nothing_is_given_up(held: Callable[..., Rig]) -> None:
-    """Without constraints an arm that does not follow is the supervision's concern alone, as before."""
-    rig = held()
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.run(0, RATIO * 3000)
-    assert aborted(rig) == []
-
-
 @pytest.mark.parametrize("stops", [False, True])
 def test_what_runs_is_held_to_the_path_while_the_next_one_waits(held: Callable[..., Rig], stops: bool) -> None:
     """Also before the start of what came last, a trajectory or a stop, which is dropped then."""
@@ -355,58 +265,9 @@ def test_what_is_held_to_constraints(held: Callable[..., Rig]) -> None:
     assert len(aborted(rig)) == 2
 
 
-def test_nothing_is_told_of_a_trajectory_that_is_over(held: Callable[..., Rig]) -> None:
-    """Dropped by an arm without torque, or reached: an arm that is pushed away later is not its concern."""
-    rig = held({"constraints.joint_1.goal": 0.02, "constraints.goal_time": 0.2})
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.run(0, RATIO)
-    rig.loop.enable(False)
-    rig.loop.enable(True)
-    rig.run(RATIO, RATIO)
-    rig.position = np.full(6, 3.0)
-    rig.run(2 * RATIO, RATIO * 401)
-    assert np.abs(rig.cs7b.setpoint[0] - rig.cs7b.measured()[0]).max() > 0.02
-    rig.position = np.zeros(6)
-    rig.loop.receive(rig.trajectory(0.01))
-    rig.run(403 * RATIO, RATIO * 1001)
-    rig.position = np.full(6, 3.0)
-    rig.run(1404 * RATIO, RATIO * 400)
-    assert aborted(rig) == []
-
-
-def test_one_that_waited_for_the_first_states_is_held_to_them_too(rig: Rig) -> None:
-    """From its start on; until there are states there is nothing to compare."""
-    rig.loop.tolerances = GoalTolerances.of_parameters(rig.names, {"constraints.joint_1.trajectory": 0.02})
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.loop.hold(rig.states(0))
-    rig.run(0, RATIO * 1000)
-    assert len(aborted(rig)) == 1
-
-
-@pytest.mark.parametrize("off", [0.0, 1e-3, -0.04])
-def test_the_largest_values_together_give_finite_torques(
-    shipped: Setup, shipped_files: RobotFiles, edited_yaml: Callable[..., Path], off: float
-) -> None:
-    """Whatever the checks let pass, the law computes: all at their largest, on a motor beside its set-point."""
-    path = shipped_files.controller
-    for name, entry in NUMBERS.items():
-        path = edited_yaml(path, tuple(name.split(".")), [entry.high] * 6 if isinstance(entry, Numbers) else entry.high)
-    rig = Rig(dataclasses.replace(shipped, controller=load_controller(path)))
-    rig.loop.hold(rig.states(0))
-    rig.position = off * np.asarray(shipped.drives.gear)
-    assert rig.run(0, 400) == [True] * 400
-    assert np.isfinite(rig.loop.command).all()
-
-
-@pytest.mark.parametrize(
-    ("field", "said"),
-    [
-        ("kp", "servo.kp"), ("kv", "servo.kv"), ("ki", "servo.ki"), ("inertia", "servo.inertia"),
-        ("viscous", "feed_forward.viscous_friction"), ("coulomb", "feed_forward.coulomb_torque"),
-    ],
-)  # fmt: skip
-def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, field: str, said: str) -> None:
-    """One line names joint and parameter, no torque that is not finite goes out, and enable after mending goes on.
+@pytest.mark.parametrize("field", ["kp", "ki", "viscous"])
+def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, field: str) -> None:
+    """One line names the joint, no torque that is not finite goes out, and enable after mending goes on.
 
     The value comes past the checks, as one would by Python.
     """
@@ -424,7 +285,7 @@ def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, fiel
     assert rig.around.published == [0, 4 * rig.period]  # torques that are no numbers are not published
     lines = [line for line in rig.around.lines if "torque nan Nm" in line]
     assert len(lines) == 1
-    assert lines[0].startswith(f"joint_4: torque nan Nm at 0.002 s, by {said}; accepted: finite torques; torque off")
+    assert lines[0].startswith("joint_4: torque nan Nm at 0.002 s; accepted: finite torques; torque off")
     assert np.isfinite(rig.loop.command).all()
     rig.loop.enable(True)  # nothing is mended: it stops again, and says so again
     assert not any(rig.run(48, 4))

@@ -1,4 +1,4 @@
-"""Points as they come from outside: joints in any order, and every way to be refused."""
+"""The points of trajectories and the paths through them: against SciPy, and refused by point, joint and reason."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.interpolate import BPoly, CubicHermiteSpline, PPoly
 
 from rx90_common.base.errors import ExchangeError, Rx90Error, TrajectoryError
-from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory import JointLimits, TrajectoryPoints
+from rx90_controller.trajectory.paths import straight
 from rx90_controller.trajectory.points import check_trajectory_bytes
+from rx90_controller.trajectory.spline import interpolate
 
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 ROW = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
@@ -43,15 +47,6 @@ def test_joints_may_come_in_any_order() -> None:
         )
         for table in ("times", "position", "velocity", "acceleration"):
             assert np.array_equal(getattr(shuffled, table), getattr(plain, table))
-
-
-def test_what_is_not_given_is_none() -> None:
-    """Empty vectors mean: not given."""
-    empty: list[list[float]] = [[], [], []]
-    assert create(acceleration=empty).acceleration is None
-    plain = create(velocity=empty, acceleration=empty)
-    assert plain.velocity is None
-    assert plain.acceleration is None
 
 
 NAN_ROW = [0.1, 0.2, math.nan, 0.4, 0.5, 0.6]
@@ -95,13 +90,6 @@ def test_a_bad_trajectory_is_refused_by_point_joint_and_reason(changed: dict[str
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
     assert isinstance(caught.value, Rx90Error)
-
-
-def test_faults_name_the_joint_in_the_order_it_came() -> None:
-    """With shuffled names the fault is reported for the joint whose value it is."""
-    names = list(reversed(NAMES))
-    with pytest.raises(TrajectoryError, match="positions of joint_4 is nan"):
-        create(joint_names=names, position=[ROW, NAN_ROW, ROW])
 
 
 @pytest.mark.parametrize("later", [0.0, 5e-17, 2e-9, 0.9e-3])
@@ -150,3 +138,150 @@ def test_broken_bytes_of_a_trajectory_are_named_by_their_field() -> None:
         broken = message_bytes[:wrong] + b"\xff\xff\xff\x7f" + message_bytes[wrong + 4 :]
         with pytest.raises(ExchangeError, match=f"cut off in {field}: 2147483647 elements announced"):
             check_trajectory_bytes(broken)
+
+
+Array = NDArray[np.float64]
+TIMES = np.array([0.0, 0.13, 0.5, 0.51, 1.7, 2.0])
+RNG = np.random.default_rng(11)
+POSITION = RNG.uniform(-1.0, 1.0, (6, 6))
+VELOCITY = RNG.uniform(-2.0, 2.0, (6, 6))
+ACCELERATION = RNG.uniform(-9.0, 9.0, (6, 6))
+INSIDE = np.sort(RNG.uniform(0.0, 2.0, 500))
+
+
+def test_velocities_make_it_cubic() -> None:
+    """With velocities the set-points are SciPy's cubic Hermite spline and its two derivatives."""
+    got = interpolate(TIMES, POSITION, VELOCITY, None).sample(INSIDE)
+    spline = CubicHermiteSpline(TIMES, POSITION, VELOCITY)
+    for order in range(3):
+        want = spline(INSIDE, order)
+        assert got[:, order] == pytest.approx(want, abs=1e-11 * np.abs(want).max())
+
+
+def test_accelerations_make_it_quintic() -> None:
+    """With accelerations the set-points are SciPy's quintic through positions and both derivatives."""
+    got = interpolate(TIMES, POSITION, VELOCITY, ACCELERATION).sample(INSIDE)
+    given = np.stack([POSITION, VELOCITY, ACCELERATION], axis=1)
+    spline = BPoly.from_derivatives(TIMES, given)
+    for order in range(3):
+        want = spline(INSIDE, order)
+        assert got[:, order] == pytest.approx(want, abs=1e-10 * np.abs(want).max())
+
+
+def test_bounds_are_the_control_points() -> None:
+    """Positions, velocities and accelerations lie between the least and the most of SciPy's Bernstein coefficients."""
+    spline = interpolate(TIMES, POSITION, VELOCITY, ACCELERATION)
+    low, high = spline.bounds()
+    curve = PPoly(np.moveaxis(spline.coefficients[:, ::-1], 1, 0), TIMES)
+    for row in range(3):
+        control = BPoly.from_power_basis(curve.derivative(row) if row else curve).c
+        scale = np.abs(control).max()
+        assert low[row] == pytest.approx(control.min(axis=(0, 1)), abs=1e-11 * scale)
+        assert high[row] == pytest.approx(control.max(axis=(0, 1)), abs=1e-11 * scale)
+    spline.coefficients[2, 3, 4] = np.nan
+    low, high = spline.bounds()
+    assert np.all(low[:, 4] == -np.inf)
+    assert np.all(high[:, 4] == np.inf)
+    assert np.isfinite(low[:, :4]).all()
+
+
+MOST = np.array([8.0, 10.0, 12.0, 8.0, 20.0, 30.0])
+LIMITS = JointLimits(NAMES, np.full(6, -9.0), np.full(6, 9.0), np.full(6, 99.0), MOST, 1e-3)
+WAY = np.array([0.5, -0.4, 0.3, 0.0, 0.2, -0.1])
+STILL = np.zeros(6)
+
+
+def averaged(times: Array, position: Array, at: Array, half: Array) -> Array:
+    """Return the mean of the straight lines over `at` - `half` to `at` + `half`, shape (len(at), 6)."""
+    share = np.linspace(-1.0, 1.0, 2001)
+    weight = np.full(2001, 1.0)
+    weight[[0, -1]] = 0.5
+    windows = at[:, None] + half[:, None] * share
+    return np.stack(
+        [np.interp(windows, times, position[:, j]) @ weight / weight.sum() for j in range(6)], axis=1
+    )  # the trapezoidal rule is exact to (half/1000)^2 at the corner
+
+
+def test_one_line_from_rest_to_rest_is_a_trapezoid_of_the_velocity() -> None:
+    """The way is v (T - tau), v = a tau in the joint that needs most, and every joint at the same share of its way."""
+    got = straight(np.array([0.0, 1.0]), np.stack([STILL, WAY]), STILL, LIMITS)
+    tau = (1.0 - np.sqrt(1.0 - 4.0 * np.abs(WAY) / MOST)).max() / 2.0
+    peak = WAY / (1.0 - tau)
+    assert np.abs(peak / tau / MOST).max() == pytest.approx(1.0)
+    sampled = got.sample(np.linspace(0.0, 1.0, 401))
+    t = np.linspace(0.0, 1.0, 401)[:, None]
+    np.testing.assert_allclose(sampled[:, 1], peak * np.clip(np.minimum(t, 1.0 - t) / tau, 0.0, 1.0), atol=1e-12)
+    share = sampled[:, 0, 0] / WAY[0]
+    np.testing.assert_allclose(sampled[:, 0], share[:, None] * WAY, atol=1e-13)
+    assert np.all(got.sample(np.array([1.0, 2.0]))[:, 0] == WAY)
+
+
+def test_between_its_ends_it_is_the_mean_of_the_lines_over_each_ramp() -> None:
+    """Around a point in between, a ramp of duration 2h gives the lines averaged over 2h, and misses it by dv^2/8a."""
+    times = np.array([0.0, 0.8, 1.5, 2.4])
+    position = np.stack([STILL, WAY, WAY + np.array([0.1, 0.2, -0.3, 0.4, 0.0, 0.0]), STILL])
+    got = straight(times, position, STILL, LIMITS)
+    slope = np.diff(position, axis=0) / np.diff(times)[:, None]
+    at = np.linspace(0.8, 1.5, 41)
+    inner = got.sample(at)
+    # The first and the last line are faster than their slope, by what their ramps at rest lose.
+    fast = [got.sample(np.array([t]))[0, 1] for t in (0.5, 1.9)]
+    half = [(np.abs(a - b) / MOST / 2.0).max() for a, b in ((fast[0], slope[1]), (slope[1], fast[1]))]
+    lines = np.stack([position[1] - 0.8 * fast[0], position[1], position[2], position[2] + 0.9 * fast[1]])
+    width = np.where(at < 1.15, half[0], half[1])
+    width = np.where((at > 0.8 + half[0]) & (at < 1.5 - half[1]), 1e-9, width)
+    assert inner[:, 0] == pytest.approx(averaged(times, lines, at, width), abs=1e-7)
+    blend_error = np.abs(got.sample(np.array([0.8, 1.5]))[:, 0] - position[1:3]).max()
+    assert got.blend_error == pytest.approx(blend_error)
+    assert got.sample(np.array([np.nextafter(2.4, 0.0)]))[0, 0] == pytest.approx(position[3], abs=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("share", [-0.3, 0.4, 1.0])
+def test_it_goes_on_from_a_velocity(count: int, share: float) -> None:
+    """Begun in motion, position and velocity are continuous, and accelerations within the limits, to the last point."""
+    moving = share * np.array([1.0, -1.0, 0.5, 0.2, 1.0, 2.0])
+    times = np.array([0.0, 1.0, 2.0])[: count + 1]
+    got = straight(times, np.stack([STILL, WAY, 0.5 * WAY])[: count + 1], moving, LIMITS)
+    fine = np.arange(0.0, times[-1], 1e-3)
+    sampled = got.sample(fine)
+    assert sampled[0, 1] == pytest.approx(moving)
+    assert (np.abs(np.diff(sampled[:, 1], axis=0)) <= MOST * 1e-3 * (1 + 1e-9) + 1e-12).all()
+    steps = 1e-3 * (sampled[1:, 1] + sampled[:-1, 1]) / 2.0
+    np.testing.assert_allclose(np.cumsum(steps, axis=0), sampled[1:, 0], atol=1e-5)
+    last = [WAY, 0.5 * WAY][count - 1]
+    np.testing.assert_allclose(sampled[-1, 0] + 1e-3 * sampled[-1, 1] / 2.0, last, atol=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_it_ends_with_a_velocity_as_it_begins_with_one_backwards(count: int) -> None:
+    """Seen backwards in time, lines from one velocity to another are those from the other, reversed, to the one."""
+    begin, end = np.array([0.3, -0.2, 0.1, 0.0, 0.5, 0.2]), np.array([0.2, -0.3, 0.4, 0.1, 0.0, -1.0])
+    times, position = np.arange(count + 1.0), np.stack([STILL, WAY, 0.5 * WAY, WAY])[: count + 1]
+    at = np.linspace(1e-4, count - 1e-4, 301)
+    for first, last in ((STILL, end), (begin, end)):
+        got = straight(times, position, first, LIMITS, end_velocity=last).sample(at)
+        back = straight(times, position[::-1], -last, LIMITS, end_velocity=-first).sample(count - at)
+        np.testing.assert_allclose(got[:, 0], back[:, 0], atol=1e-12)
+        np.testing.assert_allclose(got[:, 1], -back[:, 1], atol=1e-11)
+        assert (np.abs(got[-1, 1] - last) <= MOST * 1e-4 * (1 + 1e-9)).all()
+        assert (np.abs(np.diff(got[:, 1], axis=0)) <= MOST * np.diff(at)[:, None] * (1 + 1e-9) + 1e-12).all()
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        ([0.0, 0.4], r"^point 1: joint_1 cannot go 0.5 rad in 0.4 s with its ramps of 8 rad/s\^2; accepted: a later"),
+        (
+            [0.0, 1.0, 1.05, 2.0],
+            r"^point 2: 0.05 s after the point before, the ramps of the velocity take 1.3\d+ s; acc",
+        ),
+        ([0.0, 0.2, 1.0], "^point 1: joint_1 cannot go 0.5 rad in 0.2 s"),
+        ([0.0, 1.0, 1.2], "^point 2: joint_1 cannot go -0.5 rad in 0.2 s"),
+    ],
+)
+def test_points_that_come_too_early_are_refused(times: list[float], said: str) -> None:
+    """Where the accelerations do not suffice for the ramps, the point and what is accepted are named."""
+    position = np.stack([STILL, WAY, STILL, WAY])[: len(times)]
+    with pytest.raises(TrajectoryError, match=said):
+        straight(np.array(times), position, STILL, LIMITS)

@@ -73,7 +73,7 @@ def _simulate(ticks: int, period: float, listeners: int) -> None:
     from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
 
     node = rclpy.create_node("simulation")
-    channel = Channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
+    channel = Channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS)
     lockstep = LockstepSimulation(channel, say)
     codec = JointStateCodec(["a"])
     publisher = channel.publisher
@@ -102,12 +102,13 @@ def _control(listeners: int) -> None:
 
     from rx90_common.exchange.channel import Channel
     from rx90_common.exchange.endpoints import TICK_QOS, wait_until_matched
-    from rx90_common.exchange.lockstep import LockstepController
-    from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
+    from rx90_common.exchange.pacing import Pacer
     from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
+    from rx90_controller.node.serving import Serving
+    from rx90_controller.node.servo_loop import MotorStates
 
     node = rclpy.create_node("controller")
-    channel = Channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
+    channel = Channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
 
     class Loops(Law):
         command = np.zeros(1)
@@ -128,11 +129,10 @@ def _control(listeners: int) -> None:
             pass
 
     loops = Loops()
-    messages = MotorMessages(channel.subscribe_topic, ["a"], Rates(), loops.command, say)
-    lockstep = LockstepController(channel, messages, loops, say)
+    serving = Serving(channel, ["a"], Rates(), loops, Pacer(Rates().period, 1.0), "robot", say, say)  # type: ignore[arg-type]
     say("controller up")
     while True:
-        lockstep.serve(0.2)
+        serving.serve_lock_step(0.2)
 
 
 def _record(ticks: int, nap: float) -> None:

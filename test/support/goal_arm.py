@@ -11,13 +11,12 @@ import numpy as np
 from joint_moves import HOME, NAMES, PERIOD, ZERO
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import Rates
-from rx90_common.exchange.motor_messages import MotorStates
-from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.node.servo_loop import MotorStates, ServoLoop
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 from rx90_controller.trajectory.request import (
     Feedback,
-    GoalError,
     GoalOptions,
     GoalTolerances,
     ResultCode,
@@ -98,6 +97,14 @@ class Event(NamedTuple):
     code: ResultCode
     text: str
     tick: int
+
+
+class GoalError(TrajectoryError):
+    """A goal was refused once it was offered; `code` is that of its result."""
+
+    def __init__(self, code: ResultCode, text: str) -> None:
+        super().__init__(text)
+        self.code = code
 
 
 class Law:

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.exchange.motor_messages import MotorStates
-from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.node.servo_loop import MotorStates, ServoLoop
 from rx90_controller.trajectory.points import points_from_message
 from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, TrajectoryRequest
 from rx90_emulator.loop.setup import Setup

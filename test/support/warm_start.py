@@ -33,7 +33,7 @@ from typing import Any
 
 MODULES = (
     "rx90_common.bags.writing",
-    "rx90_common.exchange.motor_messages",
+    "rx90_common.exchange.cdr",
     "rx90_emulator.cli.bag",
     "rx90_emulator.cli.line",
     "rx90_emulator.cli.node",

@@ -175,7 +175,7 @@ def node(ros_domain: int) -> Iterator[Node]:
 def test_what_is_sent_is_taken_whole(node: Node) -> None:
     """Messages come in order, to the bit, numbered and with their times, while the receiving thread seldom wakes."""
     count = 1500
-    publisher = node.create_publisher(JointState, "numbers", TICK_QOS.profile)
+    publisher = node.create_publisher(JointState, "numbers", TICK_QOS)
     streams, found = Streams(node, ["numbers"]), list[Stream]()
     wait_until(lambda: streams.discover(found.append), "the subscription")
     wait_until(lambda: publisher.get_subscription_count() == 1, "the publisher")

@@ -23,13 +23,12 @@ from sensor_msgs.msg import JointState
 from rx90_common.base.errors import ConfigError, ExchangeError
 from rx90_common.exchange.arrivals import count_arrivals
 from rx90_common.exchange.cdr import JointStateCodec
-from rx90_common.exchange.channel import Channel, lock_publisher
+from rx90_common.exchange.channel import Channel, LocalLink, lock_publisher
 from rx90_common.exchange.endpoints import TICK_QOS, wait_until_matched
-from rx90_common.exchange.local_link import LocalLink
 from rx90_common.exchange.parameters import declare_robot_files
 
 pytestmark = pytest.mark.ros
-QOS = TICK_QOS.profile
+QOS = TICK_QOS
 RAW = [JointStateCodec(["a"]).encode(tick) for tick in range(3)]
 ROOT = Path(__file__).parents[3]
 HOLD = """

@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import ctypes
 import os
+import subprocess
 import sys
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-import rclpy
-from action_msgs.msg import GoalStatus
-from builtin_interfaces.msg import Duration, Time
-from processes import TIMEOUT, Processes
-from ros_client import own_node
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.exchange.ros_start import missing_control_msgs, prepare
 
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-PEER = Path(__file__).parents[2] / "support" / "control_msgs_peer.py"
 NAMES = (PROFILES, RANGE, "FASTDDS_BUILTIN_TRANSPORTS", "RMW_IMPLEMENTATION", "ROS_STATIC_PEERS")
 
 
@@ -132,56 +124,27 @@ def test_missing_types_are_one_line_that_says_how_to_get_them(
     assert missing_control_msgs() == f"needs control_msgs, which is not installed; accepted: {accepted}"
 
 
-@pytest.fixture
-def node(needs_action: None, ros_domain: int, processes: Processes) -> Iterator[Any]:  # noqa: ARG001 - it must be there
-    """Give a node in this process while another process serves."""
-    processes.start(sys.executable, PEER).wait_for("serving")
-    with own_node("asking", ros_domain) as own:
-        yield own
+STUCK = """
+import time
+from rx90_common.exchange import lifecycle
+from rx90_common.exchange.ros_start import prepare
+prepare()
+lifecycle._SHUTDOWN_S = 0.5
+class Stuck:
+    def __init__(self):
+        import rclpy
+        self.node = rclpy.create_node("stuck")
+    def tick_loop(self):
+        pass
+    def stop(self):
+        time.sleep(600)
+lifecycle.spin(lambda: [Stuck()], [])
+"""
 
 
 @pytest.mark.ros
-def test_action_state_and_query_cross_dds_whole(node: Any) -> None:
-    """Another process gets a goal and its cancellation; feedback, result, state and answer come back as they were."""
-    from control_msgs.action import FollowJointTrajectory
-    from control_msgs.msg import JointTolerance, JointTrajectoryControllerState
-    from control_msgs.srv import QueryTrajectoryState
-    from rclpy.action import ActionClient
-
-    executor = rclpy.executors.SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-
-    def wait_for(future: Any) -> Any:
-        executor.spin_until_future_complete(future, TIMEOUT)
-        assert future.done()
-        return future.result()
-
-    point = JointTrajectoryPoint(positions=[0.1, -0.2], velocities=[0.0, 3e-300], time_from_start=Duration(sec=7))
-    goal = FollowJointTrajectory.Goal(
-        trajectory=JointTrajectory(joint_names=["joint_1", "joint_2"], points=[point]),
-        path_tolerance=[JointTolerance(name="joint_2", position=-1.0)],
-        goal_time_tolerance=Duration(sec=5),
-    )
-    client = ActionClient(node, FollowJointTrajectory, "follow_joint_trajectory")
-    assert client.wait_for_server(TIMEOUT)
-    heard: Any = rclpy.task.Future(executor=executor)
-    handle = wait_for(client.send_goal_async(goal, feedback_callback=heard.set_result))
-    feedback = wait_for(heard).feedback
-    assert feedback == FollowJointTrajectory.Feedback(joint_names=["joint_1", "joint_2"], desired=point)
-    assert len(wait_for(handle.cancel_goal_async()).goals_canceling) == 1
-    ended = wait_for(handle.get_result_async())
-    assert ended.status == GoalStatus.STATUS_CANCELED
-    assert (ended.result.error_code, ended.result.error_string) == (-4, "joint_2 -1.0 5")
-
-    state = JointTrajectoryControllerState(joint_names=["joint_1"], output=point, speed_scaling_factor=0.25)
-    back: Any = rclpy.task.Future(executor=executor)
-    node.create_subscription(JointTrajectoryControllerState, "state_back", back.set_result, 1)
-    publisher = node.create_publisher(JointTrajectoryControllerState, "state", 1)
-    node.create_timer(0.02, lambda: publisher.publish(state))  # discovery may take a moment
-    assert wait_for(back) == state
-
-    query = node.create_client(QueryTrajectoryState, "query_state")
-    assert query.wait_for_service(TIMEOUT)
-    answer = wait_for(query.call_async(QueryTrajectoryState.Request(time=Time(sec=11))))
-    assert (answer.success, answer.name, list(answer.position)) == (True, ["joint_1"], [11.0])
-    executor.shutdown()
+@pytest.mark.usefixtures("ros_domain")
+def test_a_node_that_does_not_end_is_cut_off() -> None:
+    """Where shutdown hangs, the process ends with a line and exit code 3."""
+    done = subprocess.run([sys.executable, "-c", STUCK], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr.splitlines()[-1]) == (3, "not ended after 0.5 s: cut off")

@@ -47,7 +47,7 @@ from rx90_emulator.cli import frame
 for library in ("pinocchio", "rosbags.rosbag2", "scipy.optimize", "matplotlib.figure", "ruamel.yaml"):
     importlib.import_module(library)
 own = set(sys.modules)
-importlib.import_module("rx90_common.exchange.motor_messages")  # numba, with all that its first function takes
+importlib.import_module("rx90_common.exchange.cdr")  # numba, with all that its first function takes
 own = {name for name in set(sys.modules) - own if name.startswith("rx90_")}
 
 class Blocked:

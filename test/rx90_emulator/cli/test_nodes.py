@@ -16,7 +16,7 @@ import sys, time
 import rclpy
 from rclpy.node import Node
 from rx90_common.base.errors import ConfigError
-from rx90_common.exchange import node_tools
+from rx90_common.exchange import lifecycle
 from rx90_common.exchange.parameters import declare
 
 class Stub:
@@ -37,7 +37,7 @@ class Stub:
 
 def spin(args):
     print("importing done", flush=True)
-    node_tools.spin(lambda: [Stub()], args)
+    lifecycle.spin(lambda: [Stub()], args)
 """
 RUN = """
 import sys

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from benchmarks.command_delay import HOME, Loop, constant, in_turns, motion, run, spectral_radius
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
-from rx90_common.exchange.lockstep import LockstepController
-from rx90_common.exchange.motor_messages import MotorMessages
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.topics import MOTOR_NAMES
 from rx90_controller.node import serving
@@ -71,13 +69,15 @@ class Nodes:
         )
         self.loop = ServoLoop(cs7b, outputs, horizon=60.0)
         self.cs7b = cs7b
-        messages = MotorMessages("/motor_states", MOTOR_NAMES, rates, cs7b.command, self.said.append)
-        messages.same_rates = True
         pacer = Pacer(rates.period, 1.0, lambda: 0.0, lambda _: None)
-        self.controller = serving.FreeRunningController(theirs, messages, self.loop, pacer, self.said.append)
-        lockstep = LockstepController(theirs, messages, self.loop, self.said.append)
-        self._modes = {"serving": self.controller.serve, "lock_step": lambda: lockstep.serve(0.0)}
-        ours.serve = self.controller.serve
+        self.controller = serving.Serving(
+            theirs, MOTOR_NAMES, rates, self.loop, pacer, "robot", self.said.append, self.said.append
+        )
+        self._modes = {
+            "serving": self.controller.serve_free_running,
+            "lock_step": lambda: self.controller.serve_lock_step(0.0),
+        }
+        ours.serve = self.controller.serve_free_running
         self.setup = setup
         codec, self._encode = (
             JointStateCodec(MOTOR_NAMES),
@@ -151,7 +151,7 @@ def test_a_controller_that_stays_away_closes_the_brakes(nodes: Nodes) -> None:
     nodes.run(1000, repeat(10_000))
     assert nodes.plant.brakes_closed
     assert "torque off, brakes closed" in nodes.said[-1]
-    nodes._channel.serve = nodes.controller.serve
+    nodes._channel.serve = nodes.controller.serve_free_running
     nodes.held._timeout = 0.1
     nodes.run(TICKS, repeat(1))
     assert not nodes.plant.brakes_closed

@@ -55,7 +55,7 @@ for velocity, acceleration in ((False, False), (True, False), (True, True)):
     points = TrajectoryPoints.create(
         names, names, [0.1, 0.2], rows, [rest if velocity else []] * 2, [rest if acceleration else []] * 2
     )
-    controller.trajectory.accept(points.prepared(), controller.position_tick, None)
+    controller.trajectory.accept(points, controller.position_tick, None)
     for tick in range(1000):
         if tick in (200, 240):
             controller.trajectory.set_speed_scaling(tick / 240, controller.position_tick)

@@ -37,7 +37,7 @@ def moving_through_garbage(processes: Processes, client: Client, mode: str) -> t
     client.spin_until(lambda: bool(reference), "the controller to hold")
     client.send([(0.4, [0.02] * 6)])
     controller.wait_for("trajectory accepted")
-    publisher = client.node.create_publisher(JointState, "motor_states", TICK_QOS.profile)
+    publisher = client.node.create_publisher(JointState, "motor_states", TICK_QOS)
     client.spin_until(lambda: publisher.get_subscription_count() > 0, "the controller's ears")
     garbage = cycle(GARBAGE)
     # In free-running time only the newest of several messages is looked at.
@@ -60,7 +60,7 @@ def test_bad_messages_in_lock_step_are_a_line_each(processes: Processes, client:
     """
     simulation, controller = moving_through_garbage(processes, client, MODES[0])
     states = client.listen("motor_states", depth=1)
-    publisher = client.node.create_publisher(JointState, "motor_commands", TICK_QOS.profile)
+    publisher = client.node.create_publisher(JointState, "motor_commands", TICK_QOS)
     client.spin_until(lambda: publisher.get_subscription_count() > 0, "the simulation's ears")
     client.spin_until(lambda: bool(states), "time to run")
     controller.signal(signal.SIGSTOP)
@@ -104,7 +104,7 @@ def test_bad_messages_in_free_running_time_are_a_line_each(processes: Processes,
             break
     assert lags() > before
     assert "Traceback" not in controller.output
-    publisher = client.node.create_publisher(JointState, "motor_commands", TICK_QOS.profile)
+    publisher = client.node.create_publisher(JointState, "motor_commands", TICK_QOS)
     raw = JointStateCodec(MOTOR_NAMES).encode(0)
     client.spin_until(lambda: publisher.publish(raw) or "two controllers" in simulation.output, "the report")
     assert simulation.output.count("two controllers") == 1

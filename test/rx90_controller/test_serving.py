@@ -1,9 +1,9 @@
-"""The controller in free-running time, on a channel and a wall clock made by hand."""
+"""The controller's ticks in lock-step and in free-running time, on a channel and a wall clock made by hand."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import count, pairwise
 
 import numpy as np
 import pytest
@@ -11,9 +11,9 @@ import pytest
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
-from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
 from rx90_common.exchange.pacing import Pacer
 from rx90_controller.node import serving
+from rx90_controller.node.servo_loop import MotorStates
 
 RATES = Rates(1000, 1000)
 TICK = RATES.period
@@ -33,7 +33,7 @@ class Simulation:
         self.tick = 0
         self.inbox: list[bytes] = []
         self.foreign: list[bytes] = []  # what somebody else sends, each right behind the next states
-        self.commands: list[int] = []
+        self.commands: list[bytes] = []
         self._phase = 0.0
 
     def sleep(self, seconds: float) -> None:
@@ -62,7 +62,7 @@ class Simulation:
 
     def publish(self, raw: bytes) -> None:
         """Note the command."""
-        self.commands.append(len(raw))
+        self.commands.append(raw)
 
 
 class Loops:
@@ -78,13 +78,9 @@ class Loops:
         self.answered: list[tuple[int, int]] = []  # own tick, that of the states
         self.prepared = 0
         self.command = np.zeros(1)
-        self.side = serving.FreeRunningController(
-            simulation,
-            MotorMessages("/motor_states", ["a"], RATES, self.command, self.refused.append),
-            self,
-            Pacer(TICK, 1.0, lambda: simulation.now, simulation.sleep),
-            self.said.append,
-        )
+        pacer = Pacer(TICK, 1.0, lambda: simulation.now, simulation.sleep)
+        said = self.said.append, self.refused.append
+        self.side = serving.Serving(simulation, ["a"], RATES, self, pacer, "robot", *said)  # type: ignore[arg-type]
 
     def begin(self) -> None:
         """Take half a second to get ready."""
@@ -108,20 +104,106 @@ class Loops:
         assert states.position[0] == states.velocity[0] == measured
         self.answered.append((stamp // RATES.period_ns, measured))
         self.ticks.append((self.simulation.now, stamp // RATES.period_ns, self.simulation.tick))
+        self.command[0] = float(len(self.ticks))
         return True
+
+    def hear(self, *messages: bytes) -> None:
+        """Serve these states in lock-step."""
+        for raw in messages:
+            self.simulation.inbox.append(raw)
+            self.side.serve_lock_step(0.0)
 
     def run(self, until: Callable[[], bool]) -> None:
         """Serve until a condition holds."""
         for _ in range(200_000):
             if until():
                 return
-            self.side.serve()
+            self.side.serve_free_running()
         pytest.fail("the condition never held")
 
     def run_for(self, seconds: float) -> None:
         """Serve for a time of the wall clock."""
         end = self.simulation.now + seconds
         self.run(lambda: self.simulation.now >= end)
+
+
+def message(tick: int, effort: float = 0.0) -> bytes:
+    """Return the states of a tick."""
+    values = np.full(1, float(tick))
+    return CODEC.encode(tick * RATES.period_ns, values, values, np.full(1, effort))
+
+
+@pytest.fixture
+def lock_step() -> Loops:
+    """Return loops for lock-step, beside a simulation of which nothing comes by itself."""
+    loops = Loops(Simulation())
+    loops.simulation.speed = 0.0
+    return loops
+
+
+@pytest.mark.parametrize(
+    ("heard", "begun", "answered"),
+    [
+        ([0, 1, 1, 1, 2], [0], [0, 1, 2]),
+        ([0, 0.5], [0, 0], [0, 0]),  # reset in its first tick
+        ([0, 1, 2, 3, 0], [0, 0], [0, 1, 2, 3, 0]),
+        ([0, 1, 2, 5], [0, 5], [0, 1, 2, 5]),
+        ([0, 1, 4000, 8000, 12000, 2, 3], [0, 4000, 8000, 12000, 2], [0, 1, 4000, 8000, 12000, 2, 3]),
+    ],
+)
+def test_each_tick_is_answered_once_and_what_does_not_follow_begins_anew(
+    lock_step: Loops, heard: list[float], begun: list[int], answered: list[int]
+) -> None:
+    """States that come again get the same bytes; others with their stamp, or with one from elsewhere, begin anew."""
+    lock_step.hear(*(message(int(tick), tick % 1.0) for tick in heard))
+    assert (lock_step.begun, [own for own, _ in lock_step.answered]) == (begun, answered)
+    sent = lock_step.simulation.commands
+    assert len(sent) == len(heard)
+    for k in range(1, len(heard)):
+        assert (sent[k] == sent[k - 1]) == (heard[k] == heard[k - 1])
+
+
+def test_two_simulations_in_lock_step_get_no_commands_until_one_is_left(lock_step: Loops) -> None:
+    """Interleaved states of two publishers are announced once; one publisher may jump back as often as it likes."""
+    simulation = lock_step.simulation
+    for _ in range(20):
+        lock_step.hear(message(0), message(1), message(2))
+    assert (len(simulation.commands), lock_step.said) == (60, [])
+    simulation.publishers = 2
+    for k in range(20):
+        lock_step.hear(message(1000 + k), message(k))
+    sent = len(simulation.commands)
+    assert sent <= 70
+    assert ["two simulations" in line for line in lock_step.said] == [True]
+    simulation.publishers = 1
+    lock_step.hear(message(40), message(41))
+    assert len(simulation.commands) == sent + 2
+    assert lock_step.begun[-1] == 40
+
+
+def test_a_missing_simulation_is_announced_once_and_its_return_too(
+    lock_step: Loops, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Waiting for a simulation is one line, however long, and its arrival another one."""
+    later = count(1e12)
+    monkeypatch.setattr(serving.time, "monotonic", lambda: next(later))
+    lock_step.simulation.publishers = 0
+    for _ in range(100):
+        lock_step.side.serve_lock_step(0.0)
+    assert lock_step.said == ["waiting for a simulation on /motor_states"]
+    lock_step.hear(message(0), message(1))
+    assert lock_step.said[1:] == ["the simulation is there: 0 s"]
+
+
+def test_states_that_cannot_be_used_are_left_out(lock_step: Loops) -> None:
+    """No message without velocities, with numbers that are none or with a stamp between two ticks changes anything."""
+    one, nan = np.ones(1), np.full(1, np.nan)
+    odd = CODEC.encode(RATES.period_ns + 7, one, one)
+    bad = [odd, b"", b"garbage", *(CODEC.encode(k * RATES.period_ns, nan, one) for k in range(3)), CODEC.encode(0, one)]
+    lock_step.hear(*bad, message(0), message(1), *bad, *bad, message(2))
+    assert ([own for own, _ in lock_step.answered], lock_step.begun, lock_step.said) == ([0, 1, 2], [0], [])
+    (line,) = lock_step.refused  # throttled
+    assert line.startswith("/motor_states: the stamp is 1000007 ns; accepted: multiples of 1000000 ns")
 
 
 @pytest.fixture
@@ -162,7 +244,7 @@ def test_a_short_stall_is_caught_up(loops: Loops) -> None:
     """After 4 ms in which the controller did not run, all ticks come at once, and one command answers them."""
     loops.simulation.sleep(4 * TICK)
     sent = len(loops.simulation.commands)
-    loops.side.serve()
+    loops.side.serve_free_running()
     assert len(loops.simulation.commands) == sent + 1
     loops.run_for(1.0)
     assert all(b[1] - a[1] == 1 for a, b in pairwise(loops.ticks))
@@ -185,7 +267,7 @@ def test_a_machine_that_is_too_slow_does_not_flood_the_terminal(loops: Loops) ->
     """Where the controller runs once in 20 ticks of the simulation's, lag after lag is skipped; few lines tell it."""
     end = loops.simulation.now + 30.0
     while loops.simulation.now < end:
-        loops.side.serve()
+        loops.side.serve_free_running()
         loops.simulation.sleep(20 * TICK)
     assert len(loops.skipped) > 20
     assert len(loops.begun) == 1
