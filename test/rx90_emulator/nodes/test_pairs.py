@@ -200,7 +200,7 @@ def test_time_runs_by_the_clock_with_pauses_and_without_a_controller(processes: 
 def test_a_mode_that_comes_late_costs_no_trajectory(processes: Processes, client: Client) -> None:
     """A trajectory that is sent between a simulation's first states and its mode is followed in that mode."""
     controller = processes.start("rx90_controller")
-    states = client.node.create_publisher(JointState, "motor_states", TICK_QOS.profile)
+    states = client.node.create_publisher(JointState, "motor_states", TICK_QOS)
     reference = client.listen("rx90_controller/reference", depth=1)
     stamps = count()
 
@@ -217,7 +217,7 @@ def test_a_mode_that_comes_late_costs_no_trajectory(processes: Processes, client
         simulate()
     client.send([(0.1, [0.005] * len(JOINTS))])
     controller.wait_for("a trajectory waits for the simulation's first tick")
-    mode = client.node.create_publisher(String, "time_mode", LATCHED_QOS.profile)
+    mode = client.node.create_publisher(String, "time_mode", LATCHED_QOS)
     mode.publish(String(data=TimeMode(FREE_RUNNING, Rates()).text))
     client.spin_until(
         lambda: simulate() or (bool(reference) and reference[-1].position[0] > 0.00499), "the end of the motion"
