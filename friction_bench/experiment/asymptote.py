@@ -5,8 +5,8 @@ quantisation, white, and torque noise. White torque noise makes the velocity of 
 an Ornstein-Uhlenbeck process with the time constant T = J / f_v, and the angle its integral. Ordinary least squares
 ignores that the latter is correlated, and its intervals are far too narrow. This is generalised least squares with
     V = r I + q K,  r = step^2 / 12,
-where K is the covariance of the integrated Ornstein-Uhlenbeck process from rest. Its intensity q is estimated by
-restricted maximum likelihood.
+where K is the covariance of the integrated Ornstein-Uhlenbeck process from rest, by the Kalman filter of
+`sliding_fit.whiten`. Its intensity q is estimated by restricted maximum likelihood.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from friction_bench.experiment.record import RampModel, RampRecord, first_motion
-from friction_bench.experiment.sliding_fit import respond
+from friction_bench.experiment.record import RampModel, RampRecord, first_motion, fit_break_away
+from friction_bench.experiment.sliding_fit import respond, whiten
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 
@@ -84,21 +84,17 @@ def fit_asymptote(record: RampRecord, time_constant: float | None = None) -> Ram
 
 
 def _break_away(time: Array, angle: Array, first: int, tick: float, a: float, b: float, T: float | None) -> float:
-    """Return the time of break-away, s: the closed form through the first readings of the motion.
+    """Return the time of break-away, s; without a known time constant the asymptote has T = b / a - t_b for each t_b.
 
-    Without a known time constant the asymptote a t - b gives it for each t_b, T = b / a - t_b.
+    Friction and inertia are those of an f_v of 1.
     """
     onset = slice(max(first - 2, 0), first + ONSET_TICKS)
     latest = float(time[first]) if T else min(float(time[first]), b / a - 1e-3 * tick)
-
-    def misfit(moment: float) -> float:
-        inertia = T or b / a - moment  # with f_v = 1
-        model = RampModel(coulomb=moment * a, viscous=1.0, inertia=inertia, slope=a)
-        return float(np.sum((model.angle(time[onset]) - angle[onset]) ** 2))
-
     back = max(ONSET_TICKS * tick, ONSET_SHARE * float(time[-1] - time[first])) + (T or 0.0)
     bounds = (latest - back, latest)
-    return float(minimize_scalar(misfit, bounds=bounds, method="bounded").x)
+    return fit_break_away(
+        time[onset], angle[onset], bounds, lambda moment: RampModel(moment * a, 1.0, T or b / a - moment, a)
+    )
 
 
 def staircase_angle(record: RampRecord, time: Array, break_away: float, a: float, T: float) -> Array:
@@ -147,57 +143,30 @@ def _check_length(record: RampRecord, points: int, length: float, T: float) -> N
         )
 
 
-def integrated_ou_covariance(time: Array, T: float) -> Array:
-    """Return the covariance of an integrated Ornstein-Uhlenbeck process from rest at time 0, shape (n, n).
-
-    With unit intensity: K(s, t) = int_0^min(s, t) (1 - e^-(s-u)/T) (1 - e^-(t-u)/T) du.
-    """
-    s = np.minimum.outer(time, time)
-    gap = np.abs(np.subtract.outer(time, time))
-    far = np.exp(-gap / T)
-    return np.asarray(
-        s + T * np.expm1(-s / T) - T * (far - np.exp(-(s + gap) / T)) + T / 2 * (far - np.exp(-(2 * s + gap) / T))
-    )
-
-
 def _solve(
     time: Array, angle: Array, step: float, break_away: float, T: float, most: int = MOST_POINTS
 ) -> tuple[float, float, Array]:
     """Return a, b and their covariance by generalised least squares; q by restricted maximum likelihood."""
     every = -(-time.size // most)  # decimation costs next to nothing: neighbouring angles are strongly correlated
     time, angle = time[::every], angle[::every]
-    middle = float(time.mean())
-    half = float(np.ptp(time)) / 2
-    x = (time - middle) / half  # keeps the normal equations well conditioned
-    basis = np.column_stack((np.ones_like(x), x, x * x))
-    K = integrated_ou_covariance(time - break_away, T)
-    values, vectors = np.linalg.eigh(K)
-    X, y = vectors.T @ basis, vectors.T @ angle
-    r = step**2 / 12
+    # A reading of zeros at break-away, where the noise begins, adds nothing.
+    times = np.append(break_away, time)
+    columns = np.pad([np.ones_like(time), -time, time * time / 2, angle], ((0, 0), (1, 0)))
+    variance = step**2 / 12
 
-    def weighted(log_q: float) -> tuple[Array, Array, Array, float]:
-        variance = r + math.exp(log_q) * np.maximum(values, 0.0)
-        information = X.T @ (X / variance[:, None])
-        beta = np.linalg.solve(information, X.T @ (y / variance))
-        residual = y - X @ beta
-        likelihood = np.sum(np.log(variance)) + np.linalg.slogdet(information)[1]
-        return variance, information, beta, float(likelihood + np.sum(residual**2 / variance))
+    def fit(log_q: float) -> tuple[Array, Array, float]:
+        """Return the coefficients of c - b t + a t^2 / 2, their covariance's root, and minus twice the likelihood."""
+        white, determinant = whiten(times, columns, T, math.exp(log_q), variance)
+        basis, triangle = np.linalg.qr(white[:3].T)
+        root = np.linalg.inv(triangle)
+        found = root @ (basis.T @ white[3])
+        determinant += 2.0 * float(np.log(np.abs(np.diag(triangle))).sum())
+        return found, root, determinant + float(np.sum((white[3] - found @ white[:3]) ** 2))
 
-    span = math.log(r / max(float(time[-1] - time[0]), 1e-9))
-    best = minimize_scalar(lambda v: weighted(v)[3], bounds=(span - 14, span + 20), method="bounded")
-    _, information, beta, _ = weighted(float(best.x))
-    # beta of (1, x, x^2) back to (c, -b, a / 2) of (1, t, t^2)
-    back = np.array(
-        [
-            [1.0, -middle / half, (middle / half) ** 2],
-            [0.0, 1 / half, -2 * middle / half**2],
-            [0, 0, half**-2],
-        ]
-    )
-    _, linear, square = back @ beta
-    covariance = back @ np.linalg.inv(information) @ back.T
-    to_ab = np.array([[0.0, 0.0, 2.0], [0.0, -1.0, 0.0]])
-    return 2.0 * float(square), -float(linear), np.asarray(to_ab @ covariance @ to_ab.T)
+    span = math.log(variance / max(float(time[-1] - time[0]), 1e-9))
+    best = minimize_scalar(lambda v: fit(v)[2], bounds=(span - 14, span + 20), method="bounded")
+    (_, b, a), root, _ = fit(float(best.x))
+    return float(a), float(b), np.asarray((root @ root.T)[:0:-1, :0:-1])
 
 
 def _refuse_curved(record: RampRecord, time: Array, angle: Array, break_away: float, T: float, a: float) -> None:
