@@ -233,9 +233,9 @@ def armed(client: RigClient) -> Iterator[None]:
         yield
     except BaseException:  # never leave with the power stage on
         with contextlib.suppress(RigError):  # a line that is gone carries no heartbeat either
-            client.line.urgent_stop()
+            client.urgent_stop()
         # This stop is the motion's own: the next command is not overtaken by it.
-        client.line.known_stops = client.line.stops
+        client.known_stops = client.stops
         raise
 
 

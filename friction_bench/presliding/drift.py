@@ -57,6 +57,7 @@ class DriftResult:
         drift: of a cycle, counts, and the bounds of its 99 % interval.
         expected: drift over swing by LuGre's law, least and largest by the uncertainty of the break-away torque.
         low, high: turning points over the break-away torque.
+        verdict, reason: what follows, and why.
     """
 
     position: Array
@@ -65,41 +66,32 @@ class DriftResult:
     expected: tuple[float, float]
     low: float
     high: float
+    verdict: DriftVerdict
+    reason: str
 
     @property
     def by_lugre(self) -> tuple[float, float] | None:
         """Return the drift of a cycle by LuGre's law, counts, least and largest; None where no swing is seen."""
         return (self.expected[0] * self.swing, self.expected[1] * self.swing) if self.swing > 0.0 else None
 
-    @property
-    def verdict(self) -> DriftVerdict:
-        """Return what follows."""
-        return self._decision[0]
 
-    @property
-    def reason(self) -> str:
-        """Return why the verdict is what it is."""
-        return self._decision[1]
+def _verdict(swing: float, least: float, largest: float, lowest: float, highest: float) -> tuple[DriftVerdict, str]:
+    """Return the verdict and its reason, from the drift's bounds and those of LuGre's drift over swing.
 
-    @property
-    def _decision(self) -> tuple[DriftVerdict, str]:
-        """Return the verdict and its reason.
-
-        The swing is the mean of differences of whole counts: a joint that drifts passes all phases of a count, and the
-        mean is right; one that stays may be off by a count.
-        """
-        swing, (_, least, largest), (lowest, highest) = self.swing, self.drift, self.expected
-        if largest < _NONE * lowest * (swing - 1.0) and swing >= _LEAST_SWING:
-            return DriftVerdict.STAYS, f"the drift is less than {100 * _NONE:g} % of what LuGre's law would give"
-        if least > 0.0 and swing > 0.0 and 0.5 * lowest < least / swing and largest / swing < 2.0 * highest:
-            return DriftVerdict.DRIFTS, "the joint drifts as LuGre's law says"
-        if swing < _LEAST_SWING and least <= 0.0:
-            reason = "neither a swing nor a drift is seen: the joint is too stiff for the encoder"
-        elif largest / max(swing, 1e-9) > 2.0 * highest:
-            reason = "the joint drifts more than LuGre's law says: the torque is too near to break-away"
-        else:
-            reason = "the joint drifts, but less than LuGre's law says"
-        return DriftVerdict.UNKNOWN, reason
+    The swing is the mean of differences of whole counts: a joint that drifts passes all phases of a count, and the
+    mean is right; one that stays may be off by a count.
+    """
+    if largest < _NONE * lowest * (swing - 1.0) and swing >= _LEAST_SWING:
+        return DriftVerdict.STAYS, f"the drift is less than {100 * _NONE:g} % of what LuGre's law would give"
+    if least > 0.0 and swing > 0.0 and 0.5 * lowest < least / swing and largest / swing < 2.0 * highest:
+        return DriftVerdict.DRIFTS, "the joint drifts as LuGre's law says"
+    if swing < _LEAST_SWING and least <= 0.0:
+        reason = "neither a swing nor a drift is seen: the joint is too stiff for the encoder"
+    elif largest / max(swing, 1e-9) > 2.0 * highest:
+        reason = "the joint drifts more than LuGre's law says: the torque is too near to break-away"
+    else:
+        reason = "the joint drifts, but less than LuGre's law says"
+    return DriftVerdict.UNKNOWN, reason
 
 
 def turning_codes(break_away: float) -> tuple[int, int]:
@@ -128,7 +120,7 @@ def evaluate_drift(trace: Trace, low: int, high: int, break_away: float) -> Drif
     """
     code = trace.code
     last = np.flatnonzero(np.diff(code) != 0.0)  # the last reading of each code
-    at_low = last[(code[last] == low) & (code[np.minimum(last + 1, code.size - 1)] == high)]
+    at_low = last[(code[last] == low) & (code[last + 1] == high)]
     at_high = last[code[last] == high]
     at_high = at_high[at_high > at_low.min(initial=code.size)]
     count = min(at_low.size, at_high.size)
@@ -138,10 +130,10 @@ def evaluate_drift(trace: Trace, low: int, high: int, break_away: float) -> Drif
     per = count // BLOCKS
     ends = lower[: per * BLOCKS + 1 : per] if count > per * BLOCKS else np.append(lower[::per][:BLOCKS], lower[-1])
     drifts = np.diff(ends) / per
-    spread = float(np.std(drifts, ddof=1)) / math.sqrt(drifts.size)
-    reach = float(stats.t.ppf(0.995, drifts.size - 1)) * spread + 1.0 / count  # a count of the whole is not known
-    drift = float(ends[-1] - ends[0]) / (per * (ends.size - 1))
+    reach = float(stats.t.ppf(0.995, BLOCKS - 1) * stats.sem(drifts)) + 1.0 / count  # a count of the whole is not known
+    drift = float(ends[-1] - ends[0]) / (per * BLOCKS)
     a, b = high / break_away, low / break_away
-    expected = [lugre_ratio(b * part, a * part) for part in (1 - _UNCERTAIN, 1 + _UNCERTAIN)]
+    least, largest = (lugre_ratio(b * part, a * part) for part in (1 - _UNCERTAIN, 1 + _UNCERTAIN))
     swing = float(np.mean(upper[:-1] - lower[1:]))
-    return DriftResult(lower, swing, (drift, drift - reach, drift + reach), (expected[0], expected[1]), b, a)
+    verdict = _verdict(swing, drift - reach, drift + reach, least, largest)
+    return DriftResult(lower, swing, (drift, drift - reach, drift + reach), (least, largest), b, a, *verdict)

@@ -30,7 +30,7 @@ from friction_bench.rig.plant import RigJoint, friction_over, joint_record, star
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction.element import FrictionElement
-from rx90_common.friction.held_out import HeldOutErrors
+from rx90_common.friction.held_out import HeldOutErrors, leave_out
 from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_common.kernels.compiled import kernel
 
@@ -70,13 +70,11 @@ class LoopBlock:
         """Return the block of a trace of loops."""
         code = trace.code
         ends = np.flatnonzero(np.diff(code) != 0.0)
-        held = np.diff(ends, prepend=-1)
         slid = int(np.flatnonzero((code[:-1] > 0.0) & (code[1:] == 0.0))[0]) + 1
         first = slid + int(np.argmax(code[slid:] > 0.0)) - 1  # the last reading at rest
-        readings = ends[(ends > first) & (held >= DWELL)]
-        return cls(
-            settled(trace.counts)[first:] * trace.angle_step, readings - first, trace.torque[readings], trace.tick
-        )
+        readings = ends[(ends > first) & (np.diff(ends, prepend=-1) >= DWELL)]
+        angle, torque = settled(trace.counts)[first:] * trace.angle_step, code[readings] * trace.torque_step
+        return cls(angle, readings - first, torque, trace.tick)
 
 
 def settled(counts: Array) -> Array:
@@ -122,8 +120,7 @@ class FrictionLaw:
         if self.bristles is None:
             static = sliding.tau_s if self.stribeck else sliding.tau_c
             return [_rigid(static, block) for block in blocks]
-        joint = joint_record(self.element(values, sliding), 1.0, blocks[0].tick, 0)
-        found = []
+        joint, found = joint_record(self.element(values, sliding), 1.0, blocks[0].tick, 0), []
         for block in blocks:
             start(joint)
             found.append(np.asarray(torque_along(joint, block.angle, block.tick)[block.readings]))
@@ -162,16 +159,11 @@ def _rigid(static: float, block: LoopBlock) -> Array:
 
 
 def _maxwell(values: Sequence[float]) -> MaxwellSlip:
-    weight = np.exp(np.append(np.asarray(values), 0.0))
-    stiffness = weight / weight.sum()
+    stiffness = np.exp(np.append(np.asarray(values), 0.0))
+    stiffness /= stiffness.sum()
     share = stiffness * REACHES / float(stiffness @ REACHES)
-    stiffness, share = (np.clip(part, 1e-6, 1.0) for part in (stiffness, share))
-    stiffness, share = stiffness / stiffness.sum(), share / share.sum()
-    return MaxwellSlip(tuple(stiffness.tolist()), tuple(share.tolist()), ATTRACTION)
-
-
-def _elastic(values: Sequence[float]) -> ElastoPlastic:
-    return ElastoPlastic(MOST_BREAK_AWAY / (1.0 + math.exp(-values[0])))
+    parts = (np.clip(part, 1e-6, 1.0) for part in (stiffness, share))
+    return MaxwellSlip(*(tuple((part / part.sum()).tolist()) for part in parts), ATTRACTION)
 
 
 def _stiffness(blocks: Sequence[LoopBlock]) -> float:
@@ -190,7 +182,12 @@ def _stiffness(blocks: Sequence[LoopBlock]) -> float:
 COULOMB = FrictionLaw("Coulomb and viscous", 2, stribeck=False)
 STRIBECK = FrictionLaw("Stribeck", 4)
 LUGRE = FrictionLaw("LuGre", 5, starts=((1.0,),), bristles=lambda _: None)
-ELASTO_PLASTIC = FrictionLaw("elasto-plastic", 6, starts=((1.0, -0.5), (1.0, 1.2)), bristles=_elastic)
+ELASTO_PLASTIC = FrictionLaw(
+    "elasto-plastic",
+    6,
+    starts=((1.0, -0.5), (1.0, 1.2)),
+    bristles=lambda values: ElastoPlastic(MOST_BREAK_AWAY / (1.0 + math.exp(-values[0]))),
+)
 MAXWELL_SLIP = FrictionLaw(
     "Maxwell slip",
     4 + REACHES.size,
@@ -208,8 +205,8 @@ class LawScore:
     """How a law did.
 
     Attributes:
-        loops: RMS errors of the blocks of loops that it had not seen, Nm, shape (blocks,).
-        sliding: the same of sliding readings.
+        loops: mean squared errors of the blocks of loops that it had not seen, Nm^2, shape (blocks,).
+        sliding: the same of stretches of sliding readings.
         values: of the law's free parameters from all blocks, transformed.
         refuted: why it is, "" if it is not.
     """
@@ -218,7 +215,7 @@ class LawScore:
     loops: Array
     sliding: Array
     values: tuple[float, ...]
-    refuted: str
+    refuted: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,19 +269,9 @@ def choose(
         raise IdentificationError(f"{len(blocks)} blocks of loops; accepted: at least {LEAST_BLOCKS}")
     sliding = {stribeck: fit_sliding_friction(readings, stribeck) for stribeck in (False, True)}
     held_out = {stribeck: _sliding_errors(readings, stribeck) for stribeck in (False, True)}
-    scores = []
-    for law in LAWS:
-        errors = np.zeros(len(blocks))
-        for fold in range(FOLDS):
-            values = law.fit(sliding[law.stribeck], [block for i, block in enumerate(blocks) if i % FOLDS != fold])
-            unseen = blocks[fold::FOLDS]
-            predicted = law.predict(values, sliding[law.stribeck], unseen)
-            errors[fold::FOLDS] = [_rms(one - block.torque) for one, block in zip(predicted, unseen, strict=True)]
-            on_fit()
-        values = law.fit(sliding[law.stribeck], blocks)
-        scores.append(LawScore(law, errors, held_out[law.stribeck], tuple(values), ""))
-        on_fit()
-    scores = judged(scores)
+    scores = with_refutations(
+        [_score(law, blocks, sliding[law.stribeck], held_out[law.stribeck], on_fit) for law in LAWS]
+    )
     by_loops = [score.law for score in scores if not score.refuted]
     for simple in (COULOMB, STRIBECK):  # each contained in all that follow
         if simple in by_loops:
@@ -296,30 +283,51 @@ def choose(
     return Choice(tuple(scores), tuple(left), tuple(by_loops), sliding[True])
 
 
+def _score(
+    law: FrictionLaw,
+    blocks: Sequence[LoopBlock],
+    friction: SlidingFriction,
+    sliding: Array,
+    on_fit: Callable[[], object],
+) -> LawScore:
+    """Fit a law to all blocks but those of each fold, and to all."""
+    numbers = np.arange(len(blocks))
+    folds = [numbers[fold::FOLDS] for fold in range(FOLDS)]
+
+    def fit(left_out: Array) -> list[float]:
+        values = law.fit(friction, [block for i, block in enumerate(blocks) if i not in left_out])
+        on_fit()
+        return values
+
+    def squares(values: list[float], fold: Array) -> Array:
+        unseen = [blocks[i] for i in fold]
+        pairs = zip(law.predict(values, friction, unseen), unseen, strict=True)
+        return np.array([np.mean((torque - block.torque) ** 2) for torque, block in pairs])
+
+    loops = np.empty(numbers.size)
+    loops[np.concatenate(folds)] = leave_out(folds, fit, squares)[1]
+    return LawScore(law, loops, sliding, tuple(fit(numbers[:0])))
+
+
 def _sliding_errors(readings: SlidingReadings, stribeck: bool) -> Array:
-    """Return the RMS errors of stretches of sliding readings from a fit to the others, Nm, shape (stretches,)."""
+    """Return the mean squared errors of stretches of sliding readings, from a fit to the others, shape (stretches,)."""
     every = np.arange(readings.speed.size)
-    errors = []
-    for stretch in np.array_split(every, _SLIDING_BLOCKS):
-        rest = np.setdiff1d(every, stretch)
-        friction = fit_sliding_friction(SlidingReadings(*(column[rest] for column in readings)), stribeck)
-        errors.append(_rms(friction.misfit(SlidingReadings(*(column[stretch] for column in readings)))))
-    return np.array(errors)
+    return leave_out(
+        np.array_split(every, _SLIDING_BLOCKS),
+        lambda stretch: fit_sliding_friction(readings.rows(np.setdiff1d(every, stretch)), stribeck),
+        lambda friction, stretch: np.array([np.mean(friction.misfit(readings.rows(stretch)) ** 2)]),
+    )[1]
 
 
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def judged(scores: Sequence[LawScore]) -> list[LawScore]:
+def with_refutations(scores: Sequence[LawScore]) -> list[LawScore]:
     """Return the scores with what refutes them.
 
     In loops the laws that sliding leaves are compared. Where the encoder sees no presliding, loops are counts of creep:
     whatever predicts least torque there is nearest, be its sliding ever so wrong.
     """
     laws = [score.law.name for score in scores]
-    sliding = HeldOutErrors({score.law.name: score.sliding**2 for score in scores}, floor=1e-12)
-    loops = HeldOutErrors({score.law.name: score.loops**2 for score in scores}, floor=1e-12)
+    sliding = HeldOutErrors({score.law.name: score.sliding for score in scores}, floor=1e-12)
+    loops = HeldOutErrors({score.law.name: score.loops for score in scores}, floor=1e-12)
     by_sliding = {law: sliding.refutes(law, laws, P, SHARE) for law in laws}
     standing = [law for law in laws if by_sliding[law] is None]
     verdicts = []

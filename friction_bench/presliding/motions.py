@@ -21,8 +21,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from friction_bench.experiment.session import armed, last_near_limits, refuse_fault
-from friction_bench.protocol.messages import Command, CommandResult, RigError, RigRefusedError, State, torque_payload
+from friction_bench.experiment.session import armed, last_near_limits, refuse_fault, sample_columns
+from friction_bench.protocol.messages import Command, CommandResult, RigError, RigRefusedError, State
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
@@ -37,7 +37,7 @@ INTEGRAL = 0.25
 """Time of the integral of the speed's loop, s."""
 _STILL = 15
 """Ticks for which a joint that slid is left alone, without torque."""
-_SLIDE = 8e-3
+SLIDE = 8e-3
 """How far the joint slides before an experiment, rad: beyond any presliding, so that it forgets what was before."""
 _LEVELS = (
     (0.85, 0.25, 0.6, 0.25, 0.85, 0.0),
@@ -76,28 +76,17 @@ class Trace:
     tick: float
 
     @classmethod
-    def of(cls, label: str, samples: Sequence[Sample], rig: Rig) -> Trace:
+    def of(cls, label: str, samples: list[Sample], rig: Rig) -> Trace:
         """Return the readings of an experiment on a rig."""
-        rows = [(sample.tick, sample.counts, sample.report.dac) for sample in samples]
-        ticks, counts, code = np.array(rows, dtype=np.float64).T
+        ticks, counts, code, _ = sample_columns(samples)
         time = (ticks - ticks[0]) * rig.tick
         return cls(label, time, counts - counts[0], code, rig.joint_step, rig.joint_code, rig.tick)
 
     @property
-    def angle(self) -> Array:
-        """Return the joint's angle, rad, shape (n,)."""
-        return self.counts * self.angle_step
-
-    @property
-    def torque(self) -> Array:
-        """Return the torque that the motor puts on the joint, Nm, shape (n,)."""
-        return self.code * self.torque_step
-
-    @property
     def held(self) -> Array:
-        """Return the mean torque over the tick before each reading, Nm, shape (n,)."""
-        before = np.concatenate((self.torque[:1], self.torque[:-1]))
-        return LATE * before + (1.0 - LATE) * self.torque
+        """Return the mean of the motor's torque at the joint over the tick before each reading, Nm, shape (n,)."""
+        torque = self.code * self.torque_step
+        return LATE * np.concatenate((torque[:1], torque[:-1])) + (1.0 - LATE) * torque
 
     def write(self, path: Path) -> None:
         """Write the readings as CSV.
@@ -128,9 +117,7 @@ def follow(
         code = next(profile)
         with contextlib.suppress(StopIteration):  # the profile's end
             while not last_near_limits(client.rig, samples):
-                # Not `client.torque`, which waits for the answer, a tick or two: the next report has the DAC's code.
-                sent = client.line.number(Command.TORQUE, torque_payload(code))
-                client.line.send_unless_stopped(sent, Command.TORQUE)
+                client.send_torque(code)
                 came: list[Sample] = []
                 while not came:
                     came = client.pump()
@@ -147,11 +134,6 @@ def follow(
     return Trace.of(label, samples, client.rig)
 
 
-def slide_counts(step: float) -> float:
-    """Return the counts of a slide, for counts of `step` rad."""
-    return _SLIDE / step
-
-
 def ramp(rate: float, counts: float, limit: int) -> Profile:
     """Raise the torque by `rate` codes a tick until the joint has moved by so many counts, or up to `limit`."""
     first = yield 0
@@ -161,8 +143,7 @@ def ramp(rate: float, counts: float, limit: int) -> Profile:
         code = min(round(ticks * rate), limit)
         if (yield code).counts - first.counts >= counts:
             break
-    for _ in range(_STILL):
-        yield 0
+    yield from [0] * _STILL
 
 
 def after_slide(start: int, counts: float, limit: int, codes: Iterable[int]) -> Profile:
@@ -175,10 +156,8 @@ def after_slide(start: int, counts: float, limit: int, codes: Iterable[int]) -> 
     first = yield code
     while (yield code).counts - first.counts < counts:
         code = _higher(code, limit)
-    for _ in range(_STILL):
-        yield 0
-    for code in codes:
-        yield code
+    yield from [0] * _STILL
+    yield from codes
 
 
 def _higher(code: int, limit: int) -> int:
@@ -203,8 +182,7 @@ def cycle_codes(low: int, high: int, half: int, number: int) -> Iterator[int]:
     for code in range(low + 1):
         yield from [code] * 2
     for _ in range(number):
-        yield from [high] * half
-        yield from [low] * half
+        yield from [high] * half + [low] * half
 
 
 class Rounding:
@@ -217,9 +195,8 @@ class Rounding:
     def __call__(self, code: float) -> int:
         """Return the whole code; beyond the amplifier's range its end."""
         wanted = min(max(code + self._carried, 0.0), float(self._limit))
-        whole = round(wanted)
-        self._carried = wanted - whole
-        return whole
+        self._carried = wanted - round(wanted)
+        return round(wanted)
 
 
 def speeds(start: int, wanted: Sequence[float], ticks: int, gain: float, limit: int, tick: float) -> Profile:

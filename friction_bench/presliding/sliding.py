@@ -39,6 +39,10 @@ class SlidingReadings(NamedTuple):
     acceleration: Array
     torque: Array
 
+    def rows(self, chosen: Array) -> SlidingReadings:
+        """Return some of the readings."""
+        return SlidingReadings(*(column[chosen] for column in self))
+
 
 def sliding_readings(trace: Trace) -> SlidingReadings:
     """Return speed, acceleration and torque over stretches of TICKS in which the joint slides, without overlap.
@@ -49,15 +53,14 @@ def sliding_readings(trace: Trace) -> SlidingReadings:
     rows, held = [], trace.held
     weight = np.full(TICKS, 1.0 / (TICKS - 1))
     weight[[0, -1]] *= 0.5
-    moved = np.diff(trace.angle) / trace.tick
+    moved = np.diff(trace.counts)
     for first in range(0, moved.size - TICKS + 1, TICKS):
-        window = slice(first, first + TICKS)
-        if np.diff(trace.counts)[window].min() >= SLOWEST:
-            speeds = moved[window]
+        window = moved[first : first + TICKS]
+        if window.min() >= SLOWEST:
+            speeds = window * (trace.angle_step / trace.tick)
             gained = (speeds[-1] - speeds[0]) / ((TICKS - 1) * trace.tick)
             rows.append((float(weight @ speeds), gained, float(weight @ held[first + 1 : first + 1 + TICKS])))
-    table = np.array(rows, dtype=np.float64).reshape(-1, 3)
-    return SlidingReadings(table[:, 0], table[:, 1], table[:, 2])
+    return SlidingReadings(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)
 
 
 @dataclass(frozen=True)
@@ -127,44 +130,35 @@ def _fit_at(readings: SlidingReadings, omega_s: float | None) -> SlidingFriction
     return SlidingFriction(coulomb, static, omega_s or 1.0, max(viscous, 0.0), inertia, 1.4826 * median)
 
 
-@dataclass(frozen=True, eq=False)
-class BreakAway:
-    """Break-away by the rate of the torque: the largest friction before the joint slides, from ramps of many rates.
+def break_away_torque(rate: float, ramp: Trace, inertia: float) -> tuple[float, float]:
+    """Return the torque's rate at the joint, Nm/s, and the largest friction before it slides, Nm, of a ramp.
 
     Friction is the motor's torque less what accelerates the joint, so that inertia does not pass for friction; what is
     left of a rate's influence is the law's. LuGre's break-away torque falls with the rate (Canudas de Wit and others
     1995): the joint is fast before its bristles are bent. Damping of the bristles, c1 rate / c0, raises it.
 
-    Attributes:
-        rate: Nm/s at the joint, of each ramp, shape (n,).
-        torque: of break-away, Nm, shape (n,).
+    Args:
+        rate: of the ramp, codes a tick.
+        ramp: its readings.
+        inertia: at the joint, kg m^2.
     """
+    rate *= ramp.torque_step / ramp.tick
+    rising = int(np.argmax(ramp.code))  # later readings belong to the slide's end
+    angle, held = ramp.angle_step * ramp.counts[: rising + 1], ramp.held[: rising + 1]
+    acceleration = (angle[2:] - 2.0 * angle[1:-1] + angle[:-2]) / ramp.tick**2
+    friction = 0.5 * (held[2:] + held[1:-1]) - inertia * acceleration
+    count = int(np.clip(round(_AVERAGED / (rate * ramp.tick)), 1, _MOST_AVERAGED))
+    return rate, float(np.convolve(friction, np.full(count, 1.0 / count), "valid").max())
 
-    rate: Array
-    torque: Array
 
-    @classmethod
-    def of(cls, ramps: Sequence[tuple[float, Trace]], inertia: float) -> BreakAway:
-        """Return break-away torques of ramps, each with its rate in codes a tick; inertia at the joint in kg m^2."""
-        rates = [codes * ramp.torque_step / ramp.tick for codes, ramp in ramps]
-        torques = []
-        for rate, (_, ramp) in zip(rates, ramps, strict=True):
-            rising = int(np.argmax(ramp.code))  # later readings belong to the slide's end
-            angle, held = ramp.angle[: rising + 1], ramp.held[: rising + 1]
-            acceleration = (angle[2:] - 2.0 * angle[1:-1] + angle[:-2]) / ramp.tick**2
-            friction = 0.5 * (held[2:] + held[1:-1]) - inertia * acceleration
-            count = int(np.clip(round(_AVERAGED / (rate * ramp.tick)), 1, _MOST_AVERAGED))
-            torques.append(float(np.convolve(friction, np.full(count, 1.0 / count), "valid").max()))
-        return cls(np.array(rates), np.array(torques))
-
-    def by_rate(self) -> list[tuple[float, float, float]]:
-        """Return each rate, Nm/s, the mean of its torques, and their standard error, Nm."""
-        rows = []
-        for rate in np.unique(self.rate):
-            group = self.torque[self.rate == rate]
-            error = group.std(ddof=1) / np.sqrt(group.size) if group.size > 1 else 0.0
-            rows.append((float(rate), float(group.mean()), float(error)))
-        return rows
+def by_rate(torques: Sequence[tuple[float, float]]) -> list[tuple[float, float, float]]:
+    """Return each rate, Nm/s, the mean of its break-away torques, and their standard error, Nm."""
+    rates, torque = np.array(torques).T
+    groups = [(float(rate), torque[rates == rate]) for rate in np.unique(rates)]
+    return [
+        (rate, float(group.mean()), float(group.std(ddof=1) / np.sqrt(group.size)) if group.size > 1 else 0.0)
+        for rate, group in groups
+    ]
 
 
 def break_away_code(ramp: Trace, slid: float) -> float:
@@ -174,8 +168,9 @@ def break_away_code(ramp: Trace, slid: float) -> float:
         IdentificationError: if it did not move as far.
     """
     if ramp.counts.max() < slid:
+        highest = f"{ramp.torque_step * ramp.code.max():.3g} Nm"
         raise IdentificationError(
-            f"{ramp.label}: no break-away up to {ramp.torque.max():.3g} Nm; the joint sticks up to the motor's limit"
+            f"{ramp.label}: no break-away up to {highest}; the joint sticks up to the motor's limit"
         )
     return float(ramp.code[int(np.argmax(ramp.counts >= 0.5 * slid))])
 

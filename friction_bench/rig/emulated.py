@@ -10,7 +10,6 @@ import threading
 import time
 import tty
 from pathlib import Path
-from typing import Protocol
 
 from friction_bench.protocol.messages import RigInputError
 from friction_bench.rig.native import NativeBoard, native_library
@@ -22,44 +21,23 @@ SLICE_US = round(SLICE * 1e6)
 _LONGEST_STEP = 0.02
 
 
-class Board(Protocol):
-    """What runs the firmware: this computer, or a simulated microcontroller."""
-
-    def write(self, data: bytes) -> None:
-        """Put bytes on the line to the board."""
-
-    def read(self) -> bytes:
-        """Return what the board has sent."""
-
-    def run(self, slice_us: int, edges: int, adc: int) -> None:
-        """Let time pass with these encoder edges, negative where the motor turned back, and this ADC code."""
-
-    @property
-    def dac(self) -> int:
-        """Return the code on the DAC."""
-
-    @property
-    def stage_on(self) -> bool:
-        """Return whether the power stage is enabled."""
-
-
 class EmulatedRig:
     """Board and plant, advanced together; nothing happens between calls.
 
     Args:
         rig: the rig file; it must have an `emulation` section.
         seed: of all noise.
-        board: where the firmware runs; by default natively.
+        board: where the firmware runs; by default this computer.
 
     Raises:
         RigInputError: if the rig file describes no plant.
         RigError: if the firmware cannot be built.
     """
 
-    def __init__(self, rig: Rig, seed: int = 0, board: Board | None = None) -> None:
+    def __init__(self, rig: Rig, seed: int = 0, board: NativeBoard | None = None) -> None:
         self.plant = RigPlant(rig, seed)
         self.rig = rig
-        self.board: Board = board or NativeBoard(rig.baud, native_library(rig.firmware_figures))
+        self.board = board or NativeBoard(rig.baud, native_library(rig.firmware_figures))
         self.time = 0.0
         self._edges = 0
         self._adc = 0
@@ -69,10 +47,9 @@ class EmulatedRig:
         for _ in range(max(1, round(seconds * 1e6 / SLICE_US))):
             self.board.run(SLICE_US, self._edges, self._adc)
             command = self.rig.torque(self.board.dac) if self.board.stage_on else 0.0
-            self._edges = self.plant.advance(command, SLICE_US * 1e-6)
-            reading = self.plant.current_reading() / self.rig.adc_full_scale * CODES
-            self._adc = min(CODES, round(reading))
-            self.time += SLICE_US * 1e-6
+            self._edges = self.plant.advance(command, SLICE)
+            self._adc = min(CODES, round(self.plant.current_reading() / self.rig.adc_full_scale * CODES))
+            self.time += SLICE
 
 
 class VirtualPort:
@@ -85,13 +62,9 @@ class VirtualPort:
         """Return virtual time, s."""
         return self.emulated.time
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes, *, first: bool = False) -> None:  # noqa: ARG002 - nothing waits here
         """Send bytes to the rig."""
         self.emulated.board.write(data)
-
-    def write_first(self, data: bytes) -> None:
-        """Send bytes; nothing waits here."""
-        self.write(data)
 
     def read(self, timeout: float) -> bytes:
         """Return the next bytes of the rig; after `timeout` seconds, none."""
@@ -100,7 +73,7 @@ class VirtualPort:
             data = self.emulated.board.read()
             if data or self.emulated.time >= end:
                 return data
-            self.emulated.advance(SLICE_US * 1e-6)
+            self.emulated.advance(SLICE)
 
     def close(self) -> None:
         """Leave the rig to itself."""
@@ -149,20 +122,24 @@ class PtyRig:
         due = time.monotonic()
         while not self._stop.is_set():
             behind = time.monotonic() - due
-            if behind < SLICE_US * 1e-6:
-                select.select([self._master], [], [], 2 * SLICE_US * 1e-6)
+            if behind < SLICE:
+                select.select([self._master], [], [], 2 * SLICE)
             if behind > _LONGEST_STEP:
                 due += behind - _LONGEST_STEP
                 behind = _LONGEST_STEP
-            slices = int(behind * 1e6 / SLICE_US)
+            slices = int(behind / SLICE)
             if slices:
-                due += slices * SLICE_US * 1e-6
+                due += slices * SLICE
                 with self._lock:
-                    with contextlib.suppress(OSError):
-                        self.emulated.board.write(os.read(self._master, 4096))
-                    self.emulated.advance(slices * SLICE_US * 1e-6)
-                    with contextlib.suppress(OSError):  # nobody reads: a full line loses bytes, as a real one does
-                        os.write(self._master, self.emulated.board.read())
+                    self._exchange(slices * SLICE)
+
+    def _exchange(self, seconds: float) -> None:
+        """Let time pass, between what has come on the line and what leaves on it."""
+        with contextlib.suppress(OSError):
+            self.emulated.board.write(os.read(self._master, 4096))
+        self.emulated.advance(seconds)
+        with contextlib.suppress(OSError):  # nobody reads: a full line loses bytes, as a real one does
+            os.write(self._master, self.emulated.board.read())
 
     def close(self) -> None:
         """End the rig: for its opener, this is an unplugged cable."""

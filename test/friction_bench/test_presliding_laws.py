@@ -36,8 +36,8 @@ from friction_bench.protocol.messages import (
     Frame,
     FrameDecoder,
     encode,
-    limits_payload,
     parse_report,
+    payload_of,
 )
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
@@ -68,7 +68,7 @@ def test_firmware_counts_down_and_limits_travel_both_ways(rig: Rig) -> None:
     """Built for a decoder, the firmware counts below zero, and limits the travel of a motor that turns back."""
     board = NativeBoard(rig.baud, native_library(rig.firmware_figures))
     decoder, last = FrameDecoder(), None
-    script = [(Command.HELLO, bytes([1])), (Command.LIMITS, limits_payload(2, 300)), (Command.ARM, b"")]
+    script = [(Command.HELLO, bytes([1])), (Command.LIMITS, payload_of(Command.LIMITS, 2, 300)), (Command.ARM, b"")]
     for number, (command, payload) in enumerate(script):
         board.write(encode(Frame(command, number + 1, payload)))
         board.run(60_000, 0, 0)

@@ -10,7 +10,15 @@ import pytest
 
 from friction_bench.experiment.asymptote import fit_asymptote
 from friction_bench.experiment.ramp import run_ramp
-from friction_bench.protocol.messages import Fault, ResetCause, RigError, RigFaultError, RigLostError, RigResetError
+from friction_bench.protocol.messages import (
+    Command,
+    Fault,
+    ResetCause,
+    RigError,
+    RigFaultError,
+    RigLostError,
+    RigResetError,
+)
 from friction_bench.rig.client import COMMAND_TIMEOUT, RigClient, unwrap
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.native import NativeBoard
@@ -39,7 +47,7 @@ def test_lost_reports_cost_no_position(client: RigClient, emulated: EmulatedRig)
 
     emulated.board.read = lossy  # type: ignore[method-assign]
     record = run_ramp(client, 0.05, 0.1, False, "x")
-    assert client.line.bad_frames > 5
+    assert client.bad_frames > 5
     assert client.lost_reports > 5
     assert client.last is not None
     assert client.last.counts == pytest.approx(emulated.plant.angle * 504 / (2 * math.pi), abs=400)
@@ -111,7 +119,7 @@ def test_host_that_stood_still_does_not_take_the_rig_for_lost(client: RigClient)
 def test_host_that_stops_beating_loses_the_torque(client: RigClient, emulated: EmulatedRig) -> None:
     """Without heartbeats the firmware trips, and the ramp ends with that fault's words."""
     client.arm()
-    client.torque(60)
+    client.request(Command.TORQUE, 60)
     client.beating = False
     end = emulated.time + 0.3
     while emulated.time < end:

@@ -33,12 +33,12 @@ def test_stop_overtakes_a_command_under_way(client: RigClient, emulated: Emulate
     write = port.write
     sent = []
 
-    def stop_first(data: bytes) -> None:
+    def stop_first(data: bytes, **first: bool) -> None:
         sent.append(data)
-        write(data)
+        write(data, **first)
 
     port.write = stop_first  # type: ignore[method-assign]
-    client.line.urgent_stop()
+    client.urgent_stop()
     with pytest.raises(RigRefusedError, match="overtaken by a stop"):
         client.arm()
     assert len(sent) == 1
@@ -63,7 +63,7 @@ def test_stop_reaches_the_rig_within_100_ms_of_its_time(bench: Bench) -> None:
     emulated.board.run = watched  # type: ignore[method-assign]
     for _ in range(10):
         bench.arm()
-        busy = bench.link.submit(lambda client: client.torque(30))
+        busy = bench.link.submit(lambda client: client.request(Command.TORQUE, 30))
         with bench.pty.standing_still():
             asked_at = emulated.time
             bench.link.stop_rig()
@@ -87,7 +87,7 @@ def test_stop_does_not_wait_for_a_line_that_takes_nothing(rig: Rig) -> None:
                 port.write(bytes([7]) * 100)
                 written += 100
         assert written > 4096
-        RigClient(port, rig).line.urgent_stop()
+        RigClient(port, rig).urgent_stop()
         stops, decoder, got = [], FrameDecoder(), 0
         while len(stops) < 2:
             data = read_some(master)
@@ -137,7 +137,7 @@ def test_no_wait_of_the_stop_adds_up_to_100_ms() -> None:
 def test_stop_that_the_line_damages_is_repeated(lost: int, client: RigClient, emulated: EmulatedRig) -> None:
     """A stop whose first transmissions are damaged still takes the stage off within 100 ms, without heartbeats."""
     client.arm()
-    client.torque(60)
+    client.request(Command.TORQUE, 60)
     write, damaged = emulated.board.write, 0
 
     def damage(data: bytes) -> None:
@@ -149,13 +149,13 @@ def test_stop_that_the_line_damages_is_repeated(lost: int, client: RigClient, em
 
     emulated.board.write = damage  # type: ignore[method-assign]
     start = emulated.time
-    client.line.urgent_stop()
+    client.urgent_stop()
     while emulated.board.stage_on:
         client.pump()
     assert emulated.time - start < 0.1
-    assert client.line.stopping
+    assert client.stopping
     emulated.board.write = write  # type: ignore[method-assign]
-    while client.line.stopping:
+    while client.stopping:
         client.pump()
     assert client.last is not None
     assert client.last.report.fault == Fault.NONE
@@ -168,7 +168,7 @@ def test_stop_is_understood_after_a_frame_that_lost_its_end(client: RigClient, e
     sent = []
     write = emulated.board.write
     emulated.board.write = lambda data: sent.append(data) or write(data)  # type: ignore[method-assign, func-returns-value]
-    client.line.urgent_stop()
+    client.urgent_stop()
     emulated.advance(0.02)
     assert len(sent) == 1
     assert not emulated.board.stage_on
@@ -178,13 +178,13 @@ def test_answer_to_an_earlier_stop_is_not_taken_for_this_ones(client: RigClient)
     """Two stops in a row carry different numbers, and no command shares them."""
     numbers = set()
     for _ in range(2):
-        client.line.urgent_stop()
-        while client.line.stopping:
+        client.urgent_stop()
+        while client.stopping:
             client.pump()
         assert client.last is not None
         numbers.add(client.last.report.ack_sequence)
     assert len(numbers) == 2
-    client.line.known_stops = client.line.stops
+    client.known_stops = client.stops
     for _ in range(300):
         client.clear()
         assert client.last.report.ack_sequence not in STOP_SEQUENCES

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import yaml
 
@@ -15,19 +15,17 @@ from friction_bench.protocol.messages import (
     HelloReply,
     Report,
     encode,
-    limits_payload,
     parse_hello,
     parse_report,
-    ramp_payload,
-    torque_payload,
+    payload_of,
 )
-from friction_bench.rig.emulated import Board
+from friction_bench.rig.native import NativeBoard
 
 TRANSCRIPTS = sorted((Path(__file__).parents[1] / "friction_bench" / "transcripts").glob("*.yaml"))
 TORQUE_LIMIT_CODE = 229
 
 
-class ResettableBoard(Board, Protocol):
+class ResettableBoard(NativeBoard):
     """A board whose reset the test can pull."""
 
     def restart(self) -> None:
@@ -38,17 +36,13 @@ class MismatchError(AssertionError):
     """The board does not do what the transcript says."""
 
 
-def payload_of(command: dict[str, Any] | str) -> tuple[Command, bytes]:
+def command_of(command: dict[str, Any] | str) -> tuple[Command, bytes]:
     """Return type and payload of a command as transcripts write it."""
     if isinstance(command, str):
         return Command[command.upper()], b""
     ((name, value),) = command.items()
     kind = Command[name.upper()]
-    if kind == Command.RAMP:
-        return kind, ramp_payload(*value)
-    if kind == Command.LIMITS:
-        return kind, limits_payload(*value)
-    return kind, torque_payload(value)  # HELLO has one byte too
+    return kind, payload_of(kind, *(value if isinstance(value, list) else [value]))
 
 
 class Player:
@@ -102,7 +96,7 @@ class Player:
     def next_frame(self, command: dict[str, Any] | str) -> Frame:
         """Return the frame of a command with the next sequence number."""
         self.sequence = (self.sequence + 1) & 0xFF
-        kind, payload = payload_of(command)
+        kind, payload = command_of(command)
         return Frame(kind, self.sequence, payload)
 
     def do_send(self, command: dict[str, Any] | str) -> None:
