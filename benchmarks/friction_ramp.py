@@ -27,7 +27,7 @@ import numpy as np
 
 from benchmarks.report import accepted, arguments, in_processes, merge, print_table
 from friction_bench.experiment.identification import IntervalEstimate, RampFriction, evaluate, identify_ramps
-from friction_bench.experiment.ramp import plan_from, run_planned, run_ramp
+from friction_bench.experiment.job import plan_from, run_planned, run_ramp
 from friction_bench.experiment.record import RampRecord
 from friction_bench.experiment.session import near_limits
 from friction_bench.rig.client import RigClient

@@ -21,9 +21,9 @@ from friction_bench.presliding.laws import (
     LawScore,
     LoopBlock,
     choose,
-    judged,
     settled,
     torque_along,
+    with_refutations,
 )
 from friction_bench.presliding.laws import STRIBECK as STRIBECK_LAW
 from friction_bench.presliding.motions import Trace, follow
@@ -312,8 +312,8 @@ def test_laws_that_sliding_refutes_refute_none_in_loops() -> None:
             LUGRE: (0.9, 0.003),
             MAXWELL_SLIP: (1.3, 0.003),
         }
-        scores = [LawScore(law, a * blocks, b * blocks, (), "") for law, (a, b) in errors.items()]
-        return {score.law.name: score.refuted for score in judged(scores)}
+        scores = [LawScore(law, (a * blocks) ** 2, (b * blocks) ** 2, ()) for law, (a, b) in errors.items()]
+        return {score.law.name: score.refuted for score in with_refutations(scores)}
 
     assert verdicts(0.045) == {
         "Coulomb and viscous": "sliding: Stribeck predicts better",
@@ -332,8 +332,10 @@ def test_a_law_is_refuted_by_more_than_chance_and_more_than_a_trifle() -> None:
     noise = np.abs(np.random.default_rng(4).normal(1.0, 0.3, 10))
     chance = np.where(np.arange(10) == 3, 3.0, 1.0)
     for factor, refuted in ((1.3**0.5, True), (1.04**0.5, False), (chance, False)):
-        scores = [LawScore(law, noise * worse, noise, (), "") for law, worse in ((LUGRE, 1.0), (MAXWELL_SLIP, factor))]
-        assert [bool(score.refuted) for score in judged(scores)] == [False, refuted]
+        scores = [
+            LawScore(law, (noise * worse) ** 2, noise**2, ()) for law, worse in ((LUGRE, 1.0), (MAXWELL_SLIP, factor))
+        ]
+        assert [bool(score.refuted) for score in with_refutations(scores)] == [False, refuted]
 
 
 def _readings(static: float) -> SlidingReadings:
@@ -374,7 +376,7 @@ def test_no_block_is_predicted_by_a_fit_that_has_seen_it(monkeypatch: pytest.Mon
         others = [other for k, other in enumerate(blocks) if k % 5 != number % 5]
         stiffness = LUGRE.fit(found.sliding, others)
         rest = LUGRE.predict(stiffness, found.sliding, [block])[0] - block.torque
-        assert score.loops[number] == pytest.approx(math.sqrt(np.mean(rest**2)), rel=1e-6)
+        assert score.loops[number] == pytest.approx(np.mean(rest**2), rel=1e-6)
     assert found.left == (LUGRE,)
 
 

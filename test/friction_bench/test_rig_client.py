@@ -9,7 +9,7 @@ from itertools import pairwise
 import pytest
 
 from friction_bench.experiment.asymptote import fit_asymptote
-from friction_bench.experiment.ramp import run_ramp
+from friction_bench.experiment.job import run_ramp
 from friction_bench.protocol.messages import (
     Command,
     Fault,

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from rig_conformance import TRANSCRIPTS, MismatchError, Player
 
-from friction_bench.experiment.ramp import run_ramp
+from friction_bench.experiment.job import run_ramp
 from friction_bench.protocol.messages import Command, Frame, encode
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort

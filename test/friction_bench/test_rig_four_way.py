@@ -15,7 +15,7 @@ from friction_bench.experiment.four_way import (
     simulate_multibody,
 )
 from friction_bench.experiment.identification import evaluate
-from friction_bench.experiment.ramp import run_ramp
+from friction_bench.experiment.job import run_ramp
 from friction_bench.experiment.record import RampModel
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort

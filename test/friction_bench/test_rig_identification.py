@@ -13,9 +13,9 @@ import pytest
 from scipy import stats
 
 from benchmarks.friction_ramp import QuickRig
-from friction_bench.experiment.asymptote import fit_asymptote, integrated_ou_covariance
+from friction_bench.experiment.asymptote import fit_asymptote
 from friction_bench.experiment.identification import RampIdentification, identify_ramps, joint_friction, source_formulas
-from friction_bench.experiment.ramp import run_ramp
+from friction_bench.experiment.job import run_ramp
 from friction_bench.experiment.record import RampModel, RampRecord, RecordError, read_csv, read_text, write_csv
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
@@ -89,25 +89,6 @@ def test_exact_formula_recovers_noiseless_friction() -> None:
     assert exact.coulomb.value == pytest.approx(0.05, rel=1e-3)
     assert exact.viscous.value == pytest.approx(0.02, rel=1e-3)
     assert exact.inertia.value == pytest.approx(3e-3, rel=1e-2)
-
-
-def test_integrated_ou_covariance_is_that_of_simulated_noise() -> None:
-    """The covariance formula equals the sample covariance of an inertia driven by white noise."""
-    rng = np.random.default_rng(3)
-    T, h, n = 0.3, 0.01, 100
-    speed = np.zeros(4000)
-    angle = np.zeros(4000)
-    kept = []
-    decay = math.exp(-h / T)
-    for _ in range(n):
-        kick = rng.standard_normal(4000) / math.sqrt(h)
-        angle += kick * h + (speed - kick) * T * (1 - decay)
-        speed = kick + (speed - kick) * decay
-        kept.append(angle.copy())
-    time = h * np.arange(1, n + 1)
-    chosen = [19, 49, 99]
-    sample = np.cov(np.array(kept)[chosen])
-    assert integrated_ou_covariance(time[chosen], T) == pytest.approx(sample, rel=0.12)
 
 
 GRID = [

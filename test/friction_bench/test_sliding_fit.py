@@ -11,14 +11,14 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve_triangular
 
 from benchmarks.friction_ramp import QuickRig, random_rig, truth_of
-from friction_bench.experiment.asymptote import integrated_ou_covariance
 from friction_bench.experiment.identification import identify_ramps
-from friction_bench.experiment.ramp import plan_from, run_ramp
+from friction_bench.experiment.job import plan_from, run_ramp
 from friction_bench.experiment.record import RampModel, RampRecord
 from friction_bench.experiment.sliding_fit import whiten
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.rig_file import Rig, load_rig
+from rx90_common.base.arrays import Array
 from rx90_common.base.share import config_path
 from rx90_common.friction.element import FrictionElement
 
@@ -34,6 +34,36 @@ def own(rig: Rig, coulomb: float, viscous: float, inertia: float) -> Rig:
     assert rig.plant is not None
     load = (inertia - rig.plant.rotor_inertia) * rig.gear_ratio**2 * rig.gear_efficiency
     return replace(rig, plant=replace(rig.plant, coulomb=coulomb, viscous=viscous, load_inertia=load))
+
+
+def integrated_ou_covariance(time: Array, T: float) -> Array:
+    """Return the covariance of an integrated Ornstein-Uhlenbeck process from rest at time 0, shape (n, n).
+
+    With unit intensity: K(s, t) = int_0^min(s, t) (1 - e^-(s-u)/T) (1 - e^-(t-u)/T) du.
+    """
+    s = np.minimum.outer(time, time)
+    gap = np.abs(np.subtract.outer(time, time))
+    far = np.exp(-gap / T)
+    return s + T * np.expm1(-s / T) - T * (far - np.exp(-(s + gap) / T)) + T / 2 * (far - np.exp(-(2 * s + gap) / T))
+
+
+def test_integrated_ou_covariance_is_that_of_simulated_noise() -> None:
+    """The covariance formula equals the sample covariance of an inertia driven by white noise."""
+    rng = np.random.default_rng(3)
+    T, h, n = 0.3, 0.01, 100
+    speed = np.zeros(4000)
+    angle = np.zeros(4000)
+    kept = []
+    decay = math.exp(-h / T)
+    for _ in range(n):
+        kick = rng.standard_normal(4000) / math.sqrt(h)
+        angle += kick * h + (speed - kick) * T * (1 - decay)
+        speed = kick + (speed - kick) * decay
+        kept.append(angle.copy())
+    time = h * np.arange(1, n + 1)
+    chosen = [19, 49, 99]
+    sample = np.cov(np.array(kept)[chosen])
+    assert integrated_ou_covariance(time[chosen], T) == pytest.approx(sample, rel=0.12)
 
 
 def test_whitening_is_the_inverse_cholesky_factor() -> None:
