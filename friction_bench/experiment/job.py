@@ -26,8 +26,8 @@ from friction_bench.experiment.session import (
     wait_for_rest,
 )
 from friction_bench.experiment.sliding_fit import fit_sliding
-from friction_bench.protocol.messages import Command, RigError, State
 from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.messages import Command, RigError, State
 from friction_bench.rig.rig_file import TRAVEL_UNIT, RampPlan, Rig, load_rig
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, IdentificationError
 from rx90_common.base.quoting import one_line, quoted

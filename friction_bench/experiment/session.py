@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from friction_bench.protocol.messages import Fault, RigError, RigFaultError, State, fault_text
-from friction_bench.protocol.serial_port import SerialPort
 from friction_bench.rig.client import Port, RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, PtyRig, VirtualPort
+from friction_bench.rig.messages import Fault, RigError, RigFaultError, State, fault_text
 from friction_bench.rig.rig_file import TRAVEL_UNIT, Rig
+from friction_bench.rig.serial_port import SerialPort
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.arrays import Array, Mask

@@ -13,12 +13,12 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from friction_bench.protocol.messages import Fault, RigInputError, RigLostError, fault_text
-from friction_bench.protocol.serial_port import SerialPort
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, PtyRig
 from friction_bench.rig.link import RigLink
+from friction_bench.rig.messages import Fault, RigInputError, RigLostError, fault_text
 from friction_bench.rig.rig_file import Rig, load_rig
+from friction_bench.rig.serial_port import SerialPort
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS

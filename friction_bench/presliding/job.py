@@ -15,18 +15,20 @@ from tqdm import tqdm
 
 from friction_bench.experiment.session import Session, check_options, measuring, origin_of, wait_for_rest
 from friction_bench.presliding import KINDS, USUAL_BLOCKS, USUAL_CYCLES, motions
-from friction_bench.presliding.drift import HALF, evaluate_drift, turning_codes
 from friction_bench.presliding.laws import FITS, LoopBlock, choose
 from friction_bench.presliding.motions import Profile, Trace, follow
 from friction_bench.presliding.report import PreslidingResult, write_result
 from friction_bench.presliding.sliding import (
+    HALF,
     RATES,
     REPEATS,
     break_away_code,
     break_away_torque,
+    evaluate_drift,
     evaluate_pull,
     fit_sliding_friction,
     sliding_readings,
+    turning_codes,
 )
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, IdentificationError, Rx90Error

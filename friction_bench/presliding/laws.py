@@ -23,9 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from friction_bench.presliding.drift import DriftResult, DriftVerdict
 from friction_bench.presliding.motions import DWELL, Trace
-from friction_bench.presliding.sliding import SlidingFriction, SlidingReadings, fit_sliding_friction
+from friction_bench.presliding.sliding import (
+    DriftResult,
+    DriftVerdict,
+    SlidingFriction,
+    SlidingReadings,
+    fit_sliding_friction,
+)
 from friction_bench.rig.plant import RigJoint, friction_over, joint_record, start
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError

@@ -22,8 +22,8 @@ from typing import TypeAlias
 import numpy as np
 
 from friction_bench.experiment.session import armed, last_near_limits, refuse_fault, sample_columns
-from friction_bench.protocol.messages import Command, CommandResult, RigError, RigRefusedError, State
 from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.messages import Command, CommandResult, RigError, RigRefusedError, State
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError

@@ -8,9 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from friction_bench.presliding.drift import DriftResult
 from friction_bench.presliding.laws import Choice, LoopBlock
-from friction_bench.presliding.sliding import Pull, SlidingFriction, SlidingReadings, by_rate, least_steady_speed
+from friction_bench.presliding.sliding import (
+    DriftResult,
+    Pull,
+    SlidingFriction,
+    SlidingReadings,
+    by_rate,
+    least_steady_speed,
+)
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
 from rx90_common.process.files import write_text

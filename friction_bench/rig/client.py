@@ -6,7 +6,7 @@ import threading
 from dataclasses import dataclass
 from typing import Protocol
 
-from friction_bench.protocol.messages import (
+from friction_bench.rig.messages import (
     PROTOCOL_VERSION,
     Command,
     CommandResult,

@@ -10,8 +10,8 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 
-from friction_bench.protocol.messages import Fault, Report, RigError, RigLostError, RigResetError, fault_text
 from friction_bench.rig.client import SWITCHED_ON, Port, RigClient, Sample
+from friction_bench.rig.messages import Fault, Report, RigError, RigLostError, RigResetError, fault_text
 from friction_bench.rig.rig_file import Rig
 
 OWNER_SILENCE = 0.1

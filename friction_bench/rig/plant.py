@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from friction_bench.protocol.messages import RigInputError
+from friction_bench.rig.messages import RigInputError
 from friction_bench.rig.rig_file import JointFriction, Rig
 from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.element import FrictionElement

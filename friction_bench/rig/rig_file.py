@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar, TypeVar
 
-from friction_bench.protocol.messages import HelloReply, RigInputError
+from friction_bench.rig.messages import HelloReply, RigInputError
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.declared import Declared

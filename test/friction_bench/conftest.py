@@ -13,10 +13,9 @@ import pytest
 from rig_bench import Bench
 from rig_simulators import simavr, ucsim
 
-from friction_bench.protocol.messages import ResetCause
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, VirtualPort
-from friction_bench.rig.native import NativeBoard, compile_core, firmware_directory
+from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, compile_core, firmware_directory
+from friction_bench.rig.messages import ResetCause
 from friction_bench.rig.rig_file import Rig, load_rig
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -11,7 +11,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from friction_bench.presliding import laws, motions
-from friction_bench.presliding.drift import DriftVerdict, evaluate_drift, lugre_ratio
 from friction_bench.presliding.job import Campaign, Run
 from friction_bench.presliding.laws import COULOMB as COULOMB_LAW
 from friction_bench.presliding.laws import (
@@ -28,8 +27,18 @@ from friction_bench.presliding.laws import (
 from friction_bench.presliding.laws import STRIBECK as STRIBECK_LAW
 from friction_bench.presliding.motions import Trace, follow
 from friction_bench.presliding.report import drift_plot
-from friction_bench.presliding.sliding import SlidingFriction, SlidingReadings, fit_sliding_friction, sampled_growth
-from friction_bench.protocol.messages import (
+from friction_bench.presliding.sliding import (
+    DriftVerdict,
+    SlidingFriction,
+    SlidingReadings,
+    evaluate_drift,
+    fit_sliding_friction,
+    lugre_ratio,
+    sampled_growth,
+)
+from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, native_library
+from friction_bench.rig.messages import (
     Answer,
     Command,
     Fault,
@@ -39,9 +48,6 @@ from friction_bench.protocol.messages import (
     parse_report,
     payload_of,
 )
-from friction_bench.rig.client import RigClient, Sample
-from friction_bench.rig.emulated import EmulatedRig, VirtualPort
-from friction_bench.rig.native import NativeBoard, native_library
 from friction_bench.rig.plant import RigPlant, joint_record
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.arrays import Array

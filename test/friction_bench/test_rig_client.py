@@ -10,7 +10,9 @@ import pytest
 
 from friction_bench.experiment.asymptote import fit_asymptote
 from friction_bench.experiment.job import run_ramp
-from friction_bench.protocol.messages import (
+from friction_bench.rig.client import COMMAND_TIMEOUT, RigClient, unwrap
+from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort
+from friction_bench.rig.messages import (
     Command,
     Fault,
     ResetCause,
@@ -19,9 +21,6 @@ from friction_bench.protocol.messages import (
     RigLostError,
     RigResetError,
 )
-from friction_bench.rig.client import COMMAND_TIMEOUT, RigClient, unwrap
-from friction_bench.rig.emulated import EmulatedRig, VirtualPort
-from friction_bench.rig.native import NativeBoard
 from friction_bench.rig.rig_file import Rig
 
 

@@ -12,9 +12,9 @@ import pytest
 from rig_conformance import TRANSCRIPTS, MismatchError, Player
 
 from friction_bench.experiment.job import run_ramp
-from friction_bench.protocol.messages import Command, Frame, encode
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.messages import Command, Frame, encode
 from friction_bench.rig.rig_file import Rig
 
 SIMULATED = [pytest.param(target, marks=pytest.mark.firmware) for target in ("mcs51", "avr")]

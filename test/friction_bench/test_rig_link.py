@@ -14,10 +14,10 @@ import pytest
 from processes import wait_until
 from rig_bench import Bench
 
-from friction_bench.protocol.messages import RigLostError, RigRefusedError, RigResetError, State
-from friction_bench.protocol.serial_port import SerialPort
 from friction_bench.rig import link
 from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.messages import RigLostError, RigRefusedError, RigResetError, State
+from friction_bench.rig.serial_port import SerialPort
 
 
 def test_unplugging_is_survived_and_needs_arming(bench: Bench) -> None:

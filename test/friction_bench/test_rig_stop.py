@@ -11,7 +11,9 @@ import pytest
 from processes import TIMEOUT, wait_until
 from rig_bench import Bench, read_some
 
-from friction_bench.protocol.messages import (
+from friction_bench.rig.client import STOP_SEQUENCES, RigClient
+from friction_bench.rig.emulated import EmulatedRig
+from friction_bench.rig.messages import (
     Command,
     Fault,
     Frame,
@@ -21,10 +23,8 @@ from friction_bench.protocol.messages import (
     State,
     encode,
 )
-from friction_bench.protocol.serial_port import WRITE_TIMEOUT, SerialPort
-from friction_bench.rig.client import STOP_SEQUENCES, RigClient
-from friction_bench.rig.emulated import EmulatedRig
 from friction_bench.rig.rig_file import Rig
+from friction_bench.rig.serial_port import WRITE_TIMEOUT, SerialPort
 
 
 def test_stop_overtakes_a_command_under_way(client: RigClient, emulated: EmulatedRig) -> None:

@@ -7,7 +7,8 @@ from typing import Any
 
 import yaml
 
-from friction_bench.protocol.messages import (
+from friction_bench.rig.emulated import NativeBoard
+from friction_bench.rig.messages import (
     Command,
     CommandResult,
     Frame,
@@ -19,7 +20,6 @@ from friction_bench.protocol.messages import (
     parse_report,
     payload_of,
 )
-from friction_bench.rig.native import NativeBoard
 
 TRANSCRIPTS = sorted((Path(__file__).parents[1] / "friction_bench" / "transcripts").glob("*.yaml"))
 TORQUE_LIMIT_CODE = 229

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 
 import serial
 
-from friction_bench.protocol.messages import RigInputError, RigLostError
+from friction_bench.rig.messages import RigInputError, RigLostError
 
 _READ_SLICE = 0.01
 WRITE_TIMEOUT = 0.02
