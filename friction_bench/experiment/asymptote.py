@@ -131,15 +131,11 @@ def _rough(record: RampRecord, time: Array, angle: Array, break_away: float) -> 
 
 
 def _check_length(record: RampRecord, points: int, length: float, T: float) -> None:
-    if points < MIN_POINTS:
+    if points < MIN_POINTS or length < MIN_WINDOW * T:
         raise ShortRampError(
-            f"{record.label}: the ramp is too short, {points} readings after the transient; "
-            f"accepted: at least {MIN_POINTS}; take a slower ramp or a higher end torque"
-        )
-    if length < MIN_WINDOW * T:
-        raise ShortRampError(
-            f"{record.label}: the ramp is too short, {length:.2g} s after a transient with a time constant "
-            f"of {T:.2g} s; accepted: at least {MIN_WINDOW:g} time constants"
+            f"{record.label}: the ramp is too short, {points} readings in {length:.2g} s after a transient with a time "
+            f"constant of {T:.2g} s; accepted: at least {MIN_POINTS}, and {MIN_WINDOW:g} time constants; take a slower "
+            "ramp or a higher end torque"
         )
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -74,15 +75,18 @@ class RampModel:
 
     def velocity(self, time: ArrayLike) -> Array:
         """Return w(t), rad/s."""
-        s = np.maximum(np.asarray(time, dtype=np.float64) - self.break_away_time, 0.0)
-        T, a = self.time_constant, self.slope / self.viscous
+        s, T, a = self._since_release(time)
         return np.asarray(a * s - (self.release / self.viscous - a * T) * np.expm1(-s / T))
 
     def angle(self, time: ArrayLike) -> Array:
         """Return the angle since rest, rad."""
-        s = np.maximum(np.asarray(time, dtype=np.float64) - self.break_away_time, 0.0)
-        T, a = self.time_constant, self.slope / self.viscous
+        s, T, a = self._since_release(time)
         return np.asarray(a * s * s / 2 + (self.release / self.viscous - a * T) * (s + T * np.expm1(-s / T)))
+
+    def _since_release(self, time: ArrayLike) -> tuple[Array, float, float]:
+        """Return s, s, T, s, and a, rad/s²."""
+        s = np.maximum(np.asarray(time, dtype=np.float64) - self.break_away_time, 0.0)
+        return s, self.time_constant, self.slope / self.viscous
 
 
 class RecordError(Rx90Error):
@@ -250,8 +254,7 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
     return RampRecord(time, np.asarray(angle), slope, angle_step, loaded=loaded, label=path.name)
 
 
-@dataclass(frozen=True)
-class SlidingWindow:
+class SlidingWindow(NamedTuple):
     """The readings of one ramp from where the shaft slides.
 
     Attributes:
@@ -305,20 +308,11 @@ def break_away(record: RampRecord, model: RampModel) -> float:
 def fit_break_away(
     time: Array, angle: Array, bounds: tuple[float, float], model: Callable[[float], RampModel]
 ) -> float:
-    """Return the moment, s, whose model's angle is nearest to readings in the least squares.
-
-    Args:
-        time: s, shape (n,).
-        angle: rad, shape (n,).
-        bounds: earliest and latest moment, s.
-        model: of a moment of break-away.
-    """
+    """Return the moment of break-away, s, within bounds, whose model is nearest to angles, rad, at times, s."""
     from scipy.optimize import minimize_scalar  # here, because --help of the command must not wait for it
 
-    def misfit(moment: float) -> float:
-        return float(np.sum((model(moment).angle(time) - angle) ** 2))
-
-    return float(minimize_scalar(misfit, bounds=bounds, method="bounded").x)
+    found = minimize_scalar(lambda m: np.sum((model(m).angle(time) - angle) ** 2), bounds=bounds, method="bounded")
+    return float(found.x)
 
 
 def _stays_beyond(angle: Array, threshold: float) -> int:
@@ -336,21 +330,25 @@ def first_motion(record: RampRecord) -> tuple[Array, Array, int]:
             never leaves its start, or does so before the first reading; saying where and by how much.
     """
     time, angle, torque = record.time - record.origin, record.angle - record.angle[0], record.torque
+
+    def refuse(reason: str) -> NoReturn:
+        raise IdentificationError(f"{record.label}: {reason}")
+
     if torque is not None:
         late = np.abs(torque - record.slope * (time + record.tick / 2))
         allowed = max(1.5 * float(np.abs(np.diff(torque)).max(initial=0.0)), 2 * record.slope * record.tick)
         if late.max() > allowed:
-            when = float(time[int(np.argmax(late))])
-            raise IdentificationError(
-                f"{record.label}: the commanded torque leaves the ramp of {record.slope:.4g} Nm/s by "
-                f"{late.max():.3g} Nm at {when:.2f} s; the command saturates or the slope is wrong"
+            where = f"by {late.max():.3g} Nm at {time[np.argmax(late)]:.2f} s"
+            refuse(
+                f"the commanded torque leaves the ramp of {record.slope:.4g} Nm/s {where}; "
+                "the command saturates or the slope is wrong"
             )
-    if angle[-1] < (MOVED_COUNTS - 0.5) * record.angle_step:
-        reached = record.slope * (record.time[-1] - record.origin)
-        raise IdentificationError(f"{record.label}: no break-away up to {reached:.3g} Nm; raise the end torque")
-    first = _stays_beyond(angle, max((MOVED_COUNTS - 0.5) * record.angle_step, MOVED_SHARE * angle[-1]))
+    moved = (MOVED_COUNTS - 0.5) * record.angle_step
+    if angle[-1] < moved:
+        refuse(f"no break-away up to {record.slope * time[-1]:.3g} Nm; raise the end torque")
+    first = _stays_beyond(angle, max(moved, MOVED_SHARE * angle[-1]))
     if first == 0:
-        raise IdentificationError(f"{record.label}: the shaft moves at the first reading; a ramp starts from rest")
+        refuse("the shaft moves at the first reading; a ramp starts from rest")
     n = time.size // 5
     if torque is not None and record.measured_torque is not None and n > 0:
         # A reading is taken just before the tick at which the command changes: it belongs to the one before.
@@ -358,8 +356,8 @@ def first_motion(record: RampRecord) -> tuple[Array, Array, int]:
         scale = float(np.sum(measured[n : 3 * n]) / np.sum(command[n : 3 * n]))
         shortfall = 1.0 - float(np.mean(measured[-n:]) / np.mean(command[-n:])) / scale
         if shortfall > SATURATION_LIMIT:
-            raise IdentificationError(
-                f"{record.label}: the measured torque falls {100 * shortfall:.0f} % behind the command at the "
-                "ramp's end; the amplifier saturates, end the ramp earlier"
+            refuse(
+                f"the measured torque falls {100 * shortfall:.0f} % behind the command at the ramp's end; "
+                "the amplifier saturates, end the ramp earlier"
             )
     return time, angle, first

@@ -47,10 +47,8 @@ STEPS = 3
 """Gauss-Newton steps without a Stribeck effect; the second already changes less than the noise."""
 STEPS_ON = 2
 """Further steps for each assumption with a Stribeck effect."""
-RESIDUAL, ALPHA, BETA, TIME_CONSTANT, KAPPA, ANGLE, SPEED = range(7)
-"""Rows of `derivatives`: the residual and its derivatives, the last two to angle and velocity at the beginning."""
-SHARED = 5
-"""The rows before this one belong to all ramps together."""
+_ANGLE, _SPEED = 5, 6
+"""Of the rows of `_derivatives`, those to angle and velocity at the beginning; the others belong to all ramps."""
 
 
 @kernel
@@ -118,30 +116,22 @@ def whiten(time: Array, columns: Array, T: float, q: float, r: float) -> tuple[A
 
 
 @kernel
-def derivatives(time: Array, angle: Array, torque: Array, share: Array, shared: Array, start: Array) -> Array:
-    """Return the angle's residual and its derivatives (see RESIDUAL), shape (7, n).
+def _derivatives(time: Array, angle: Array, torque: Array, share: Array, shared: Array, start: Array) -> Array:
+    """Return the angle's residual, and its derivatives to alpha, beta, T, kappa, initial angle and velocity, (7, n).
 
-    Args:
-        time: of the readings, s, shape (n,).
-        angle: at the readings, rad, shape (n,).
-        torque: commanded, Nm, shape (n,).
-        share: what is left of a Stribeck effect, shape (n,).
-        shared: alpha, beta, T, kappa.
-        start: angle and velocity at the first reading.
+    `share` is what is left of a Stribeck effect, `shared` alpha to kappa, `start` the initial angle and velocity.
     """
     alpha, beta, T, kappa = shared
-    final = alpha * torque - beta - kappa * share
-    h = 1e-3 * T
+    final, h = alpha * torque - beta - kappa * share, 1e-3 * T
     columns = np.empty((7, time.size))
-    columns[RESIDUAL] = angle - start[0] - respond(time, final, start[1], T)[0]
-    columns[ALPHA] = respond(time, torque, 0.0, T)[0]
-    columns[BETA] = respond(time, np.full(time.size, -1.0), 0.0, T)[0]
-    columns[TIME_CONSTANT] = (respond(time, final, start[1], T + h)[0] - respond(time, final, start[1], T - h)[0]) / (
-        2 * h
-    )
-    columns[KAPPA] = respond(time, -share, 0.0, T)[0]
-    columns[ANGLE] = 1.0
-    columns[SPEED] = -T * np.expm1(-(time - time[0]) / T)
+    columns[0] = angle - start[0] - respond(time, final, start[1], T)[0]
+    columns[1] = respond(time, torque, 0.0, T)[0]
+    columns[2] = respond(time, np.full(time.size, -1.0), 0.0, T)[0]
+    later, earlier = respond(time, final, start[1], T + h)[0], respond(time, final, start[1], T - h)[0]
+    columns[3] = (later - earlier) / (2 * h)
+    columns[4] = respond(time, -share, 0.0, T)[0]
+    columns[_ANGLE] = 1.0
+    columns[_SPEED] = -T * np.expm1(-(time - time[0]) / T)
     return columns
 
 
@@ -169,7 +159,7 @@ class RampsFit:
         stribeck: probability that there is a Stribeck effect.
         velocities: fitted velocity of each ramp at the readings of its window, rad/s.
         point: alpha, beta, T, kappa of the likeliest assumption about the Stribeck effect.
-        grams: of each ramp (see `reduce_ramp`) there, shape (K, 5, 5).
+        grams: of each ramp (see `_reduced`) there, shape (K, 5, 5).
     """
 
     values: Array
@@ -202,18 +192,17 @@ def _to_friction(shared: Array) -> Array:
     return np.array([beta / alpha, 1.0 / alpha, T / alpha])
 
 
-def reduce_ramp(time: Array, columns: Array, T: float, noise: float, variance: float) -> tuple[Array, Array, float]:
-    """Return what the rows of `derivatives` of one ramp say about the shared parameters.
+def _reduced(time: Array, columns: Array, T: float, noise: float, variance: float) -> tuple[Array, Array, float]:
+    """Return what the rows of `_derivatives` of one ramp say about the shared parameters.
 
-    Returns:
-        The gram of the whitened shared rows without what the initial angle and velocity explain, shape (5, 5); that
-        angle and velocity for each of them, shape (2, 5); the logarithm of the determinants of the noise and of the
-        information on the start.
+    That is the gram of the whitened shared rows without what the initial angle and velocity explain, shape (5, 5); that
+    angle and velocity for each of them, shape (2, 5); the logarithm of the determinants of the noise and of the
+    information on the start.
     """
     white, determinant = whiten(time, columns, T, noise, variance)
-    basis, triangle = np.linalg.qr(white[SHARED:].T)
-    along = basis.T @ white[:SHARED].T
-    free = white[:SHARED] - along.T @ basis.T
+    basis, triangle = np.linalg.qr(white[_ANGLE:].T)
+    along = basis.T @ white[:_ANGLE].T
+    free = white[:_ANGLE] - along.T @ basis.T
     determinant += 2.0 * float(np.log(np.abs(np.diag(triangle))).sum())
     return free @ free.T, np.linalg.solve(triangle, along), determinant
 
@@ -284,11 +273,11 @@ class _Ramps:
         for window, whole in zip(self.windows, self._columns(replace(point, stribeck=Stribeck())), strict=True):
             half = window.time.size // 2
             time, columns = window.time[half:], whole[:, half:].copy()
-            columns[SPEED] = -T * np.expm1(-(time - time[0]) / T)  # of a velocity that is free at the half
+            columns[_SPEED] = -T * np.expm1(-(time - time[0]) / T)  # of a velocity that is free at the half
             halves.append((time, columns))
 
         def misfit(logarithm: float) -> float:
-            parts = [reduce_ramp(*half, T, math.exp(logarithm), self.variance) for half in halves]
+            parts = [_reduced(*half, T, math.exp(logarithm), self.variance) for half in halves]
             gram = np.sum([part[0] for part in parts], axis=0)
             return sum(part[2] for part in parts) - 2.0 * _solve(gram, [1, 2], np.zeros(2), np.zeros(2))[2]
 
@@ -299,15 +288,15 @@ class _Ramps:
     def _columns(self, point: _Point) -> list[Array]:
         """Return the rows of `derivatives` for each ramp."""
         return [
-            derivatives(window.time, window.angle, window.torque, point.stribeck.share(speeds), point.shared, start)
+            _derivatives(window.time, window.angle, window.torque, point.stribeck.share(speeds), point.shared, start)
             for window, speeds, start in zip(self.windows, point.speeds, point.starts, strict=True)
         ]
 
     def parts(self, point: _Point, noise: float) -> list[tuple[Array, Array, float]]:
-        """Return what each ramp says about the shared parameters (see `reduce_ramp`)."""
+        """Return what each ramp says about the shared parameters (see `_reduced`)."""
         pairs = zip(self.windows, self._columns(point), strict=True)
         T = float(point.shared[2])
-        return [reduce_ramp(window.time, columns, T, noise, self.variance) for window, columns in pairs]
+        return [_reduced(window.time, columns, T, noise, self.variance) for window, columns in pairs]
 
     def _step(self, point: _Point, noise: float, used: list[int]) -> _Point:
         """Take one Gauss-Newton step in the parameters `used`; T changes at most by a factor of two."""
