@@ -19,7 +19,7 @@ from scipy.optimize import minimize_scalar
 
 from friction_bench.experiment.record import RampModel, RampRecord, first_motion, fit_break_away
 from friction_bench.experiment.sliding_fit import respond, whiten
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 
 SETTLED = 6.0
@@ -72,51 +72,44 @@ def fit_asymptote(record: RampRecord, time_constant: float | None = None) -> Ram
     """
     time, angle, first = first_motion(record)
     T, a, b = _rough(record, time, angle, float(time[first]) - record.tick)
-    break_away = _break_away(time, angle, first, record.tick, a, b, time_constant)
+
+    def released(moment: float) -> RampModel:
+        """Return the ramp of a break-away for an f_v of 1; without a known time constant the asymptote has it."""
+        return RampModel(moment * a, 1.0, time_constant or b / a - moment, a)
+
+    onset = slice(max(first - 2, 0), first + ONSET_TICKS)
+    latest = float(time[first]) if time_constant else min(float(time[first]), b / a - 1e-3 * record.tick)
+    back = max(ONSET_TICKS * record.tick, ONSET_SHARE * float(time[-1] - time[first])) + (time_constant or 0.0)
+    break_away = fit_break_away(time[onset], angle[onset], (latest - back, latest), released)
     T = time_constant or max(T, b / a - break_away)
-    angle = angle - staircase_angle(record, time, break_away, a, T)
-    use = time >= break_away + SETTLED * T
-    _check_length(record, int(use.sum()), float(time[-1]) - break_away - SETTLED * T, T)
+    if record.torque is not None:
+        # The command is a staircase about the ramp. Its steps are known, so their effect on an inertia with time
+        # constant T is taken out instead of being counted as noise.
+        final = (record.torque - record.slope * (time + record.tick / 2)) * a / record.slope
+        angle = angle - respond(time, np.where(time >= break_away, final, 0.0), 0.0, T)[0]
+    use = _settled(record, time, break_away, T)
     time, angle = time[use], angle[use]
     a, b, covariance = _solve(time, angle, record.angle_step, break_away, T)
-    _refuse_curved(record, time, angle, break_away, T, a)
+    half = time.size // 2
+    if half >= MIN_POINTS // 2:
+        early, late = (
+            _solve(time[part], angle[part], record.angle_step, break_away, T, ROUGH_POINTS)
+            for part in (slice(half), slice(half, None))
+        )
+        difference, error = abs(late[0] - early[0]), math.sqrt(early[2][0, 0] + late[2][0, 0])
+        if difference > 5 * error and difference > CURVATURE_LIMIT * a:
+            raise IdentificationError(
+                f"{record.label}: the velocity follows no straight asymptote, its slope goes from "
+                f"{early[0]:.4g} to {late[0]:.4g} rad/s²; saturation, or a transient that is not over"
+            )
     return RampFit(a, b, covariance, break_away, (float(time[0]), float(time[-1])))
-
-
-def _break_away(time: Array, angle: Array, first: int, tick: float, a: float, b: float, T: float | None) -> float:
-    """Return the time of break-away, s; without a known time constant the asymptote has T = b / a - t_b for each t_b.
-
-    Friction and inertia are those of an f_v of 1.
-    """
-    onset = slice(max(first - 2, 0), first + ONSET_TICKS)
-    latest = float(time[first]) if T else min(float(time[first]), b / a - 1e-3 * tick)
-    back = max(ONSET_TICKS * tick, ONSET_SHARE * float(time[-1] - time[first])) + (T or 0.0)
-    bounds = (latest - back, latest)
-    return fit_break_away(
-        time[onset], angle[onset], bounds, lambda moment: RampModel(moment * a, 1.0, T or b / a - moment, a)
-    )
-
-
-def staircase_angle(record: RampRecord, time: Array, break_away: float, a: float, T: float) -> Array:
-    """Return what the command's steps add to the angle of a smooth ramp after break-away, rad, shape (n,).
-
-    The command is a staircase about the ramp. Its steps are known, so their effect on an inertia with time
-    constant T is taken out instead of being counted as noise.
-    """
-    if record.torque is None:
-        return np.zeros_like(time)
-    final = (record.torque - record.slope * (time + record.tick / 2)) * a / record.slope
-    return respond(time, np.where(time >= break_away, final, 0.0), 0.0, T)[0]
 
 
 def _rough(record: RampRecord, time: Array, angle: Array, break_away: float) -> tuple[float, float, float]:
     """Return T, a and b roughly: ordinary least squares where the transient, by T, is over."""
-    last = float(time[-1])
-    T = (last - break_away) / (4 * SETTLED)
+    T = (float(time[-1]) - break_away) / (4 * SETTLED)
     for _ in range(20):
-        start = break_away + SETTLED * T
-        use = time >= start
-        _check_length(record, int(use.sum()), last - start, T)
+        use = _settled(record, time, break_away, T)
         a, b = np.polyfit(time[use], angle[use], 2)[:2] * (2.0, -1.0)
         if a <= 0.0:
             raise IdentificationError(
@@ -130,13 +123,18 @@ def _rough(record: RampRecord, time: Array, angle: Array, break_away: float) -> 
     return T, float(a), float(b)
 
 
-def _check_length(record: RampRecord, points: int, length: float, T: float) -> None:
+def _settled(record: RampRecord, time: Array, break_away: float, T: float) -> Mask:
+    """Return at which times the transient is over; refuse a ramp that shows too little then."""
+    start = break_away + SETTLED * T
+    use = time >= start
+    points, length = int(use.sum()), float(time[-1]) - start
     if points < MIN_POINTS or length < MIN_WINDOW * T:
         raise ShortRampError(
             f"{record.label}: the ramp is too short, {points} readings in {length:.2g} s after a transient with a time "
             f"constant of {T:.2g} s; accepted: at least {MIN_POINTS}, and {MIN_WINDOW:g} time constants; take a slower "
             "ramp or a higher end torque"
         )
+    return np.asarray(use)
 
 
 def _solve(
@@ -163,18 +161,3 @@ def _solve(
     best = minimize_scalar(lambda v: fit(v)[2], bounds=(span - 14, span + 20), method="bounded")
     (_, b, a), root, _ = fit(float(best.x))
     return float(a), float(b), np.asarray((root @ root.T)[:0:-1, :0:-1])
-
-
-def _refuse_curved(record: RampRecord, time: Array, angle: Array, break_away: float, T: float, a: float) -> None:
-    """Refuse a velocity that is no straight line: fit both halves of the window and compare their a."""
-    half = time.size // 2
-    if half < MIN_POINTS // 2:
-        return
-    parts = (slice(half), slice(half, None))
-    early, late = (_solve(time[p], angle[p], record.angle_step, break_away, T, ROUGH_POINTS) for p in parts)
-    difference, error = late[0] - early[0], math.sqrt(early[2][0, 0] + late[2][0, 0])
-    if abs(difference) > 5 * error and abs(difference) > CURVATURE_LIMIT * a:
-        raise IdentificationError(
-            f"{record.label}: the velocity follows no straight asymptote, its slope goes from "
-            f"{early[0]:.4g} to {late[0]:.4g} rad/s²; saturation, or a transient that is not over"
-        )

@@ -17,7 +17,7 @@ from scipy import stats
 
 from friction_bench.experiment.asymptote import RampFit, ShortRampError, fit_asymptote
 from friction_bench.experiment.four_way import FourWay, compare
-from friction_bench.experiment.record import RampModel, RampRecord, SlidingWindow, break_away, sliding_window
+from friction_bench.experiment.record import RampModel, RampRecord, break_away, sliding_window
 from friction_bench.experiment.sliding_fit import RampsFit, fit_sliding
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
@@ -180,13 +180,33 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
         return _one_slope(records, scale_uncertainty, unused)
     while len(slopes_of(records)) > 1:
         fit = fit_sliding(windows)
-        T = max(float(fit.values[2] / fit.values[1]), records[0].tick / 4)
+        coulomb, viscous, inertia = fit.values.tolist()
+        T = max(inertia / viscous, records[0].tick / 4)
         straight, asymptotes, bent = _usable(windows, lambda window, T=T: _asymptote(window.record, T))  # type: ignore[misc]
         unused += bent
         if not bent:
-            return _from_fit(windows, fit, asymptotes, scale_uncertainty, tuple(unused))
+            break
         windows, records = straight, [window.record for window in straight]
-    raise _no_ramp_left(unused)
+    else:
+        raise _no_ramp_left(unused)
+    if not (viscous > 0.0 and inertia > 0.0):
+        raise IdentificationError(
+            f"the ramps give a viscous friction of {viscous:.3g} Nm s/rad and an inertia of {inertia:.3g} kg m²; "
+            "accepted: > 0"
+        )
+    ramps = []
+    for window, velocity, asymptote in zip(windows, fit.velocities, asymptotes, strict=True):
+        start = break_away(window.record, RampModel(coulomb, viscous, inertia, window.record.slope))
+        ramps.append(UsedRamp(window.record, start, window.time, velocity, asymptote))
+    return RampIdentification(
+        ramps=tuple(ramps),
+        source=_by_source(ramps, scale_uncertainty),
+        exact=RampFriction.of(fit.values, fit.covariance, scale_uncertainty),
+        repeated=_by_repeats(fit, ramps, scale_uncertainty),
+        consistency=float(stats.chi2.sf(*fit.chi_square())),
+        stribeck=fit.stribeck,
+        unused=tuple(unused),
+    )
 
 
 def _no_ramp_left(reasons: Sequence[str]) -> IdentificationError:
@@ -213,29 +233,6 @@ def _asymptote(record: RampRecord, T: float) -> RampFit | None:
         return fit_asymptote(record, T)
     except ShortRampError:
         return None
-
-
-def _from_fit(
-    windows: Sequence[SlidingWindow],
-    fit: RampsFit,
-    asymptotes: Sequence[RampFit | None],
-    scale: float,
-    unused: tuple[str, ...],
-) -> RampIdentification:
-    coulomb, viscous, inertia = fit.values.tolist()
-    if not (viscous > 0.0 and inertia > 0.0):
-        raise IdentificationError(
-            f"the ramps give a viscous friction of {viscous:.3g} Nm s/rad and an inertia of {inertia:.3g} kg m²; "
-            "accepted: > 0"
-        )
-    ramps = []
-    for window, velocity, asymptote in zip(windows, fit.velocities, asymptotes, strict=True):
-        start = break_away(window.record, RampModel(coulomb, viscous, inertia, window.record.slope))
-        ramps.append(UsedRamp(window.record, start, window.time, velocity, asymptote))
-    exact = RampFriction.of(fit.values, fit.covariance, scale)
-    repeated = _by_repeats(fit, ramps, scale)
-    p = float(stats.chi2.sf(*fit.chi_square()))
-    return RampIdentification(tuple(ramps), _by_source(ramps, scale), exact, repeated, p, fit.stribeck, unused)
 
 
 def _by_source(ramps: Sequence[UsedRamp], scale: float) -> RampFriction | None:
@@ -325,16 +322,11 @@ def evaluate(records: Sequence[RampRecord], rig: Rig) -> RampTestResult:
     if not parts:
         raise IdentificationError(failures[0] if failures else "no ramp to identify from")
     joint = joint_friction(parts[0], parts[1], rig) if len(parts) == 2 else None
-    return RampTestResult(list(zip(names, parts, strict=True)), joint, _comparison(parts[-1], rig), tuple(failures))
-
-
-def _comparison(part: RampIdentification, rig: Rig) -> FourWay | None:
-    """Compare the first ramp of the slowest slope; without an identified inertia there is no model of it."""
-    best = part.best
-    if best.inertia is None or best.inertia.value <= 0.0:
-        return None
-    slowest = slopes_of(part.ramps)[0]
-    ramp = min(part.ramps, key=lambda r: abs(r.slope - slowest))
-    release = max(ramp.break_away * ramp.slope - best.coulomb.value, 0.0)
-    model = RampModel(best.coulomb.value, best.viscous.value, best.inertia.value, ramp.slope, release)
-    return compare(ramp.record, model, rig.gear_ratio)
+    comparison, best = None, parts[-1].best
+    if best.inertia is not None and best.inertia.value > 0.0:  # without it there is no model of the ramps
+        ramp = min(parts[-1].ramps, key=lambda ramp: ramp.slope)
+        coulomb = best.coulomb.value
+        release = max(ramp.break_away * ramp.slope - coulomb, 0.0)
+        model = RampModel(coulomb, best.viscous.value, best.inertia.value, ramp.slope, release)
+        comparison = compare(ramp.record, model, rig.gear_ratio)
+    return RampTestResult(list(zip(names, parts, strict=True)), joint, comparison, tuple(failures))

@@ -228,7 +228,19 @@ def run(options: argparse.Namespace) -> int:
         Rx90Error: for what is refused; what has been measured until then stands in the folder.
     """
     rig = load_rig(resolve_config(options.rig))
-    campaign = _campaign(options, rig)
+    check_options(options)
+    if not rig.counts_down:
+        raise ConfigError(
+            f"{rig.file}: counts_down is false, and its encoder counts up in both directions; accepted: a rig whose "
+            "counts go down when the motor turns back, such as rig/presliding.yaml"
+        )
+    kinds = tuple(kind for kind in KINDS if kind in (options.kinds or KINDS))
+    for name, kind in (("blocks", "loops"), ("cycles", "drift")):
+        value = getattr(options, name)
+        if value is not None and kind not in kinds:
+            raise ConfigError(f"--{name} {value} without {kind}; accepted: with --kinds {kind}, or without --kinds")
+    sizes = options.blocks or USUAL_BLOCKS, options.cycles or USUAL_CYCLES
+    campaign = Campaign(rig, kinds, *sizes, origin_of(options))
     out: Path = options.output
     try:
         with measuring(options, rig, out, campaign.left(), "rig") as session:
@@ -241,61 +253,39 @@ def run(options: argparse.Namespace) -> int:
                 _report(campaign, out)
         raise
     result = _report(campaign, out)
-    undecided = "loops" in campaign.kinds and (result.choice is None or len(result.choice.left) > 1)
+    undecided = "loops" in kinds and (result.choice is None or len(result.choice.left) > 1)
     return VERDICT_NO if undecided or result.failures else DONE
 
 
-def _campaign(options: argparse.Namespace, rig: Rig) -> Campaign:
-    """Refuse now what would otherwise be noticed after minutes."""
-    check_options(options)
-    if not rig.counts_down:
-        raise ConfigError(
-            f"{rig.file}: counts_down is false, and its encoder counts up in both directions; accepted: a rig whose "
-            "counts go down when the motor turns back, such as rig/presliding.yaml"
-        )
-    kinds = tuple(kind for kind in KINDS if kind in (options.kinds or KINDS))
-    for name, kind in (("blocks", "loops"), ("cycles", "drift")):
-        value = getattr(options, name)
-        if value is not None and kind not in kinds:
-            raise ConfigError(f"--{name} {value} without {kind}; accepted: with --kinds {kind}, or without --kinds")
-    blocks, cycles = options.blocks or USUAL_BLOCKS, options.cycles or USUAL_CYCLES
-    return Campaign(rig, kinds, blocks, cycles, origin_of(options))
-
-
 def _run_all(session: Session, campaign: Campaign, out: Path) -> None:
-    """Run what is planned; a later experiment is planned by what earlier ones showed."""
-    client, bar = session.client, session.bar
+    """Run what is planned; a later experiment is planned by what earlier ones showed.
+
+    The readings of each stand as a CSV file, however it ends. One that is cut short counts where it is a drift, whose
+    cycles so far are as good as those that are missing.
+    """
+    client, bar, done = session.client, session.bar, campaign.done
     assert client.hello is not None  # it has been greeted
     try:
         for what in campaign.runs(client.hello.torque_limit_code):
             bar.total = round(bar.n + campaign.left(), 1)
             bar.set_postfix_str(what.label, refresh=False)
             wait_for_rest(client)
-            _run_one(session, what, campaign, out)
+            first = len(session.samples)
+            file = f"{len(done) + 1:03d}_{what.label.split(',')[0].replace(' ', '_')}"
+            try:
+                done.append((what, follow(client, what.profile, what.label, session.keep)))
+            except (KeyboardInterrupt, Rx90Error):
+                if len(session.samples) - first > 1:
+                    with interrupts_later(), contextlib.suppress(Rx90Error):  # the first reason is the one to tell
+                        unfinished = Trace.of(f"{what.label}, unfinished", session.samples[first:], campaign.rig)
+                        if what.kind == "drift":
+                            done.append((what, unfinished))
+                        unfinished.write(out / f"{file}_unfinished.csv")
+                raise
+            done[-1][1].write(out / f"{file}.csv")
     except IdentificationError as error:  # what was measured before stands, and is evaluated
         bar.write(f"{error}; no more experiments", sys.stderr)
         campaign.failures.append(str(error))
-
-
-def _run_one(session: Session, what: Run, campaign: Campaign, out: Path) -> None:
-    """Run an experiment; its readings stand as a CSV file, however it ends.
-
-    One that is cut short counts where it is a drift, whose cycles so far are as good as those that are missing.
-    """
-    first = len(session.samples)
-    name = f"{len(campaign.done) + 1:03d}_{what.label.split(',')[0].replace(' ', '_')}"
-    try:
-        trace = follow(session.client, what.profile, what.label, session.keep)
-    except (KeyboardInterrupt, Rx90Error):
-        if len(session.samples) - first > 1:
-            with interrupts_later(), contextlib.suppress(Rx90Error):  # the first reason is the one to tell
-                unfinished = Trace.of(f"{what.label}, unfinished", session.samples[first:], campaign.rig)
-                if what.kind == "drift":
-                    campaign.done.append((what, unfinished))
-                unfinished.write(out / f"{name}_unfinished.csv")
-        raise
-    campaign.done.append((what, trace))
-    trace.write(out / f"{name}.csv")
 
 
 def _report(campaign: Campaign, out: Path) -> PreslidingResult:

@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,8 +122,14 @@ class FrictionLaw:
     def predict(self, values: Sequence[float], sliding: SlidingFriction, blocks: Sequence[LoopBlock]) -> list[Array]:
         """Return the torque at each of the readings of blocks, Nm, each of shape (k,)."""
         if self.bristles is None:
-            static = sliding.tau_s if self.stribeck else sliding.tau_c
-            return [_rigid(static, block) for block in blocks]
+            # It balances the torque at rest, and slides where it moves.
+            static, found = sliding.tau_s if self.stribeck else sliding.tau_c, []
+            for block in blocks:
+                before = np.concatenate(([block.readings[0] - DWELL], block.readings[:-1]))
+                moved = block.angle[block.readings] - block.angle[np.maximum(before, 0)]
+                still = np.clip(block.torque, -static, static)
+                found.append(np.where(moved == 0.0, still, static * np.sign(moved)))
+            return found
         joint, found = joint_record(self.element(values, sliding), 1.0, blocks[0].tick, 0), []
         for block in blocks:
             start(joint)
@@ -145,22 +150,19 @@ class FrictionLaw:
         if not self.starts:
             return []
         measured = np.concatenate([block.torque for block in blocks])
+        rises = []  # torque over angle where a joint begins to turn back, Nm/rad: the stiffness, roughly
+        for block in blocks:
+            torque, angle = np.diff(block.torque[::4]), np.diff(block.angle[block.readings][::4])
+            back = (torque < 0.0) & (angle < 0.0)
+            rises.extend(torque[back] / angle[back])
 
         def misfit(values: Array) -> Array:
             return np.asarray(np.concatenate(self.predict(values.tolist(), sliding, blocks)) - measured)
 
-        stiffness = _stiffness(blocks)
+        stiffness = float(np.median(rises)) if rises else 1e6
         tries = [[math.log(factor * stiffness), *rest] for factor, *rest in self.starts]
         found = [least_squares(misfit, one, diff_step=[1e-3], xtol=1e-4, ftol=1e-4, max_nfev=40) for one in tries]
         return [float(value) for value in min(found, key=lambda one: float(one.cost)).x]
-
-
-def _rigid(static: float, block: LoopBlock) -> Array:
-    """Return what a joint without presliding does: it balances the torque at rest, and slides where it moves."""
-    before = np.concatenate(([block.readings[0] - DWELL], block.readings[:-1]))
-    moved = block.angle[block.readings] - block.angle[np.maximum(before, 0)]
-    still = np.clip(block.torque, -static, static)
-    return np.where(moved == 0.0, still, static * np.sign(moved))
 
 
 def _maxwell(values: Sequence[float]) -> MaxwellSlip:
@@ -169,17 +171,6 @@ def _maxwell(values: Sequence[float]) -> MaxwellSlip:
     share = stiffness * REACHES / float(stiffness @ REACHES)
     parts = (np.clip(part, 1e-6, 1.0) for part in (stiffness, share))
     return MaxwellSlip(*(tuple((part / part.sum()).tolist()) for part in parts), ATTRACTION)
-
-
-def _stiffness(blocks: Sequence[LoopBlock]) -> float:
-    """Return the stiffness with which joints begin to turn back, Nm/rad, roughly: where the torque falls."""
-    rises = []
-    for block in blocks:
-        torque, angle = block.torque, block.angle[block.readings]
-        for first, last in pairwise(range(0, torque.size, 4)):
-            if torque[last] < torque[first] and angle[first] > angle[last]:
-                rises.append((torque[first] - torque[last]) / (angle[first] - angle[last]))
-    return float(np.median(rises)) if rises else 1e6
 
 
 # Maxwell slip begins with even springs, and with stiff ones that give way early; none is 0, which would take a fit's

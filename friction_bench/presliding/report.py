@@ -69,27 +69,6 @@ def _loops_plot(result: PreslidingResult) -> Plot:
     return Plot(panels, columns=2, height=3.0)
 
 
-def _break_away_plot(torques: list[tuple[float, float]]) -> Plot:
-    """Show the largest friction before sliding over the torque's rate."""
-    rates, means, errors = np.array(by_rate(torques)).T
-    marks: list[Mark] = [
-        Dots(*np.array(torques).T, "each ramp", GREY),
-        Dots(rates, means, "mean and standard error", COLOURS[1], errors),
-    ]
-    return Plot([Panel(marks, "", "rate of the torque, Nm/s", "break-away, Nm", x_scale="log")], height=2.8)
-
-
-def _sliding_plot(readings: SlidingReadings, friction: SlidingFriction) -> Plot:
-    """Show friction over speed with the fitted curve."""
-    speed = np.linspace(0.0, 1.02 * float(readings.speed.max()), 300)
-    torque = readings.torque - friction.inertia * readings.acceleration
-    marks: list[Mark] = [
-        Dots(readings.speed, torque, "readings", COLOURS[0]),
-        Curve(speed, friction.torque(speed), "fitted", INK, 1.2),
-    ]
-    return Plot([Panel(marks, "", "speed of the joint, rad/s", "friction, Nm")], height=2.8)
-
-
 def _pulls_plot(result: PreslidingResult) -> Plot:
     """Show where the joint sticks and slips over speed and stiffness, and where linear stability says that it does."""
     marks: list[Mark] = []
@@ -152,25 +131,36 @@ def write_result(out: Path, result: PreslidingResult) -> None:
         Rx90Error: if a file cannot be written; the results are printed before.
     """
     resolution, entry = _resolution(result)
-    lines, plots = [f"resolution: {resolution}"], {}
+    lines, plots = [f"resolution: {resolution}"], dict[str, Plot]()
     document: dict[str, Any] = {"rig": result.rig.file.name, "resolution": entry}
     if result.blocks:
         plots["loops"] = _loops_plot(result)
     if result.break_away:
         rows = by_rate(result.break_away)
         lines.append("break-away: " + ", ".join(f"{m:.3f} ± {e:.3f} Nm at {r:.3g} Nm/s" for r, m, e in rows))
-        names = ("rate_nm_s", "torque_nm", "standard_error_nm")
+        names: tuple[str, ...] = ("rate_nm_s", "torque_nm", "standard_error_nm")
         document["break_away"] = [dict(zip(names, row, strict=True)) for row in rows]
-        plots["break_away"] = _break_away_plot(result.break_away)
+        rates, means, errors = np.array(rows).T
+        marks: list[Mark] = [
+            Dots(*np.array(result.break_away).T, "each ramp", GREY),
+            Dots(rates, means, "mean and standard error", COLOURS[1], errors),
+        ]
+        panel = Panel(marks, "", "rate of the torque, Nm/s", "break-away, Nm", x_scale="log")
+        plots["break_away"] = Plot([panel], height=2.8)
     if result.sliding is not None and result.readings is not None:
-        s = result.sliding
+        s, readings = result.sliding, result.readings
         lines.append(
             f"sliding: tau_c {s.tau_c:.3f} Nm, tau_s {s.tau_s:.3f} Nm, omega_s {s.omega_s:.3f} rad/s, "
             f"c2 {s.c2:.3f} Nm s/rad, inertia {s.inertia:.3f} kg m2"
         )
         names = ("tau_c", "tau_s", "omega_s", "c2", "inertia")
         document["sliding"] = {name: float(f"{getattr(s, name):.5g}") for name in names}
-        plots["sliding"] = _sliding_plot(result.readings, s)
+        speed = np.linspace(0.0, 1.02 * float(readings.speed.max()), 300)
+        marks = [
+            Dots(readings.speed, readings.torque - s.inertia * readings.acceleration, "readings", COLOURS[0]),
+            Curve(speed, s.torque(speed), "fitted", INK, 1.2),
+        ]
+        plots["sliding"] = Plot([Panel(marks, "", "speed of the joint, rad/s", "friction, Nm")], height=2.8)
     if result.choice is not None:
         choice = result.choice
         lines.append(f"{'law':22}{'loops, mNm RMS':>16}{'sliding, mNm RMS':>18}")
