@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -203,13 +203,23 @@ def write_csv(record: RampRecord, path: Path) -> None:
     Raises:
         Rx90Error: if the file cannot be written.
     """
-    counts = np.rint(record.angle / record.angle_step).astype(int).tolist()
-    torques = [column.tolist() for column in (record.torque, record.measured_torque) if column is not None]
+    counts = np.rint(record.angle / record.angle_step).astype(int)
+    columns = (record.time, counts, record.torque, record.measured_torque)
+    known = {name: column.tolist() for name, column in zip(CSV_COLUMNS, columns, strict=True) if column is not None}
+    write_table(path, f"{record.label}, slope {record.slope!r} Nm/s", known)
+
+
+def write_table(path: Path, comment: str, columns: Mapping[str, Sequence[object]]) -> None:
+    """Write columns as CSV, after a line of comment.
+
+    Raises:
+        Rx90Error: if the file cannot be written.
+    """
     with written_beside(path) as (beside,), beside.open("w", newline="", encoding="utf-8") as stream:
-        stream.write(f"# {record.label}, slope {record.slope!r} Nm/s\n")
+        stream.write(f"# {comment}\n")
         writer = csv.writer(stream)
-        writer.writerow(CSV_COLUMNS[: 2 + len(torques)])
-        writer.writerows(zip(record.time.tolist(), counts, *torques, strict=True))
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
 
 
 def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: float, loaded: bool = False) -> RampRecord:

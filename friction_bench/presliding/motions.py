@@ -12,7 +12,6 @@ loop), so it holds from there on: a delay of less than a tick, and the next repo
 from __future__ import annotations
 
 import contextlib
-import csv
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -21,13 +20,13 @@ from typing import TypeAlias
 
 import numpy as np
 
+from friction_bench.experiment.record import write_table
 from friction_bench.experiment.session import armed, last_near_limits, refuse_fault, sample_columns
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.messages import Command, CommandResult, RigError, RigRefusedError, State
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.process.files import written_beside
 
 LATE = 0.7
 """Part of a tick after which the answer to a reading is on the DAC: 9 ms for the report and 4 for the command."""
@@ -94,12 +93,9 @@ class Trace:
         Raises:
             Rx90Error: if the file cannot be written.
         """
-        with written_beside(path) as (beside,), beside.open("w", newline="", encoding="utf-8") as stream:
-            stream.write(f"# {self.label}; a count is {self.angle_step!r} rad, a code {self.torque_step!r} Nm\n")
-            writer = csv.writer(stream)
-            writer.writerow(("time", "counts", "code"))
-            for time, counts, code in zip(self.time, self.counts, self.code, strict=True):
-                writer.writerow([f"{time:.6g}", int(counts), int(code)])
+        comment = f"{self.label}; a count is {self.angle_step!r} rad, a code {self.torque_step!r} Nm"
+        whole = {"counts": self.counts.astype(int).tolist(), "code": self.code.astype(int).tolist()}
+        write_table(path, comment, {"time": [f"{time:.6g}" for time in self.time], **whole})
 
 
 def follow(

@@ -160,29 +160,24 @@ class State(IntEnum):
 
 
 class CommandResult(IntEnum):
-    """What became of the last command."""
+    """What became of the last command, by its number, and in words."""
 
-    OK = 0
-    UNKNOWN = 1
-    LENGTH = 2
-    VERSION = 3
-    NO_HELLO = 4
-    FAULT = 5
-    STATE = 6
-    RANGE = 7
+    text: str
 
+    OK = 0, "done"
+    UNKNOWN = 1, "the rig does not know this command"
+    LENGTH = 2, "the command has a wrong length"
+    VERSION = 3, "the rig speaks another protocol version"
+    NO_HELLO = 4, "the rig has not been greeted since its last reset"
+    FAULT = 5, "a fault is latched; clear it first"
+    STATE = 6, "not possible in the rig's present state"
+    RANGE = 7, "a value is outside the firmware's limits"
 
-RESULT_TEXTS = (
-    "done",
-    "the rig does not know this command",
-    "the command has a wrong length",
-    "the rig speaks another protocol version",
-    "the rig has not been greeted since its last reset",
-    "a fault is latched; clear it first",
-    "not possible in the rig's present state",
-    "a value is outside the firmware's limits",
-)
-"""By the number of the result."""
+    def __new__(cls, number: int, text: str) -> CommandResult:
+        """Return the result of a number, with its words."""
+        member = int.__new__(cls, number)
+        member._value_, member.text = number, text
+        return member
 
 
 class Fault(IntFlag):
@@ -272,8 +267,8 @@ class Report(NamedTuple):
     @property
     def result_text(self) -> str:
         """Return what became of the last command, in words."""
-        known = self.result < len(RESULT_TEXTS)
-        return RESULT_TEXTS[self.result] if known else f"unknown result {self.result}"
+        known = self.result in CommandResult.__members__.values()
+        return CommandResult(self.result).text if known else f"unknown result {self.result}"  # type: ignore[call-arg]
 
 
 def parse_hello(frame: Frame) -> HelloReply | None:
@@ -288,7 +283,7 @@ def parse_report(frame: Frame) -> Report | None:
     """Return the report in `frame`, None if it is something else."""
     if frame.type != Answer.REPORT or len(frame.payload) != _REPORT.size:
         return None
-    tick, low, high, dac, adc, status, fault, *answer = _REPORT.unpack(frame.payload)
-    flags = (bool(status & bit) for bit in (4, 8, 16))
-    counts = low | high << 16
-    return Report(frame.sequence, tick, counts, dac, adc, State(status & 3), *flags, Fault(fault & 15), *answer)
+    tick, low, high, dac, adc, status, fault, ack, result, bad = _REPORT.unpack(frame.payload)
+    counts, (greeted, stage_on, ramp_done) = low | high << 16, (bool(status & bit) for bit in (4, 8, 16))
+    state, faults = State(status & 3), Fault(fault & 15)
+    return Report(frame.sequence, tick, counts, dac, adc, state, greeted, stage_on, ramp_done, faults, ack, result, bad)
