@@ -150,7 +150,7 @@ class FrictionLaw:
         if not self.starts:
             return []
         measured = np.concatenate([block.torque for block in blocks])
-        rises = []  # torque over angle where a joint begins to turn back, Nm/rad: the stiffness, roughly
+        rises: list[float] = []  # torque over angle where a joint begins to turn back, Nm/rad: the stiffness, roughly
         for block in blocks:
             torque, angle = np.diff(block.torque[::4]), np.diff(block.angle[block.readings][::4])
             back = (torque < 0.0) & (angle < 0.0)
@@ -169,8 +169,9 @@ def _maxwell(values: Sequence[float]) -> MaxwellSlip:
     stiffness = np.exp(np.append(np.asarray(values), 0.0))
     stiffness /= stiffness.sum()
     share = stiffness * REACHES / float(stiffness @ REACHES)
-    parts = (np.clip(part, 1e-6, 1.0) for part in (stiffness, share))
-    return MaxwellSlip(*(tuple((part / part.sum()).tolist()) for part in parts), ATTRACTION)
+    stiffness, share = (np.clip(part, 1e-6, 1.0) for part in (stiffness, share))
+    stiffness, share = stiffness / stiffness.sum(), share / share.sum()
+    return MaxwellSlip(tuple(stiffness.tolist()), tuple(share.tolist()), ATTRACTION)
 
 
 # Maxwell slip begins with even springs, and with stiff ones that give way early; none is 0, which would take a fit's
@@ -287,30 +288,30 @@ def _score(
     on_fit: Callable[[], object],
 ) -> LawScore:
     """Fit a law to all blocks but those of each fold, and to all."""
-    numbers = np.arange(len(blocks))
+    numbers = list(range(len(blocks)))
     folds = [numbers[fold::FOLDS] for fold in range(FOLDS)]
 
-    def fit(left_out: Array) -> list[float]:
+    def fit(left_out: list[int]) -> list[float]:
         values = law.fit(friction, [block for i, block in enumerate(blocks) if i not in left_out])
         on_fit()
         return values
 
-    def squares(values: list[float], fold: Array) -> Array:
+    def squares(values: list[float], fold: list[int]) -> Array:
         unseen = [blocks[i] for i in fold]
         pairs = zip(law.predict(values, friction, unseen), unseen, strict=True)
         return np.array([np.mean((torque - block.torque) ** 2) for torque, block in pairs])
 
-    loops = np.empty(numbers.size)
+    loops = np.empty(len(blocks))
     loops[np.concatenate(folds)] = leave_out(folds, fit, squares)[1]
-    return LawScore(law, loops, sliding, tuple(fit(numbers[:0])))
+    return LawScore(law, loops, sliding, tuple(fit([])))
 
 
 def _sliding_errors(readings: SlidingReadings, stribeck: bool) -> Array:
     """Return the mean squared errors of stretches of sliding readings, from a fit to the others, shape (stretches,)."""
     every = np.arange(readings.speed.size)
     return leave_out(
-        np.array_split(every, _SLIDING_BLOCKS),
-        lambda stretch: fit_sliding_friction(readings.rows(np.setdiff1d(every, stretch)), stribeck),
+        [np.isin(every, stretch) for stretch in np.array_split(every, _SLIDING_BLOCKS)],
+        lambda stretch: fit_sliding_friction(readings.rows(~stretch), stribeck),
         lambda friction, stretch: np.array([np.mean(friction.misfit(readings.rows(stretch)) ** 2)]),
     )[1]
 

@@ -140,9 +140,9 @@ def write_result(out: Path, result: PreslidingResult) -> None:
         lines.append("break-away: " + ", ".join(f"{m:.3f} ± {e:.3f} Nm at {r:.3g} Nm/s" for r, m, e in rows))
         names: tuple[str, ...] = ("rate_nm_s", "torque_nm", "standard_error_nm")
         document["break_away"] = [dict(zip(names, row, strict=True)) for row in rows]
-        rates, means, errors = np.array(rows).T
+        each, (rates, means, errors) = np.array(result.break_away), np.array(rows).T
         marks: list[Mark] = [
-            Dots(*np.array(result.break_away).T, "each ramp", GREY),
+            Dots(each[:, 0], each[:, 1], "each ramp", GREY),
             Dots(rates, means, "mean and standard error", COLOURS[1], errors),
         ]
         panel = Panel(marks, "", "rate of the torque, Nm/s", "break-away, Nm", x_scale="log")

@@ -27,7 +27,7 @@ from scipy.linalg import expm
 from scipy.optimize import least_squares
 
 from friction_bench.presliding.motions import LATE, Trace
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction.element import FrictionElement
 
@@ -67,7 +67,7 @@ class SlidingReadings(NamedTuple):
     acceleration: Array
     torque: Array
 
-    def rows(self, chosen: Array) -> SlidingReadings:
+    def rows(self, chosen: Mask) -> SlidingReadings:
         """Return some of the readings."""
         return SlidingReadings(*(column[chosen] for column in self))
 
