@@ -139,7 +139,8 @@ def ramp(rate: float, counts: float, limit: int) -> Profile:
         code = min(round(ticks * rate), limit)
         if (yield code).counts - first.counts >= counts:
             break
-    yield from [0] * _STILL
+    for _ in range(_STILL):
+        yield 0
 
 
 def after_slide(start: int, counts: float, limit: int, codes: Iterable[int]) -> Profile:
@@ -152,8 +153,8 @@ def after_slide(start: int, counts: float, limit: int, codes: Iterable[int]) -> 
     first = yield code
     while (yield code).counts - first.counts < counts:
         code = _higher(code, limit)
-    yield from [0] * _STILL
-    yield from codes
+    for code in (*[0] * _STILL, *codes):  # not `yield from`: a list cannot be sent readings
+        yield code
 
 
 def _higher(code: int, limit: int) -> int:
