@@ -36,22 +36,22 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
 
-LEAST_SLIDING = 1.5
+MIN_SLIDING_TIME = 1.5
 """Shortest time for which the shaft slides in the fastest ramp, s."""
-LEAST_CONSTANTS = 8.0
+MIN_TIME_CONSTANTS = 8.0
 """The same in time constants; the longer of the two counts."""
-LONGEST_CONSTANT = 0.5
+MAX_TIME_CONSTANT = 0.5
 """The time constant, s, that is taken if the first ramp shows a longer one: a single ramp shows it poorly."""
-LEAST_RATIO = 1.8
+MIN_SLOPE_RATIO = 1.8
 """Smallest ratio of fastest to slowest slope."""
-RATIO = 2.5
+SLOPE_RATIO = 2.5
 """The ratio where the slopes are chosen here."""
-READINGS = 300
+MIN_SLIDING_READINGS = 300
 """Fewest readings of a sliding shaft at the fastest slope, all repeats together."""
-MOST_REPEATS = 20
+MAX_REPEATS = 20
 LOADS = {False: "no-load", True: "loaded"}
 _CHOSEN_LOADS = {"none": (False,), "joint": (True,), "both": (False, True)}
-_OF_A_RIG = {
+_RIG_OPTIONS = {
     "port": EMULATED, "load": "both", "slopes": None, "repeats": None, "end_torque": None, "seed": None,
     "clear": False, "real_time": False,
 }  # fmt: skip
@@ -149,16 +149,16 @@ def plan_from(first: RampRecord, plan: RampPlan, rig: Rig) -> RampPlan:
     rise = min(plan.end(first.loaded) - coulomb, viscous * top)
     if rise <= 0.0:
         return plan
-    fastest = rise / max(LEAST_SLIDING, LEAST_CONSTANTS * min(constant, LONGEST_CONSTANT))
+    fastest = rise / max(MIN_SLIDING_TIME, MIN_TIME_CONSTANTS * min(constant, MAX_TIME_CONSTANT))
     farthest = LIMITS_SHARE * travel * TRAVEL_UNIT * first.angle_step
     slowest = rise**2 / (2.0 * viscous * farthest)  # slower ones turn the shaft too far
     slopes = plan.slopes
-    if not (max(slopes) <= fastest and min(slopes) >= slowest and max(slopes) >= LEAST_RATIO * min(slopes)):
-        high = min(max(fastest, RATIO * slowest), max(slopes))
-        low = max(high / RATIO, rig.slope_of_step(1))
+    if not (max(slopes) <= fastest and min(slopes) >= slowest and max(slopes) >= MIN_SLOPE_RATIO * min(slopes)):
+        high = min(max(fastest, SLOPE_RATIO * slowest), max(slopes))
+        low = max(high / SLOPE_RATIO, rig.slope_of_step(1))
         slopes = (float(f"{low:.3g}"), float(f"{high:.3g}"))
     readings = rise / max(slopes) / rig.tick
-    repeats = min(max(plan.repeats, math.ceil(READINGS / readings)), MOST_REPEATS)
+    repeats = min(max(plan.repeats, math.ceil(MIN_SLIDING_READINGS / readings)), MAX_REPEATS)
     return replace(plan, slopes=slopes, repeats=repeats)
 
 
@@ -202,7 +202,7 @@ def _check(options: argparse.Namespace, base: FrictionFile) -> None:
     refuse_parts(replaced, "the element that a ramp test replaces", f"{base.path}: elements.")
     check_options(options)
     if options.no_load_file or options.loaded_file:
-        for name, usual in _OF_A_RIG.items():
+        for name, usual in _RIG_OPTIONS.items():
             if getattr(options, name) not in (None, usual):
                 raise ConfigError(f"--{name.replace('_', '-')} with old data; accepted: with a rig")
     elif options.text:

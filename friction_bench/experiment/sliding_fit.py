@@ -37,7 +37,7 @@ VELOCITIES = 10
 HIGHEST_VELOCITY = 1.0 / 6.0
 """The highest of them over the velocity at the ramps' end: a Stribeck effect that reached into the ramps' second half
 could not be told from less viscous friction."""
-RISE = 0.5
+RISE_PRIOR_SD = 0.5
 """Standard deviation of the prior of delta_s / f_c about zero."""
 FIRST_NOISE = 1e-2
 """Intensity of the torque noise over f_v, (rad/s)² s, to begin with."""
@@ -45,7 +45,7 @@ NOISE_RANGE = range(-18, 10, 2)
 """Logarithms of intensities between which the noise is sought."""
 STEPS = 3
 """Gauss-Newton steps without a Stribeck effect; the second already changes less than the noise."""
-STEPS_ON = 2
+STRIBECK_STEPS = 2
 """Further steps for each assumption with a Stribeck effect."""
 _ANGLE, _SPEED = 5, 6
 """Of the rows of `_derivatives`, those to angle and velocity at the beginning; the others belong to all ramps."""
@@ -262,7 +262,7 @@ class _Ramps:
         if not stribeck.velocity:
             point = replace(point, shared=point.shared * [1, 1, 1, 0])
         point = replace(point, stribeck=stribeck)
-        for _ in range(STEPS_ON if stribeck.velocity else STEPS):
+        for _ in range(STRIBECK_STEPS if stribeck.velocity else STEPS):
             point = self._step(point, noise, used)
         return point
 
@@ -304,7 +304,7 @@ class _Ramps:
         indices = np.array(used) - 1
         prior = np.zeros(4)
         if point.stribeck.velocity:
-            prior[3] = 1.0 / (RISE * max(abs(float(point.shared[1])), 1e-9)) ** 2
+            prior[3] = 1.0 / (RISE_PRIOR_SD * max(abs(float(point.shared[1])), 1e-9)) ** 2
         gram = np.sum([part[0] for part in parts], axis=0)
         change, covariance, evidence = _solve(gram, used, prior[indices], point.shared[indices])
         evidence -= sum(part[2] for part in parts) / 2

@@ -19,7 +19,7 @@ from friction_bench.presliding.laws import FITS, LoopBlock, choose
 from friction_bench.presliding.motions import Profile, Trace, follow
 from friction_bench.presliding.report import PreslidingResult, write_result
 from friction_bench.presliding.sliding import (
-    HALF,
+    HALF_CYCLE_TICKS,
     RATES,
     REPEATS,
     break_away_code,
@@ -36,17 +36,17 @@ from rx90_common.base.quoting import one_line
 from rx90_common.base.share import resolve_config
 from rx90_common.process.interrupts import interrupts_later
 
-SPEEDS = np.array([0.02, 0.035, 0.06, 0.1, 0.16, 0.24, 0.34, 0.45])
+SWEEP_SPEEDS = np.array([0.02, 0.035, 0.06, 0.1, 0.16, 0.24, 0.34, 0.45])
 """Of the sweep, in parts of the fastest that the rig allows."""
-HELD = 75
+SPEED_TICKS = 75
 """Ticks for each speed."""
-PULLS = np.array([0.04, 0.08, 0.12, 0.17, 0.24, 0.33])
+PULL_SPEEDS = np.array([0.04, 0.08, 0.12, 0.17, 0.24, 0.33])
 """Speeds of the stick-slip map, in parts of the same."""
-STIFFNESSES = (4.0, 8.0, 16.0)
+PULL_STIFFNESSES = (4.0, 8.0, 16.0)
 """Of the map, Nm/rad: a joint on a spring of these oscillates slowly against the 20 ms tick."""
 _STRIDES = 18
 """Strides from zero to break-away in loops."""
-_START = 0.5
+_SLIDE_START = 0.5
 """Of the break-away torque: where slides begin."""
 _BANDWIDTH = 15.0
 """Of the speed's loop, rad/s: well below what the delay of a tick and a half allows."""
@@ -106,12 +106,14 @@ class Campaign:
 
     def left(self) -> float:
         """Return how long what is not done yet may take, s, for a joint that breaks away at half of the torque."""
-        pulls = [self._pull_ticks(speed, stiffness) for speed in PULLS * self.fastest for stiffness in STIFFNESSES]
+        pulls = [
+            self._pull_ticks(speed, stiffness) for speed in PULL_SPEEDS * self.fastest for stiffness in PULL_STIFFNESSES
+        ]
         ticks = {
             "loops": self.blocks * 420.0,
-            "sweep": 2 * SPEEDS.size * HELD + 80,
+            "sweep": 2 * SWEEP_SPEEDS.size * SPEED_TICKS + 80,
             "stick_slip": sum(pulls),
-            "drift": 2 * HALF * self.cycles + 120,
+            "drift": 2 * HALF_CYCLE_TICKS * self.cycles + 120,
         }
         whole = sum(REPEATS * 130.0 / rate + 25.0 for rate in RATES) + sum(ticks[kind] for kind in self.kinds)
         return max(whole * self.rig.tick - float(sum(trace.time[-1] for _, trace in self.done)), 0.0)
@@ -155,7 +157,7 @@ class Campaign:
                 yield Run("ramps", label, motions.ramp(rate, self.slide, limit), rate)
                 break_away_code(self.done[-1][1], self.slide)  # refused now, if the joint sticks
         rig, slow = self.rig, self.break_away_code()
-        start = int(_START * slow)
+        start = int(_SLIDE_START * slow)
         counts = rig.tick / rig.joint_step  # per tick, of 1 rad/s
         if "loops" in self.kinds:
             stride = max(1, round(slow / _STRIDES))
@@ -163,13 +165,13 @@ class Campaign:
                 codes = motions.loop_codes(int(slow), block, stride)
                 yield Run("loops", f"loops, block {block + 1}", motions.after_slide(start, self.slide, limit, codes))
         if "sweep" in self.kinds:
-            speeds = SPEEDS * self.fastest
+            speeds = SWEEP_SPEEDS * self.fastest
             wanted = [float(speed) * rig.tick / rig.joint_step for speed in (*speeds, *speeds[::-1])]
             gain = _USUAL_INERTIA * _BANDWIDTH / rig.joint_code / counts
-            yield Run("sweep", "sweep", motions.speeds(start, wanted, HELD, gain, limit, rig.tick))
+            yield Run("sweep", "sweep", motions.speeds(start, wanted, SPEED_TICKS, gain, limit, rig.tick))
         if "stick_slip" in self.kinds:
-            for stiffness in STIFFNESSES:
-                for speed in (PULLS * self.fastest).tolist():
+            for stiffness in PULL_STIFFNESSES:
+                for speed in (PULL_SPEEDS * self.fastest).tolist():
                     spring, ticks = stiffness * rig.joint_step / rig.joint_code, self._pull_ticks(speed, stiffness)
                     profile = motions.pulled(spring, speed * rig.tick / rig.joint_step, ticks, limit, 0.8 * slow)
                     label = f"stick-slip, {speed:.3f} rad/s, {stiffness:g} Nm/rad"
@@ -180,7 +182,7 @@ class Campaign:
                 raise IdentificationError(
                     f"drift: the joint breaks away at code {slow:g}, which leaves no codes for small cycles below it"
                 )
-            codes = motions.cycle_codes(low, high, HALF, self.cycles)
+            codes = motions.cycle_codes(low, high, HALF_CYCLE_TICKS, self.cycles)
             yield Run("drift", "drift", motions.after_slide(start, self.slide, limit, codes))
 
     def _pull_ticks(self, speed: float, stiffness: float) -> int:

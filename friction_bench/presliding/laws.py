@@ -8,8 +8,8 @@ torque: where a step of torque moves the joint by a count, it predicts the slidi
 The choice is by cross-validation over whole blocks: each law is fitted to all blocks but some and predicts those.
 Blocks begin with a slide, so that no reading shares noise or memory with one of another block. Squared errors of the
 blocks are compared in pairs: a law is refuted where another predicts better by more than chance gives (t-test over the
-blocks, one-sided, p < P) and by more than SHARE, be it in sliding, or, among the laws that sliding leaves, in loops. Of
-laws that contain a simpler one which is not refuted the simpler one is kept.
+blocks, one-sided, p < SIGNIFICANCE) and by more than MIN_EXCESS, be it in sliding, or, among the laws that sliding
+leaves, in loops. Of laws that contain a simpler one which is not refuted the simpler one is kept.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from friction_bench.presliding.motions import DWELL, Trace
+from friction_bench.presliding.motions import DWELL_TICKS, Trace
 from friction_bench.presliding.sliding import (
     DriftResult,
     DriftVerdict,
@@ -38,12 +38,12 @@ from rx90_common.friction.held_out import HeldOutErrors, leave_out
 from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_common.kernels.compiled import kernel
 
-P = 0.01
-SHARE = 0.1
+SIGNIFICANCE = 0.01
+MIN_EXCESS = 0.1
 """Least relative excess of the squared error that counts."""
 FOLDS = 5
-LEAST_BLOCKS = 6
-REACHES = np.geomspace(0.15, 4.0, 6)
+MIN_BLOCKS = 6
+BREAK_AWAY_RATIOS = np.geomspace(0.15, 4.0, 6)
 """Of the blocks of Maxwell slip, in proportion: where their springs give way."""
 ATTRACTION = 1e4
 """Nm/s: at once, for a velocity that is held for a tick; the readings, at rest, do not show how fast it is."""
@@ -76,7 +76,7 @@ class LoopBlock:
         ends = np.flatnonzero(np.diff(code) != 0.0)
         slid = int(np.flatnonzero((code[:-1] > 0.0) & (code[1:] == 0.0))[0]) + 1
         first = slid + int(np.argmax(code[slid:] > 0.0)) - 1  # the last reading at rest
-        readings = ends[(ends > first) & (np.diff(ends, prepend=-1) >= DWELL)]
+        readings = ends[(ends > first) & (np.diff(ends, prepend=-1) >= DWELL_TICKS)]
         angle, torque = settled(trace.counts)[first:] * trace.angle_step, code[readings] * trace.torque_step
         return cls(angle, readings - first, torque, trace.tick)
 
@@ -125,7 +125,7 @@ class FrictionLaw:
             # It balances the torque at rest, and slides where it moves.
             static, found = sliding.tau_s if self.stribeck else sliding.tau_c, []
             for block in blocks:
-                before = np.concatenate(([block.readings[0] - DWELL], block.readings[:-1]))
+                before = np.concatenate(([block.readings[0] - DWELL_TICKS], block.readings[:-1]))
                 moved = block.angle[block.readings] - block.angle[np.maximum(before, 0)]
                 still = np.clip(block.torque, -static, static)
                 found.append(np.where(moved == 0.0, still, static * np.sign(moved)))
@@ -168,7 +168,7 @@ class FrictionLaw:
 def _maxwell(values: Sequence[float]) -> MaxwellSlip:
     stiffness = np.exp(np.append(np.asarray(values), 0.0))
     stiffness /= stiffness.sum()
-    share = stiffness * REACHES / float(stiffness @ REACHES)
+    share = stiffness * BREAK_AWAY_RATIOS / float(stiffness @ BREAK_AWAY_RATIOS)
     stiffness, share = (np.clip(part, 1e-6, 1.0) for part in (stiffness, share))
     stiffness, share = stiffness / stiffness.sum(), share / share.sum()
     return MaxwellSlip(tuple(stiffness.tolist()), tuple(share.tolist()), ATTRACTION)
@@ -187,7 +187,7 @@ ELASTO_PLASTIC = FrictionLaw(
 )
 MAXWELL_SLIP = FrictionLaw(
     "Maxwell slip",
-    4 + REACHES.size,
+    4 + BREAK_AWAY_RATIOS.size,
     starts=((1.3, 0.5, 0.4, 0.3, 0.2, 0.1), (2.0, 2.0, 1.5, 1.0, 0.6, 0.2)),
     bristles=_maxwell,
 )
@@ -262,8 +262,8 @@ def choose(
     Raises:
         IdentificationError: if there is too little to compare.
     """
-    if len(blocks) < LEAST_BLOCKS:
-        raise IdentificationError(f"{len(blocks)} blocks of loops; accepted: at least {LEAST_BLOCKS}")
+    if len(blocks) < MIN_BLOCKS:
+        raise IdentificationError(f"{len(blocks)} blocks of loops; accepted: at least {MIN_BLOCKS}")
     sliding = {stribeck: fit_sliding_friction(readings, stribeck) for stribeck in (False, True)}
     held_out = {stribeck: _sliding_errors(readings, stribeck) for stribeck in (False, True)}
     scores = with_refutations(
@@ -325,12 +325,12 @@ def with_refutations(scores: Sequence[LawScore]) -> list[LawScore]:
     laws = [score.law.name for score in scores]
     sliding = HeldOutErrors({score.law.name: score.sliding for score in scores}, floor=1e-12)
     loops = HeldOutErrors({score.law.name: score.loops for score in scores}, floor=1e-12)
-    by_sliding = {law: sliding.refutes(law, laws, P, SHARE) for law in laws}
+    by_sliding = {law: sliding.refutes(law, laws, SIGNIFICANCE, MIN_EXCESS) for law in laws}
     standing = [law for law in laws if by_sliding[law] is None]
     verdicts = []
     for score in scores:
         name = score.law.name
-        rivals = {"loops": loops.refutes(name, standing, P, SHARE), "sliding": by_sliding[name]}
+        rivals = {"loops": loops.refutes(name, standing, SIGNIFICANCE, MIN_EXCESS), "sliding": by_sliding[name]}
         reasons = [f"{kind}: {best} predicts better" for kind, best in rivals.items() if best is not None]
         verdicts.append(replace(score, refuted="; ".join(reasons)))
     return verdicts

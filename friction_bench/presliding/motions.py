@@ -28,13 +28,13 @@ from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 
-LATE = 0.7
+DAC_DELAY = 0.7
 """Part of a tick after which the answer to a reading is on the DAC: 9 ms for the report and 4 for the command."""
-DWELL = 4
+DWELL_TICKS = 4
 """Ticks for which a torque is held in loops: the joint has come to rest at their end."""
-INTEGRAL = 0.25
+INTEGRAL_TIME = 0.25
 """Time of the integral of the speed's loop, s."""
-_STILL = 15
+_REST_TICKS = 15
 """Ticks for which a joint that slid is left alone, without torque."""
 SLIDE = 8e-3
 """How far the joint slides before an experiment, rad: beyond any presliding, so that it forgets what was before."""
@@ -85,7 +85,7 @@ class Trace:
     def held(self) -> Array:
         """Return the mean of the motor's torque at the joint over the tick before each reading, Nm, shape (n,)."""
         torque = self.code * self.torque_step
-        return LATE * np.concatenate((torque[:1], torque[:-1])) + (1.0 - LATE) * torque
+        return DAC_DELAY * np.concatenate((torque[:1], torque[:-1])) + (1.0 - DAC_DELAY) * torque
 
     def write(self, path: Path) -> None:
         """Write the readings as CSV.
@@ -139,7 +139,7 @@ def ramp(rate: float, counts: float, limit: int) -> Profile:
         code = min(round(ticks * rate), limit)
         if (yield code).counts - first.counts >= counts:
             break
-    for _ in range(_STILL):
+    for _ in range(_REST_TICKS):
         yield 0
 
 
@@ -152,12 +152,12 @@ def after_slide(start: int, counts: float, limit: int, codes: Iterable[int]) -> 
     code = start
     first = yield code
     while (yield code).counts - first.counts < counts:
-        code = _higher(code, limit)
-    for code in (*[0] * _STILL, *codes):  # not `yield from`: a list cannot be sent readings
+        code = _raised(code, limit)
+    for code in (*[0] * _REST_TICKS, *codes):  # not `yield from`: a list cannot be sent readings
         yield code
 
 
-def _higher(code: int, limit: int) -> int:
+def _raised(code: int, limit: int) -> int:
     """Return the next code for a joint that does not move yet, though it broke away before."""
     if code >= limit:
         raise IdentificationError(f"the joint sticks at the highest code, {limit}, though it slid on the ramps")
@@ -165,13 +165,13 @@ def _higher(code: int, limit: int) -> int:
 
 
 def loop_codes(break_away: int, block: int, stride: int) -> Iterator[int]:
-    """Yield the codes of a block of loops below break-away, in strides of so many codes, each held for DWELL ticks."""
+    """Yield the codes of a block of loops below break-away, in strides of so many codes, each held for a dwell."""
     code = 0
     for share in _LEVELS[block % len(_LEVELS)]:
         level = math.floor(share * break_away)
         while code != level:
             code += max(-stride, min(stride, level - code))
-            yield from [code] * DWELL
+            yield from [code] * DWELL_TICKS
 
 
 def cycle_codes(low: int, high: int, half: int, number: int) -> Iterator[int]:
@@ -203,7 +203,7 @@ def speeds(start: int, wanted: Sequence[float], ticks: int, gain: float, limit: 
         start: a code at which the joint does not slide yet.
         wanted: speeds, counts per tick.
         ticks: for each of them.
-        gain: proportional gain, codes for a count per tick; the integral's time is INTEGRAL.
+        gain: proportional gain, codes for a count per tick; the integral's time is INTEGRAL_TIME.
         limit: the highest code.
         tick: s.
 
@@ -214,12 +214,12 @@ def speeds(start: int, wanted: Sequence[float], ticks: int, gain: float, limit: 
     code = start
     before = yield code
     while (sample := (yield code)).counts - before.counts < wanted[0]:
-        before, code = sample, _higher(code, limit)
+        before, code = sample, _raised(code, limit)
     integral = float(code)
     for speed in wanted:
         for _ in range(ticks):
             error = speed - (sample.counts - before.counts) / (sample.tick - before.tick)
-            integral += gain * error * tick / INTEGRAL
+            integral += gain * error * tick / INTEGRAL_TIME
             before, sample = sample, (yield rounding(integral + gain * error))
 
 

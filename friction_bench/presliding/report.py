@@ -23,9 +23,9 @@ from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Curve, Dots, Level, Mark, Panel, Plot
 
-SEEN = 5.0
+VISIBLE_COUNTS = 5.0
 """Counts of presliding from which loops have a shape."""
-_MOST_LOOPS = 4
+_MAX_LOOPS = 4
 
 
 @dataclass(eq=False)
@@ -56,7 +56,7 @@ class PreslidingResult:
 def _loops_plot(result: PreslidingResult) -> Plot:
     """Show the first blocks of loops, torque over angle, with what the laws with bristles predict from the angle."""
     panels = []
-    for k, block in enumerate(result.blocks[:_MOST_LOOPS]):
+    for k, block in enumerate(result.blocks[:_MAX_LOOPS]):
         angle = 1e3 * (block.angle[block.readings] - block.angle[block.readings[0]])
         marks: list[Mark] = []
         if result.choice is not None:
@@ -109,7 +109,7 @@ def _resolution(result: PreslidingResult) -> tuple[str, dict[str, float]]:
     if result.deflection is None:
         return f"{text}; it has not broken away", entry
     entry["presliding_counts"] = counts = result.deflection / count
-    seen = "" if counts >= SEEN else ": too few to see loops"
+    seen = "" if counts >= VISIBLE_COUNTS else ": too few to see loops"
     bends = f"it bends by {1e6 * result.deflection:.0f} urad, {counts:.1f} counts, up to break-away{seen}"
     return f"{text}; {bends}", entry
 

@@ -26,37 +26,37 @@ from scipy import stats
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
-from friction_bench.presliding.motions import LATE, Trace
+from friction_bench.presliding.motions import DAC_DELAY, Trace
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction.element import FrictionElement
 
-SLOWEST = 3.0
+MIN_COUNTS_PER_TICK = 3.0
 """Counts per tick below which a reading does not count as sliding."""
-TICKS = 7
-FEWEST = 40
+STRETCH_TICKS = 7
+MIN_READINGS = 40
 RATES = (0.1, 0.4, 1.6, 6.0, 16.0)
 """Of the ramps, codes a tick."""
 REPEATS = 3
-STICKS, RUSHES = 0.2, 1.8
+STICK_SHARE, SLIP_SHARE = 0.2, 1.8
 """Of the mean speed: a joint that is slower than the one and faster than the other in turn sticks and slips."""
-_SMOOTHED = 5
+_SMOOTHING_TICKS = 5
 """Ticks over which speeds are averaged."""
-_AVERAGED = 0.1
-"""Rise of the torque, Nm, over which friction is averaged against the counts' noise, up to _MOST_AVERAGED readings."""
-_MOST_AVERAGED = 5
+_AVERAGING_RISE = 0.1
+"""Rise of the torque, Nm, over which friction is averaged against the counts' noise, up to _MAX_AVERAGING readings."""
+_MAX_AVERAGING = 5
 
-LOW, HIGH = 0.05, 0.25
+LOW_SHARE, HIGH_SHARE = 0.05, 0.25
 """Of the break-away torque: the turning points of the cycles."""
-HALF = 3
+HALF_CYCLE_TICKS = 3
 """Ticks for each half of a cycle."""
-BLOCKS = 20
+DRIFT_BLOCKS = 20
 """Of cycles, whose drifts are compared."""
-_UNCERTAIN = 0.25
+_STATIC_TORQUE_UNCERTAINTY = 0.25
 """Relative uncertainty of the break-away torque as a measure of LuGre's static torque."""
-_NONE = 0.2
+_NO_DRIFT_SHARE = 0.2
 """Of LuGre's drift: what is less is none."""
-_LEAST_SWING = 1.5
+_MIN_SWING = 1.5
 """Counts of a swing that is seen."""
 
 
@@ -73,21 +73,21 @@ class SlidingReadings(NamedTuple):
 
 
 def sliding_readings(trace: Trace) -> SlidingReadings:
-    """Return speed, acceleration and torque over stretches of TICKS in which the joint slides, without overlap.
+    """Return speed, acceleration and torque over stretches of STRETCH_TICKS in which the joint slides, without overlap.
 
     All three are means between the middles of the first and the last tick of a stretch, so that they belong together
     also where the torque changes within.
     """
     rows, held = [], trace.held
-    weight = np.full(TICKS, 1.0 / (TICKS - 1))
+    weight = np.full(STRETCH_TICKS, 1.0 / (STRETCH_TICKS - 1))
     weight[[0, -1]] *= 0.5
     moved = np.diff(trace.counts)
-    for first in range(0, moved.size - TICKS + 1, TICKS):
-        window = moved[first : first + TICKS]
-        if window.min() >= SLOWEST:
+    for first in range(0, moved.size - STRETCH_TICKS + 1, STRETCH_TICKS):
+        window = moved[first : first + STRETCH_TICKS]
+        if window.min() >= MIN_COUNTS_PER_TICK:
             speeds = window * (trace.angle_step / trace.tick)
-            gained = (speeds[-1] - speeds[0]) / ((TICKS - 1) * trace.tick)
-            rows.append((float(weight @ speeds), gained, float(weight @ held[first + 1 : first + 1 + TICKS])))
+            gained = (speeds[-1] - speeds[0]) / ((STRETCH_TICKS - 1) * trace.tick)
+            rows.append((float(weight @ speeds), gained, float(weight @ held[first + 1 : first + 1 + STRETCH_TICKS])))
     return SlidingReadings(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)
 
 
@@ -126,8 +126,9 @@ def fit_sliding_friction(readings: SlidingReadings, stribeck: bool = True) -> Sl
     Raises:
         IdentificationError: if they are too few.
     """
-    if readings.speed.size < FEWEST:
-        raise IdentificationError(f"{readings.speed.size} readings of a sliding joint; accepted: at least {FEWEST}")
+    if readings.speed.size < MIN_READINGS:
+        few = f"{readings.speed.size} readings of a sliding joint"
+        raise IdentificationError(f"{few}; accepted: at least {MIN_READINGS}")
     if not stribeck:
         return _fit_at(readings, None)
     fastest = float(readings.speed.max())
@@ -175,7 +176,7 @@ def break_away_torque(rate: float, ramp: Trace, inertia: float) -> tuple[float, 
     angle, held = ramp.angle_step * ramp.counts[: rising + 1], ramp.held[: rising + 1]
     acceleration = (angle[2:] - 2.0 * angle[1:-1] + angle[:-2]) / ramp.tick**2
     friction = 0.5 * (held[2:] + held[1:-1]) - inertia * acceleration
-    count = int(np.clip(round(_AVERAGED / (rate * ramp.tick)), 1, _MOST_AVERAGED))
+    count = int(np.clip(round(_AVERAGING_RISE / (rate * ramp.tick)), 1, _MAX_AVERAGING))
     return rate, float(np.convolve(friction, np.full(count, 1.0 / count), "valid").max())
 
 
@@ -214,8 +215,8 @@ class Pull(NamedTuple):
 def evaluate_pull(trace: Trace, speed: float, stiffness: float) -> Pull:
     """Tell from the second half of a pull whether the joint did not slide steadily."""
     angle = trace.counts[trace.time.size // 2 :] * trace.angle_step
-    smoothed = (angle[_SMOOTHED:] - angle[:-_SMOOTHED]) / (_SMOOTHED * trace.tick)
-    return Pull(speed, stiffness, bool(smoothed.min() < STICKS * speed and smoothed.max() > RUSHES * speed))
+    smoothed = (angle[_SMOOTHING_TICKS:] - angle[:-_SMOOTHING_TICKS]) / (_SMOOTHING_TICKS * trace.tick)
+    return Pull(speed, stiffness, bool(smoothed.min() < STICK_SHARE * speed and smoothed.max() > SLIP_SHARE * speed))
 
 
 def sampled_growth(element: FrictionElement, inertia: float, speed: float, stiffness: float, tick: float) -> float:
@@ -245,7 +246,7 @@ def sampled_growth(element: FrictionElement, inertia: float, speed: float, stiff
     motion = np.zeros((4, 4))
     motion[:3, :3] = [[0.0, 1.0, 0.0], -force / inertia, bristle]
     motion[:3, 3] = 0.0, 1.0 / inertia, 0.0
-    whole, late = np.asarray(expm(motion * tick)), np.asarray(expm(motion * ((1.0 - LATE) * tick)))
+    whole, late = np.asarray(expm(motion * tick)), np.asarray(expm(motion * ((1.0 - DAC_DELAY) * tick)))
     spring = np.array([-stiffness, 0.0, 0.0, 0.0])
     step = np.zeros((4, 4))  # of x, v, z, and the torque that was sent last
     step[:3, :3] = whole[:3, :3]
@@ -311,11 +312,11 @@ def _verdict(swing: float, least: float, largest: float, lowest: float, highest:
     The swing is the mean of differences of whole counts: a joint that drifts passes all phases of a count, and the
     mean is right; one that stays may be off by a count.
     """
-    if largest < _NONE * lowest * (swing - 1.0) and swing >= _LEAST_SWING:
-        return DriftVerdict.STAYS, f"the drift is less than {100 * _NONE:g} % of what LuGre's law would give"
+    if largest < _NO_DRIFT_SHARE * lowest * (swing - 1.0) and swing >= _MIN_SWING:
+        return DriftVerdict.STAYS, f"the drift is less than {100 * _NO_DRIFT_SHARE:g} % of what LuGre's law would give"
     if least > 0.0 and swing > 0.0 and 0.5 * lowest < least / swing and largest / swing < 2.0 * highest:
         return DriftVerdict.DRIFTS, "the joint drifts as LuGre's law says"
-    if swing < _LEAST_SWING and least <= 0.0:
+    if swing < _MIN_SWING and least <= 0.0:
         reason = "neither a swing nor a drift is seen: the joint is too stiff for the encoder"
     elif largest / max(swing, 1e-9) > 2.0 * highest:
         reason = "the joint drifts more than LuGre's law says: the torque is too near to break-away"
@@ -326,7 +327,7 @@ def _verdict(swing: float, least: float, largest: float, lowest: float, highest:
 
 def turning_codes(break_away: float) -> tuple[int, int]:
     """Return the codes between which small cycles go, for a break-away code."""
-    return max(round(LOW * break_away), 1), round(HIGH * break_away)
+    return max(round(LOW_SHARE * break_away), 1), round(HIGH_SHARE * break_away)
 
 
 def lugre_ratio(low: float, high: float) -> float:
@@ -354,16 +355,20 @@ def evaluate_drift(trace: Trace, low: int, high: int, break_away: float) -> Drif
     at_high = last[code[last] == high]
     at_high = at_high[at_high > at_low.min(initial=code.size)]
     count = min(at_low.size, at_high.size)
-    if count < 2 * BLOCKS:
-        raise IdentificationError(f"{trace.label}: {count} cycles; accepted: at least {2 * BLOCKS}")
+    if count < 2 * DRIFT_BLOCKS:
+        raise IdentificationError(f"{trace.label}: {count} cycles; accepted: at least {2 * DRIFT_BLOCKS}")
     lower, upper = trace.counts[at_low[:count]], trace.counts[at_high[:count]]
-    per = count // BLOCKS
-    ends = lower[: per * BLOCKS + 1 : per] if count > per * BLOCKS else np.append(lower[::per][:BLOCKS], lower[-1])
+    per = count // DRIFT_BLOCKS
+    ends = lower[::per][: DRIFT_BLOCKS + 1]
+    if ends.size == DRIFT_BLOCKS:
+        ends = np.append(ends, lower[-1])
     drifts = np.diff(ends) / per
-    reach = float(stats.t.ppf(0.995, BLOCKS - 1) * stats.sem(drifts)) + 1.0 / count  # a count of the whole is not known
-    drift = float(ends[-1] - ends[0]) / (per * BLOCKS)
+    # A count of the whole is not known.
+    reach = float(stats.t.ppf(0.995, DRIFT_BLOCKS - 1) * stats.sem(drifts)) + 1.0 / count
+    drift = float(ends[-1] - ends[0]) / (per * DRIFT_BLOCKS)
     a, b = high / break_away, low / break_away
-    least, largest = (lugre_ratio(b * part, a * part) for part in (1 - _UNCERTAIN, 1 + _UNCERTAIN))
+    factors = 1 - _STATIC_TORQUE_UNCERTAINTY, 1 + _STATIC_TORQUE_UNCERTAINTY
+    least, largest = (lugre_ratio(b * factor, a * factor) for factor in factors)
     swing = float(np.mean(upper[:-1] - lower[1:]))
     verdict = _verdict(swing, drift - reach, drift + reach, least, largest)
     return DriftResult(lower, swing, (drift, drift - reach, drift + reach), (least, largest), b, a, *verdict)

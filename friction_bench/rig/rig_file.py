@@ -32,24 +32,20 @@ _positive = partial(Number, low=0.0, above=True)
 
 
 @dataclass(frozen=True)
-class JointFriction:
+class JointFriction(Declared):
     """Coulomb and viscous friction of the revolute joint at the load: Nm and Nm s/rad."""
 
-    coulomb: float
-    viscous: float
+    about: ClassVar[str] = "Coulomb and viscous friction."
+
+    coulomb: Annotated[float, _least_0("Coulomb friction.", "Nm")]
+    viscous: Annotated[float, _least_0("Viscous friction.", "Nm s/rad")]
 
 
 _JOINT_FRICTION = Variants(
     "Friction of the joint, load side.",
     key="model",
     groups={
-        "coulomb_viscous": Group(
-            "Coulomb and viscous friction.",
-            keys={
-                "coulomb": _least_0("Coulomb friction.", "Nm"),
-                "viscous": _least_0("Viscous friction.", "Nm s/rad"),
-            },
-        ),
+        "coulomb_viscous": JointFriction.group(),
         "lugre": Group("A LuGre element.", keys={"lugre": ELEMENT}),
     },
 )
