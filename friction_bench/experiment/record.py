@@ -68,11 +68,6 @@ class RampModel:
         """Return J / f_v, s."""
         return self.inertia / self.viscous
 
-    def asymptote(self) -> tuple[float, float]:
-        """Return a, rad/s², and b, rad/s, of the velocity's asymptote a t - b."""
-        a = self.slope / self.viscous
-        return a, a * (self.coulomb / self.slope + self.time_constant)
-
     def velocity(self, time: ArrayLike) -> Array:
         """Return w(t), rad/s."""
         s, T, a = self._since_release(time)

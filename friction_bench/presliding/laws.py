@@ -232,12 +232,6 @@ class Choice:
     sliding: SlidingFriction
 
     @property
-    def lugre(self) -> FrictionElement:
-        """Return LuGre's element as fitted."""
-        score = next(score for score in self.scores if score.law is LUGRE)
-        return LUGRE.element(score.values, self.sliding)
-
-    @property
     def text(self) -> str:
         """Return the verdict in words."""
         if len(self.left) > 1:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from friction_bench.presliding.laws import Choice, LoopBlock
+from friction_bench.presliding.laws import LUGRE, Choice, LoopBlock
 from friction_bench.presliding.sliding import (
     DriftResult,
     Pull,
@@ -82,7 +82,8 @@ def _pulls_plot(result: PreslidingResult) -> Plot:
     if result.sliding is not None and result.choice is not None:
         tried = [pull.stiffness for pull in result.pulls]
         stiffness = np.geomspace(min(tried), max(tried), 15)
-        joint = result.choice.lugre, result.sliding.inertia
+        lugre = next(score for score in result.choice.scores if score.law is LUGRE)
+        joint = LUGRE.element(lugre.values, result.choice.sliding), result.sliding.inertia
         fastest = 2.0 * max(pull.speed for pull in result.pulls)
         least = [least_steady_speed(*joint, float(one), result.rig.tick, fastest) for one in stiffness]
         marks.append(Curve(np.array(least), stiffness, "steady sliding is stable from here", INK, 1.0))

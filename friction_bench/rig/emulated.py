@@ -37,11 +37,6 @@ def firmware_directory() -> Path:
     return share_directory() / "firmware"
 
 
-def _cache() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "rx90_emulator" / "firmware"
-
-
 def compile_core(sources: Path, library: Path, figures: Mapping[str, int]) -> None:
     """Compile the firmware in `sources` for this computer into `library`; `figures` replace those of rig_config.h.
 
@@ -69,7 +64,8 @@ def native_library(figures: Mapping[str, int] | None = None) -> Path:
         digest.update((sources / name).read_bytes())
     if figures:
         digest.update(repr(sorted(figures.items())).encode())
-    library = _cache() / f"librig_{digest.hexdigest()[:16]}.so"
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    library = base / "rx90_emulator" / "firmware" / f"librig_{digest.hexdigest()[:16]}.so"
     if not library.exists():
         library.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=library.parent) as folder:
