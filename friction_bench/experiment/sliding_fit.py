@@ -192,6 +192,7 @@ def _to_friction(shared: Array) -> Array:
     return np.array([beta / alpha, 1.0 / alpha, T / alpha])
 
 
+@kernel
 def _reduced(time: Array, columns: Array, T: float, noise: float, variance: float) -> tuple[Array, Array, float]:
     """Return what the rows of `_derivatives` of one ramp say about the shared parameters.
 
@@ -200,11 +201,21 @@ def _reduced(time: Array, columns: Array, T: float, noise: float, variance: floa
     information on the start.
     """
     white, determinant = whiten(time, columns, T, noise, variance)
-    basis, triangle = np.linalg.qr(white[_ANGLE:].T)
-    along = basis.T @ white[:_ANGLE].T
-    free = white[:_ANGLE] - along.T @ basis.T
-    determinant += 2.0 * float(np.log(np.abs(np.diag(triangle))).sum())
-    return free @ free.T, np.linalg.solve(triangle, along), determinant
+    length = math.sqrt(np.sum(white[_ANGLE] ** 2))
+    first = white[_ANGLE] / length
+    along = np.sum(white[_SPEED] * first)
+    second = white[_SPEED] - along * first
+    height = math.sqrt(np.sum(second**2))
+    second = second / height
+    free, starts, gram = np.empty((_ANGLE, time.size)), np.empty((2, _ANGLE)), np.empty((_ANGLE, _ANGLE))
+    for i in range(_ANGLE):
+        a, b = np.sum(white[i] * first), np.sum(white[i] * second)
+        free[i] = white[i] - a * first - b * second
+        starts[1, i] = b / height
+        starts[0, i] = (a - along * starts[1, i]) / length
+        for j in range(i + 1):
+            gram[i, j] = gram[j, i] = np.sum(free[i] * free[j])
+    return gram, starts, determinant + 2.0 * math.log(length * height)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from friction_bench.rig.messages import (
     FrameDecoder,
     HelloReply,
     Report,
+    ResetCause,
     encode,
     parse_hello,
     parse_report,
@@ -23,13 +24,6 @@ from friction_bench.rig.messages import (
 
 TRANSCRIPTS = sorted((Path(__file__).parents[1] / "friction_bench" / "transcripts").glob("*.yaml"))
 TORQUE_LIMIT_CODE = 229
-
-
-class ResettableBoard(NativeBoard):
-    """A board whose reset the test can pull."""
-
-    def restart(self) -> None:
-        """Reset the board."""
 
 
 class MismatchError(AssertionError):
@@ -48,7 +42,7 @@ def command_of(command: dict[str, Any] | str) -> tuple[Command, bytes]:
 class Player:
     """One board and what it has said."""
 
-    def __init__(self, board: ResettableBoard) -> None:
+    def __init__(self, board: Any) -> None:
         self.board = board
         self.decoder = FrameDecoder()
         self.sequence = 0
@@ -167,7 +161,7 @@ class Player:
 
     def do_reset(self, _: None) -> None:
         """Reset the board."""
-        self.board.restart()
+        self.board.reset(*[ResetCause.EXTERNAL] * isinstance(self.board, NativeBoard))
 
     def do_forget(self, _: None) -> None:
         """Look at reports from now on only."""
