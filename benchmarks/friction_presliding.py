@@ -26,13 +26,12 @@ from tqdm import tqdm
 
 from benchmarks.report import ROOT, arguments, merge, print_table
 from friction_bench.presliding import USUAL_CYCLES
-from friction_bench.presliding.drift import DriftVerdict
 from friction_bench.presliding.job import Campaign
 from friction_bench.presliding.motions import follow
 from friction_bench.presliding.report import PreslidingResult
+from friction_bench.presliding.sliding import DriftVerdict
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, VirtualPort
-from friction_bench.rig.native import firmware_directory
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort, firmware_directory
 from friction_bench.rig.rig_file import JointFriction, Rig, load_rig
 from rx90_common.base.errors import INTERRUPTED
 from rx90_common.base.share import PRESLIDING_RIG, config_path

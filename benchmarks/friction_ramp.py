@@ -27,12 +27,11 @@ import numpy as np
 
 from benchmarks.report import accepted, arguments, in_processes, merge, print_table
 from friction_bench.experiment.identification import IntervalEstimate, RampFriction, evaluate, identify_ramps
-from friction_bench.experiment.ramp import plan_from, run_planned, run_ramp
+from friction_bench.experiment.job import plan_from, run_planned, run_ramp
 from friction_bench.experiment.record import RampRecord
 from friction_bench.experiment.session import near_limits
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, VirtualPort
-from friction_bench.rig.native import native_library
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort, native_library
 from friction_bench.rig.plant import SLICE, RigJoint, Shaft, joint_record, shaft_of, turn, turn_with_joint
 from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, JointFriction, PlantParameters, Rig, load_rig
 from rx90_common.base.arrays import Array

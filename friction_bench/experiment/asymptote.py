@@ -5,8 +5,8 @@ quantisation, white, and torque noise. White torque noise makes the velocity of 
 an Ornstein-Uhlenbeck process with the time constant T = J / f_v, and the angle its integral. Ordinary least squares
 ignores that the latter is correlated, and its intervals are far too narrow. This is generalised least squares with
     V = r I + q K,  r = step^2 / 12,
-where K is the covariance of the integrated Ornstein-Uhlenbeck process from rest. Its intensity q is estimated by
-restricted maximum likelihood.
+where K is the covariance of the integrated Ornstein-Uhlenbeck process from rest, by the Kalman filter of
+`sliding_fit.whiten`. Its intensity q is estimated by restricted maximum likelihood.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from friction_bench.experiment.record import RampModel, RampRecord, first_motion
-from friction_bench.experiment.sliding_fit import respond
-from rx90_common.base.arrays import Array
+from friction_bench.experiment.record import RampModel, RampRecord, first_motion, fit_break_away
+from friction_bench.experiment.sliding_fit import respond, whiten
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 
 SETTLED = 6.0
@@ -72,55 +72,44 @@ def fit_asymptote(record: RampRecord, time_constant: float | None = None) -> Ram
     """
     time, angle, first = first_motion(record)
     T, a, b = _rough(record, time, angle, float(time[first]) - record.tick)
-    break_away = _break_away(time, angle, first, record.tick, a, b, time_constant)
+
+    def released(moment: float) -> RampModel:
+        """Return the ramp of a break-away for an f_v of 1; without a known time constant the asymptote has it."""
+        return RampModel(moment * a, 1.0, time_constant or b / a - moment, a)
+
+    onset = slice(max(first - 2, 0), first + ONSET_TICKS)
+    latest = float(time[first]) if time_constant else min(float(time[first]), b / a - 1e-3 * record.tick)
+    back = max(ONSET_TICKS * record.tick, ONSET_SHARE * float(time[-1] - time[first])) + (time_constant or 0.0)
+    break_away = fit_break_away(time[onset], angle[onset], (latest - back, latest), released)
     T = time_constant or max(T, b / a - break_away)
-    angle = angle - staircase_angle(record, time, break_away, a, T)
-    use = time >= break_away + SETTLED * T
-    _check_length(record, int(use.sum()), float(time[-1]) - break_away - SETTLED * T, T)
+    if record.torque is not None:
+        # The command is a staircase about the ramp. Its steps are known, so their effect on an inertia with time
+        # constant T is taken out instead of being counted as noise.
+        final = (record.torque - record.slope * (time + record.tick / 2)) * a / record.slope
+        angle = angle - respond(time, np.where(time >= break_away, final, 0.0), 0.0, T)[0]
+    use = _settled(record, time, break_away, T)
     time, angle = time[use], angle[use]
     a, b, covariance = _solve(time, angle, record.angle_step, break_away, T)
-    _refuse_curved(record, time, angle, break_away, T, a)
+    half = time.size // 2
+    if half >= MIN_POINTS // 2:
+        early, late = (
+            _solve(time[part], angle[part], record.angle_step, break_away, T, ROUGH_POINTS)
+            for part in (slice(half), slice(half, None))
+        )
+        difference, error = abs(late[0] - early[0]), math.sqrt(early[2][0, 0] + late[2][0, 0])
+        if difference > 5 * error and difference > CURVATURE_LIMIT * a:
+            raise IdentificationError(
+                f"{record.label}: the velocity follows no straight asymptote, its slope goes from "
+                f"{early[0]:.4g} to {late[0]:.4g} rad/s²; saturation, or a transient that is not over"
+            )
     return RampFit(a, b, covariance, break_away, (float(time[0]), float(time[-1])))
-
-
-def _break_away(time: Array, angle: Array, first: int, tick: float, a: float, b: float, T: float | None) -> float:
-    """Return the time of break-away, s: the closed form through the first readings of the motion.
-
-    Without a known time constant the asymptote a t - b gives it for each t_b, T = b / a - t_b.
-    """
-    onset = slice(max(first - 2, 0), first + ONSET_TICKS)
-    latest = float(time[first]) if T else min(float(time[first]), b / a - 1e-3 * tick)
-
-    def misfit(moment: float) -> float:
-        inertia = T or b / a - moment  # with f_v = 1
-        model = RampModel(coulomb=moment * a, viscous=1.0, inertia=inertia, slope=a)
-        return float(np.sum((model.angle(time[onset]) - angle[onset]) ** 2))
-
-    back = max(ONSET_TICKS * tick, ONSET_SHARE * float(time[-1] - time[first])) + (T or 0.0)
-    bounds = (latest - back, latest)
-    return float(minimize_scalar(misfit, bounds=bounds, method="bounded").x)
-
-
-def staircase_angle(record: RampRecord, time: Array, break_away: float, a: float, T: float) -> Array:
-    """Return what the command's steps add to the angle of a smooth ramp after break-away, rad, shape (n,).
-
-    The command is a staircase about the ramp. Its steps are known, so their effect on an inertia with time
-    constant T is taken out instead of being counted as noise.
-    """
-    if record.torque is None:
-        return np.zeros_like(time)
-    final = (record.torque - record.slope * (time + record.tick / 2)) * a / record.slope
-    return respond(time, np.where(time >= break_away, final, 0.0), 0.0, T)[0]
 
 
 def _rough(record: RampRecord, time: Array, angle: Array, break_away: float) -> tuple[float, float, float]:
     """Return T, a and b roughly: ordinary least squares where the transient, by T, is over."""
-    last = float(time[-1])
-    T = (last - break_away) / (4 * SETTLED)
+    T = (float(time[-1]) - break_away) / (4 * SETTLED)
     for _ in range(20):
-        start = break_away + SETTLED * T
-        use = time >= start
-        _check_length(record, int(use.sum()), last - start, T)
+        use = _settled(record, time, break_away, T)
         a, b = np.polyfit(time[use], angle[use], 2)[:2] * (2.0, -1.0)
         if a <= 0.0:
             raise IdentificationError(
@@ -134,30 +123,18 @@ def _rough(record: RampRecord, time: Array, angle: Array, break_away: float) -> 
     return T, float(a), float(b)
 
 
-def _check_length(record: RampRecord, points: int, length: float, T: float) -> None:
-    if points < MIN_POINTS:
+def _settled(record: RampRecord, time: Array, break_away: float, T: float) -> Mask:
+    """Return at which times the transient is over; refuse a ramp that shows too little then."""
+    start = break_away + SETTLED * T
+    use = time >= start
+    points, length = int(use.sum()), float(time[-1]) - start
+    if points < MIN_POINTS or length < MIN_WINDOW * T:
         raise ShortRampError(
-            f"{record.label}: the ramp is too short, {points} readings after the transient; "
-            f"accepted: at least {MIN_POINTS}; take a slower ramp or a higher end torque"
+            f"{record.label}: the ramp is too short, {points} readings in {length:.2g} s after a transient with a time "
+            f"constant of {T:.2g} s; accepted: at least {MIN_POINTS}, and {MIN_WINDOW:g} time constants; take a slower "
+            "ramp or a higher end torque"
         )
-    if length < MIN_WINDOW * T:
-        raise ShortRampError(
-            f"{record.label}: the ramp is too short, {length:.2g} s after a transient with a time constant "
-            f"of {T:.2g} s; accepted: at least {MIN_WINDOW:g} time constants"
-        )
-
-
-def integrated_ou_covariance(time: Array, T: float) -> Array:
-    """Return the covariance of an integrated Ornstein-Uhlenbeck process from rest at time 0, shape (n, n).
-
-    With unit intensity: K(s, t) = int_0^min(s, t) (1 - e^-(s-u)/T) (1 - e^-(t-u)/T) du.
-    """
-    s = np.minimum.outer(time, time)
-    gap = np.abs(np.subtract.outer(time, time))
-    far = np.exp(-gap / T)
-    return np.asarray(
-        s + T * np.expm1(-s / T) - T * (far - np.exp(-(s + gap) / T)) + T / 2 * (far - np.exp(-(2 * s + gap) / T))
-    )
+    return np.asarray(use)
 
 
 def _solve(
@@ -166,50 +143,21 @@ def _solve(
     """Return a, b and their covariance by generalised least squares; q by restricted maximum likelihood."""
     every = -(-time.size // most)  # decimation costs next to nothing: neighbouring angles are strongly correlated
     time, angle = time[::every], angle[::every]
-    middle = float(time.mean())
-    half = float(np.ptp(time)) / 2
-    x = (time - middle) / half  # keeps the normal equations well conditioned
-    basis = np.column_stack((np.ones_like(x), x, x * x))
-    K = integrated_ou_covariance(time - break_away, T)
-    values, vectors = np.linalg.eigh(K)
-    X, y = vectors.T @ basis, vectors.T @ angle
-    r = step**2 / 12
+    # A reading of zeros at break-away, where the noise begins, adds nothing.
+    times = np.append(break_away, time)
+    columns = np.pad([np.ones_like(time), -time, time * time / 2, angle], ((0, 0), (1, 0)))
+    variance = step**2 / 12
 
-    def weighted(log_q: float) -> tuple[Array, Array, Array, float]:
-        variance = r + math.exp(log_q) * np.maximum(values, 0.0)
-        information = X.T @ (X / variance[:, None])
-        beta = np.linalg.solve(information, X.T @ (y / variance))
-        residual = y - X @ beta
-        likelihood = np.sum(np.log(variance)) + np.linalg.slogdet(information)[1]
-        return variance, information, beta, float(likelihood + np.sum(residual**2 / variance))
+    def fit(log_q: float) -> tuple[Array, Array, float]:
+        """Return the coefficients of c - b t + a t^2 / 2, their covariance's root, and minus twice the likelihood."""
+        white, determinant = whiten(times, columns, T, math.exp(log_q), variance)
+        basis, triangle = np.linalg.qr(white[:3].T)
+        root = np.linalg.inv(triangle)
+        found = root @ (basis.T @ white[3])
+        determinant += 2.0 * float(np.log(np.abs(np.diag(triangle))).sum())
+        return found, root, determinant + float(np.sum((white[3] - found @ white[:3]) ** 2))
 
-    span = math.log(r / max(float(time[-1] - time[0]), 1e-9))
-    best = minimize_scalar(lambda v: weighted(v)[3], bounds=(span - 14, span + 20), method="bounded")
-    _, information, beta, _ = weighted(float(best.x))
-    # beta of (1, x, x^2) back to (c, -b, a / 2) of (1, t, t^2)
-    back = np.array(
-        [
-            [1.0, -middle / half, (middle / half) ** 2],
-            [0.0, 1 / half, -2 * middle / half**2],
-            [0, 0, half**-2],
-        ]
-    )
-    _, linear, square = back @ beta
-    covariance = back @ np.linalg.inv(information) @ back.T
-    to_ab = np.array([[0.0, 0.0, 2.0], [0.0, -1.0, 0.0]])
-    return 2.0 * float(square), -float(linear), np.asarray(to_ab @ covariance @ to_ab.T)
-
-
-def _refuse_curved(record: RampRecord, time: Array, angle: Array, break_away: float, T: float, a: float) -> None:
-    """Refuse a velocity that is no straight line: fit both halves of the window and compare their a."""
-    half = time.size // 2
-    if half < MIN_POINTS // 2:
-        return
-    parts = (slice(half), slice(half, None))
-    early, late = (_solve(time[p], angle[p], record.angle_step, break_away, T, ROUGH_POINTS) for p in parts)
-    difference, error = late[0] - early[0], math.sqrt(early[2][0, 0] + late[2][0, 0])
-    if abs(difference) > 5 * error and abs(difference) > CURVATURE_LIMIT * a:
-        raise IdentificationError(
-            f"{record.label}: the velocity follows no straight asymptote, its slope goes from "
-            f"{early[0]:.4g} to {late[0]:.4g} rad/s²; saturation, or a transient that is not over"
-        )
+    span = math.log(variance / max(float(time[-1] - time[0]), 1e-9))
+    best = minimize_scalar(lambda v: fit(v)[2], bounds=(span - 14, span + 20), method="bounded")
+    (_, b, a), root, _ = fit(float(best.x))
+    return float(a), float(b), np.asarray((root @ root.T)[:0:-1, :0:-1])

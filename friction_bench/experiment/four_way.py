@@ -7,8 +7,9 @@ numerically, a revolute joint in Pinocchio behind its gear, and the closed form.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -28,8 +29,7 @@ SMOOTHING = 5
 """Readings over which the experiment's velocity is averaged: one count in 20 ms is 0.62 rad/s."""
 
 
-@dataclass(frozen=True)
-class Pair:
+class Pair(NamedTuple):
     """The difference of two velocities, per cent of the closed form's final velocity.
 
     Attributes:
@@ -48,13 +48,26 @@ class Pair:
         return self.band is None or self.worst <= self.band
 
 
-@dataclass(frozen=True)
-class FourWay:
+class FourWay(NamedTuple):
     """Velocities of one ramp, motor side: time s, shape (n,), and rad/s by name, each of shape (n,)."""
 
     time: Array
     velocities: dict[str, Array]
-    pairs: tuple[Pair, ...]
+    pairs: list[Pair]
+
+
+def _from_break_away(model: RampModel, time: Array, acceleration: Callable[[float, float], float]) -> Array:
+    """Integrate a shaft's acceleration, of time and speed, from rest at break-away; return its speed, rad/s."""
+    moving = time > model.break_away_time
+    velocity = np.zeros_like(time)
+    if moving.any():
+        span = (model.break_away_time, float(time[-1]))
+        solution = solve_ivp(
+            lambda t, state: [acceleration(t, float(state[0]))],
+            span, [0.0], "LSODA", time[moving], rtol=1e-9, atol=1e-9,
+        )  # fmt: skip
+        velocity[moving] = solution.y[0]
+    return velocity
 
 
 def integrate_equation_3(model: RampModel, time: Array) -> Array:
@@ -62,22 +75,12 @@ def integrate_equation_3(model: RampModel, time: Array) -> Array:
 
     The joint rests until the ramp exceeds f_c; the solver starts there, where sgn w is one from then on.
     """
-
-    def derivative(t: float, state: Array) -> list[float]:
-        speed = float(state[0])
-        return [(model.slope * t - model.viscous * speed - model.coulomb) / model.inertia]
-
-    moving = time > model.break_away_time
-    velocity = np.zeros_like(time)
-    if moving.any():
-        span = (model.break_away_time, float(time[-1]))
-        solution = solve_ivp(derivative, span, [0.0], "LSODA", time[moving], rtol=1e-9, atol=1e-9)
-        velocity[moving] = solution.y[0]
-    return velocity
+    m, viscous, coulomb, inertia = model.slope, model.viscous, model.coulomb, model.inertia
+    return _from_break_away(model, time, lambda t, speed: (m * t - viscous * speed - coulomb) / inertia)
 
 
-def simulate_multibody(model: RampModel, ratio: float, time: Array, step: float = 1e-3) -> Array:
-    """Return the motor's velocity, rad/s, of a revolute joint about z behind a gear, with Runge-Kutta steps.
+def simulate_multibody(model: RampModel, ratio: float, time: Array) -> Array:
+    """Return the motor's velocity, rad/s, of a revolute joint about z behind a gear.
 
     A disc on the load shaft holds half of the inertia and the geared rotor the other half, so that both ways in which
     a multibody program holds inertia take part in the articulated-body algorithm.
@@ -89,27 +92,14 @@ def simulate_multibody(model: RampModel, ratio: float, time: Array, step: float 
     joint.appendBodyToJoint(1, pin.Inertia(1.0, np.zeros(3), np.diag([spin / 2, spin / 2, spin])), pin.SE3.Identity())
     joint.armature = np.array([spin])
     data = joint.createData()
-    q = np.zeros(1)
 
-    def acceleration(t: float, speed: float) -> float:
-        motor = speed * ratio
+    def acceleration(t: float, motor: float) -> float:
         torque = model.slope * t - model.viscous * motor - model.coulomb
-        return float(pin.aba(joint, data, q, np.array([speed]), np.array([torque * ratio]))[0])
+        return ratio * float(
+            pin.aba(joint, data, np.zeros(1), np.array([motor / ratio]), np.array([torque * ratio]))[0]
+        )
 
-    velocity = np.zeros_like(time)
-    t, speed = model.break_away_time, 0.0
-    for k in np.flatnonzero(time > t):
-        count = max(1, int(np.ceil((time[k] - t) / step)))
-        h = (time[k] - t) / count
-        for _ in range(count):
-            k1 = acceleration(t, speed)
-            k2 = acceleration(t + h / 2, speed + h / 2 * k1)
-            k3 = acceleration(t + h / 2, speed + h / 2 * k2)
-            k4 = acceleration(t + h, speed + h * k3)
-            speed += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-            t += h
-        velocity[k] = speed * ratio
-    return velocity
+    return _from_break_away(model, time, acceleration)
 
 
 def measured_velocity(record: RampRecord) -> tuple[Array, Array]:
@@ -143,4 +133,4 @@ def compare(record: RampRecord, model: RampModel, ratio: float) -> FourWay:
         difference = 100.0 * (velocities[first] - velocities[second]) / final
         worst, rms = float(np.abs(difference).max()), float(np.sqrt(np.mean(difference**2)))
         pairs.append(Pair(first, second, worst, rms, SOURCE_BANDS.get(frozenset((first, second)))))
-    return FourWay(time, velocities, tuple(pairs))
+    return FourWay(time, velocities, pairs)

@@ -8,15 +8,16 @@ uses a ramp from where the shaft slides. A ramp that cannot be used is left out,
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy import stats
 
 from friction_bench.experiment.asymptote import RampFit, ShortRampError, fit_asymptote
 from friction_bench.experiment.four_way import FourWay, compare
-from friction_bench.experiment.record import RampModel, RampRecord, SlidingWindow, break_away, sliding_window
+from friction_bench.experiment.record import RampModel, RampRecord, break_away, sliding_window
 from friction_bench.experiment.sliding_fit import RampsFit, fit_sliding
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
@@ -28,9 +29,11 @@ INCONSISTENT = 0.01
 SAME_SLOPE = 0.02
 """Slopes closer than this, relative, are one slope."""
 
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
-@dataclass(frozen=True)
-class IntervalEstimate:
+
+class IntervalEstimate(NamedTuple):
     """A value with its standard uncertainty and its 95 % interval."""
 
     value: float
@@ -52,6 +55,15 @@ class RampFriction:
     inertia: IntervalEstimate | None
     covariance: Array
     freedom: float = math.inf
+
+    @classmethod
+    def of(cls, values: Array, covariance: Array, scale: float, freedom: float = math.inf) -> RampFriction:
+        """Return the friction with intervals, for a relative uncertainty of the torque scale."""
+        errors = np.sqrt(np.diag(covariance))
+        coulomb, viscous, *inertia = (
+            interval(float(v), float(e), freedom, scale) for v, e in zip(values, errors, strict=True)
+        )
+        return cls(coulomb, viscous, inertia[0] if inertia else None, covariance, freedom)
 
 
 @dataclass(frozen=True)
@@ -139,6 +151,20 @@ def slopes_of(ramps: Iterable[RampRecord | UsedRamp]) -> list[float]:
     return distinct
 
 
+def _usable(
+    items: Iterable[_Item], evaluate: Callable[[_Item], _Result]
+) -> tuple[list[_Item], list[_Result], list[str]]:
+    """Return the items that can be evaluated, their results, and why the others cannot, one line each."""
+    used, results, reasons = [], [], []
+    for item in items:
+        try:
+            results.append(evaluate(item))
+            used.append(item)
+        except IdentificationError as error:
+            reasons.append(str(error))
+    return used, results, reasons
+
+
 def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> RampIdentification:
     """Identify friction from the ramps of one rig under one load.
 
@@ -149,94 +175,64 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
     Raises:
         IdentificationError: if there is no ramp, none can be used, or the result is not physical.
     """
-    if not records:
-        raise IdentificationError("no ramp to identify from")
-    windows: list[SlidingWindow] = []
-    unused: list[str] = []
-    for record in records:
-        try:
-            windows.append(sliding_window(record))
-        except IdentificationError as error:
-            unused.append(str(error))
-    if not windows:
-        raise _no_ramp_left(unused)
-    if len(slopes_of(window.record for window in windows)) < 2:
-        return _one_slope(records, scale_uncertainty)
-    while True:
+    records, windows, unused = _usable(records, sliding_window)
+    if len(slopes_of(records)) == 1:
+        return _one_slope(records, scale_uncertainty, unused)
+    while len(slopes_of(records)) > 1:
         fit = fit_sliding(windows)
-        asymptotes, straight = [], []
-        for window in windows:
-            try:
-                asymptotes.append(_asymptote(window.record, fit))
-                straight.append(window)
-            except IdentificationError as error:
-                unused.append(str(error))
-        if len(straight) == len(windows):
-            return _from_fit(windows, fit, asymptotes, scale_uncertainty, tuple(unused))
-        windows = straight
-        if len(slopes_of(window.record for window in windows)) < 2:
-            raise _no_ramp_left(unused)
-
-
-def _no_ramp_left(reasons: Sequence[str]) -> IdentificationError:
-    more = f" (and {len(reasons) - 1} more ramps that cannot be used)" if len(reasons) > 1 else ""
-    return IdentificationError(reasons[0] + more)
-
-
-def _one_slope(records: Sequence[RampRecord], scale: float) -> RampIdentification:
-    """Identify by the source's method alone: with one slope J is unknown."""
-    ramps, unused = [], []
-    for record in records:
-        try:
-            fit = fit_asymptote(record)
-        except IdentificationError as error:
-            unused.append(str(error))
-            continue
-        time = record.time - record.origin
-        time = time[time >= fit.window[0]]
-        ramps.append(UsedRamp(record, fit.break_away, time, fit.a * time - fit.b, fit))
-    if not ramps:
+        coulomb, viscous, inertia = fit.values.tolist()
+        T = max(inertia / viscous, records[0].tick / 4)
+        straight, asymptotes, bent = _usable(windows, lambda window, T=T: _asymptote(window.record, T))  # type: ignore[misc]
+        unused += bent
+        if not bent:
+            break
+        windows, records = straight, [window.record for window in straight]
+    else:
         raise _no_ramp_left(unused)
-    return RampIdentification(tuple(ramps), _by_source(ramps, scale), None, None, 1.0, None, tuple(unused))
-
-
-def _asymptote(record: RampRecord, fit: RampsFit) -> RampFit | None:
-    """Return the asymptote by the source's method, with T of all ramps; None where the ramp is too short for it."""
-    _, viscous, inertia = fit.values
-    try:
-        return fit_asymptote(record, max(float(inertia / viscous), record.tick / 4))
-    except ShortRampError:
-        return None
-
-
-def _from_fit(
-    windows: Sequence[SlidingWindow],
-    fit: RampsFit,
-    of_ramps: Sequence[RampFit | None],
-    scale: float,
-    unused: tuple[str, ...],
-) -> RampIdentification:
-    coulomb, viscous, inertia = (float(value) for value in fit.values)
     if not (viscous > 0.0 and inertia > 0.0):
         raise IdentificationError(
             f"the ramps give a viscous friction of {viscous:.3g} Nm s/rad and an inertia of {inertia:.3g} kg m²; "
             "accepted: > 0"
         )
     ramps = []
-    for window, velocity, asymptote in zip(windows, fit.velocities, of_ramps, strict=True):
-        model = RampModel(coulomb, viscous, inertia, window.record.slope)
-        start = break_away(window.record, model)
+    for window, velocity, asymptote in zip(windows, fit.velocities, asymptotes, strict=True):
+        start = break_away(window.record, RampModel(coulomb, viscous, inertia, window.record.slope))
         ramps.append(UsedRamp(window.record, start, window.time, velocity, asymptote))
-    square, freedom = fit.chi_square()
     return RampIdentification(
         ramps=tuple(ramps),
-        source=_by_source(ramps, scale),
-        exact=_friction(fit.values, fit.covariance, math.inf, scale),
-        repeated=_by_repeats(fit, ramps, scale),
-        consistency=float(stats.chi2.sf(square, freedom)),
+        source=_by_source(ramps, scale_uncertainty),
+        exact=RampFriction.of(fit.values, fit.covariance, scale_uncertainty),
+        repeated=_by_repeats(fit, ramps, scale_uncertainty),
+        consistency=float(stats.chi2.sf(*fit.chi_square())),
         stribeck=fit.stribeck,
-        unused=unused,
+        unused=tuple(unused),
     )
+
+
+def _no_ramp_left(reasons: Sequence[str]) -> IdentificationError:
+    more = f" (and {len(reasons) - 1} more ramps that cannot be used)" if len(reasons) > 1 else ""
+    return IdentificationError(reasons[0] + more if reasons else "no ramp to identify from")
+
+
+def _one_slope(records: Sequence[RampRecord], scale: float, unused: Sequence[str]) -> RampIdentification:
+    """Identify by the source's method alone: with one slope J is unknown."""
+    used, fits, reasons = _usable(records, fit_asymptote)
+    if not used:
+        raise _no_ramp_left([*unused, *reasons])
+    ramps = []
+    for record, fit in zip(used, fits, strict=True):
+        time = record.time - record.origin
+        time = time[time >= fit.window[0]]
+        ramps.append(UsedRamp(record, fit.break_away, time, fit.a * time - fit.b, fit))
+    return RampIdentification(tuple(ramps), _by_source(ramps, scale), None, None, 1.0, None, (*unused, *reasons))
+
+
+def _asymptote(record: RampRecord, T: float) -> RampFit | None:
+    """Return the asymptote by the source's method, with T of all ramps; None where the ramp is too short for it."""
+    try:
+        return fit_asymptote(record, T)
+    except ShortRampError:
+        return None
 
 
 def _by_source(ramps: Sequence[UsedRamp], scale: float) -> RampFriction | None:
@@ -249,13 +245,7 @@ def _by_source(ramps: Sequence[UsedRamp], scale: float) -> RampFriction | None:
         to_friction = m * np.array([[-fit.b / fit.a**2, 1 / fit.a], [-1 / fit.a**2, 0.0]])
         covariance += to_friction @ fit.covariance @ to_friction.T / len(fits) ** 2
     values = np.array([source_formulas(fit.a, fit.b, m) for m, fit in fits]).mean(axis=0)
-    return _friction(values, covariance, math.inf, scale)
-
-
-def _friction(values: Array, covariance: Array, freedom: float, scale: float) -> RampFriction:
-    errors = np.sqrt(np.diag(covariance))
-    estimates = [interval(float(v), float(e), freedom, scale) for v, e in zip(values, errors, strict=True)]
-    return RampFriction(estimates[0], estimates[1], estimates[2] if len(estimates) > 2 else None, covariance, freedom)
+    return RampFriction.of(values, covariance, scale)
 
 
 def _by_repeats(fit: RampsFit, ramps: Sequence[UsedRamp], scale: float) -> RampFriction | None:
@@ -269,14 +259,11 @@ def _by_repeats(fit: RampsFit, ramps: Sequence[UsedRamp], scale: float) -> RampF
     repeated = [group for group in groups.values() if len(group) > 1]
     if len(repeated) < 2:
         return None
-    repeats = min(len(group) for group in repeated)
-    values = np.array([fit.subset([group[i] for group in repeated]) for i in range(repeats)])
-    covariance = np.cov(values.T) / repeats
-    return _friction(values.mean(axis=0), covariance, repeats - 1, scale)
+    values = np.array([fit.subset(chosen) for chosen in zip(*repeated, strict=False)])
+    return RampFriction.of(values.mean(axis=0), np.cov(values.T) / len(values), scale, len(values) - 1)
 
 
-@dataclass(frozen=True)
-class JointFrictionEstimate:
+class JointFrictionEstimate(NamedTuple):
     """The joint alone: loaded less no-load, at the motor and carried to the joint's side of the gear."""
 
     coulomb: IntervalEstimate
@@ -292,36 +279,34 @@ def joint_friction(unloaded: RampIdentification, loaded: RampIdentification, rig
     The gear takes the torque to the joint's side with n eta, the viscous coefficient with n^2 eta.
     """
     motor, joint = [], []
-    scales = (rig.gear_ratio * rig.gear_efficiency, rig.gear_ratio**2 * rig.gear_efficiency)
     relative = math.hypot(rig.scale_uncertainty, rig.efficiency_uncertainty / rig.gear_efficiency)
     high, low = loaded.best, unloaded.best
     values = high.coulomb.value - low.coulomb.value, high.viscous.value - low.viscous.value
-    for index, (value, factor) in enumerate(zip(values, scales, strict=True)):
+    for index, (value, factor) in enumerate(zip(values, (1.0, rig.gear_ratio), strict=True)):
+        scale = rig.joint_scale * factor
         variances = high.covariance[index, index], low.covariance[index, index]
         random = math.sqrt(sum(variances))
         shares = variances[0] ** 2 / high.freedom + variances[1] ** 2 / low.freedom
         freedom = float(sum(variances)) ** 2 / shares if shares > 0.0 else math.inf
         motor.append(interval(value, random, freedom, rig.scale_uncertainty))
-        joint.append(interval(value * factor, random * factor, freedom, relative))
-    return JointFrictionEstimate(motor[0], motor[1], joint[0], joint[1])
+        joint.append(interval(value * scale, random * scale, freedom, relative))
+    return JointFrictionEstimate(*motor, *joint)
 
 
 @dataclass(frozen=True)
 class RampTestResult:
-    """The result of a measurement; each part None where it was not run."""
+    """The result of a measurement.
 
-    unloaded: RampIdentification | None
-    loaded: RampIdentification | None
+    Attributes:
+        parts: the identified loads, by name.
+        joint, comparison: None where they cannot be found.
+        failures: why a load that was run carries no estimate, one line each.
+    """
+
+    parts: list[tuple[str, RampIdentification]]
     joint: JointFrictionEstimate | None
     comparison: FourWay | None
     failures: tuple[str, ...] = ()
-    """Why a load that was run carries no estimate, one line each."""
-
-    @property
-    def parts(self) -> list[tuple[str, RampIdentification]]:
-        """Return the identified loads by name."""
-        both = (("no-load", self.unloaded), ("loaded", self.loaded))
-        return [(name, part) for name, part in both if part is not None]
 
 
 def evaluate(records: Sequence[RampRecord], rig: Rig) -> RampTestResult:
@@ -330,29 +315,18 @@ def evaluate(records: Sequence[RampRecord], rig: Rig) -> RampTestResult:
     Raises:
         IdentificationError: if no load carries an estimate.
     """
-    parts: dict[bool, RampIdentification] = {}
-    failures = []
-    for loaded in (False, True):
-        chosen = [record for record in records if record.loaded is loaded]
-        try:
-            if chosen:
-                parts[loaded] = identify_ramps(chosen, rig.scale_uncertainty)
-        except IdentificationError as error:
-            failures.append(str(error))
+    loads = {"no-load": [r for r in records if not r.loaded], "loaded": [r for r in records if r.loaded]}
+    names, parts, failures = _usable(
+        [name for name in loads if loads[name]], lambda name: identify_ramps(loads[name], rig.scale_uncertainty)
+    )
     if not parts:
         raise IdentificationError(failures[0] if failures else "no ramp to identify from")
-    joint = joint_friction(parts[False], parts[True], rig) if len(parts) == 2 else None
-    comparison = _comparison(parts[max(parts)], rig)
-    return RampTestResult(parts.get(False), parts.get(True), joint, comparison, tuple(failures))
-
-
-def _comparison(part: RampIdentification, rig: Rig) -> FourWay | None:
-    """Compare the first ramp of the slowest slope; without an identified inertia there is no model of it."""
-    best = part.best
-    if best.inertia is None or best.inertia.value <= 0.0:
-        return None
-    slowest = slopes_of(part.ramps)[0]
-    ramp = min(part.ramps, key=lambda r: abs(r.slope - slowest))
-    release = max(ramp.break_away * ramp.slope - best.coulomb.value, 0.0)
-    model = RampModel(best.coulomb.value, best.viscous.value, best.inertia.value, ramp.slope, release)
-    return compare(ramp.record, model, rig.gear_ratio)
+    joint = joint_friction(parts[0], parts[1], rig) if len(parts) == 2 else None
+    comparison, best = None, parts[-1].best
+    if best.inertia is not None and best.inertia.value > 0.0:  # without it there is no model of the ramps
+        ramp = min(parts[-1].ramps, key=lambda ramp: ramp.slope)
+        coulomb = best.coulomb.value
+        release = max(ramp.break_away * ramp.slope - coulomb, 0.0)
+        model = RampModel(coulomb, best.viscous.value, best.inertia.value, ramp.slope, release)
+        comparison = compare(ramp.record, model, rig.gear_ratio)
+    return RampTestResult(list(zip(names, parts, strict=True)), joint, comparison, tuple(failures))

@@ -1,19 +1,34 @@
-"""The run of `friction_ramp`, apart from its options: they are checked first, as the import takes two seconds."""
+"""The run of `friction_ramp`, apart from its options: new ramps, planned by what the first shows, or old ones."""
 
 from __future__ import annotations
 
 import argparse
 import math
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from friction_bench.experiment.identification import evaluate
-from friction_bench.experiment.ramp import plan_from, run_planned, run_ramp
-from friction_bench.experiment.record import INSTANTANEOUS, RampRecord, read_csv, read_text, write_csv
-from friction_bench.experiment.report import result_text, write_estimates, write_html, write_yaml
-from friction_bench.experiment.session import EMULATED, check_options, measuring, new_measurement, origin_of
-from friction_bench.rig.rig_file import RampPlan, Rig, load_rig
+from friction_bench.experiment.record import INSTANTANEOUS, RampRecord, read_csv, read_text, sliding_window, write_csv
+from friction_bench.experiment.report import write_friction, write_result
+from friction_bench.experiment.session import (
+    EMULATED,
+    LIMITS_SHARE,
+    armed,
+    check_options,
+    last_near_limits,
+    measuring,
+    new_measurement,
+    origin_of,
+    refuse_fault,
+    sample_columns,
+    wait_for_rest,
+)
+from friction_bench.experiment.sliding_fit import fit_sliding
+from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.messages import Command, RigError, State
+from friction_bench.rig.rig_file import TRAVEL_UNIT, RampPlan, Rig, load_rig
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, IdentificationError
 from rx90_common.base.quoting import one_line, quoted
 from rx90_common.base.share import resolve_config
@@ -21,9 +36,130 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
 
-_LOADS = {"none": (False,), "joint": (True,), "both": (False, True)}
-_OF_A_RIG = {"port": EMULATED, "load": "both", "slopes": None, "repeats": None, "end_torque": None, "seed": None}
+MIN_SLIDING_TIME = 1.5
+"""Shortest time for which the shaft slides in the fastest ramp, s."""
+MIN_TIME_CONSTANTS = 8.0
+"""The same in time constants; the longer of the two counts."""
+MAX_TIME_CONSTANT = 0.5
+"""The time constant, s, that is taken if the first ramp shows a longer one: a single ramp shows it poorly."""
+MIN_SLOPE_RATIO = 1.8
+"""Smallest ratio of fastest to slowest slope."""
+SLOPE_RATIO = 2.5
+"""The ratio where the slopes are chosen here."""
+MIN_SLIDING_READINGS = 300
+"""Fewest readings of a sliding shaft at the fastest slope, all repeats together."""
+MAX_REPEATS = 20
+LOADS = {False: "no-load", True: "loaded"}
+_CHOSEN_LOADS = {"none": (False,), "joint": (True,), "both": (False, True)}
+_RIG_OPTIONS = {
+    "port": EMULATED, "load": "both", "slopes": None, "repeats": None, "end_torque": None, "seed": None,
+    "clear": False, "real_time": False,
+}  # fmt: skip
 """Options with which nothing can be done when old data are read, and their defaults."""
+
+
+def run_ramp(
+    client: RigClient,
+    slope: float,
+    end_torque: float,
+    loaded: bool,
+    label: str,
+    on_sample: Callable[[Sample], None] = lambda _: None,
+) -> RampRecord:
+    """Arm the rig, run one ramp of `slope` Nm/s up to `end_torque` Nm and return its record.
+
+    A ramp that comes near the limits of travel or speed is ended there. The rig is disarmed again when this returns,
+    and stopped when it raises.
+
+    Raises:
+        RigError: refused, faulted, lost or reset.
+    """
+    rig = client.rig
+    slope = rig.slope_of_step(rig.ramp_step(slope))
+    client.end_code(end_torque)  # refused before anything is switched on
+    wait_for_rest(client)
+    with armed(client):
+        samples = _follow(client, client.start_ramp(slope, end_torque), on_sample)
+    if len(samples) < 2:
+        raise RigError(f"{label}: {len(samples)} readings during the ramp; accepted: at least 2")
+    ticks, counts, dac, adc = sample_columns(samples)
+    time, angle = ticks * rig.tick - samples[0].time, (counts - counts[0]) * rig.angle_step
+    return RampRecord(time, angle, slope, rig.angle_step, rig.torque(dac), rig.measured_torque(adc), loaded, label)
+
+
+def _follow(client: RigClient, first: list[Sample], on_sample: Callable[[Sample], None]) -> list[Sample]:
+    samples = [sample for sample in first if sample.report.state == State.RAMPING]
+    while not last_near_limits(client.rig, samples):
+        for sample in client.pump():
+            refuse_fault(sample)
+            if sample.report.ramp_done:
+                return samples
+            if sample.report.state != State.RAMPING:
+                raise RigError("the ramp was stopped before its end")
+            samples.append(sample)
+            on_sample(sample)
+    client.request(Command.STOP)
+    return samples
+
+
+def run_planned(
+    run: Callable[[float, str], RampRecord], plan: RampPlan, loaded: bool, choose: Callable[[RampRecord], RampPlan]
+) -> None:
+    """Run all ramps under one load: the first of the slowest slope, then those of the plan that is chosen by it.
+
+    Args:
+        run: one ramp of a slope, Nm/s, with a label.
+        plan: for the first ramp.
+        loaded: for the labels.
+        choose: the plan for the rest, from the first ramp; the first ramp counts where it has one of its slopes.
+
+    Raises:
+        IdentificationError: of `choose`; RigError: of `run`.
+    """
+    slowest = min(plan.slopes)
+    chosen = choose(run(slowest, f"{LOADS[loaded]} {slowest:g} Nm/s #1"))
+    for repeat in range(chosen.repeats):
+        for slope in sorted(chosen.slopes):
+            if (repeat, slope) != (0, slowest):
+                run(slope, f"{LOADS[loaded]} {slope:g} Nm/s #{repeat + 1}")
+
+
+def plan_from(first: RampRecord, plan: RampPlan, rig: Rig) -> RampPlan:
+    """Return the plan, with other slopes and more repeats where the first ramp shows that its own do not do.
+
+    Args:
+        first: a ramp of the plan's slowest slope.
+        plan: slopes and end torques to begin with; the end torques are kept.
+        rig: for the limits of travel and speed.
+
+    Raises:
+        IdentificationError: if the first ramp cannot be used, for then the others cannot either.
+    """
+    fit = fit_sliding([sliding_window(first)])
+    coulomb, viscous, inertia = fit.values.tolist()
+    if not (viscous > 0.0 and inertia > 0.0):
+        raise IdentificationError(
+            f"{first.label}: the shaft does not slide as a ramp torque lets it, the viscous friction would be "
+            f"{viscous:.3g} Nm s/rad; saturation, or the joint runs against a stop"
+        )
+    # One ramp shows the time constant poorly: this one is hardly exceeded.
+    constant = (inertia + 2.0 * math.sqrt(max(float(fit.covariance[2, 2]), 0.0))) / viscous
+    travel, speed = rig.limit_codes()
+    top = LIMITS_SHARE * speed * first.angle_step / rig.tick
+    rise = min(plan.end(first.loaded) - coulomb, viscous * top)
+    if rise <= 0.0:
+        return plan
+    fastest = rise / max(MIN_SLIDING_TIME, MIN_TIME_CONSTANTS * min(constant, MAX_TIME_CONSTANT))
+    farthest = LIMITS_SHARE * travel * TRAVEL_UNIT * first.angle_step
+    slowest = rise**2 / (2.0 * viscous * farthest)  # slower ones turn the shaft too far
+    slopes = plan.slopes
+    if not (max(slopes) <= fastest and min(slopes) >= slowest and max(slopes) >= MIN_SLOPE_RATIO * min(slopes)):
+        high = min(max(fastest, SLOPE_RATIO * slowest), max(slopes))
+        low = max(high / SLOPE_RATIO, rig.slope_of_step(1))
+        slopes = (float(f"{low:.3g}"), float(f"{high:.3g}"))
+    readings = rise / max(slopes) / rig.tick
+    repeats = min(max(plan.repeats, math.ceil(MIN_SLIDING_READINGS / readings)), MAX_REPEATS)
+    return replace(plan, slopes=slopes, repeats=repeats)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -47,14 +183,12 @@ def run(options: argparse.Namespace) -> int:
         records = _measure(options, rig, _plan(options, rig))
         origin = f"{len(records)} ramps on the {origin_of(options)}"
     result = evaluate(records, rig)
-    write_html(out / "report.html", result, rig, origin)
-    write_estimates(out / "estimates.yaml", result)
-    print(result_text(result))
+    write_result(out, result, rig, origin)
     print(one_line(f"report: {out / 'report.html'}"))
     if result.failures:
         print("parameters for rx90_sim: not written, as a load carries no estimate", file=sys.stderr)
         return VERDICT_NO
-    write_yaml(out / "friction.yaml", result, options.element, base)
+    write_friction(out / "friction.yaml", result, options.element, base)
     print(one_line(f"parameters for rx90_sim: {out / 'friction.yaml'}"))
     return DONE
 
@@ -68,7 +202,7 @@ def _check(options: argparse.Namespace, base: FrictionFile) -> None:
     refuse_parts(replaced, "the element that a ramp test replaces", f"{base.path}: elements.")
     check_options(options)
     if options.no_load_file or options.loaded_file:
-        for name, usual in {**_OF_A_RIG, "clear": False, "real_time": False}.items():
+        for name, usual in _RIG_OPTIONS.items():
             if getattr(options, name) not in (None, usual):
                 raise ConfigError(f"--{name.replace('_', '-')} with old data; accepted: with a rig")
     elif options.text:
@@ -93,27 +227,24 @@ def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
 def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[RampRecord]:
     """Run the ramps of all loads; each stands as a CSV file when it is over."""
     records: list[RampRecord] = []
-    out, loads = options.output, _LOADS[options.load]
-    with measuring(options, rig, out, sum(plan.duration(loaded) for loaded in loads), "ramps") as session:
+    loads = _CHOSEN_LOADS[options.load]
+    with measuring(options, rig, options.output, sum(map(plan.duration, loads)), "ramps") as session:
         bar = session.bar
 
         def one(slope: float, label: str) -> RampRecord:
             bar.set_postfix_str(label, refresh=False)
             record = run_ramp(session.client, slope, plan.end(loaded), loaded, label, session.keep)
             records.append(record)
-            write_csv(record, out / f"ramp_{len(records):02d}.csv")
+            write_csv(record, options.output / f"ramp_{len(records):02d}.csv")
             return record
 
         def choose(first: RampRecord) -> RampPlan:
             chosen = plan_from(first, plan, rig)
-            if options.slopes:
-                chosen = replace(chosen, slopes=plan.slopes)
-            if options.repeats:
-                chosen = replace(chosen, repeats=plan.repeats)
+            slopes = plan.slopes if options.slopes else chosen.slopes
+            chosen = replace(chosen, slopes=slopes, repeats=options.repeats or chosen.repeats)
             if chosen != plan:
-                slopes = " and ".join(f"{slope:g}" for slope in chosen.slopes)
-                load = "loaded" if loaded else "no-load"
-                bar.write(f"{load}: {slopes} Nm/s, {chosen.repeats} repeats, by the first ramp", sys.stderr)
+                text = f"{' and '.join(f'{slope:g}' for slope in slopes)} Nm/s, {chosen.repeats} repeats"
+                bar.write(f"{LOADS[loaded]}: {text}, by the first ramp", sys.stderr)
                 bar.total = round(bar.total + chosen.duration(loaded) - plan.duration(loaded), 1)
             return chosen
 

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,22 +68,20 @@ class RampModel:
         """Return J / f_v, s."""
         return self.inertia / self.viscous
 
-    def asymptote(self) -> tuple[float, float]:
-        """Return a, rad/s², and b, rad/s, of the velocity's asymptote a t - b."""
-        a = self.slope / self.viscous
-        return a, a * (self.coulomb / self.slope + self.time_constant)
-
     def velocity(self, time: ArrayLike) -> Array:
         """Return w(t), rad/s."""
-        s = np.maximum(np.asarray(time, dtype=np.float64) - self.break_away_time, 0.0)
-        T, a = self.time_constant, self.slope / self.viscous
+        s, T, a = self._since_release(time)
         return np.asarray(a * s - (self.release / self.viscous - a * T) * np.expm1(-s / T))
 
     def angle(self, time: ArrayLike) -> Array:
         """Return the angle since rest, rad."""
-        s = np.maximum(np.asarray(time, dtype=np.float64) - self.break_away_time, 0.0)
-        T, a = self.time_constant, self.slope / self.viscous
+        s, T, a = self._since_release(time)
         return np.asarray(a * s * s / 2 + (self.release / self.viscous - a * T) * (s + T * np.expm1(-s / T)))
+
+    def _since_release(self, time: ArrayLike) -> tuple[Array, float, float]:
+        """Return s, s, T, s, and a, rad/s²."""
+        s = np.maximum(np.asarray(time, dtype=np.float64) - self.break_away_time, 0.0)
+        return s, self.time_constant, self.slope / self.viscous
 
 
 class RecordError(Rx90Error):
@@ -125,8 +125,6 @@ class RampRecord:
             raise RecordError(f"{self.label}: time does not increase at reading {row}")
         if not (math.isfinite(self.slope) and self.slope > 0.0):
             raise RecordError(f"{self.label}: slope m is {self.slope:g} Nm/s; accepted: a number > 0")
-        if not self.angle_step > 0.0:
-            raise RecordError(f"{self.label}: encoder step is {self.angle_step:g} rad; accepted: a number > 0")
 
     @cached_property
     def tick(self) -> float:
@@ -149,6 +147,16 @@ class RampRecord:
         return float(np.mean(middle - self.torque[rising] / self.slope))
 
 
+def _rows(path: Path, split: Callable[[str], list[str]]) -> list[tuple[int, list[str]]]:
+    """Return number and fields of each line that holds some; lines that start with # or % are comments."""
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()  # a byte order mark is Excel's
+        rows = [(number, split(line)) for number, line in enumerate(lines, 1)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise RecordError(f"{path}: cannot be read ({error})") from error
+    return [(number, row) for number, row in rows if any(row) and not row[0].startswith(("#", "%"))]
+
+
 def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) -> RampRecord:
     """Read a CSV file with a header of `time` (s) and `counts`, and perhaps `torque`, `measured_torque` (Nm).
 
@@ -157,35 +165,31 @@ def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) 
     Raises:
         RecordError: naming line and column of what cannot be used.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:  # a byte order mark is Excel's
-            reader = csv.reader(stream)
-            rows = [(reader.line_num, row) for row in reader if any(row) and not row[0].startswith("#")]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise RecordError(f"{path}: cannot be read ({error})") from error
+    rows = _rows(path, lambda line: next(csv.reader([line]), []))
     if not rows:
         raise RecordError(f"{path}: is empty; accepted: a header and at least 2 readings")
     header = [name.strip() for name in rows.pop(0)[1]]
-    missing = [name for name in CSV_COLUMNS[:2] if name not in header]
-    if missing:
-        found, accepted = ", ".join(header)[:80], ", ".join(CSV_COLUMNS)
-        lacking = f"column {quoted(missing[0])} is missing, found {quoted(found)}"
-        raise RecordError(f"{path}: {lacking}; accepted: {accepted}")
-    time, counts, torque, measured = (
-        np.array([_number(path, line, row, header.index(name), name) for line, row in rows]) if name in header else None
-        for name in CSV_COLUMNS
+    columns: dict[str, Array] = {}
+    for name in CSV_COLUMNS:
+        if name in header:
+            at = header.index(name)
+            columns[name] = np.array([_number(path, line, name, row[at : at + 1]) for line, row in rows])
+        elif name in CSV_COLUMNS[:2]:
+            lacking = f"column {quoted(name)} is missing, found {quoted(', '.join(header)[:80])}"
+            raise RecordError(f"{path}: {lacking}; accepted: {', '.join(CSV_COLUMNS)}")
+    torque, measured = columns.get("torque"), columns.get("measured_torque")
+    return RampRecord(
+        columns["time"], columns["counts"] * angle_step, slope, angle_step, torque, measured, loaded, path.name
     )
-    assert time is not None
-    assert counts is not None
-    return RampRecord(time, counts * angle_step, slope, angle_step, torque, measured, loaded, path.name)
 
 
-def _number(path: Path, line: int, row: list[str], at: int, name: str) -> float:
+def _number(path: Path, line: int, name: str, field: list[str]) -> float:
+    """Return the number that a field of a line, which may lack it, holds."""
     try:
-        return float(row[at])
+        return float(field[0])
     except (IndexError, ValueError):
-        found = row[at] if at < len(row) else "nothing"
-        raise RecordError(f"{path}: line {line}, column {name} holds {quoted(found)}; accepted: a number") from None
+        found = quoted(field[0] if field else "nothing")
+        raise RecordError(f"{path}: line {line}, column {name} holds {found}; accepted: a number") from None
 
 
 def write_csv(record: RampRecord, path: Path) -> None:
@@ -195,13 +199,22 @@ def write_csv(record: RampRecord, path: Path) -> None:
         Rx90Error: if the file cannot be written.
     """
     counts = np.rint(record.angle / record.angle_step).astype(int)
-    torques = [column for column in (record.torque, record.measured_torque) if column is not None]
+    columns = (record.time, counts, record.torque, record.measured_torque)
+    known = {name: column.tolist() for name, column in zip(CSV_COLUMNS, columns, strict=True) if column is not None}
+    write_table(path, f"{record.label}, slope {record.slope!r} Nm/s", known)
+
+
+def write_table(path: Path, comment: str, columns: Mapping[str, Sequence[object]]) -> None:
+    """Write columns as CSV, after a line of comment.
+
+    Raises:
+        Rx90Error: if the file cannot be written.
+    """
     with written_beside(path) as (beside,), beside.open("w", newline="", encoding="utf-8") as stream:
-        stream.write(f"# {record.label}, slope {record.slope!r} Nm/s\n")
+        stream.write(f"# {comment}\n")
         writer = csv.writer(stream)
-        writer.writerow(CSV_COLUMNS[: 2 + len(torques)])
-        for i, time in enumerate(record.time):
-            writer.writerow([repr(float(time)), counts[i], *(repr(float(column[i])) for column in torques)])
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
 
 
 def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: float, loaded: bool = False) -> RampRecord:
@@ -215,50 +228,38 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
     Raises:
         RecordError: naming file and line of what cannot be used.
     """
-    if kind not in (*TEXT_KINDS, INSTANTANEOUS):
-        raise RecordError(f"kind of reading is {quoted(kind)}; accepted: {', '.join((*TEXT_KINDS, INSTANTANEOUS))}")
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordError(f"{path}: cannot be read ({error})") from error
-    rows: list[list[float]] = []
-    for number, line in enumerate(lines, 1):
-        words = line.replace(",", " ").replace(";", " ").split()
-        if not words or words[0].startswith(("#", "%")):
-            continue
+    rows = []
+    for line, words in _rows(path, lambda line: line.replace(",", " ").replace(";", " ").split()):
         try:
             rows.append([float(word) for word in words])
         except ValueError:
-            raise RecordError(f"{path}: line {number} holds {quoted(line.strip())}; accepted: numbers") from None
-        if len(rows[-1]) not in {1, 2} or len(rows[-1]) != len(rows[0]):
-            raise RecordError(
-                f"{path}: line {number} holds {len(words)} numbers; accepted: 1 or 2, the same on every line"
-            )
+            raise RecordError(f"{path}: line {line} holds {quoted(' '.join(words))}; accepted: numbers") from None
+        if len(words) not in {1, 2} or len(words) != len(rows[0]):
+            holds = f"line {line} holds {len(words)} numbers"
+            raise RecordError(f"{path}: {holds}; accepted: 1 or 2, the same on every line")
     if len(rows) < 2:
         raise RecordError(f"{path}: {len(rows)} readings; accepted: at least 2")
     table = np.array(rows)
-    regular = tick * np.arange(1, len(rows) + 1, dtype=np.float64)
-    time: Array = table[:, 0] if table.shape[1] == 2 else regular
+    values: Array = table[:, -1]
+    time: Array = table[:, 0] if table.shape[1] == 2 else tick * np.arange(1, len(rows) + 1, dtype=np.float64)
     step = float(np.median(np.diff(time)))
     if not tick / 2 <= step <= tick * 2:
         raise RecordError(
             f"{path}: its first column, read as time, advances by {step:.3g} a line; "
             f"accepted: s, about {tick:g} a line, and a point for decimals"
         )
-    values = np.asarray(table[:, -1], dtype=np.float64)
     if kind == "counts":
         angle = values * angle_step
     elif kind == "increments":
-        angle = np.asarray(np.cumsum(values) * angle_step, dtype=np.float64)
+        angle = np.cumsum(values) * angle_step
     else:
         if kind == INSTANTANEOUS:  # by the trapezoidal rule, from a reading at rest before the first one
             values = (values + np.concatenate(([0.0], values[:-1]))) / 2
-        angle = np.asarray(np.cumsum(values * np.diff(time, prepend=time[0] - tick)), dtype=np.float64)
-    return RampRecord(time, angle, slope, angle_step, loaded=loaded, label=path.name)
+        angle = np.cumsum(values * np.diff(time, prepend=time[0] - tick))
+    return RampRecord(time, np.asarray(angle), slope, angle_step, loaded=loaded, label=path.name)
 
 
-@dataclass(frozen=True)
-class SlidingWindow:
+class SlidingWindow(NamedTuple):
     """The readings of one ramp from where the shaft slides.
 
     Attributes:
@@ -271,16 +272,6 @@ class SlidingWindow:
     time: Array
     angle: Array
     torque: Array
-
-    @property
-    def first_speed(self) -> float:
-        """Return the velocity at the beginning, roughly, rad/s."""
-        return float((self.angle[3] - self.angle[0]) / (self.time[3] - self.time[0]))
-
-    @property
-    def last_speed(self) -> float:
-        """Return the velocity at the end, roughly, rad/s."""
-        return float((self.angle[-1] - self.angle[-6]) / (self.time[-1] - self.time[-6]))
 
 
 def sliding_window(record: RampRecord) -> SlidingWindow:
@@ -308,17 +299,25 @@ def break_away(record: RampRecord, model: RampModel) -> float:
         model: with the identified friction and inertia; friction is taken to fall to f_c at once.
     """
     time, angle, first = first_motion(record)
-    onset = slice(max(first - 2, 0), first + ONSET_TICKS)
-
-    def misfit(moment: float) -> float:
-        released = replace(model, release=moment * model.slope - model.coulomb)
-        return float(np.sum((released.angle(time[onset]) - angle[onset]) ** 2))
-
     latest = float(time[first])
     earliest = min(max(model.coulomb / model.slope, latest - EARLIER_TICKS * record.tick), latest - record.tick)
+    onset = slice(max(first - 2, 0), first + ONSET_TICKS)
+    return fit_break_away(
+        time[onset],
+        angle[onset],
+        (earliest, latest),
+        lambda moment: replace(model, release=moment * model.slope - model.coulomb),
+    )
+
+
+def fit_break_away(
+    time: Array, angle: Array, bounds: tuple[float, float], model: Callable[[float], RampModel]
+) -> float:
+    """Return the moment of break-away, s, within bounds, whose model is nearest to angles, rad, at times, s."""
     from scipy.optimize import minimize_scalar  # here, because --help of the command must not wait for it
 
-    return float(minimize_scalar(misfit, bounds=(earliest, latest), method="bounded").x)
+    found = minimize_scalar(lambda m: np.sum((model(m).angle(time) - angle) ** 2), bounds=bounds, method="bounded")
+    return float(found.x)
 
 
 def _stays_beyond(angle: Array, threshold: float) -> int:
@@ -336,21 +335,25 @@ def first_motion(record: RampRecord) -> tuple[Array, Array, int]:
             never leaves its start, or does so before the first reading; saying where and by how much.
     """
     time, angle, torque = record.time - record.origin, record.angle - record.angle[0], record.torque
+
+    def refuse(reason: str) -> NoReturn:
+        raise IdentificationError(f"{record.label}: {reason}")
+
     if torque is not None:
         late = np.abs(torque - record.slope * (time + record.tick / 2))
         allowed = max(1.5 * float(np.abs(np.diff(torque)).max(initial=0.0)), 2 * record.slope * record.tick)
         if late.max() > allowed:
-            when = float(time[int(np.argmax(late))])
-            raise IdentificationError(
-                f"{record.label}: the commanded torque leaves the ramp of {record.slope:.4g} Nm/s by "
-                f"{late.max():.3g} Nm at {when:.2f} s; the command saturates or the slope is wrong"
+            where = f"by {late.max():.3g} Nm at {time[np.argmax(late)]:.2f} s"
+            refuse(
+                f"the commanded torque leaves the ramp of {record.slope:.4g} Nm/s {where}; "
+                "the command saturates or the slope is wrong"
             )
-    if angle[-1] < (MOVED_COUNTS - 0.5) * record.angle_step:
-        reached = record.slope * (record.time[-1] - record.origin)
-        raise IdentificationError(f"{record.label}: no break-away up to {reached:.3g} Nm; raise the end torque")
-    first = _stays_beyond(angle, max((MOVED_COUNTS - 0.5) * record.angle_step, MOVED_SHARE * angle[-1]))
+    moved = (MOVED_COUNTS - 0.5) * record.angle_step
+    if angle[-1] < moved:
+        refuse(f"no break-away up to {record.slope * time[-1]:.3g} Nm; raise the end torque")
+    first = _stays_beyond(angle, max(moved, MOVED_SHARE * angle[-1]))
     if first == 0:
-        raise IdentificationError(f"{record.label}: the shaft moves at the first reading; a ramp starts from rest")
+        refuse("the shaft moves at the first reading; a ramp starts from rest")
     n = time.size // 5
     if torque is not None and record.measured_torque is not None and n > 0:
         # A reading is taken just before the tick at which the command changes: it belongs to the one before.
@@ -358,8 +361,8 @@ def first_motion(record: RampRecord) -> tuple[Array, Array, int]:
         scale = float(np.sum(measured[n : 3 * n]) / np.sum(command[n : 3 * n]))
         shortfall = 1.0 - float(np.mean(measured[-n:]) / np.mean(command[-n:])) / scale
         if shortfall > SATURATION_LIMIT:
-            raise IdentificationError(
-                f"{record.label}: the measured torque falls {100 * shortfall:.0f} % behind the command at the "
-                "ramp's end; the amplifier saturates, end the ramp earlier"
+            refuse(
+                f"the measured torque falls {100 * shortfall:.0f} % behind the command at the ramp's end; "
+                "the amplifier saturates, end the ramp earlier"
             )
     return time, angle, first

@@ -31,11 +31,12 @@ STATIC = (
 )
 STIFFNESS_SHARE = 1e-4
 """Presliding of the YAML's bristles, rad: a ramp test does not see it, so it is assumed."""
+METHODS = {"source": "source, m b / a", "exact": "exact, by covariance", "repeated": "exact, by repeats"}
 _DASHES: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dashdot")
 _TIME = "time since the torque's zero, s"
 
 
-def velocity_plot(part: RampIdentification) -> Plot:
+def _velocity_plot(part: RampIdentification) -> Plot:
     """Show the velocities of all repeats with what was fitted, one panel a slope (figures 4 to 6)."""
     panels: list[Panel] = []
     deviations: list[Mark] = []
@@ -57,7 +58,7 @@ def velocity_plot(part: RampIdentification) -> Plot:
     return Plot([*panels, Panel(deviations, title, _TIME, "less fit, rad/s")])
 
 
-def load_plot(result: RampTestResult) -> Plot:
+def _load_plot(result: RampTestResult) -> Plot:
     """Show one no-load and one loaded ramp of each slope on the same axes."""
     curves = []
     for k, (name, part) in enumerate(result.parts):
@@ -69,7 +70,7 @@ def load_plot(result: RampTestResult) -> Plot:
     return Plot([Panel(curves, "", "motor torque m t, Nm", "motor velocity, rad/s")], height=3.0)
 
 
-def comparison_plot(comparison: FourWay) -> Plot:
+def _comparison_plot(comparison: FourWay) -> Plot:
     """Show the four velocities and their differences from the closed form (figures 7 and 8)."""
     upper, lower = [], []
     *_, closed = comparison.velocities.values()
@@ -81,68 +82,6 @@ def comparison_plot(comparison: FourWay) -> Plot:
     return Plot(panels, share_x=True)
 
 
-def friction_rows(result: RampTestResult) -> list[tuple[str, str, RampFriction]]:
-    """Return load, method and estimate, in the report's order."""
-    methods = {"source": "source, m b / a", "exact": "exact, by covariance", "repeated": "exact, by repeats"}
-    rows = [(name, text, getattr(part, key)) for name, part in result.parts for key, text in methods.items()]
-    return [row for row in rows if row[2] is not None]
-
-
-def result_text(result: RampTestResult) -> str:
-    """Return the estimates as a table for the terminal."""
-    lines = [f"{'':34}{'f_c, Nm [95 %]':>34}{'f_v, Nm s/rad [95 %]':>40}"]
-    for name, method, friction in friction_rows(result):
-        lines.append(f"{name + ': ' + method:34}{_cell(friction.coulomb):>34}{_cell(friction.viscous):>40}")
-    if result.joint is not None:
-        joint = result.joint
-        lines.append(f"{'joint, at the motor':34}{_cell(joint.coulomb):>34}{_cell(joint.viscous):>40}")
-        coulomb, viscous = joint.joint_side_coulomb, joint.joint_side_viscous
-        lines.append(f"{'joint, joint side':34}{_cell(coulomb):>34}{_cell(viscous):>40}")
-    if result.comparison is not None:
-        for pair in result.comparison.pairs:
-            band = f", source ± {pair.band:g} %" if pair.band else ""
-            lines.append(f"{pair.first} - {pair.second}: {pair.worst:.2g} % worst{band}")
-    lines.append(f"static friction tau_s: {STATIC}")
-    lines += [f"not used: {reason}" for reason in unused_ramps(result)]
-    return "\n".join(lines)
-
-
-def unused_ramps(result: RampTestResult) -> list[str]:
-    """Return why loads and ramps could not be used, one line each."""
-    return [*result.failures, *(reason for _, part in result.parts for reason in part.unused)]
-
-
-def _cell(estimate: IntervalEstimate) -> str:
-    return f"{estimate.value:.4g} [{estimate.low:.4g}, {estimate.high:.4g}]"
-
-
-def write_html(path: Path, result: RampTestResult, rig: Rig, origin: str) -> None:
-    """Write the page; `origin` says in one line where the data came from.
-
-    Raises:
-        Rx90Error: if the file cannot be written.
-    """
-    plots = {name: velocity_plot(part) for name, part in result.parts}
-    if result.joint is not None:
-        plots["load"] = load_plot(result)
-    if result.comparison is not None:
-        plots["comparison"] = comparison_plot(result.comparison)
-    page = render_page(
-        "friction_bench.experiment",
-        "friction_report.html.j2",
-        result=result,
-        rig=rig,
-        origin=origin,
-        rows=friction_rows(result),
-        plots=plots,
-        smoothing=SMOOTHING,
-        static=STATIC,
-        unused=unused_ramps(result),
-        two_slopes=all(part.exact is not None for _, part in result.parts),
-    )
-    write_text(path, page)
-
-
 def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
     return {
         "value": float(f"{estimate.value:.6g}"),
@@ -151,7 +90,71 @@ def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
     }
 
 
-def write_yaml(path: Path, result: RampTestResult, element: str, base: FrictionFile) -> None:
+def write_result(out: Path, result: RampTestResult, rig: Rig, origin: str) -> None:
+    """Write report.html and estimates.yaml, with every estimate, in a folder, and print the estimates.
+
+    Args:
+        out: the folder.
+        result: of the measurement.
+        rig: on which it was made.
+        origin: of the data, in one line.
+
+    Raises:
+        Rx90Error: if a file cannot be written.
+    """
+    rows: list[tuple[str, str, RampFriction]] = [
+        (name, text, friction)
+        for name, part in result.parts
+        for key, text in METHODS.items()
+        if (friction := getattr(part, key)) is not None
+    ]
+    document: dict[str, Any] = {"units": {"coulomb": "Nm", "viscous": "Nm s/rad", "inertia": "kg m2"}}
+    lines = [f"{'':34}{'f_c, Nm [95 %]':>34}{'f_v, Nm s/rad [95 %]':>40}"]
+
+    def add(title: str, coulomb: IntervalEstimate, viscous: IntervalEstimate) -> dict[str, Any]:
+        cells = (f"{one.value:.4g} [{one.low:.4g}, {one.high:.4g}]" for one in (coulomb, viscous))
+        lines.append("{:34}{:>34}{:>40}".format(title, *cells))
+        return {"coulomb": _interval(coulomb), "viscous": _interval(viscous)}
+
+    for name, method, friction in rows:
+        entry = add(f"{name}: {method}", friction.coulomb, friction.viscous)
+        if friction.inertia is not None:
+            entry["inertia"] = _interval(friction.inertia)
+        document.setdefault(name, {})[method] = entry
+    plots = {name: _velocity_plot(part) for name, part in result.parts}
+    if result.joint is not None:
+        document["joint"] = {
+            "motor_side": add("joint, at the motor", *result.joint[:2]),
+            "joint_side": add("joint, joint side", *result.joint[2:]),
+        }
+        plots["load"] = _load_plot(result)
+    if result.comparison is not None:
+        for pair in result.comparison.pairs:
+            band = f", source ± {pair.band:g} %" if pair.band else ""
+            lines.append(f"{pair.first} - {pair.second}: {pair.worst:.2g} % worst{band}")
+        plots["comparison"] = _comparison_plot(result.comparison)
+    unused = [*result.failures, *(reason for _, part in result.parts for reason in part.unused)]
+    page = render_page(
+        "friction_bench.experiment",
+        "friction_report.html.j2",
+        result=result,
+        rig=rig,
+        origin=origin,
+        rows=rows,
+        plots=plots,
+        smoothing=SMOOTHING,
+        static=STATIC,
+        unused=unused,
+        two_slopes=all(part.exact is not None for _, part in result.parts),
+    )
+    write_text(out / "report.html", page)
+    document |= {"tau_s": {"identifiable": False, "reason": STATIC}, "not_used": unused}
+    write_text(out / "estimates.yaml", yaml_text(document))
+    lines.append(f"static friction tau_s: {STATIC}")
+    print("\n".join([*lines, *(f"not used: {reason}" for reason in unused)]))
+
+
+def write_friction(path: Path, result: RampTestResult, element: str, base: FrictionFile) -> None:
     """Write friction parameters for rx90_sim.
 
     Args:
@@ -164,11 +167,8 @@ def write_yaml(path: Path, result: RampTestResult, element: str, base: FrictionF
         IdentificationError: if the joint's friction is not positive.
         Rx90Error: if the file cannot be written.
     """
-    if result.joint is not None:
-        coulomb, viscous = result.joint.joint_side_coulomb, result.joint.joint_side_viscous
-    else:
-        best = result.parts[0][1].best
-        coulomb, viscous = best.coulomb, best.viscous
+    best = result.parts[0][1].best
+    coulomb, viscous = result.joint[2:] if result.joint is not None else (best.coulomb, best.viscous)
     if coulomb.value <= 0.0:
         raise IdentificationError(f"the Coulomb friction is {coulomb.value:.4g} Nm; accepted for a friction file: > 0")
     # Assumed are c0 and c1, a presliding of 0.1 mrad with critical-like damping, and tau_s, as much above tau_c as in
@@ -182,42 +182,12 @@ def write_yaml(path: Path, result: RampTestResult, element: str, base: FrictionF
     tau_s = max(tau_s, tau_c)
     measured = FrictionElement(tau_c, tau_c, tau_s, tau_s, 0.05, 1.0, c0, c1, c2, 1.0)
     source = f"ramp test on the friction rig: tau_c and c2 of {element} identified, the rest assumed"
-    known = {
+    assumption = {"provenance": "assumed", "identifiable": False}
+    parameters = {
         "tau_c": {"provenance": "identified", **_interval(coulomb)},
         "c2": {"provenance": "identified", **_interval(viscous)},
-        "tau_s": {"provenance": "assumed", "value": measured.tau_s_positive, "identifiable": False, "reason": STATIC},
+        "tau_s": {"provenance": "assumed", "value": tau_s, "identifiable": False, "reason": STATIC},
+        **{name: assumption.copy() for name in ("omega_s", "delta", "c0", "c1", "omega_d")},
     }
-    rest = {
-        name: {"provenance": "assumed", "identifiable": False} for name in ("omega_s", "delta", "c0", "c1", "omega_d")
-    }
-    file = FrictionFile(
-        {**base.elements, element: measured}, "assumed", source, {"parameters": {element: {**known, **rest}}}
-    )
-    write_text(path, file.text())
-
-
-def write_estimates(path: Path, result: RampTestResult) -> None:
-    """Write every estimate with its uncertainty as YAML.
-
-    Raises:
-        Rx90Error: if the file cannot be written.
-    """
-    document: dict[str, Any] = {"units": {"coulomb": "Nm", "viscous": "Nm s/rad", "inertia": "kg m2"}}
-    for name, method, friction in friction_rows(result):
-        entry = {"coulomb": _interval(friction.coulomb), "viscous": _interval(friction.viscous)}
-        if friction.inertia is not None:
-            entry["inertia"] = _interval(friction.inertia)
-        document.setdefault(name, {})[method] = entry
-    if result.joint is not None:
-        joint = result.joint
-        sides = {
-            "motor_side": (joint.coulomb, joint.viscous),
-            "joint_side": (joint.joint_side_coulomb, joint.joint_side_viscous),
-        }
-        document["joint"] = {
-            side: {"coulomb": _interval(coulomb), "viscous": _interval(viscous)}
-            for side, (coulomb, viscous) in sides.items()
-        }
-    document["tau_s"] = {"identifiable": False, "reason": STATIC}
-    document["not_used"] = unused_ramps(result)
-    write_text(path, yaml_text(document))
+    elements = {**base.elements, element: measured}
+    write_text(path, FrictionFile(elements, "assumed", source, {"parameters": {element: parameters}}).text())

@@ -10,7 +10,7 @@ import contextlib
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from friction_bench.protocol.messages import Fault, RigError, RigFaultError, State, fault_text
-from friction_bench.protocol.serial_port import SerialPort
 from friction_bench.rig.client import Port, RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, PtyRig, VirtualPort
+from friction_bench.rig.messages import Fault, RigError, RigFaultError, State, fault_text
 from friction_bench.rig.rig_file import TRAVEL_UNIT, Rig
+from friction_bench.rig.serial_port import SerialPort
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.arrays import Array, Mask
@@ -122,43 +122,42 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
         Rx90Error: for a folder that cannot be made, a rig that cannot be reached, a bag that cannot be written.
     """
     new_measurement(out)
-    pty_rig: PtyRig | None = None
-    try:
-        port: Port
-        if options.port != EMULATED:
-            port = SerialPort(options.port, options.baud or rig.baud)
-        else:
-            emulated = EmulatedRig(rig, options.seed or 0)
-            pty_rig = PtyRig(emulated) if options.real_time else None
-            port = VirtualPort(emulated) if pty_rig is None else SerialPort(pty_rig.path, rig.baud)
-    except Rx90Error:
-        out.rmdir()
-        raise
+    port: Port
 
-    def couple(loaded: bool) -> None:
-        if pty_rig is not None:
-            pty_rig.load(loaded)
-        elif options.port == EMULATED:
-            emulated.plant.load(loaded)
-        elif options.load == "both":  # with none or joint it is as the option says, and nobody need be there
+    def ask(loaded: bool) -> None:
+        if options.load == "both":  # with none or joint it is as the option says, and nobody need be there
             _ask_to_couple(loaded, session.client)
 
-    session = Session(RigClient(port, rig), couple, None)
-    try:
-        with tqdm(total=round(seconds, 1), unit="s", desc=what, disable=None, bar_format=_BAR) as session.bar:
-            session.client.connect()
-            if options.clear:
-                session.client.clear()
-            yield session
-    finally:
-        with interrupts_later():  # a second Ctrl-C does not cost the readings
-            port.close()
-            if pty_rig is not None:
-                pty_rig.close()
-            if session.samples:
-                write_joint_states(out / "bag", readings_series(session.samples, rig))
+    couple: Callable[[bool], None] = ask
+    with ExitStack() as opened:
+        try:
+            if options.port != EMULATED:
+                port = SerialPort(options.port, options.baud or rig.baud)
             else:
-                out.rmdir()
+                emulated = EmulatedRig(rig, options.seed or 0)
+                port, couple = VirtualPort(emulated), emulated.plant.load
+                if options.real_time:
+                    pty_rig = PtyRig(emulated)
+                    opened.callback(pty_rig.close)
+                    port, couple = SerialPort(pty_rig.path, rig.baud), pty_rig.load
+        except Rx90Error:
+            out.rmdir()
+            raise
+        opened.callback(port.close)
+        session = Session(RigClient(port, rig), couple, None)
+        try:
+            with tqdm(total=round(seconds, 1), unit="s", desc=what, disable=None, bar_format=_BAR) as session.bar:
+                session.client.connect()
+                if options.clear:
+                    session.client.clear()
+                yield session
+        finally:
+            with interrupts_later():  # a second Ctrl-C does not cost the readings
+                opened.close()
+                if session.samples:
+                    write_joint_states(out / "bag", readings_series(session.samples, rig))
+                else:
+                    out.rmdir()
 
 
 def _ask_to_couple(loaded: bool, client: RigClient) -> None:
@@ -177,11 +176,10 @@ def readings_series(samples: list[Sample], rig: Rig) -> list[JointSeries]:
     ticks, counts, dac, adc = sample_columns(samples)
     position = counts * rig.angle_step
     velocity = np.diff(position, prepend=position[0]) / (np.diff(ticks, prepend=ticks[0] - 1) * rig.tick)
-    measured, commanded = rig.measured_torque(adc), rig.torque(dac)
-    state = position[:, None], velocity[:, None], measured[:, None]
+    state = position[:, None], velocity[:, None], rig.measured_torque(adc)[:, None]
     return [
         JointSeries("/friction_bench/joint_states", ("rig_motor",), stamps, *state),
-        JointSeries("/friction_bench/joint_commands", ("rig_motor",), stamps, effort=commanded[:, None]),
+        JointSeries("/friction_bench/joint_commands", ("rig_motor",), stamps, effort=rig.torque(dac)[:, None]),
     ]
 
 
@@ -212,8 +210,7 @@ def wait_for_rest(client: RigClient) -> None:
     end = client.port.now() + REST_TIMEOUT
     still: list[int] = []
     while client.port.now() < end:
-        for sample in client.pump():
-            still = [*still[-REST_TICKS + 1 :], sample.counts]
+        still = [*still, *(sample.counts for sample in client.pump())][-REST_TICKS:]
         if len(still) == REST_TICKS and still[0] == still[-1]:
             return
     raise RigError(f"the shaft does not come to rest within {REST_TIMEOUT:g} s")
@@ -233,9 +230,8 @@ def armed(client: RigClient) -> Iterator[None]:
         yield
     except BaseException:  # never leave with the power stage on
         with contextlib.suppress(RigError):  # a line that is gone carries no heartbeat either
-            client.line.urgent_stop()
-        # This stop is the motion's own: the next command is not overtaken by it.
-        client.line.known_stops = client.line.stops
+            client.urgent_stop()
+        client.known_stops = client.stops  # the motion's own: the next command is not overtaken by it
         raise
 
 

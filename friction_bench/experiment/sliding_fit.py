@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +37,7 @@ VELOCITIES = 10
 HIGHEST_VELOCITY = 1.0 / 6.0
 """The highest of them over the velocity at the ramps' end: a Stribeck effect that reached into the ramps' second half
 could not be told from less viscous friction."""
-RISE = 0.5
+RISE_PRIOR_SD = 0.5
 """Standard deviation of the prior of delta_s / f_c about zero."""
 FIRST_NOISE = 1e-2
 """Intensity of the torque noise over f_v, (rad/s)² s, to begin with."""
@@ -45,12 +45,10 @@ NOISE_RANGE = range(-18, 10, 2)
 """Logarithms of intensities between which the noise is sought."""
 STEPS = 3
 """Gauss-Newton steps without a Stribeck effect; the second already changes less than the noise."""
-STEPS_ON = 2
+STRIBECK_STEPS = 2
 """Further steps for each assumption with a Stribeck effect."""
-RESIDUAL, ALPHA, BETA, TIME_CONSTANT, KAPPA, ANGLE, SPEED = range(7)
-"""Rows of `derivatives`: the residual and its derivatives, the last two to angle and velocity at the beginning."""
-SHARED = 5
-"""The rows before this one belong to all ramps together."""
+_ANGLE, _SPEED = 5, 6
+"""Of the rows of `_derivatives`, those to angle and velocity at the beginning; the others belong to all ramps."""
 
 
 @kernel
@@ -118,58 +116,23 @@ def whiten(time: Array, columns: Array, T: float, q: float, r: float) -> tuple[A
 
 
 @kernel
-def derivatives(time: Array, angle: Array, torque: Array, share: Array, shared: Array, start: Array) -> Array:
-    """Return the angle's residual and its derivatives (see RESIDUAL), shape (7, n).
+def _derivatives(time: Array, angle: Array, torque: Array, share: Array, shared: Array, start: Array) -> Array:
+    """Return the angle's residual, and its derivatives to alpha, beta, T, kappa, initial angle and velocity, (7, n).
 
-    Args:
-        time: of the readings, s, shape (n,).
-        angle: at the readings, rad, shape (n,).
-        torque: commanded, Nm, shape (n,).
-        share: what is left of a Stribeck effect, shape (n,).
-        shared: alpha, beta, T, kappa.
-        start: angle and velocity at the first reading.
+    `share` is what is left of a Stribeck effect, `shared` alpha to kappa, `start` the initial angle and velocity.
     """
     alpha, beta, T, kappa = shared
-    final = alpha * torque - beta - kappa * share
-    h = 1e-3 * T
+    final, h = alpha * torque - beta - kappa * share, 1e-3 * T
     columns = np.empty((7, time.size))
-    columns[RESIDUAL] = angle - start[0] - respond(time, final, start[1], T)[0]
-    columns[ALPHA] = respond(time, torque, 0.0, T)[0]
-    columns[BETA] = respond(time, np.full(time.size, -1.0), 0.0, T)[0]
-    columns[TIME_CONSTANT] = (respond(time, final, start[1], T + h)[0] - respond(time, final, start[1], T - h)[0]) / (
-        2 * h
-    )
-    columns[KAPPA] = respond(time, -share, 0.0, T)[0]
-    columns[ANGLE] = 1.0
-    columns[SPEED] = -T * np.expm1(-(time - time[0]) / T)
+    columns[0] = angle - start[0] - respond(time, final, start[1], T)[0]
+    columns[1] = respond(time, torque, 0.0, T)[0]
+    columns[2] = respond(time, np.full(time.size, -1.0), 0.0, T)[0]
+    later, earlier = respond(time, final, start[1], T + h)[0], respond(time, final, start[1], T - h)[0]
+    columns[3] = (later - earlier) / (2 * h)
+    columns[4] = respond(time, -share, 0.0, T)[0]
+    columns[_ANGLE] = 1.0
+    columns[_SPEED] = -T * np.expm1(-(time - time[0]) / T)
     return columns
-
-
-@kernel
-def eliminate(white: Array) -> tuple[Array, Array, float]:
-    """Return what is left of whitened columns when angle and velocity at the beginning fit best.
-
-    Returns:
-        The gram of the shared rows, shape (5, 5); angle and velocity for each of them, shape (2, 5); the logarithm of
-        the determinant of the information on angle and velocity.
-    """
-    length = math.sqrt(np.sum(white[ANGLE] ** 2))
-    first = white[ANGLE] / length
-    along = np.sum(white[SPEED] * first)
-    second = white[SPEED] - along * first
-    height = math.sqrt(np.sum(second**2))
-    second = second / height
-    free, starts = np.empty((SHARED, white.shape[1])), np.empty((2, SHARED))
-    for i in range(SHARED):
-        a, b = np.sum(white[i] * first), np.sum(white[i] * second)
-        free[i] = white[i] - a * first - b * second
-        starts[1, i] = b / height
-        starts[0, i] = (a - along * starts[1, i]) / length
-    gram = np.empty((SHARED, SHARED))
-    for i in range(SHARED):
-        for j in range(SHARED):
-            gram[i, j] = np.sum(free[i] * free[j])
-    return gram, starts, 2.0 * math.log(length * height)
 
 
 class Stribeck(NamedTuple):
@@ -187,46 +150,6 @@ class Stribeck(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Point:
-    """Where the model is linearised: alpha, beta, T, kappa; angle and velocity at each window's start; velocities."""
-
-    shared: Array
-    starts: Array
-    speeds: list[Array]
-
-
-@dataclass(frozen=True)
-class _Part:
-    """What one ramp says at a point.
-
-    Attributes:
-        gram: of the whitened residual and its derivatives to (alpha, beta, T, kappa), without what the initial angle
-            and velocity explain, shape (5, 5).
-        starts: that angle and velocity for each of them, shape (2, 5).
-        determinant: logarithm of the determinants of the noise and of the information on the start.
-    """
-
-    gram: Array
-    starts: Array
-    determinant: float
-
-
-@dataclass(frozen=True)
-class _Cell:
-    """The fit for one assumption about the Stribeck effect.
-
-    Attributes:
-        covariance: of the parameters that are used, (alpha, beta, T) first.
-        evidence: logarithm of the marginal likelihood.
-    """
-
-    stribeck: Stribeck
-    point: _Point
-    covariance: Array
-    evidence: float
-
-
-@dataclass(frozen=True)
 class RampsFit:
     """What all ramps of one load say.
 
@@ -236,7 +159,7 @@ class RampsFit:
         stribeck: probability that there is a Stribeck effect.
         velocities: fitted velocity of each ramp at the readings of its window, rad/s.
         point: alpha, beta, T, kappa of the likeliest assumption about the Stribeck effect.
-        grams: of each ramp (see _Part) there, shape (K, 5, 5).
+        grams: of each ramp (see `_reduced`) there, shape (K, 5, 5).
     """
 
     values: Array
@@ -250,162 +173,166 @@ class RampsFit:
         """Return f_c, f_v and J from some of the ramps alone, the Stribeck effect as found from all."""
         gram = self.grams[list(ramps)].sum(axis=0)
         change = np.linalg.solve(gram[1:4, 1:4], gram[1:4, 0])
-        return to_friction(self.point + np.append(change, 0.0))
+        return _to_friction(self.point + np.append(change, 0.0))
 
     def chi_square(self) -> tuple[float, int]:
         """Return by how much alphas and betas of each ramp's own would fit better, and the degrees of freedom."""
         square = slope = curvature = 0.0
         for gram in self.grams:
-            own, to_T = gram[1:3, 1:3], gram[1:3, 3]
-            square += float(gram[1:3, 0] @ np.linalg.solve(own, gram[1:3, 0]))
-            slope += float(gram[3, 0] - to_T @ np.linalg.solve(own, gram[1:3, 0]))
-            curvature += float(gram[3, 3] - to_T @ np.linalg.solve(own, to_T))
+            by_own = np.linalg.solve(gram[1:3, 1:3], gram[1:3, [0, 3]])
+            square += float(gram[1:3, 0] @ by_own[:, 0])
+            slope += float(gram[3, 0] - gram[1:3, 3] @ by_own[:, 0])
+            curvature += float(gram[3, 3] - gram[1:3, 3] @ by_own[:, 1])
         return square + slope**2 / curvature, 2 * len(self.grams) - 2
 
 
-def to_friction(shared: Array) -> Array:
+def _to_friction(shared: Array) -> Array:
     """Return f_c, f_v and J of alpha, beta, T (and kappa)."""
     alpha, beta, T = shared[:3]
     return np.array([beta / alpha, 1.0 / alpha, T / alpha])
 
 
-def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
-    """Fit all ramps of one load.
+@kernel
+def _reduced(time: Array, columns: Array, T: float, noise: float, variance: float) -> tuple[Array, Array, float]:
+    """Return what the rows of `_derivatives` of one ramp say about the shared parameters.
 
-    Args:
-        windows: of ramps with at least two slopes.
+    That is the gram of the whitened shared rows without what the initial angle and velocity explain, shape (5, 5); that
+    angle and velocity for each of them, shape (2, 5); the logarithm of the determinants of the noise and of the
+    information on the start.
     """
-    fit = _Fit(windows)
-    point = fit.start()
-    for _ in range(2):
-        noise = fit.noise(point)
-        none = fit.cell(point, Stribeck(), noise)
-        point = none.point
-    grid = fit.grid()
-    cells = [none, *(fit.cell(point, stribeck, noise) for stribeck in grid)]
-    evidence = np.array([cell.evidence for cell in cells])
-    evidence[1:] -= math.log(max(len(grid), 1))  # no effect, and any effect, are equally likely beforehand
-    weights = np.exp(np.nan_to_num(evidence, nan=-np.inf) - np.nanmax(evidence))
-    weights /= weights.sum()
-    used = [(w, *_friction(cell)) for w, cell in zip(weights, cells, strict=True) if w > 0.0]
-    values = sum(w * v for w, v, _ in used)
-    covariance = sum(w * (c + np.outer(v - values, v - values)) for w, v, c in used)
-    best = cells[int(np.argmax(weights))]
-    grams = np.array([part.gram for part in fit.parts(best.point, _shares(best.point, best.stribeck), noise)])
-    likely = 1.0 - float(weights[0])
-    return RampsFit(np.asarray(values), np.asarray(covariance), likely, best.point.speeds, best.point.shared, grams)
+    white, determinant = whiten(time, columns, T, noise, variance)
+    length = math.sqrt(np.sum(white[_ANGLE] ** 2))
+    first = white[_ANGLE] / length
+    along = np.sum(white[_SPEED] * first)
+    second = white[_SPEED] - along * first
+    height = math.sqrt(np.sum(second**2))
+    second = second / height
+    free, starts, gram = np.empty((_ANGLE, time.size)), np.empty((2, _ANGLE)), np.empty((_ANGLE, _ANGLE))
+    for i in range(_ANGLE):
+        a, b = np.sum(white[i] * first), np.sum(white[i] * second)
+        free[i] = white[i] - a * first - b * second
+        starts[1, i] = b / height
+        starts[0, i] = (a - along * starts[1, i]) / length
+        for j in range(i + 1):
+            gram[i, j] = gram[j, i] = np.sum(free[i] * free[j])
+    return gram, starts, determinant + 2.0 * math.log(length * height)
 
 
-def _friction(cell: _Cell) -> tuple[Array, Array]:
-    """Return f_c, f_v and J, and their covariance, shape (3, 3)."""
-    alpha, beta, T, _ = cell.point.shared
-    jacobian = np.array(
-        [[-beta / alpha**2, 1 / alpha, 0.0], [-1 / alpha**2, 0.0, 0.0], [-T / alpha**2, 0.0, 1 / alpha]]
-    )
-    return to_friction(cell.point.shared), np.asarray(jacobian @ cell.covariance[:3, :3] @ jacobian.T)
+@dataclass(frozen=True)
+class _Point:
+    """A step of the fit for one assumption about the Stribeck effect.
+
+    `shared` are alpha, beta, T, kappa; `starts` angle and velocity at each window's start; `speeds` velocities;
+    `covariance` is that of the fitted ones of `shared`; `evidence` the logarithm of the marginal likelihood.
+    """
+
+    stribeck: Stribeck
+    shared: Array
+    starts: Array
+    speeds: list[Array]
+    covariance: Array
+    evidence: float = 0.0
+
+    def friction(self) -> tuple[Array, Array]:
+        """Return f_c, f_v and J, and their covariance, shape (3, 3)."""
+        alpha, beta, T, _ = self.shared
+        jacobian = np.array(
+            [[-beta / alpha**2, 1 / alpha, 0.0], [-1 / alpha**2, 0.0, 0.0], [-T / alpha**2, 0.0, 1 / alpha]]
+        )
+        return _to_friction(self.shared), np.asarray(jacobian @ self.covariance[:3, :3] @ jacobian.T)
 
 
-class _Fit:
-    """The windows, and what is done with them for one assumption about noise and Stribeck effect."""
+class _Ramps:
+    """The windows of one load, and the steps of a fit to them."""
 
     def __init__(self, windows: Sequence[SlidingWindow]) -> None:
         self.windows = windows
-        step = windows[0].record.angle_step
-        self.variance = step**2 / 12
-        self.slowest = step / windows[0].record.tick / 2
-        self.fastest = max(window.last_speed for window in windows) * HIGHEST_VELOCITY
-        self.shortest = windows[0].record.tick / 4
+        self.step, self.tick = windows[0].record.angle_step, windows[0].record.tick
+        self.variance = self.step**2 / 12
 
     def grid(self) -> list[Stribeck]:
         """Return the assumptions about a Stribeck effect, from the slowest that a reading resolves."""
-        if self.fastest <= self.slowest:
+        slowest = self.step / self.tick / 2
+        fastest = max(_speed(window, slice(-6, None, 5)) for window in self.windows) * HIGHEST_VELOCITY
+        if fastest <= slowest:
             return []
-        velocities = np.geomspace(self.slowest, self.fastest, VELOCITIES)
+        velocities = np.geomspace(slowest, fastest, VELOCITIES)
         return [Stribeck(float(velocity), exponent) for exponent in EXPONENTS for velocity in velocities]
 
     def start(self) -> _Point:
         """Return a point to begin with, from the velocities at each window's beginning and end."""
-        starts = np.array([(window.angle[0], window.first_speed) for window in self.windows])
-        speeds = [np.full_like(window.time, window.first_speed) for window in self.windows]
-        T = max(10 * self.shortest, 0.05 * max(float(np.ptp(window.time)) for window in self.windows))
-        point = _Point(np.array([1.0, 0.0, T, 0.0]), starts, speeds)
-        point = self._step(point, Stribeck(), FIRST_NOISE, [1, 2]).point
-        return self.cell(point, Stribeck(), FIRST_NOISE).point
+        starts = np.array([(window.angle[0], _speed(window, slice(0, 4, 3))) for window in self.windows])
+        speeds = [np.full_like(window.time, start[1]) for window, start in zip(self.windows, starts, strict=True)]
+        T = max(2.5 * self.tick, 0.05 * max(float(np.ptp(window.time)) for window in self.windows))
+        point = _Point(Stribeck(), np.array([1.0, 0.0, T, 0.0]), starts, speeds, np.empty((0, 0)))
+        return self.fit(self._step(point, FIRST_NOISE, [1, 2]), Stribeck(), FIRST_NOISE)
 
-    def cell(self, point: _Point, stribeck: Stribeck, noise: float) -> _Cell:
-        """Return the fit for one assumption."""
+    def fit(self, point: _Point, stribeck: Stribeck, noise: float) -> _Point:
+        """Return the fit for one assumption, from a point nearby."""
         used = [1, 2, 3, 4] if stribeck.velocity else [1, 2, 3]
-        point = point if stribeck.velocity else _Point(point.shared * [1, 1, 1, 0], point.starts, point.speeds)
-        for _ in range(STEPS_ON if stribeck.velocity else STEPS):
-            cell = self._step(point, stribeck, noise, used)
-            point = cell.point
-        return cell
+        if not stribeck.velocity:
+            point = replace(point, shared=point.shared * [1, 1, 1, 0])
+        point = replace(point, stribeck=stribeck)
+        for _ in range(STRIBECK_STEPS if stribeck.velocity else STEPS):
+            point = self._step(point, noise, used)
+        return point
 
     def noise(self, point: _Point) -> float:
         """Return the intensity of the torque noise by restricted maximum likelihood, after any Stribeck effect."""
         T = float(point.shared[2])
         halves = []
-        for window, whole in zip(self.windows, self._columns(point, _shares(point, Stribeck())), strict=True):
+        for window, whole in zip(self.windows, self._columns(replace(point, stribeck=Stribeck())), strict=True):
             half = window.time.size // 2
             time, columns = window.time[half:], whole[:, half:].copy()
-            columns[SPEED] = -T * np.expm1(-(time - time[0]) / T)  # of a velocity that is free at the half
+            columns[_SPEED] = -T * np.expm1(-(time - time[0]) / T)  # of a velocity that is free at the half
             halves.append((time, columns))
 
         def misfit(logarithm: float) -> float:
-            intensity = math.exp(logarithm)
-            parts = [self._part(time, columns, T, intensity) for time, columns in halves]
-            gram = np.sum([part.gram for part in parts], axis=0)
-            return sum(part.determinant for part in parts) - 2.0 * _solve(gram, [1, 2], np.zeros(2), np.zeros(2))[2]
+            parts = [_reduced(*half, T, math.exp(logarithm), self.variance) for half in halves]
+            gram = np.sum([part[0] for part in parts], axis=0)
+            return sum(part[2] for part in parts) - 2.0 * _solve(gram, [1, 2], np.zeros(2), np.zeros(2))[2]
 
         # Below the quantisation the likelihood is flat: the minimum is bracketed first.
         best = min(NOISE_RANGE, key=misfit)
         return math.exp(float(minimize_scalar(misfit, bounds=(best - 2.0, best + 2.0), method="bounded").x))
 
-    def _columns(self, point: _Point, shares: Sequence[Array]) -> list[Array]:
+    def _columns(self, point: _Point) -> list[Array]:
         """Return the rows of `derivatives` for each ramp."""
         return [
-            derivatives(window.time, window.angle, window.torque, share, point.shared, start)
-            for window, share, start in zip(self.windows, shares, point.starts, strict=True)
+            _derivatives(window.time, window.angle, window.torque, point.stribeck.share(speeds), point.shared, start)
+            for window, speeds, start in zip(self.windows, point.speeds, point.starts, strict=True)
         ]
 
-    def _part(self, time: Array, columns: Array, T: float, noise: float) -> _Part:
-        white, determinant = whiten(time, columns, T, noise, self.variance)
-        gram, starts, more = eliminate(white)
-        return _Part(gram, starts, determinant + more)
+    def parts(self, point: _Point, noise: float) -> list[tuple[Array, Array, float]]:
+        """Return what each ramp says about the shared parameters (see `_reduced`)."""
+        pairs = zip(self.windows, self._columns(point), strict=True)
+        T = float(point.shared[2])
+        return [_reduced(window.time, columns, T, noise, self.variance) for window, columns in pairs]
 
-    def parts(self, point: _Point, shares: Sequence[Array], noise: float) -> list[_Part]:
-        """Reduce each ramp to what it says about the shared parameters."""
-        pairs = zip(self.windows, self._columns(point, shares), strict=True)
-        return [self._part(window.time, columns, float(point.shared[2]), noise) for window, columns in pairs]
-
-    def _step(self, point: _Point, stribeck: Stribeck, noise: float, used: list[int]) -> _Cell:
+    def _step(self, point: _Point, noise: float, used: list[int]) -> _Point:
         """Take one Gauss-Newton step in the parameters `used`; T changes at most by a factor of two."""
-        shares = _shares(point, stribeck)
-        parts = self.parts(point, shares, noise)
-        gram = np.sum([part.gram for part in parts], axis=0)
+        parts = self.parts(point, noise)
         indices = np.array(used) - 1
         prior = np.zeros(4)
-        if stribeck.velocity:
-            prior[3] = 1.0 / (RISE * max(abs(float(point.shared[1])), 1e-9)) ** 2
+        if point.stribeck.velocity:
+            prior[3] = 1.0 / (RISE_PRIOR_SD * max(abs(float(point.shared[1])), 1e-9)) ** 2
+        gram = np.sum([part[0] for part in parts], axis=0)
         change, covariance, evidence = _solve(gram, used, prior[indices], point.shared[indices])
-        starts = point.starts.copy()
-        for k, part in enumerate(parts):
-            starts[k] += part.starts[:, 0] - part.starts[:, used] @ change
-            evidence -= part.determinant / 2
-        shared = point.shared.copy()
+        evidence -= sum(part[2] for part in parts) / 2
+        starts = point.starts + [part[1][:, 0] - part[1][:, used] @ change for part in parts]
+        shared, T = point.shared.copy(), point.shared[2]
         shared[indices] += change
-        T = point.shared[2]
-        shared[2] = np.clip(shared[2], max(T / 2, self.shortest), 2 * T)
+        shared[2] = np.clip(shared[2], max(T / 2, self.tick / 4), 2 * T)
         speeds = []
-        for k, window in enumerate(self.windows):
-            final = shared[0] * window.torque - shared[1] - shared[3] * shares[k]
-            speeds.append(respond(window.time, final, starts[k, 1], shared[2])[1])
-        return _Cell(stribeck, _Point(shared, starts, speeds), covariance, evidence)
+        for window, before, start in zip(self.windows, point.speeds, starts, strict=True):
+            final = shared[0] * window.torque - shared[1] - shared[3] * point.stribeck.share(before)
+            speeds.append(respond(window.time, final, start[1], shared[2])[1])
+        return _Point(point.stribeck, shared, starts, speeds, covariance, evidence)
 
 
-def _shares(point: _Point, stribeck: Stribeck) -> list[Array]:
-    """Return what is left of a Stribeck effect in each ramp at a point."""
-    return [stribeck.share(speeds) for speeds in point.speeds]
+def _speed(window: SlidingWindow, ends: slice) -> float:
+    """Return the mean velocity between two readings, rad/s."""
+    return float(np.diff(window.angle[ends])[0] / np.diff(window.time[ends])[0])
 
 
 def _solve(gram: Array, used: list[int], prior: Array, at: Array) -> tuple[Array, Array, float]:
@@ -424,3 +351,29 @@ def _solve(gram: Array, used: list[int], prior: Array, at: Array) -> tuple[Array
     determinant = float(np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum())
     strength = float(np.log(prior[prior > 0.0]).sum())
     return change, covariance, -(square + determinant - strength) / 2
+
+
+def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
+    """Fit all ramps of one load.
+
+    Args:
+        windows: of ramps with at least two slopes.
+    """
+    ramps = _Ramps(windows)
+    point = ramps.start()
+    for _ in range(2):
+        noise = ramps.noise(point)
+        point = ramps.fit(point, Stribeck(), noise)
+    grid = ramps.grid()
+    fits = [point, *(ramps.fit(point, stribeck, noise) for stribeck in grid)]
+    evidence = np.array([fit.evidence for fit in fits])
+    evidence[1:] -= math.log(max(len(grid), 1))  # no effect, and any effect, are equally likely beforehand
+    weights = np.exp(np.nan_to_num(evidence, nan=-np.inf) - np.nanmax(evidence))
+    weights /= weights.sum()
+    used = [(w, *fit.friction()) for w, fit in zip(weights, fits, strict=True) if w > 0.0]
+    values = sum(w * v for w, v, _ in used)
+    covariance = sum(w * (c + np.outer(v - values, v - values)) for w, v, c in used)
+    best = fits[int(np.argmax(weights))]
+    grams = np.array([gram for gram, _, _ in ramps.parts(best, noise)])
+    likely = 1.0 - float(weights[0])
+    return RampsFit(np.asarray(values), np.asarray(covariance), likely, best.speeds, best.shared, grams)

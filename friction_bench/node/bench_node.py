@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -13,12 +13,12 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from friction_bench.protocol.messages import Fault, RigInputError, RigLostError, fault_text
-from friction_bench.protocol.serial_port import SerialPort
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, PtyRig
 from friction_bench.rig.link import RigLink
+from friction_bench.rig.messages import Fault, RigInputError, RigLostError, fault_text
 from friction_bench.rig.rig_file import Rig, load_rig
+from friction_bench.rig.serial_port import SerialPort
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
@@ -36,49 +36,8 @@ _THREADS = 3
 """Timers, requests that wait for the rig, and the stop."""
 
 
-class _Readings:
-    """Publishes readings as joint states and commands; a stamp is the firmware's tick on the computer's clock."""
-
-    def __init__(self, node: Node, rig: Rig) -> None:
-        self._clock = node.get_clock()
-        self._rig = rig
-        self._states = publish(node, JointState, "~/joint_states", QoSProfile(depth=10))
-        self._commands = publish(node, JointState, "~/joint_commands", QoSProfile(depth=10))
-        self._previous: Sample | None = None
-        self._epoch_ns = 0
-
-    def publish(self, sample: Sample) -> None:
-        """Publish one reading."""
-        previous, self._previous = self._previous, sample
-        if previous is None or sample.tick <= previous.tick:
-            self._epoch_ns = self._clock.now().nanoseconds - round(sample.time * NANOSECONDS)
-            previous = sample
-        scale = self._rig.angle_step
-        elapsed = sample.time - previous.time
-        velocity = (sample.counts - previous.counts) * scale / elapsed if elapsed > 0.0 else 0.0
-        state = JointState(
-            name=[JOINT],
-            position=[sample.counts * scale],
-            velocity=[velocity],
-            effort=[self._rig.measured_torque(sample.report.adc)],
-        )
-        command = JointState(name=[JOINT], effort=[self._rig.torque(sample.report.dac)])
-        state.header.stamp = command.header.stamp = ros_time(self._epoch_ns + round(sample.time * NANOSECONDS))
-        self._states.publish(state)
-        self._commands.publish(command)
-
-
-class BenchParameters(NamedTuple):
-    """The rig, what leads to it, the rate of the line, and the seed of an emulated one."""
-
-    rig: Rig
-    port: str
-    baud: int
-    seed: int
-
-
-def declare_bench_parameters(node: Node) -> BenchParameters:
-    """Declare the node's parameters and read the rig's file.
+def declare_bench_parameters(node: Node) -> tuple[Rig, str, int, int]:
+    """Declare the node's parameters; return the rig, what leads to it, the line's rate, and an emulated rig's seed.
 
     Raises:
         ConfigError: naming parameter or file, key, value and accepted range.
@@ -91,75 +50,83 @@ def declare_bench_parameters(node: Node) -> BenchParameters:
     declare(node, "ramp_slope", rig.ramps.slopes[0], about, low=1e-4, high=1.0, read_only=False)
     about = "torque at which run_ramp ends, Nm at the motor"
     declare(node, "ramp_end_torque", rig.ramps.end_torque, about, low=0.0, high=rig.dac_full_scale, read_only=False)
-    return BenchParameters(rig, port, baud, seed)
-
-
-def _answering(job: Callable[[], None], done: str) -> Callable[[Any, Any], Any]:
-    """Return a service's callback that does a job and answers `done`, or with the job's error."""
-
-    def callback(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            job()
-            response.success, response.message = True, done
-        except Rx90Error as error:
-            response.success, response.message = False, str(error)
-        return response
-
-    return callback
+    return rig, port, baud, seed
 
 
 class BenchNode:
-    """Publishes the rig's readings and passes requests on to it; the line has a thread of its own."""
+    """Publishes the rig's readings and passes requests on to it; the line has a thread of its own.
+
+    Readings go out as joint states and commands; a stamp is the firmware's tick on the computer's clock.
+    """
 
     def __init__(self) -> None:
-        self.node = Node("friction_bench")
-        self.rig, port, baud, seed = declare_bench_parameters(self.node)
+        self.node = node = Node("friction_bench")
+        self.rig, port, baud, seed = declare_bench_parameters(node)
+        self._states = publish(node, JointState, "~/joint_states", QoSProfile(depth=10))
+        self._commands = publish(node, JointState, "~/joint_commands", QoSProfile(depth=10))
+        self._previous: Sample | None = None
+        self._epoch_ns = 0
         self._emulated: PtyRig | None = None
         if port == EMULATED:
             self._emulated = PtyRig(EmulatedRig(self.rig, seed))
             port = self._emulated.path
-        log = self.node.get_logger()
+        log = node.get_logger()
         self._link = RigLink(
             lambda: SerialPort(port, baud),
             self.rig,
-            _Readings(self.node, self.rig).publish,
+            self._publish,
             lambda text: log.error(one_line(text)),
             lambda text: log.info(one_line(f"{port}: {text}")),
         )
-        self._timer = self.node.create_timer(_ALIVE_PERIOD, self._link.alive)
-        self._diagnostics = Diagnostics(self.node, self._collect)
+        self._timer = node.create_timer(_ALIVE_PERIOD, self._link.alive)
+        self._diagnostics = Diagnostics(node, self._collect)
         # Requests that wait for the rig have a thread of their own; a stop never queues behind them.
         waiting = MutuallyExclusiveCallbackGroup()
         urgent = MutuallyExclusiveCallbackGroup()
-        callbacks = {
-            "arm": (self._serve(RigClient.arm, "armed"), waiting),
-            "clear": (self._serve(RigClient.clear, "faults cleared, disarmed"), waiting),
-            "run_ramp": (self._serve(self._ramp, "ramp started"), waiting),
-            "load": (_answering(lambda: self._couple(True), "joint coupled"), waiting),
-            "unload": (_answering(lambda: self._couple(False), "joint taken off"), waiting),
-            "stop": (_answering(self._link.stop_rig, "stop sent"), urgent),
+        jobs = {
+            "arm": (lambda: self._submit(RigClient.arm), "armed", waiting),
+            "clear": (lambda: self._submit(RigClient.clear), "faults cleared, disarmed", waiting),
+            "run_ramp": (lambda: self._submit(self._ramp), "ramp started", waiting),
+            "load": (lambda: self._couple(True), "joint coupled", waiting),
+            "unload": (lambda: self._couple(False), "joint taken off", waiting),
+            "stop": (self._link.stop_rig, "stop sent", urgent),
         }
-        qos = REQUEST_QOS
         self._services = [
-            self.node.create_service(Trigger, f"~/{name}", callback, callback_group=group, qos_profile=qos)
-            for name, (callback, group) in callbacks.items()
+            node.create_service(
+                Trigger, f"~/{name}", partial(_answer, job, done), callback_group=group, qos_profile=REQUEST_QOS
+            )
+            for name, (job, done, group) in jobs.items()
         ]
 
+    def _publish(self, sample: Sample) -> None:
+        previous, self._previous = self._previous, sample
+        if previous is None or sample.tick <= previous.tick:
+            self._epoch_ns = self.node.get_clock().now().nanoseconds - round(sample.time * NANOSECONDS)
+            previous = sample
+        scale = self.rig.angle_step
+        elapsed = sample.time - previous.time
+        velocity = (sample.counts - previous.counts) * scale / elapsed if elapsed > 0.0 else 0.0
+        state = JointState(
+            name=[JOINT],
+            position=[sample.counts * scale],
+            velocity=[velocity],
+            effort=[self.rig.measured_torque(sample.report.adc)],
+        )
+        command = JointState(name=[JOINT], effort=[self.rig.torque(sample.report.dac)])
+        state.header.stamp = command.header.stamp = ros_time(self._epoch_ns + round(sample.time * NANOSECONDS))
+        self._states.publish(state)
+        self._commands.publish(command)
+
     def _ramp(self, client: RigClient) -> None:
-        slope = self.node.get_parameter("ramp_slope").value
-        end = self.node.get_parameter("ramp_end_torque").value
-        client.start_ramp(slope, end)
+        client.start_ramp(*(self.node.get_parameter(name).value for name in ("ramp_slope", "ramp_end_torque")))
 
-    def _serve(self, job: Callable[[RigClient], None], done: str) -> Callable[[Any, Any], Any]:
-        def submit() -> None:
-            future = self._link.submit(job)
-            try:
-                future.result(_SERVICE_TIMEOUT)
-            except TimeoutError:
-                future.cancel()  # what was answered with a failure must not be done later
-                raise RigLostError(f"the rig did not answer in {_SERVICE_TIMEOUT:g} s") from None
-
-        return _answering(submit, done)
+    def _submit(self, job: Callable[[RigClient], None]) -> None:
+        future = self._link.submit(job)
+        try:
+            future.result(_SERVICE_TIMEOUT)
+        except TimeoutError:
+            future.cancel()  # what was answered with a failure must not be done later
+            raise RigLostError(f"the rig did not answer in {_SERVICE_TIMEOUT:g} s") from None
 
     def _couple(self, loaded: bool) -> None:
         if self._emulated is None:
@@ -192,6 +159,16 @@ class BenchNode:
     def stop(self) -> None:
         """Take the torque away and end `tick_loop`."""
         self._link.close()
+
+
+def _answer(job: Callable[[], None], done: str, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    """Do a service's job, and answer `done`, or with the job's error."""
+    try:
+        job()
+        response.success, response.message = True, done
+    except Rx90Error as error:
+        response.success, response.message = False, str(error)
+    return response
 
 
 def spin(args: Sequence[str]) -> None:

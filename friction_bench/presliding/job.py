@@ -8,25 +8,27 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from tqdm import tqdm
 
 from friction_bench.experiment.session import Session, check_options, measuring, origin_of, wait_for_rest
 from friction_bench.presliding import KINDS, USUAL_BLOCKS, USUAL_CYCLES, motions
-from friction_bench.presliding.drift import HALF, DriftResult, evaluate_drift, turning_codes
 from friction_bench.presliding.laws import FITS, LoopBlock, choose
 from friction_bench.presliding.motions import Profile, Trace, follow
-from friction_bench.presliding.report import PreslidingResult, result_text, write_estimates, write_html
+from friction_bench.presliding.report import PreslidingResult, write_result
 from friction_bench.presliding.sliding import (
+    HALF_CYCLE_TICKS,
     RATES,
     REPEATS,
-    BreakAway,
     break_away_code,
+    break_away_torque,
+    evaluate_drift,
     evaluate_pull,
     fit_sliding_friction,
     sliding_readings,
+    turning_codes,
 )
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, IdentificationError, Rx90Error
@@ -34,17 +36,17 @@ from rx90_common.base.quoting import one_line
 from rx90_common.base.share import resolve_config
 from rx90_common.process.interrupts import interrupts_later
 
-SPEEDS = np.array([0.02, 0.035, 0.06, 0.1, 0.16, 0.24, 0.34, 0.45])
+SWEEP_SPEEDS = np.array([0.02, 0.035, 0.06, 0.1, 0.16, 0.24, 0.34, 0.45])
 """Of the sweep, in parts of the fastest that the rig allows."""
-HELD = 75
+SPEED_TICKS = 75
 """Ticks for each speed."""
-PULLS = np.array([0.04, 0.08, 0.12, 0.17, 0.24, 0.33])
+PULL_SPEEDS = np.array([0.04, 0.08, 0.12, 0.17, 0.24, 0.33])
 """Speeds of the stick-slip map, in parts of the same."""
-STIFFNESSES = (4.0, 8.0, 16.0)
+PULL_STIFFNESSES = (4.0, 8.0, 16.0)
 """Of the map, Nm/rad: a joint on a spring of these oscillates slowly against the 20 ms tick."""
 _STRIDES = 18
 """Strides from zero to break-away in loops."""
-_START = 0.5
+_SLIDE_START = 0.5
 """Of the break-away torque: where slides begin."""
 _BANDWIDTH = 15.0
 """Of the speed's loop, rad/s: well below what the delay of a tick and a half allows."""
@@ -54,8 +56,7 @@ _USUAL_INERTIA = 0.4
 _Part = TypeVar("_Part")
 
 
-@dataclass(frozen=True)
-class Run:
+class Run(NamedTuple):
     """One experiment to run.
 
     Attributes:
@@ -95,36 +96,31 @@ class Campaign:
     done: list[tuple[Run, Trace]] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
 
-    @property
-    def slide(self) -> float:
-        """Return the counts of a slide."""
-        return motions.slide_counts(self.rig.joint_step)
-
-    @property
-    def fastest(self) -> float:
-        """Return the fastest speed of the joint that the rig allows, with a reserve, rad/s."""
-        return 0.9 * self.rig.speed_limit / self.rig.gear_ratio
+    def __post_init__(self) -> None:
+        self.slide = motions.SLIDE / self.rig.joint_step  # counts
+        self.fastest = 0.9 * self.rig.speed_limit / self.rig.gear_ratio  # rad/s of the joint, with a reserve
 
     def of(self, kind: str) -> list[tuple[Run, Trace]]:
         """Return the experiments of a kind that have been run."""
         return [(run, trace) for run, trace in self.done if run.kind == kind]
 
-    def duration(self) -> float:
-        """Return how long everything may take, s, for a joint that breaks away at half of the motor's torque."""
-        ticks = sum(REPEATS * 130.0 / rate + 25.0 for rate in RATES)
-        if "loops" in self.kinds:
-            ticks += self.blocks * 420.0
-        if "sweep" in self.kinds:
-            ticks += 2 * SPEEDS.size * HELD + 80
-        if "stick_slip" in self.kinds:
-            ticks += sum(self._pull_ticks(speed, k) for speed in PULLS * self.fastest for k in STIFFNESSES)
-        if "drift" in self.kinds:
-            ticks += 2 * HALF * self.cycles + 120
-        return ticks * self.rig.tick
-
     def left(self) -> float:
-        """Return how long what is not done yet may take, s."""
-        return max(self.duration() - float(sum(trace.time[-1] for _, trace in self.done)), 0.0)
+        """Return how long what is not done yet may take, s, for a joint that breaks away at half of the torque."""
+        pulls = [
+            self._pull_ticks(speed, stiffness) for speed in PULL_SPEEDS * self.fastest for stiffness in PULL_STIFFNESSES
+        ]
+        ticks = {
+            "loops": self.blocks * 420.0,
+            "sweep": 2 * SWEEP_SPEEDS.size * SPEED_TICKS + 80,
+            "stick_slip": sum(pulls),
+            "drift": 2 * HALF_CYCLE_TICKS * self.cycles + 120,
+        }
+        whole = sum(REPEATS * 130.0 / rate + 25.0 for rate in RATES) + sum(ticks[kind] for kind in self.kinds)
+        return max(whole * self.rig.tick - float(sum(trace.time[-1] for _, trace in self.done)), 0.0)
+
+    def _slid(self) -> list[tuple[float, Trace]]:
+        """Return the ramps on which the joint broke away, each with its rate."""
+        return [(run.rate, trace) for run, trace in self.of("ramps") if trace.counts.max() >= self.slide]
 
     def slowest_ramps(self) -> list[Trace]:
         """Return the ramps of the slowest rate at which the joint breaks away.
@@ -132,7 +128,7 @@ class Campaign:
         Raises:
             IdentificationError: if there are none.
         """
-        ramps = [(run.rate, trace) for run, trace in self.of("ramps") if trace.counts.max() >= self.slide]
+        ramps = self._slid()
         if not ramps:
             raise IdentificationError("the joint breaks away on no ramp")
         slowest = min(rate for rate, _ in ramps)
@@ -160,22 +156,22 @@ class Campaign:
                 label = f"ramp, {rate:g} codes a tick, {repeat + 1}"
                 yield Run("ramps", label, motions.ramp(rate, self.slide, limit), rate)
                 break_away_code(self.done[-1][1], self.slide)  # refused now, if the joint sticks
-        slow = self.break_away_code()
-        start = int(_START * slow)
-        rig = self.rig
+        rig, slow = self.rig, self.break_away_code()
+        start = int(_SLIDE_START * slow)
+        counts = rig.tick / rig.joint_step  # per tick, of 1 rad/s
         if "loops" in self.kinds:
             stride = max(1, round(slow / _STRIDES))
             for block in range(self.blocks):
                 codes = motions.loop_codes(int(slow), block, stride)
                 yield Run("loops", f"loops, block {block + 1}", motions.after_slide(start, self.slide, limit, codes))
         if "sweep" in self.kinds:
-            speeds = SPEEDS * self.fastest
+            speeds = SWEEP_SPEEDS * self.fastest
             wanted = [float(speed) * rig.tick / rig.joint_step for speed in (*speeds, *speeds[::-1])]
-            gain = _USUAL_INERTIA * _BANDWIDTH / rig.joint_code / (rig.tick / rig.joint_step)
-            yield Run("sweep", "sweep", motions.speeds(start, wanted, HELD, gain, limit, rig.tick))
+            gain = _USUAL_INERTIA * _BANDWIDTH / rig.joint_code / counts
+            yield Run("sweep", "sweep", motions.speeds(start, wanted, SPEED_TICKS, gain, limit, rig.tick))
         if "stick_slip" in self.kinds:
-            for stiffness in STIFFNESSES:
-                for speed in (PULLS * self.fastest).tolist():
+            for stiffness in PULL_STIFFNESSES:
+                for speed in (PULL_SPEEDS * self.fastest).tolist():
                     spring, ticks = stiffness * rig.joint_step / rig.joint_code, self._pull_ticks(speed, stiffness)
                     profile = motions.pulled(spring, speed * rig.tick / rig.joint_step, ticks, limit, 0.8 * slow)
                     label = f"stick-slip, {speed:.3f} rad/s, {stiffness:g} Nm/rad"
@@ -186,14 +182,13 @@ class Campaign:
                 raise IdentificationError(
                     f"drift: the joint breaks away at code {slow:g}, which leaves no codes for small cycles below it"
                 )
-            codes = motions.cycle_codes(low, high, HALF, self.cycles)
+            codes = motions.cycle_codes(low, high, HALF_CYCLE_TICKS, self.cycles)
             yield Run("drift", "drift", motions.after_slide(start, self.slide, limit, codes))
 
     def _pull_ticks(self, speed: float, stiffness: float) -> int:
         """Return for how many ticks to pull: three cycles of a joint whose friction falls by 0.5 Nm, 8 s to 40 s."""
-        cycle = 2.0 * 0.5 / (stiffness * speed)
         travel = 0.7 * self.rig.load_travel * 2.0 * np.pi
-        return round(min(max(8.0, 3.0 * cycle), 40.0, travel / speed) / self.rig.tick)
+        return round(min(max(8.0, 3.0 / (stiffness * speed)), 40.0, travel / speed) / self.rig.tick)
 
     def evaluate(self, on_fit: Callable[[], object] = lambda: None) -> PreslidingResult:
         """Evaluate all that has been run; what cannot be is named in the result's failures."""
@@ -209,24 +204,20 @@ class Campaign:
         for _, trace in self.of("sweep"):
             result.readings = sliding_readings(trace)
             result.sliding = attempt(fit_sliding_friction, result.readings)
-        ramps = [(run.rate, trace) for run, trace in self.of("ramps") if trace.counts.max() >= self.slide]
+        ramps = self._slid()
         if ramps:
-            code = 0.9 * self.break_away_code()
-            moved = [trace.counts[int(np.argmax(trace.code >= code))] for trace in self.slowest_ramps()]
+            slow = self.break_away_code()
+            moved = [trace.counts[int(np.argmax(trace.code >= 0.9 * slow))] for trace in self.slowest_ramps()]
             result.deflection = float(np.median(moved)) * self.rig.joint_step
             if result.sliding is not None:
-                result.break_away = BreakAway.of(ramps, result.sliding.inertia)
-        for _, trace in self.of("drift"):
-            result.drift = attempt(self._drift, trace)
+                result.break_away = [break_away_torque(*ramp, result.sliding.inertia) for ramp in ramps]
+            for _, trace in self.of("drift"):
+                result.drift = attempt(evaluate_drift, trace, *turning_codes(slow), slow)
         result.blocks = [LoopBlock.of(trace) for _, trace in self.of("loops")]
         if result.blocks and result.readings is not None:
             result.choice = attempt(choose, result.blocks, result.readings, result.drift, on_fit)
         result.pulls = [evaluate_pull(trace, run.rate, run.stiffness) for run, trace in self.of("stick_slip")]
         return result
-
-    def _drift(self, trace: Trace) -> DriftResult:
-        slow = self.break_away_code()
-        return evaluate_drift(trace, *turning_codes(slow), slow)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -239,25 +230,6 @@ def run(options: argparse.Namespace) -> int:
         Rx90Error: for what is refused; what has been measured until then stands in the folder.
     """
     rig = load_rig(resolve_config(options.rig))
-    campaign = _campaign(options, rig)
-    out: Path = options.output
-    try:
-        with measuring(options, rig, out, campaign.duration(), "rig") as session:
-            session.couple(True)
-            _run_all(session, campaign, out)
-    except (KeyboardInterrupt, Rx90Error):
-        if campaign.done:
-            print("evaluating what has been measured; Ctrl-C leaves that out", file=sys.stderr)
-            with contextlib.suppress(Rx90Error):  # the first reason is the one to tell
-                _report(campaign, out)
-        raise
-    result = _report(campaign, out)
-    undecided = "loops" in campaign.kinds and (result.choice is None or len(result.choice.left) > 1)
-    return VERDICT_NO if undecided or result.failures else DONE
-
-
-def _campaign(options: argparse.Namespace, rig: Rig) -> Campaign:
-    """Refuse now what would otherwise be noticed after minutes."""
     check_options(options)
     if not rig.counts_down:
         raise ConfigError(
@@ -269,53 +241,60 @@ def _campaign(options: argparse.Namespace, rig: Rig) -> Campaign:
         value = getattr(options, name)
         if value is not None and kind not in kinds:
             raise ConfigError(f"--{name} {value} without {kind}; accepted: with --kinds {kind}, or without --kinds")
-    blocks, cycles = options.blocks or USUAL_BLOCKS, options.cycles or USUAL_CYCLES
-    return Campaign(rig, kinds, blocks, cycles, origin_of(options))
+    sizes = options.blocks or USUAL_BLOCKS, options.cycles or USUAL_CYCLES
+    campaign = Campaign(rig, kinds, *sizes, origin_of(options))
+    out: Path = options.output
+    try:
+        with measuring(options, rig, out, campaign.left(), "rig") as session:
+            session.couple(True)
+            _run_all(session, campaign, out)
+    except (KeyboardInterrupt, Rx90Error):
+        if campaign.done:
+            print("evaluating what has been measured; Ctrl-C leaves that out", file=sys.stderr)
+            with contextlib.suppress(Rx90Error):  # the first reason is the one to tell
+                _report(campaign, out)
+        raise
+    result = _report(campaign, out)
+    undecided = "loops" in kinds and (result.choice is None or len(result.choice.left) > 1)
+    return VERDICT_NO if undecided or result.failures else DONE
 
 
 def _run_all(session: Session, campaign: Campaign, out: Path) -> None:
-    """Run what is planned; a later experiment is planned by what earlier ones showed."""
-    client, bar = session.client, session.bar
+    """Run what is planned; a later experiment is planned by what earlier ones showed.
+
+    The readings of each stand as a CSV file, however it ends. One that is cut short counts where it is a drift, whose
+    cycles so far are as good as those that are missing.
+    """
+    client, bar, done = session.client, session.bar, campaign.done
     assert client.hello is not None  # it has been greeted
     try:
         for what in campaign.runs(client.hello.torque_limit_code):
             bar.total = round(bar.n + campaign.left(), 1)
             bar.set_postfix_str(what.label, refresh=False)
             wait_for_rest(client)
-            _run_one(session, what, campaign, out)
+            first = len(session.samples)
+            file = f"{len(done) + 1:03d}_{what.label.split(',')[0].replace(' ', '_')}"
+            try:
+                done.append((what, follow(client, what.profile, what.label, session.keep)))
+            except (KeyboardInterrupt, Rx90Error):
+                if len(session.samples) - first > 1:
+                    with interrupts_later(), contextlib.suppress(Rx90Error):  # the first reason is the one to tell
+                        unfinished = Trace.of(f"{what.label}, unfinished", session.samples[first:], campaign.rig)
+                        if what.kind == "drift":
+                            done.append((what, unfinished))
+                        unfinished.write(out / f"{file}_unfinished.csv")
+                raise
+            done[-1][1].write(out / f"{file}.csv")
     except IdentificationError as error:  # what was measured before stands, and is evaluated
         bar.write(f"{error}; no more experiments", sys.stderr)
         campaign.failures.append(str(error))
 
 
-def _run_one(session: Session, what: Run, campaign: Campaign, out: Path) -> None:
-    """Run an experiment; its readings stand as a CSV file, however it ends.
-
-    One that is cut short counts where it is a drift, whose cycles so far are as good as those that are missing.
-    """
-    first = len(session.samples)
-    name = f"{len(campaign.done) + 1:03d}_{what.label.split(',')[0].replace(' ', '_')}"
-    try:
-        trace = follow(session.client, what.profile, what.label, session.keep)
-    except (KeyboardInterrupt, Rx90Error):
-        if len(session.samples) - first > 1:
-            with interrupts_later(), contextlib.suppress(Rx90Error):  # the first reason is the one to tell
-                unfinished = Trace.of(f"{what.label}, unfinished", session.samples[first:], campaign.rig)
-                if what.kind == "drift":
-                    campaign.done.append((what, unfinished))
-                unfinished.write(out / f"{name}_unfinished.csv")
-        raise
-    campaign.done.append((what, trace))
-    trace.write(out / f"{name}.csv")
-
-
 def _report(campaign: Campaign, out: Path) -> PreslidingResult:
-    """Evaluate what was measured, write the report and print the results."""
+    """Evaluate what was measured, print the results and write the report."""
     fits = FITS if campaign.of("loops") and campaign.of("sweep") else 0
     with tqdm(total=fits, desc="laws", disable=None, leave=False) as bar:
         result = campaign.evaluate(bar.update)
-    print(result_text(result))  # first: a disk that is full takes no report
-    write_html(out / "report.html", result)
-    write_estimates(out / "estimates.yaml", result)
+    write_result(out, result)
     print(one_line(f"report: {out / 'report.html'}"))
     return result

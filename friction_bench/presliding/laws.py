@@ -8,8 +8,8 @@ torque: where a step of torque moves the joint by a count, it predicts the slidi
 The choice is by cross-validation over whole blocks: each law is fitted to all blocks but some and predicts those.
 Blocks begin with a slide, so that no reading shares noise or memory with one of another block. Squared errors of the
 blocks are compared in pairs: a law is refuted where another predicts better by more than chance gives (t-test over the
-blocks, one-sided, p < P) and by more than SHARE, be it in sliding, or, among the laws that sliding leaves, in loops. Of
-laws that contain a simpler one which is not refuted the simpler one is kept.
+blocks, one-sided, p < SIGNIFICANCE) and by more than MIN_EXCESS, be it in sliding, or, among the laws that sliding
+leaves, in loops. Of laws that contain a simpler one which is not refuted the simpler one is kept.
 """
 
 from __future__ import annotations
@@ -17,29 +17,33 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from friction_bench.presliding.drift import DriftResult, DriftVerdict
-from friction_bench.presliding.motions import DWELL, Trace
-from friction_bench.presliding.sliding import SlidingFriction, SlidingReadings, fit_sliding_friction
+from friction_bench.presliding.motions import DWELL_TICKS, Trace
+from friction_bench.presliding.sliding import (
+    DriftResult,
+    DriftVerdict,
+    SlidingFriction,
+    SlidingReadings,
+    fit_sliding_friction,
+)
 from friction_bench.rig.plant import RigJoint, friction_over, joint_record, start
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction.element import FrictionElement
-from rx90_common.friction.held_out import HeldOutErrors
+from rx90_common.friction.held_out import HeldOutErrors, leave_out
 from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_common.kernels.compiled import kernel
 
-P = 0.01
-SHARE = 0.1
+SIGNIFICANCE = 0.01
+MIN_EXCESS = 0.1
 """Least relative excess of the squared error that counts."""
 FOLDS = 5
-LEAST_BLOCKS = 6
-REACHES = np.geomspace(0.15, 4.0, 6)
+MIN_BLOCKS = 6
+BREAK_AWAY_RATIOS = np.geomspace(0.15, 4.0, 6)
 """Of the blocks of Maxwell slip, in proportion: where their springs give way."""
 ATTRACTION = 1e4
 """Nm/s: at once, for a velocity that is held for a tick; the readings, at rest, do not show how fast it is."""
@@ -70,13 +74,11 @@ class LoopBlock:
         """Return the block of a trace of loops."""
         code = trace.code
         ends = np.flatnonzero(np.diff(code) != 0.0)
-        held = np.diff(ends, prepend=-1)
         slid = int(np.flatnonzero((code[:-1] > 0.0) & (code[1:] == 0.0))[0]) + 1
         first = slid + int(np.argmax(code[slid:] > 0.0)) - 1  # the last reading at rest
-        readings = ends[(ends > first) & (held >= DWELL)]
-        return cls(
-            settled(trace.counts)[first:] * trace.angle_step, readings - first, trace.torque[readings], trace.tick
-        )
+        readings = ends[(ends > first) & (np.diff(ends, prepend=-1) >= DWELL_TICKS)]
+        angle, torque = settled(trace.counts)[first:] * trace.angle_step, code[readings] * trace.torque_step
+        return cls(angle, readings - first, torque, trace.tick)
 
 
 def settled(counts: Array) -> Array:
@@ -120,10 +122,15 @@ class FrictionLaw:
     def predict(self, values: Sequence[float], sliding: SlidingFriction, blocks: Sequence[LoopBlock]) -> list[Array]:
         """Return the torque at each of the readings of blocks, Nm, each of shape (k,)."""
         if self.bristles is None:
-            static = sliding.tau_s if self.stribeck else sliding.tau_c
-            return [_rigid(static, block) for block in blocks]
-        joint = joint_record(self.element(values, sliding), 1.0, blocks[0].tick, 0)
-        found = []
+            # It balances the torque at rest, and slides where it moves.
+            static, found = sliding.tau_s if self.stribeck else sliding.tau_c, []
+            for block in blocks:
+                before = np.concatenate(([block.readings[0] - DWELL_TICKS], block.readings[:-1]))
+                moved = block.angle[block.readings] - block.angle[np.maximum(before, 0)]
+                still = np.clip(block.torque, -static, static)
+                found.append(np.where(moved == 0.0, still, static * np.sign(moved)))
+            return found
+        joint, found = joint_record(self.element(values, sliding), 1.0, blocks[0].tick, 0), []
         for block in blocks:
             start(joint)
             found.append(np.asarray(torque_along(joint, block.angle, block.tick)[block.readings]))
@@ -143,46 +150,28 @@ class FrictionLaw:
         if not self.starts:
             return []
         measured = np.concatenate([block.torque for block in blocks])
+        rises: list[float] = []  # torque over angle where a joint begins to turn back, Nm/rad: the stiffness, roughly
+        for block in blocks:
+            torque, angle = np.diff(block.torque[::4]), np.diff(block.angle[block.readings][::4])
+            back = (torque < 0.0) & (angle < 0.0)
+            rises.extend(torque[back] / angle[back])
 
         def misfit(values: Array) -> Array:
             return np.asarray(np.concatenate(self.predict(values.tolist(), sliding, blocks)) - measured)
 
-        stiffness = _stiffness(blocks)
+        stiffness = float(np.median(rises)) if rises else 1e6
         tries = [[math.log(factor * stiffness), *rest] for factor, *rest in self.starts]
         found = [least_squares(misfit, one, diff_step=[1e-3], xtol=1e-4, ftol=1e-4, max_nfev=40) for one in tries]
         return [float(value) for value in min(found, key=lambda one: float(one.cost)).x]
 
 
-def _rigid(static: float, block: LoopBlock) -> Array:
-    """Return what a joint without presliding does: it balances the torque at rest, and slides where it moves."""
-    before = np.concatenate(([block.readings[0] - DWELL], block.readings[:-1]))
-    moved = block.angle[block.readings] - block.angle[np.maximum(before, 0)]
-    still = np.clip(block.torque, -static, static)
-    return np.where(moved == 0.0, still, static * np.sign(moved))
-
-
 def _maxwell(values: Sequence[float]) -> MaxwellSlip:
-    weight = np.exp(np.append(np.asarray(values), 0.0))
-    stiffness = weight / weight.sum()
-    share = stiffness * REACHES / float(stiffness @ REACHES)
+    stiffness = np.exp(np.append(np.asarray(values), 0.0))
+    stiffness /= stiffness.sum()
+    share = stiffness * BREAK_AWAY_RATIOS / float(stiffness @ BREAK_AWAY_RATIOS)
     stiffness, share = (np.clip(part, 1e-6, 1.0) for part in (stiffness, share))
     stiffness, share = stiffness / stiffness.sum(), share / share.sum()
     return MaxwellSlip(tuple(stiffness.tolist()), tuple(share.tolist()), ATTRACTION)
-
-
-def _elastic(values: Sequence[float]) -> ElastoPlastic:
-    return ElastoPlastic(MOST_BREAK_AWAY / (1.0 + math.exp(-values[0])))
-
-
-def _stiffness(blocks: Sequence[LoopBlock]) -> float:
-    """Return the stiffness with which joints begin to turn back, Nm/rad, roughly: where the torque falls."""
-    rises = []
-    for block in blocks:
-        torque, angle = block.torque, block.angle[block.readings]
-        for first, last in pairwise(range(0, torque.size, 4)):
-            if torque[last] < torque[first] and angle[first] > angle[last]:
-                rises.append((torque[first] - torque[last]) / (angle[first] - angle[last]))
-    return float(np.median(rises)) if rises else 1e6
 
 
 # Maxwell slip begins with even springs, and with stiff ones that give way early; none is 0, which would take a fit's
@@ -190,10 +179,15 @@ def _stiffness(blocks: Sequence[LoopBlock]) -> float:
 COULOMB = FrictionLaw("Coulomb and viscous", 2, stribeck=False)
 STRIBECK = FrictionLaw("Stribeck", 4)
 LUGRE = FrictionLaw("LuGre", 5, starts=((1.0,),), bristles=lambda _: None)
-ELASTO_PLASTIC = FrictionLaw("elasto-plastic", 6, starts=((1.0, -0.5), (1.0, 1.2)), bristles=_elastic)
+ELASTO_PLASTIC = FrictionLaw(
+    "elasto-plastic",
+    6,
+    starts=((1.0, -0.5), (1.0, 1.2)),
+    bristles=lambda values: ElastoPlastic(MOST_BREAK_AWAY / (1.0 + math.exp(-values[0]))),
+)
 MAXWELL_SLIP = FrictionLaw(
     "Maxwell slip",
-    4 + REACHES.size,
+    4 + BREAK_AWAY_RATIOS.size,
     starts=((1.3, 0.5, 0.4, 0.3, 0.2, 0.1), (2.0, 2.0, 1.5, 1.0, 0.6, 0.2)),
     bristles=_maxwell,
 )
@@ -208,8 +202,8 @@ class LawScore:
     """How a law did.
 
     Attributes:
-        loops: RMS errors of the blocks of loops that it had not seen, Nm, shape (blocks,).
-        sliding: the same of sliding readings.
+        loops: mean squared errors of the blocks of loops that it had not seen, Nm^2, shape (blocks,).
+        sliding: the same of stretches of sliding readings.
         values: of the law's free parameters from all blocks, transformed.
         refuted: why it is, "" if it is not.
     """
@@ -218,7 +212,7 @@ class LawScore:
     loops: Array
     sliding: Array
     values: tuple[float, ...]
-    refuted: str
+    refuted: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,12 +230,6 @@ class Choice:
     left: tuple[FrictionLaw, ...]
     by_loops: tuple[FrictionLaw, ...]
     sliding: SlidingFriction
-
-    @property
-    def lugre(self) -> FrictionElement:
-        """Return LuGre's element as fitted."""
-        score = next(score for score in self.scores if score.law is LUGRE)
-        return LUGRE.element(score.values, self.sliding)
 
     @property
     def text(self) -> str:
@@ -268,23 +256,13 @@ def choose(
     Raises:
         IdentificationError: if there is too little to compare.
     """
-    if len(blocks) < LEAST_BLOCKS:
-        raise IdentificationError(f"{len(blocks)} blocks of loops; accepted: at least {LEAST_BLOCKS}")
+    if len(blocks) < MIN_BLOCKS:
+        raise IdentificationError(f"{len(blocks)} blocks of loops; accepted: at least {MIN_BLOCKS}")
     sliding = {stribeck: fit_sliding_friction(readings, stribeck) for stribeck in (False, True)}
     held_out = {stribeck: _sliding_errors(readings, stribeck) for stribeck in (False, True)}
-    scores = []
-    for law in LAWS:
-        errors = np.zeros(len(blocks))
-        for fold in range(FOLDS):
-            values = law.fit(sliding[law.stribeck], [block for i, block in enumerate(blocks) if i % FOLDS != fold])
-            unseen = blocks[fold::FOLDS]
-            predicted = law.predict(values, sliding[law.stribeck], unseen)
-            errors[fold::FOLDS] = [_rms(one - block.torque) for one, block in zip(predicted, unseen, strict=True)]
-            on_fit()
-        values = law.fit(sliding[law.stribeck], blocks)
-        scores.append(LawScore(law, errors, held_out[law.stribeck], tuple(values), ""))
-        on_fit()
-    scores = judged(scores)
+    scores = with_refutations(
+        [_score(law, blocks, sliding[law.stribeck], held_out[law.stribeck], on_fit) for law in LAWS]
+    )
     by_loops = [score.law for score in scores if not score.refuted]
     for simple in (COULOMB, STRIBECK):  # each contained in all that follow
         if simple in by_loops:
@@ -296,36 +274,57 @@ def choose(
     return Choice(tuple(scores), tuple(left), tuple(by_loops), sliding[True])
 
 
+def _score(
+    law: FrictionLaw,
+    blocks: Sequence[LoopBlock],
+    friction: SlidingFriction,
+    sliding: Array,
+    on_fit: Callable[[], object],
+) -> LawScore:
+    """Fit a law to all blocks but those of each fold, and to all."""
+    numbers = list(range(len(blocks)))
+    folds = [numbers[fold::FOLDS] for fold in range(FOLDS)]
+
+    def fit(left_out: list[int]) -> list[float]:
+        values = law.fit(friction, [block for i, block in enumerate(blocks) if i not in left_out])
+        on_fit()
+        return values
+
+    def squares(values: list[float], fold: list[int]) -> Array:
+        unseen = [blocks[i] for i in fold]
+        pairs = zip(law.predict(values, friction, unseen), unseen, strict=True)
+        return np.array([np.mean((torque - block.torque) ** 2) for torque, block in pairs])
+
+    loops = np.empty(len(blocks))
+    loops[np.concatenate(folds)] = leave_out(folds, fit, squares)[1]
+    return LawScore(law, loops, sliding, tuple(fit([])))
+
+
 def _sliding_errors(readings: SlidingReadings, stribeck: bool) -> Array:
-    """Return the RMS errors of stretches of sliding readings from a fit to the others, Nm, shape (stretches,)."""
+    """Return the mean squared errors of stretches of sliding readings, from a fit to the others, shape (stretches,)."""
     every = np.arange(readings.speed.size)
-    errors = []
-    for stretch in np.array_split(every, _SLIDING_BLOCKS):
-        rest = np.setdiff1d(every, stretch)
-        friction = fit_sliding_friction(SlidingReadings(*(column[rest] for column in readings)), stribeck)
-        errors.append(_rms(friction.misfit(SlidingReadings(*(column[stretch] for column in readings)))))
-    return np.array(errors)
+    return leave_out(
+        [np.isin(every, stretch) for stretch in np.array_split(every, _SLIDING_BLOCKS)],
+        lambda stretch: fit_sliding_friction(readings.rows(~stretch), stribeck),
+        lambda friction, stretch: np.array([np.mean(friction.misfit(readings.rows(stretch)) ** 2)]),
+    )[1]
 
 
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def judged(scores: Sequence[LawScore]) -> list[LawScore]:
+def with_refutations(scores: Sequence[LawScore]) -> list[LawScore]:
     """Return the scores with what refutes them.
 
     In loops the laws that sliding leaves are compared. Where the encoder sees no presliding, loops are counts of creep:
     whatever predicts least torque there is nearest, be its sliding ever so wrong.
     """
     laws = [score.law.name for score in scores]
-    sliding = HeldOutErrors({score.law.name: score.sliding**2 for score in scores}, floor=1e-12)
-    loops = HeldOutErrors({score.law.name: score.loops**2 for score in scores}, floor=1e-12)
-    by_sliding = {law: sliding.refutes(law, laws, P, SHARE) for law in laws}
+    sliding = HeldOutErrors({score.law.name: score.sliding for score in scores}, floor=1e-12)
+    loops = HeldOutErrors({score.law.name: score.loops for score in scores}, floor=1e-12)
+    by_sliding = {law: sliding.refutes(law, laws, SIGNIFICANCE, MIN_EXCESS) for law in laws}
     standing = [law for law in laws if by_sliding[law] is None]
     verdicts = []
     for score in scores:
         name = score.law.name
-        rivals = {"loops": loops.refutes(name, standing, P, SHARE), "sliding": by_sliding[name]}
+        rivals = {"loops": loops.refutes(name, standing, SIGNIFICANCE, MIN_EXCESS), "sliding": by_sliding[name]}
         reasons = [f"{kind}: {best} predicts better" for kind, best in rivals.items() if best is not None]
         verdicts.append(replace(score, refuted="; ".join(reasons)))
     return verdicts

@@ -12,7 +12,6 @@ loop), so it holds from there on: a delay of less than a tick, and the next repo
 from __future__ import annotations
 
 import contextlib
-import csv
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -21,23 +20,23 @@ from typing import TypeAlias
 
 import numpy as np
 
-from friction_bench.experiment.session import armed, last_near_limits, refuse_fault
-from friction_bench.protocol.messages import Command, CommandResult, RigError, RigRefusedError, State, torque_payload
+from friction_bench.experiment.record import write_table
+from friction_bench.experiment.session import armed, last_near_limits, refuse_fault, sample_columns
 from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.messages import Command, CommandResult, RigError, RigRefusedError, State
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.process.files import written_beside
 
-LATE = 0.7
+DAC_DELAY = 0.7
 """Part of a tick after which the answer to a reading is on the DAC: 9 ms for the report and 4 for the command."""
-DWELL = 4
+DWELL_TICKS = 4
 """Ticks for which a torque is held in loops: the joint has come to rest at their end."""
-INTEGRAL = 0.25
+INTEGRAL_TIME = 0.25
 """Time of the integral of the speed's loop, s."""
-_STILL = 15
+_REST_TICKS = 15
 """Ticks for which a joint that slid is left alone, without torque."""
-_SLIDE = 8e-3
+SLIDE = 8e-3
 """How far the joint slides before an experiment, rad: beyond any presliding, so that it forgets what was before."""
 _LEVELS = (
     (0.85, 0.25, 0.6, 0.25, 0.85, 0.0),
@@ -76,28 +75,17 @@ class Trace:
     tick: float
 
     @classmethod
-    def of(cls, label: str, samples: Sequence[Sample], rig: Rig) -> Trace:
+    def of(cls, label: str, samples: list[Sample], rig: Rig) -> Trace:
         """Return the readings of an experiment on a rig."""
-        rows = [(sample.tick, sample.counts, sample.report.dac) for sample in samples]
-        ticks, counts, code = np.array(rows, dtype=np.float64).T
+        ticks, counts, code, _ = sample_columns(samples)
         time = (ticks - ticks[0]) * rig.tick
         return cls(label, time, counts - counts[0], code, rig.joint_step, rig.joint_code, rig.tick)
 
     @property
-    def angle(self) -> Array:
-        """Return the joint's angle, rad, shape (n,)."""
-        return self.counts * self.angle_step
-
-    @property
-    def torque(self) -> Array:
-        """Return the torque that the motor puts on the joint, Nm, shape (n,)."""
-        return self.code * self.torque_step
-
-    @property
     def held(self) -> Array:
-        """Return the mean torque over the tick before each reading, Nm, shape (n,)."""
-        before = np.concatenate((self.torque[:1], self.torque[:-1]))
-        return LATE * before + (1.0 - LATE) * self.torque
+        """Return the mean of the motor's torque at the joint over the tick before each reading, Nm, shape (n,)."""
+        torque = self.code * self.torque_step
+        return DAC_DELAY * np.concatenate((torque[:1], torque[:-1])) + (1.0 - DAC_DELAY) * torque
 
     def write(self, path: Path) -> None:
         """Write the readings as CSV.
@@ -105,12 +93,9 @@ class Trace:
         Raises:
             Rx90Error: if the file cannot be written.
         """
-        with written_beside(path) as (beside,), beside.open("w", newline="", encoding="utf-8") as stream:
-            stream.write(f"# {self.label}; a count is {self.angle_step!r} rad, a code {self.torque_step!r} Nm\n")
-            writer = csv.writer(stream)
-            writer.writerow(("time", "counts", "code"))
-            for time, counts, code in zip(self.time, self.counts, self.code, strict=True):
-                writer.writerow([f"{time:.6g}", int(counts), int(code)])
+        comment = f"{self.label}; a count is {self.angle_step!r} rad, a code {self.torque_step!r} Nm"
+        whole = {"counts": self.counts.astype(int).tolist(), "code": self.code.astype(int).tolist()}
+        write_table(path, comment, {"time": [f"{time:.6g}" for time in self.time], **whole})
 
 
 def follow(
@@ -128,9 +113,7 @@ def follow(
         code = next(profile)
         with contextlib.suppress(StopIteration):  # the profile's end
             while not last_near_limits(client.rig, samples):
-                # Not `client.torque`, which waits for the answer, a tick or two: the next report has the DAC's code.
-                sent = client.line.number(Command.TORQUE, torque_payload(code))
-                client.line.send_unless_stopped(sent, Command.TORQUE)
+                client.send_torque(code)
                 came: list[Sample] = []
                 while not came:
                     came = client.pump()
@@ -147,11 +130,6 @@ def follow(
     return Trace.of(label, samples, client.rig)
 
 
-def slide_counts(step: float) -> float:
-    """Return the counts of a slide, for counts of `step` rad."""
-    return _SLIDE / step
-
-
 def ramp(rate: float, counts: float, limit: int) -> Profile:
     """Raise the torque by `rate` codes a tick until the joint has moved by so many counts, or up to `limit`."""
     first = yield 0
@@ -161,7 +139,7 @@ def ramp(rate: float, counts: float, limit: int) -> Profile:
         code = min(round(ticks * rate), limit)
         if (yield code).counts - first.counts >= counts:
             break
-    for _ in range(_STILL):
+    for _ in range(_REST_TICKS):
         yield 0
 
 
@@ -174,14 +152,12 @@ def after_slide(start: int, counts: float, limit: int, codes: Iterable[int]) -> 
     code = start
     first = yield code
     while (yield code).counts - first.counts < counts:
-        code = _higher(code, limit)
-    for _ in range(_STILL):
-        yield 0
-    for code in codes:
+        code = _raised(code, limit)
+    for code in (*[0] * _REST_TICKS, *codes):  # not `yield from`: a list cannot be sent readings
         yield code
 
 
-def _higher(code: int, limit: int) -> int:
+def _raised(code: int, limit: int) -> int:
     """Return the next code for a joint that does not move yet, though it broke away before."""
     if code >= limit:
         raise IdentificationError(f"the joint sticks at the highest code, {limit}, though it slid on the ramps")
@@ -189,13 +165,13 @@ def _higher(code: int, limit: int) -> int:
 
 
 def loop_codes(break_away: int, block: int, stride: int) -> Iterator[int]:
-    """Yield the codes of a block of loops below break-away, in strides of so many codes, each held for DWELL ticks."""
+    """Yield the codes of a block of loops below break-away, in strides of so many codes, each held for a dwell."""
     code = 0
     for share in _LEVELS[block % len(_LEVELS)]:
         level = math.floor(share * break_away)
         while code != level:
             code += max(-stride, min(stride, level - code))
-            yield from [code] * DWELL
+            yield from [code] * DWELL_TICKS
 
 
 def cycle_codes(low: int, high: int, half: int, number: int) -> Iterator[int]:
@@ -203,8 +179,7 @@ def cycle_codes(low: int, high: int, half: int, number: int) -> Iterator[int]:
     for code in range(low + 1):
         yield from [code] * 2
     for _ in range(number):
-        yield from [high] * half
-        yield from [low] * half
+        yield from [high] * half + [low] * half
 
 
 class Rounding:
@@ -217,9 +192,8 @@ class Rounding:
     def __call__(self, code: float) -> int:
         """Return the whole code; beyond the amplifier's range its end."""
         wanted = min(max(code + self._carried, 0.0), float(self._limit))
-        whole = round(wanted)
-        self._carried = wanted - whole
-        return whole
+        self._carried = wanted - round(wanted)
+        return round(wanted)
 
 
 def speeds(start: int, wanted: Sequence[float], ticks: int, gain: float, limit: int, tick: float) -> Profile:
@@ -229,7 +203,7 @@ def speeds(start: int, wanted: Sequence[float], ticks: int, gain: float, limit: 
         start: a code at which the joint does not slide yet.
         wanted: speeds, counts per tick.
         ticks: for each of them.
-        gain: proportional gain, codes for a count per tick; the integral's time is INTEGRAL.
+        gain: proportional gain, codes for a count per tick; the integral's time is INTEGRAL_TIME.
         limit: the highest code.
         tick: s.
 
@@ -240,12 +214,12 @@ def speeds(start: int, wanted: Sequence[float], ticks: int, gain: float, limit: 
     code = start
     before = yield code
     while (sample := (yield code)).counts - before.counts < wanted[0]:
-        before, code = sample, _higher(code, limit)
+        before, code = sample, _raised(code, limit)
     integral = float(code)
     for speed in wanted:
         for _ in range(ticks):
             error = speed - (sample.counts - before.counts) / (sample.tick - before.tick)
-            integral += gain * error * tick / INTEGRAL
+            integral += gain * error * tick / INTEGRAL_TIME
             before, sample = sample, (yield rounding(integral + gain * error))
 
 

@@ -8,18 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from friction_bench.presliding.drift import DriftResult
-from friction_bench.presliding.laws import Choice, LoopBlock
-from friction_bench.presliding.sliding import BreakAway, Pull, SlidingFriction, SlidingReadings, least_steady_speed
+from friction_bench.presliding.laws import LUGRE, Choice, LoopBlock
+from friction_bench.presliding.sliding import (
+    DriftResult,
+    Pull,
+    SlidingFriction,
+    SlidingReadings,
+    by_rate,
+    least_steady_speed,
+)
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
 from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Curve, Dots, Level, Mark, Panel, Plot
 
-SEEN = 5.0
+VISIBLE_COUNTS = 5.0
 """Counts of presliding from which loops have a shape."""
-_MOST_LOOPS = 4
+_MAX_LOOPS = 4
 
 
 @dataclass(eq=False)
@@ -30,13 +36,14 @@ class PreslidingResult:
         origin: of the readings, in words.
         rig: on which they were taken.
         deflection: of the joint up to break-away, rad, on the slowest ramps; None if it does not break away.
+        break_away: the torque's rate, Nm/s, and the largest friction before sliding, Nm, of each ramp.
         failures: why a part that was run carries nothing, one line each.
     """
 
     origin: str
     rig: Rig
     deflection: float | None = None
-    break_away: BreakAway | None = None
+    break_away: list[tuple[float, float]] = field(default_factory=list)
     sliding: SlidingFriction | None = None
     readings: SlidingReadings | None = None
     blocks: list[LoopBlock] = field(default_factory=list)
@@ -46,10 +53,10 @@ class PreslidingResult:
     failures: list[str] = field(default_factory=list)
 
 
-def loops_plot(result: PreslidingResult) -> Plot:
+def _loops_plot(result: PreslidingResult) -> Plot:
     """Show the first blocks of loops, torque over angle, with what the laws with bristles predict from the angle."""
     panels = []
-    for k, block in enumerate(result.blocks[:_MOST_LOOPS]):
+    for k, block in enumerate(result.blocks[:_MAX_LOOPS]):
         angle = 1e3 * (block.angle[block.readings] - block.angle[block.readings[0]])
         marks: list[Mark] = []
         if result.choice is not None:
@@ -62,28 +69,7 @@ def loops_plot(result: PreslidingResult) -> Plot:
     return Plot(panels, columns=2, height=3.0)
 
 
-def break_away_plot(found: BreakAway) -> Plot:
-    """Show the largest friction before sliding over the torque's rate."""
-    rates, means, errors = np.array(found.by_rate()).T
-    marks: list[Mark] = [
-        Dots(found.rate, found.torque, "each ramp", GREY),
-        Dots(rates, means, "mean and standard error", COLOURS[1], errors),
-    ]
-    return Plot([Panel(marks, "", "rate of the torque, Nm/s", "break-away, Nm", x_scale="log")], height=2.8)
-
-
-def sliding_plot(readings: SlidingReadings, friction: SlidingFriction) -> Plot:
-    """Show friction over speed with the fitted curve."""
-    speed = np.linspace(0.0, 1.02 * float(readings.speed.max()), 300)
-    torque = readings.torque - friction.inertia * readings.acceleration
-    marks: list[Mark] = [
-        Dots(readings.speed, torque, "readings", COLOURS[0]),
-        Curve(speed, friction.torque(speed), "fitted", INK, 1.2),
-    ]
-    return Plot([Panel(marks, "", "speed of the joint, rad/s", "friction, Nm")], height=2.8)
-
-
-def pulls_plot(result: PreslidingResult) -> Plot:
+def _pulls_plot(result: PreslidingResult) -> Plot:
     """Show where the joint sticks and slips over speed and stiffness, and where linear stability says that it does."""
     marks: list[Mark] = []
     for slips, label, colour in ((True, "sticks and slips", COLOURS[1]), (False, "slides", COLOURS[0])):
@@ -96,9 +82,10 @@ def pulls_plot(result: PreslidingResult) -> Plot:
     if result.sliding is not None and result.choice is not None:
         tried = [pull.stiffness for pull in result.pulls]
         stiffness = np.geomspace(min(tried), max(tried), 15)
-        lugre, inertia, tick = result.choice.lugre, result.sliding.inertia, result.rig.tick
+        lugre = next(score for score in result.choice.scores if score.law is LUGRE)
+        joint = LUGRE.element(lugre.values, result.choice.sliding), result.sliding.inertia
         fastest = 2.0 * max(pull.speed for pull in result.pulls)
-        least = [least_steady_speed(lugre, inertia, float(one), tick, fastest) for one in stiffness]
+        least = [least_steady_speed(*joint, float(one), result.rig.tick, fastest) for one in stiffness]
         marks.append(Curve(np.array(least), stiffness, "steady sliding is stable from here", INK, 1.0))
     return Plot([Panel(marks, "", "speed, rad/s", "stiffness, Nm/rad")], height=2.8)
 
@@ -115,18 +102,20 @@ def drift_plot(drift: DriftResult) -> Plot:
     return Plot([Panel(marks, "", "small cycle", "drift, counts")], height=2.8)
 
 
-def resolution_text(result: PreslidingResult) -> str:
-    """Return in words what encoder and converter resolve of this joint's presliding."""
+def _resolution(result: PreslidingResult) -> tuple[str, dict[str, float]]:
+    """Return what encoder and converter resolve of this joint's presliding, in words and as an entry."""
     count, code = result.rig.joint_step, result.rig.joint_code
-    steps = f"a count is {1e6 * count:.1f} urad and a code {1e3 * code:.1f} mNm at the joint"
+    text = f"a count is {1e6 * count:.1f} urad and a code {1e3 * code:.1f} mNm at the joint"
+    entry = {"count_rad": count, "code_nm": code}
     if result.deflection is None:
-        return f"{steps}; it has not broken away"
-    counts = result.deflection / count
-    seen = "" if counts >= SEEN else ": too few to see loops"
-    return f"{steps}; it bends by {1e6 * result.deflection:.0f} urad, {counts:.1f} counts, up to break-away{seen}"
+        return f"{text}; it has not broken away", entry
+    entry["presliding_counts"] = counts = result.deflection / count
+    seen = "" if counts >= VISIBLE_COUNTS else ": too few to see loops"
+    bends = f"it bends by {1e6 * result.deflection:.0f} urad, {counts:.1f} counts, up to break-away{seen}"
+    return f"{text}; {bends}", entry
 
 
-def drift_text(drift: DriftResult) -> str:
+def _drift_text(drift: DriftResult) -> str:
     """Return the drift and what it says, in words."""
     mean, least, largest = drift.drift
     law = "no swing is seen"
@@ -136,94 +125,75 @@ def drift_text(drift: DriftResult) -> str:
     return f"{mean:.3g} counts a cycle [{least:.3g}, {largest:.3g}], {law}: {drift.verdict.value} ({drift.reason})"
 
 
-def result_text(result: PreslidingResult) -> str:
-    """Return the results for the terminal."""
-    lines = [f"resolution: {resolution_text(result)}"]
-    if result.break_away is not None:
-        rates = (f"{m:.3f} ± {e:.3f} Nm at {r:.3g} Nm/s" for r, m, e in result.break_away.by_rate())
-        lines.append("break-away: " + ", ".join(rates))
-    if result.sliding is not None:
-        s = result.sliding
+def write_result(out: Path, result: PreslidingResult) -> None:
+    """Print the results and write report.html and estimates.yaml, joint side, in a folder.
+
+    Raises:
+        Rx90Error: if a file cannot be written; the results are printed before.
+    """
+    resolution, entry = _resolution(result)
+    lines, plots = [f"resolution: {resolution}"], dict[str, Plot]()
+    document: dict[str, Any] = {"rig": result.rig.file.name, "resolution": entry}
+    if result.blocks:
+        plots["loops"] = _loops_plot(result)
+    if result.break_away:
+        rows = by_rate(result.break_away)
+        lines.append("break-away: " + ", ".join(f"{m:.3f} ± {e:.3f} Nm at {r:.3g} Nm/s" for r, m, e in rows))
+        names: tuple[str, ...] = ("rate_nm_s", "torque_nm", "standard_error_nm")
+        document["break_away"] = [dict(zip(names, row, strict=True)) for row in rows]
+        each, (rates, means, errors) = np.array(result.break_away), np.array(rows).T
+        marks: list[Mark] = [
+            Dots(each[:, 0], each[:, 1], "each ramp", GREY),
+            Dots(rates, means, "mean and standard error", COLOURS[1], errors),
+        ]
+        panel = Panel(marks, "", "rate of the torque, Nm/s", "break-away, Nm", x_scale="log")
+        plots["break_away"] = Plot([panel], height=2.8)
+    if result.sliding is not None and result.readings is not None:
+        s, readings = result.sliding, result.readings
         lines.append(
             f"sliding: tau_c {s.tau_c:.3f} Nm, tau_s {s.tau_s:.3f} Nm, omega_s {s.omega_s:.3f} rad/s, "
             f"c2 {s.c2:.3f} Nm s/rad, inertia {s.inertia:.3f} kg m2"
         )
-    if result.choice is not None:
-        lines.append(f"{'law':22}{'loops, mNm RMS':>16}{'sliding, mNm RMS':>18}")
-        for score in result.choice.scores:
-            loops, sliding = (1e3 * float((part**2).mean() ** 0.5) for part in (score.loops, score.sliding))
-            lines.append(f"{score.law.name:22}{loops:16.1f}{sliding:18.1f}  {score.refuted or 'not refuted'}")
-        lines.append(f"law of friction: {result.choice.text}")
-    if result.pulls:
-        slips = [
-            f"{pull.speed:.3f} rad/s at {pull.stiffness:g} Nm/rad" for pull in result.pulls if pull.sticks_and_slips
+        names = ("tau_c", "tau_s", "omega_s", "c2", "inertia")
+        document["sliding"] = {name: float(f"{getattr(s, name):.5g}") for name in names}
+        speed = np.linspace(0.0, 1.02 * float(readings.speed.max()), 300)
+        marks = [
+            Dots(readings.speed, readings.torque - s.inertia * readings.acceleration, "readings", COLOURS[0]),
+            Curve(speed, s.torque(speed), "fitted", INK, 1.2),
         ]
-        lines.append(f"stick-slip: {len(slips)} of {len(result.pulls)}" + (f": {', '.join(slips)}" if slips else ""))
-    if result.drift is not None:
-        lines.append(f"drift: {drift_text(result.drift)}")
-    return "\n".join([*lines, *(f"not used: {reason}" for reason in result.failures)])
-
-
-def write_html(path: Path, result: PreslidingResult) -> None:
-    """Write the page.
-
-    Raises:
-        Rx90Error: if the file cannot be written.
-    """
-    plots = {}
-    if result.blocks:
-        plots["loops"] = loops_plot(result)
-    if result.break_away is not None:
-        plots["break_away"] = break_away_plot(result.break_away)
-    if result.readings is not None and result.sliding is not None:
-        plots["sliding"] = sliding_plot(result.readings, result.sliding)
+        plots["sliding"] = Plot([Panel(marks, "", "speed of the joint, rad/s", "friction, Nm")], height=2.8)
+    if result.choice is not None:
+        choice = result.choice
+        lines.append(f"{'law':22}{'loops, mNm RMS':>16}{'sliding, mNm RMS':>18}")
+        for score in choice.scores:
+            loops, sliding = (1e3 * float(squares.mean() ** 0.5) for squares in (score.loops, score.sliding))
+            lines.append(f"{score.law.name:22}{loops:16.1f}{sliding:18.1f}  {score.refuted or 'not refuted'}")
+        lines.append(f"law of friction: {choice.text}")
+        refuted = {score.law.name: score.refuted for score in choice.scores if score.refuted}
+        document["law"] = {"verdict": choice.text, "left": [law.name for law in choice.left], "refuted": refuted}
     if result.pulls:
-        plots["pulls"] = pulls_plot(result)
+        slips = [f"{pull.speed:.3f} rad/s at {pull.stiffness:g} Nm/rad" for pull in result.pulls if pull[2]]
+        lines.append(f"stick-slip: {len(slips)} of {len(result.pulls)}" + (f": {', '.join(slips)}" if slips else ""))
+        document["stick_slip"] = [pull._asdict() for pull in result.pulls]
+        plots["pulls"] = _pulls_plot(result)
     if result.drift is not None:
-        plots["drift"] = drift_plot(result.drift)
+        drift = result.drift
+        lines.append(f"drift: {_drift_text(drift)}")
+        document["drift"] = {
+            "verdict": drift.verdict.value,
+            "counts_per_cycle": list(drift.drift),
+            "swing_counts": drift.swing,
+            "lugre_ratio": list(drift.expected),
+        }
+        plots["drift"] = drift_plot(drift)
+    print("\n".join([*lines, *(f"not used: {reason}" for reason in result.failures)]))
     page = render_page(
         "friction_bench.presliding",
         "presliding_report.html.j2",
         result=result,
         plots=plots,
-        resolution=resolution_text(result),
-        drift=drift_text(result.drift) if result.drift is not None else "",
+        resolution=resolution,
+        drift=_drift_text(result.drift) if result.drift is not None else "",
     )
-    write_text(path, page)
-
-
-def write_estimates(path: Path, result: PreslidingResult) -> None:
-    """Write every estimate as YAML, joint side.
-
-    Raises:
-        Rx90Error: if the file cannot be written.
-    """
-    resolution = {"count_rad": result.rig.joint_step, "code_nm": result.rig.joint_code}
-    document: dict[str, Any] = {"rig": result.rig.file.name, "resolution": resolution}
-    if result.deflection is not None:
-        resolution["presliding_counts"] = result.deflection / result.rig.joint_step
-    if result.break_away is not None:
-        document["break_away"] = [
-            {"rate_nm_s": rate, "torque_nm": mean, "standard_error_nm": error}
-            for rate, mean, error in result.break_away.by_rate()
-        ]
-    if result.sliding is not None:
-        names = ("tau_c", "tau_s", "omega_s", "c2", "inertia")
-        document["sliding"] = {name: float(f"{getattr(result.sliding, name):.5g}") for name in names}
-    if result.choice is not None:
-        document["law"] = {
-            "verdict": result.choice.text,
-            "left": [law.name for law in result.choice.left],
-            "refuted": {score.law.name: score.refuted for score in result.choice.scores if score.refuted},
-        }
-    if result.pulls:
-        document["stick_slip"] = [pull._asdict() for pull in result.pulls]
-    if result.drift is not None:
-        document["drift"] = {
-            "verdict": result.drift.verdict.value,
-            "counts_per_cycle": list(result.drift.drift),
-            "swing_counts": result.drift.swing,
-            "lugre_ratio": list(result.drift.expected),
-        }
-    document["not_used"] = list(result.failures)
-    write_text(path, yaml_text(document))
+    write_text(out / "report.html", page)
+    write_text(out / "estimates.yaml", yaml_text({**document, "not_used": list(result.failures)}))

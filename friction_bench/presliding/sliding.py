@@ -1,35 +1,63 @@
-"""The sliding joint: its friction at changing speed, its break-away against the torque's rate, and its stick-slip."""
+"""The sliding joint: friction at changing speed, break-away against the torque's rate, stick-slip; and the drift.
+
+Elasto-plastic or LuGre: how far a joint drifts under ten thousand small cycles of torque below break-away tells.
+A LuGre joint under a torque that changes slowly between `low` and `high`, both below its static torque F_s, goes on in
+each cycle, for its bristles give way on the way up by more than on the way down. With a = high / F_s, b = low / F_s and
+the deflection g = F_s / c0, dx = dz / (1 - z / g) up and dz / (1 + z / g) down give
+
+    drift of a cycle   d = g ln((1 - b^2) / (1 - a^2))
+    swing, downwards   s = g ln((1 + a) / (1 + b))
+
+so that d / s does not depend on the stiffness: what LuGre's law says is known from the break-away torque alone. An
+elasto-plastic joint is purely elastic up to its break-away deflection, and blocks of Maxwell slip close their loops:
+both have d = 0. The drift of many cycles adds up to counts where that of one, and the swing, are far below a count.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
-from friction_bench.presliding.motions import LATE, Trace
-from rx90_common.base.arrays import Array
+from friction_bench.presliding.motions import DAC_DELAY, Trace
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction.element import FrictionElement
 
-SLOWEST = 3.0
+MIN_COUNTS_PER_TICK = 3.0
 """Counts per tick below which a reading does not count as sliding."""
-TICKS = 7
-FEWEST = 40
+STRETCH_TICKS = 7
+MIN_READINGS = 40
 RATES = (0.1, 0.4, 1.6, 6.0, 16.0)
 """Of the ramps, codes a tick."""
 REPEATS = 3
-STICKS, RUSHES = 0.2, 1.8
+STICK_SHARE, SLIP_SHARE = 0.2, 1.8
 """Of the mean speed: a joint that is slower than the one and faster than the other in turn sticks and slips."""
-_SMOOTHED = 5
+_SMOOTHING_TICKS = 5
 """Ticks over which speeds are averaged."""
-_AVERAGED = 0.1
-"""Rise of the torque, Nm, over which friction is averaged against the counts' noise, up to _MOST_AVERAGED readings."""
-_MOST_AVERAGED = 5
+_AVERAGING_RISE = 0.1
+"""Rise of the torque, Nm, over which friction is averaged against the counts' noise, up to _MAX_AVERAGING readings."""
+_MAX_AVERAGING = 5
+
+LOW_SHARE, HIGH_SHARE = 0.05, 0.25
+"""Of the break-away torque: the turning points of the cycles."""
+HALF_CYCLE_TICKS = 3
+"""Ticks for each half of a cycle."""
+DRIFT_BLOCKS = 20
+"""Of cycles, whose drifts are compared."""
+_STATIC_TORQUE_UNCERTAINTY = 0.25
+"""Relative uncertainty of the break-away torque as a measure of LuGre's static torque."""
+_NO_DRIFT_SHARE = 0.2
+"""Of LuGre's drift: what is less is none."""
+_MIN_SWING = 1.5
+"""Counts of a swing that is seen."""
 
 
 class SlidingReadings(NamedTuple):
@@ -39,25 +67,28 @@ class SlidingReadings(NamedTuple):
     acceleration: Array
     torque: Array
 
+    def rows(self, chosen: Mask) -> SlidingReadings:
+        """Return some of the readings."""
+        return SlidingReadings(*(column[chosen] for column in self))
+
 
 def sliding_readings(trace: Trace) -> SlidingReadings:
-    """Return speed, acceleration and torque over stretches of TICKS in which the joint slides, without overlap.
+    """Return speed, acceleration and torque over stretches of STRETCH_TICKS in which the joint slides, without overlap.
 
     All three are means between the middles of the first and the last tick of a stretch, so that they belong together
     also where the torque changes within.
     """
     rows, held = [], trace.held
-    weight = np.full(TICKS, 1.0 / (TICKS - 1))
+    weight = np.full(STRETCH_TICKS, 1.0 / (STRETCH_TICKS - 1))
     weight[[0, -1]] *= 0.5
-    moved = np.diff(trace.angle) / trace.tick
-    for first in range(0, moved.size - TICKS + 1, TICKS):
-        window = slice(first, first + TICKS)
-        if np.diff(trace.counts)[window].min() >= SLOWEST:
-            speeds = moved[window]
-            gained = (speeds[-1] - speeds[0]) / ((TICKS - 1) * trace.tick)
-            rows.append((float(weight @ speeds), gained, float(weight @ held[first + 1 : first + 1 + TICKS])))
-    table = np.array(rows, dtype=np.float64).reshape(-1, 3)
-    return SlidingReadings(table[:, 0], table[:, 1], table[:, 2])
+    moved = np.diff(trace.counts)
+    for first in range(0, moved.size - STRETCH_TICKS + 1, STRETCH_TICKS):
+        window = moved[first : first + STRETCH_TICKS]
+        if window.min() >= MIN_COUNTS_PER_TICK:
+            speeds = window * (trace.angle_step / trace.tick)
+            gained = (speeds[-1] - speeds[0]) / ((STRETCH_TICKS - 1) * trace.tick)
+            rows.append((float(weight @ speeds), gained, float(weight @ held[first + 1 : first + 1 + STRETCH_TICKS])))
+    return SlidingReadings(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)
 
 
 @dataclass(frozen=True)
@@ -95,8 +126,9 @@ def fit_sliding_friction(readings: SlidingReadings, stribeck: bool = True) -> Sl
     Raises:
         IdentificationError: if they are too few.
     """
-    if readings.speed.size < FEWEST:
-        raise IdentificationError(f"{readings.speed.size} readings of a sliding joint; accepted: at least {FEWEST}")
+    if readings.speed.size < MIN_READINGS:
+        few = f"{readings.speed.size} readings of a sliding joint"
+        raise IdentificationError(f"{few}; accepted: at least {MIN_READINGS}")
     if not stribeck:
         return _fit_at(readings, None)
     fastest = float(readings.speed.max())
@@ -127,44 +159,35 @@ def _fit_at(readings: SlidingReadings, omega_s: float | None) -> SlidingFriction
     return SlidingFriction(coulomb, static, omega_s or 1.0, max(viscous, 0.0), inertia, 1.4826 * median)
 
 
-@dataclass(frozen=True, eq=False)
-class BreakAway:
-    """Break-away by the rate of the torque: the largest friction before the joint slides, from ramps of many rates.
+def break_away_torque(rate: float, ramp: Trace, inertia: float) -> tuple[float, float]:
+    """Return the torque's rate at the joint, Nm/s, and the largest friction before it slides, Nm, of a ramp.
 
     Friction is the motor's torque less what accelerates the joint, so that inertia does not pass for friction; what is
     left of a rate's influence is the law's. LuGre's break-away torque falls with the rate (Canudas de Wit and others
     1995): the joint is fast before its bristles are bent. Damping of the bristles, c1 rate / c0, raises it.
 
-    Attributes:
-        rate: Nm/s at the joint, of each ramp, shape (n,).
-        torque: of break-away, Nm, shape (n,).
+    Args:
+        rate: of the ramp, codes a tick.
+        ramp: its readings.
+        inertia: at the joint, kg m^2.
     """
+    rate *= ramp.torque_step / ramp.tick
+    rising = int(np.argmax(ramp.code))  # later readings belong to the slide's end
+    angle, held = ramp.angle_step * ramp.counts[: rising + 1], ramp.held[: rising + 1]
+    acceleration = (angle[2:] - 2.0 * angle[1:-1] + angle[:-2]) / ramp.tick**2
+    friction = 0.5 * (held[2:] + held[1:-1]) - inertia * acceleration
+    count = int(np.clip(round(_AVERAGING_RISE / (rate * ramp.tick)), 1, _MAX_AVERAGING))
+    return rate, float(np.convolve(friction, np.full(count, 1.0 / count), "valid").max())
 
-    rate: Array
-    torque: Array
 
-    @classmethod
-    def of(cls, ramps: Sequence[tuple[float, Trace]], inertia: float) -> BreakAway:
-        """Return break-away torques of ramps, each with its rate in codes a tick; inertia at the joint in kg m^2."""
-        rates = [codes * ramp.torque_step / ramp.tick for codes, ramp in ramps]
-        torques = []
-        for rate, (_, ramp) in zip(rates, ramps, strict=True):
-            rising = int(np.argmax(ramp.code))  # later readings belong to the slide's end
-            angle, held = ramp.angle[: rising + 1], ramp.held[: rising + 1]
-            acceleration = (angle[2:] - 2.0 * angle[1:-1] + angle[:-2]) / ramp.tick**2
-            friction = 0.5 * (held[2:] + held[1:-1]) - inertia * acceleration
-            count = int(np.clip(round(_AVERAGED / (rate * ramp.tick)), 1, _MOST_AVERAGED))
-            torques.append(float(np.convolve(friction, np.full(count, 1.0 / count), "valid").max()))
-        return cls(np.array(rates), np.array(torques))
-
-    def by_rate(self) -> list[tuple[float, float, float]]:
-        """Return each rate, Nm/s, the mean of its torques, and their standard error, Nm."""
-        rows = []
-        for rate in np.unique(self.rate):
-            group = self.torque[self.rate == rate]
-            error = group.std(ddof=1) / np.sqrt(group.size) if group.size > 1 else 0.0
-            rows.append((float(rate), float(group.mean()), float(error)))
-        return rows
+def by_rate(torques: Sequence[tuple[float, float]]) -> list[tuple[float, float, float]]:
+    """Return each rate, Nm/s, the mean of its break-away torques, and their standard error, Nm."""
+    rates, torque = np.array(torques).T
+    groups = [(float(rate), torque[rates == rate]) for rate in np.unique(rates)]
+    return [
+        (rate, float(group.mean()), float(group.std(ddof=1) / np.sqrt(group.size)) if group.size > 1 else 0.0)
+        for rate, group in groups
+    ]
 
 
 def break_away_code(ramp: Trace, slid: float) -> float:
@@ -174,8 +197,9 @@ def break_away_code(ramp: Trace, slid: float) -> float:
         IdentificationError: if it did not move as far.
     """
     if ramp.counts.max() < slid:
+        highest = f"{ramp.torque_step * ramp.code.max():.3g} Nm"
         raise IdentificationError(
-            f"{ramp.label}: no break-away up to {ramp.torque.max():.3g} Nm; the joint sticks up to the motor's limit"
+            f"{ramp.label}: no break-away up to {highest}; the joint sticks up to the motor's limit"
         )
     return float(ramp.code[int(np.argmax(ramp.counts >= 0.5 * slid))])
 
@@ -191,8 +215,8 @@ class Pull(NamedTuple):
 def evaluate_pull(trace: Trace, speed: float, stiffness: float) -> Pull:
     """Tell from the second half of a pull whether the joint did not slide steadily."""
     angle = trace.counts[trace.time.size // 2 :] * trace.angle_step
-    smoothed = (angle[_SMOOTHED:] - angle[:-_SMOOTHED]) / (_SMOOTHED * trace.tick)
-    return Pull(speed, stiffness, bool(smoothed.min() < STICKS * speed and smoothed.max() > RUSHES * speed))
+    smoothed = (angle[_SMOOTHING_TICKS:] - angle[:-_SMOOTHING_TICKS]) / (_SMOOTHING_TICKS * trace.tick)
+    return Pull(speed, stiffness, bool(smoothed.min() < STICK_SHARE * speed and smoothed.max() > SLIP_SHARE * speed))
 
 
 def sampled_growth(element: FrictionElement, inertia: float, speed: float, stiffness: float, tick: float) -> float:
@@ -222,7 +246,7 @@ def sampled_growth(element: FrictionElement, inertia: float, speed: float, stiff
     motion = np.zeros((4, 4))
     motion[:3, :3] = [[0.0, 1.0, 0.0], -force / inertia, bristle]
     motion[:3, 3] = 0.0, 1.0 / inertia, 0.0
-    whole, late = np.asarray(expm(motion * tick)), np.asarray(expm(motion * ((1.0 - LATE) * tick)))
+    whole, late = np.asarray(expm(motion * tick)), np.asarray(expm(motion * ((1.0 - DAC_DELAY) * tick)))
     spring = np.array([-stiffness, 0.0, 0.0, 0.0])
     step = np.zeros((4, 4))  # of x, v, z, and the torque that was sent last
     step[:3, :3] = whole[:3, :3]
@@ -244,3 +268,107 @@ def least_steady_speed(
         steady = sampled_growth(element, inertia, middle, stiffness, tick) <= 1.0
         low, high = (low, middle) if steady else (middle, high)
     return high
+
+
+class DriftVerdict(str, Enum):
+    """What the drift says."""
+
+    DRIFTS = "LuGre"
+    STAYS = "no drift: elasto-plastic or Maxwell slip, not LuGre"
+    UNKNOWN = "cannot tell"
+
+
+@dataclass(frozen=True, eq=False)
+class DriftResult:
+    """What the cycles showed, in counts.
+
+    Attributes:
+        position: at the end of each cycle, counts, shape (n,).
+        swing: of a cycle, counts.
+        drift: of a cycle, counts, and the bounds of its 99 % interval.
+        expected: drift over swing by LuGre's law, least and largest by the uncertainty of the break-away torque.
+        low, high: turning points over the break-away torque.
+        verdict, reason: what follows, and why.
+    """
+
+    position: Array
+    swing: float
+    drift: tuple[float, float, float]
+    expected: tuple[float, float]
+    low: float
+    high: float
+    verdict: DriftVerdict
+    reason: str
+
+    @property
+    def by_lugre(self) -> tuple[float, float] | None:
+        """Return the drift of a cycle by LuGre's law, counts, least and largest; None where no swing is seen."""
+        return (self.expected[0] * self.swing, self.expected[1] * self.swing) if self.swing > 0.0 else None
+
+
+def _verdict(swing: float, least: float, largest: float, lowest: float, highest: float) -> tuple[DriftVerdict, str]:
+    """Return the verdict and its reason, from the drift's bounds and those of LuGre's drift over swing.
+
+    The swing is the mean of differences of whole counts: a joint that drifts passes all phases of a count, and the
+    mean is right; one that stays may be off by a count.
+    """
+    if largest < _NO_DRIFT_SHARE * lowest * (swing - 1.0) and swing >= _MIN_SWING:
+        return DriftVerdict.STAYS, f"the drift is less than {100 * _NO_DRIFT_SHARE:g} % of what LuGre's law would give"
+    if least > 0.0 and swing > 0.0 and 0.5 * lowest < least / swing and largest / swing < 2.0 * highest:
+        return DriftVerdict.DRIFTS, "the joint drifts as LuGre's law says"
+    if swing < _MIN_SWING and least <= 0.0:
+        reason = "neither a swing nor a drift is seen: the joint is too stiff for the encoder"
+    elif largest / max(swing, 1e-9) > 2.0 * highest:
+        reason = "the joint drifts more than LuGre's law says: the torque is too near to break-away"
+    else:
+        reason = "the joint drifts, but less than LuGre's law says"
+    return DriftVerdict.UNKNOWN, reason
+
+
+def turning_codes(break_away: float) -> tuple[int, int]:
+    """Return the codes between which small cycles go, for a break-away code."""
+    return max(round(LOW_SHARE * break_away), 1), round(HIGH_SHARE * break_away)
+
+
+def lugre_ratio(low: float, high: float) -> float:
+    """Return drift over swing of a LuGre joint for turning points over the static torque; 1 where it breaks away."""
+    if high >= 1.0:
+        return 1.0
+    return math.log((1.0 - low**2) / (1.0 - high**2)) / math.log((1.0 + high) / (1.0 + low))
+
+
+def evaluate_drift(trace: Trace, low: int, high: int, break_away: float) -> DriftResult:
+    """Tell from the readings of the cycles whether the joint drifts as LuGre's law says.
+
+    Args:
+        trace: the whole experiment.
+        low: code of the lower turning point.
+        high: of the upper one.
+        break_away: code at which the joint breaks away.
+
+    Raises:
+        IdentificationError: if there are too few cycles.
+    """
+    code = trace.code
+    last = np.flatnonzero(np.diff(code) != 0.0)  # the last reading of each code
+    at_low = last[(code[last] == low) & (code[last + 1] == high)]
+    at_high = last[code[last] == high]
+    at_high = at_high[at_high > at_low.min(initial=code.size)]
+    count = min(at_low.size, at_high.size)
+    if count < 2 * DRIFT_BLOCKS:
+        raise IdentificationError(f"{trace.label}: {count} cycles; accepted: at least {2 * DRIFT_BLOCKS}")
+    lower, upper = trace.counts[at_low[:count]], trace.counts[at_high[:count]]
+    per = count // DRIFT_BLOCKS
+    ends = lower[::per][: DRIFT_BLOCKS + 1]
+    if ends.size == DRIFT_BLOCKS:
+        ends = np.append(ends, lower[-1])
+    drifts = np.diff(ends) / per
+    # A count of the whole is not known.
+    reach = float(stats.t.ppf(0.995, DRIFT_BLOCKS - 1) * stats.sem(drifts)) + 1.0 / count
+    drift = float(ends[-1] - ends[0]) / (per * DRIFT_BLOCKS)
+    a, b = high / break_away, low / break_away
+    factors = 1 - _STATIC_TORQUE_UNCERTAINTY, 1 + _STATIC_TORQUE_UNCERTAINTY
+    least, largest = (lugre_ratio(b * factor, a * factor) for factor in factors)
+    swing = float(np.mean(upper[:-1] - lower[1:]))
+    verdict = _verdict(swing, drift - reach, drift + reach, least, largest)
+    return DriftResult(lower, swing, (drift, drift - reach, drift + reach), (least, largest), b, a, *verdict)

@@ -1,8 +1,4 @@
-"""The host's side of the protocol: frames on a port, greeting, commands until they are answered, cumulative readings.
-
-`RigLine` numbers the frames out, reads those in, notices the rig's silence, and has a stop that overtakes all of it;
-`RigClient` commands one rig through it.
-"""
+"""The host's side of the protocol: frames on a port, a greeting, commands until they are answered, readings."""
 
 from __future__ import annotations
 
@@ -10,7 +6,7 @@ import threading
 from dataclasses import dataclass
 from typing import Protocol
 
-from friction_bench.protocol.messages import (
+from friction_bench.rig.messages import (
     PROTOCOL_VERSION,
     Command,
     CommandResult,
@@ -24,11 +20,9 @@ from friction_bench.protocol.messages import (
     RigResetError,
     State,
     encode,
-    limits_payload,
     parse_hello,
     parse_report,
-    ramp_payload,
-    torque_payload,
+    payload_of,
 )
 from friction_bench.rig.rig_file import CODES, Rig
 
@@ -54,125 +48,14 @@ class Port(Protocol):
     def now(self) -> float:
         """Return the port's time, s, monotonic."""
 
-    def write(self, data: bytes) -> None:
-        """Send bytes."""
-
-    def write_first(self, data: bytes) -> None:
-        """Send bytes ahead of what has not left yet, which may be thrown away in the middle of a frame."""
+    def write(self, data: bytes, *, first: bool = False) -> None:
+        """Send bytes; `first`: in place of what has not left yet, which may be thrown away in mid-frame."""
 
     def read(self, timeout: float) -> bytes:
         """Return what has come; wait up to `timeout` seconds for the first byte."""
 
     def close(self) -> None:
         """Give the port back."""
-
-
-class RigLine:
-    """Frames on a port; only `urgent_stop` may be called by other threads than the one that owns the line.
-
-    Attributes:
-        sequence: number of the last command.
-        listened: time spent listening, s: what timeouts of the rig's answers count.
-        stops: urgent stops so far.
-        known_stops: how many of them the owner knew of when it gave the command under way.
-        stopping: an urgent stop has been sent and not been answered; `keep_alive` repeats it in place of heartbeats.
-    """
-
-    def __init__(self, port: Port) -> None:
-        self.port = port
-        self.sequence = 0
-        self.listened = 0.0
-        self.stops = 0
-        self.known_stops = 0
-        self.stopping = False
-        self._stop_lock = threading.Lock()
-        self._decoder = FrameDecoder()
-        self._sent_at = -1.0
-        self._read_at = port.now()
-        self._heard_at = 0.0  # of the time listened
-
-    @property
-    def bad_frames(self) -> int:
-        """Return how many damaged frames have come from the rig."""
-        return self._decoder.bad
-
-    def number(self, command: Command, payload: bytes) -> bytes:
-        """Return the bytes of a command with the next sequence number."""
-        self.sequence = self.sequence % (STOP_SEQUENCES.start - 1) + 1
-        return encode(Frame(command, self.sequence, payload))
-
-    def send(self, command: Command, payload: bytes = b"") -> None:
-        """Send a command whatever stops there have been: a greeting or a heartbeat."""
-        self.port.write(self.number(command, payload))
-        self._sent_at = self.port.now()
-
-    def send_unless_stopped(self, message: bytes, command: Command) -> None:
-        """Send a numbered command, unless there has been a stop that its giver did not know of.
-
-        Raises:
-            RigRefusedError: if there has; the stop is known from then on.
-        """
-        with self._stop_lock:
-            if self.stops != self.known_stops:
-                self.known_stops = self.stops
-                raise RigRefusedError(f"{command.name}: overtaken by a stop")
-            self.port.write(message)
-
-    def urgent_stop(self) -> None:
-        """Take the torque away now.
-
-        A command that is under way is given up: its repetition after the stop would undo it. The stop itself is
-        repeated by `keep_alive` until the rig answers it, with no heartbeat in between: if the line accepts it no more,
-        the firmware's watchdog switches the rig off.
-
-        It waits for one write of another thread and for its own, each at most the port's write timeout, and never
-        for a read, a queue or an answer.
-        """
-        with self._stop_lock:
-            self.stops += 1
-            self.stopping = True
-        self._write_stop()
-
-    def _write_stop(self) -> None:
-        # A delimiter first: what stands before it on the line may have lost its own. Twice: one may be hit.
-        self.port.write_first(b"\0" + 2 * encode(Frame(Command.STOP, self._stop_sequence, b"")))
-        self._sent_at = self.port.now()
-
-    @property
-    def _stop_sequence(self) -> int:
-        return STOP_SEQUENCES[self.stops % len(STOP_SEQUENCES)]
-
-    def keep_alive(self, beating: bool) -> None:
-        """Send what is due: a stop that has not been answered, else the heartbeat if `beating`."""
-        if self.port.now() - self._sent_at >= HEARTBEAT:
-            if self.stopping:
-                self._write_stop()
-            elif beating:
-                self.send(Command.BEAT)
-
-    def note_answer(self, report: Report) -> None:
-        """End the stop's repetition when `report` answers it."""
-        if report.state not in SWITCHED_ON and report.ack_sequence == self._stop_sequence:
-            self.stopping = False
-
-    def excuse_silence(self) -> None:
-        """Count the rig's silence from now on."""
-        self._heard_at = self.listened
-
-    def frames(self, timeout: float) -> list[Frame]:
-        """Return the frames that came within `timeout` seconds.
-
-        Raises:
-            RigLostError: if the rig has been silent for too long.
-        """
-        frames = self._decoder.feed(self.port.read(timeout))
-        before, self._read_at = self._read_at, self.port.now()
-        self.listened += min(self._read_at - before, _LONGEST_LISTENING)
-        if frames:
-            self.excuse_silence()
-        elif self.listened - self._heard_at > SILENCE:
-            raise RigLostError(f"the rig has not reported for {SILENCE} s")
-        return frames
 
 
 def unwrap(value: int, last: int | None, bits: int) -> int:
@@ -194,28 +77,103 @@ class Sample:
 
 
 class RigClient:
-    """Commands one rig; not thread-safe but for its line's stop, and alive only while somebody calls `pump`.
+    """Commands one rig, which stays alive only while somebody calls `pump`.
+
+    Only `urgent_stop` may be called by other threads than the one that owns the client.
 
     Args:
         port: what carries the bytes.
         rig: what is expected at its other end.
 
     Attributes:
-        line: the frames on that port, and the urgent stop.
         hello: the firmware's greeting, None before `connect`.
         last: the latest reading.
         beating: heartbeats are sent; without them an armed rig switches itself off.
         lost_reports: ticks without a reading so far.
+        stops: urgent stops so far.
+        known_stops: how many of them the owner knew of when it gave the command under way.
+        stopping: an urgent stop has been sent and not been answered; it is repeated in place of heartbeats.
     """
 
     def __init__(self, port: Port, rig: Rig) -> None:
         self.port = port
         self.rig = rig
-        self.line = RigLine(port)
         self.hello: HelloReply | None = None
-        self.beating = True
-        self.lost_reports = 0
         self.last: Sample | None = None
+        self.beating = True
+        self.lost_reports = self.stops = self.known_stops = 0
+        self.stopping = False
+        self._stop_lock = threading.Lock()
+        self._decoder = FrameDecoder()
+        self._sequence = 0
+        self._sent_at = -1.0
+        self._read_at = port.now()
+        self._listened = self._heard_at = 0.0  # time spent listening, s: what timeouts of the rig's answers count
+
+    @property
+    def bad_frames(self) -> int:
+        """Return how many damaged frames have come from the rig."""
+        return self._decoder.bad
+
+    def _number(self, command: Command, *values: int) -> bytes:
+        """Return the bytes of a command with the next sequence number."""
+        self._sequence = self._sequence % (STOP_SEQUENCES.start - 1) + 1
+        return encode(Frame(command, self._sequence, payload_of(command, *values)))
+
+    def _send(self, command: Command, *values: int) -> None:
+        """Send a command whatever stops there have been: a greeting or a heartbeat."""
+        self.port.write(self._number(command, *values))
+        self._sent_at = self.port.now()
+
+    def _send_unless_stopped(self, message: bytes, command: Command) -> None:
+        with self._stop_lock:
+            if self.stops != self.known_stops:
+                self.known_stops = self.stops
+                raise RigRefusedError(f"{command.name}: overtaken by a stop")
+            self.port.write(message)
+
+    def send_torque(self, code: int) -> None:
+        """Send a DAC code to hold, without waiting for the answer: the next report has it.
+
+        Raises:
+            RigRefusedError: if there has been a stop that the caller did not know of; it is known from then on.
+        """
+        self._send_unless_stopped(self._number(Command.TORQUE, code), Command.TORQUE)
+
+    def urgent_stop(self) -> None:
+        """Take the torque away now.
+
+        A command that is under way is given up: its repetition after the stop would undo it. The stop itself is
+        repeated by `pump` until the rig answers it, with no heartbeat in between: if the line accepts it no more,
+        the firmware's watchdog switches the rig off.
+
+        It waits for one write of another thread and for its own, each at most the port's write timeout, and never
+        for a read, a queue or an answer.
+        """
+        with self._stop_lock:
+            self.stops += 1
+            self.stopping = True
+        self._write_stop()
+
+    def _write_stop(self) -> None:
+        # A delimiter first: what stands before it on the line may have lost its own. Twice: one may be hit.
+        self.port.write(b"\0" + 2 * encode(Frame(Command.STOP, self._stop_sequence, b"")), first=True)
+        self._sent_at = self.port.now()
+
+    @property
+    def _stop_sequence(self) -> int:
+        return STOP_SEQUENCES[self.stops % len(STOP_SEQUENCES)]
+
+    def _frames(self, timeout: float) -> list[Frame]:
+        """Return the frames that came within `timeout` seconds; raise RigLostError after a silence."""
+        frames = self._decoder.feed(self.port.read(timeout))
+        before, self._read_at = self._read_at, self.port.now()
+        self._listened += min(self._read_at - before, _LONGEST_LISTENING)
+        if frames:
+            self._heard_at = self._listened
+        elif self._listened - self._heard_at > SILENCE:
+            raise RigLostError(f"the rig has not reported for {SILENCE} s")
+        return frames
 
     def connect(self, timeout: float = 3.0) -> HelloReply:
         """Greet the rig until it answers; afterwards it is disarmed, and faults stay latched.
@@ -225,20 +183,18 @@ class RigClient:
             RigRefusedError: if it speaks another protocol version.
             RigInputError: if it was built for other figures than the rig file's.
         """
-        line = self.line
-        self.hello = None
-        line.stopping = False  # HELLO takes the torque away too, and is repeated until it is answered
-        self.last = None
-        end = line.listened + timeout
+        self.hello = self.last = None
+        self.stopping = False  # HELLO takes the torque away too, and is repeated until it is answered
+        end = self._listened + timeout
         greet_at = self.port.now()
-        while line.listened < end:
+        while self._listened < end:
             if self.port.now() >= greet_at:
-                line.send(Command.HELLO, bytes([PROTOCOL_VERSION]))
+                self._send(Command.HELLO, PROTOCOL_VERSION)
                 greet_at = self.port.now() + HELLO_PERIOD
-            line.excuse_silence()
-            for frame in line.frames(HEARTBEAT):
+            self._heard_at = self._listened
+            for frame in self._frames(HEARTBEAT):
                 hello = parse_hello(frame)
-                if hello is not None and frame.sequence == line.sequence:
+                if hello is not None and frame.sequence == self._sequence:
                     if hello.version != PROTOCOL_VERSION:
                         spoken = f"the rig speaks protocol version {hello.version}"
                         raise RigRefusedError(f"{spoken}; accepted: {PROTOCOL_VERSION}")
@@ -248,17 +204,21 @@ class RigClient:
         raise RigLostError(f"no rig answers within {timeout:g} s")
 
     def pump(self, timeout: float = HEARTBEAT) -> list[Sample]:
-        """Send the heartbeat when it is due and return the readings that came within `timeout` seconds.
+        """Send the heartbeat or stop that is due and return the readings that came within `timeout` seconds.
 
         Raises:
             RigLostError: if the rig has been silent for too long.
             RigResetError: if it restarted; greet and arm it again.
         """
-        self.line.keep_alive(self.beating)
+        if self.port.now() - self._sent_at >= HEARTBEAT:
+            if self.stopping:
+                self._write_stop()
+            elif self.beating:
+                self._send(Command.BEAT)
         return self._samples(timeout)
 
     def _samples(self, timeout: float) -> list[Sample]:
-        reports = map(parse_report, self.line.frames(timeout))
+        reports = map(parse_report, self._frames(timeout))
         return [self._sample(report) for report in reports if report is not None]
 
     def _sample(self, report: Report) -> Sample:
@@ -267,30 +227,34 @@ class RigClient:
         if not report.greeted or (last is not None and tick <= last.tick):
             self.hello = None
             raise RigResetError("the rig restarted by itself; it has to be armed again")
-        self.line.note_answer(report)
+        if report.state not in SWITCHED_ON and report.ack_sequence == self._stop_sequence:
+            self.stopping = False
         if last is not None:
             self.lost_reports += tick - last.tick - 1
         counts = unwrap(report.counts, None if last is None else last.counts, 24)
         self.last = Sample(tick, tick * self.rig.tick, counts, report)
         return self.last
 
-    def request(self, command: Command, payload: bytes = b"") -> list[Sample]:
+    def request(self, command: Command, *values: int) -> list[Sample]:
         """Send a command until a report answers it; return the readings that came meanwhile.
+
+        Args:
+            command: what to do.
+            values: of its payload, as `payload_of` has them.
 
         Raises:
             RigRefusedError: with the firmware's reason.
             RigLostError, RigResetError: as `pump`.
         """
-        line = self.line
         samples: list[Sample] = []
-        message = line.number(command, payload)
-        sequence = line.sequence
-        line.send_unless_stopped(message, command)
-        end = line.listened + COMMAND_TIMEOUT
+        message = self._number(command, *values)
+        sequence = self._sequence
+        self._send_unless_stopped(message, command)
+        end = self._listened + COMMAND_TIMEOUT
         retry_at = self.port.now() + RETRY_PERIOD
-        while line.listened < end:
-            if self.port.now() >= retry_at or line.stops != line.known_stops:
-                line.send_unless_stopped(message, command)
+        while self._listened < end:
+            if self.port.now() >= retry_at or self.stops != self.known_stops:
+                self._send_unless_stopped(message, command)
                 retry_at = self.port.now() + RETRY_PERIOD
             came = self._samples(HEARTBEAT)
             samples += came  # all of them: what came behind the answer would count as lost
@@ -303,16 +267,12 @@ class RigClient:
 
     def arm(self) -> None:
         """Set the rig file's limits and switch the power stage on, at zero torque."""
-        self.request(Command.LIMITS, limits_payload(*self.rig.limit_codes()))
+        self.request(Command.LIMITS, *self.rig.limit_codes())
         self.request(Command.ARM)
 
     def clear(self) -> None:
         """Clear the latched faults; the rig is disarmed then."""
         self.request(Command.CLEAR)
-
-    def torque(self, code: int) -> None:
-        """Hold a DAC code on an armed rig."""
-        self.request(Command.TORQUE, torque_payload(code))
 
     def start_ramp(self, slope: float, end_torque: float) -> list[Sample]:
         """Start the firmware's ramp of `slope` Nm/s up to `end_torque` Nm on an armed rig.
@@ -323,7 +283,7 @@ class RigClient:
         Raises:
             RigInputError: if the firmware cannot run that slope or torque; else as `request`.
         """
-        return self.request(Command.RAMP, ramp_payload(self.rig.ramp_step(slope), self.end_code(end_torque)))
+        return self.request(Command.RAMP, self.rig.ramp_step(slope), self.end_code(end_torque))
 
     def end_code(self, torque: float) -> int:
         """Return the DAC code of a ramp's end.

@@ -1,46 +1,126 @@
-"""The emulated rig: the real firmware on a board, wired to an emulated plant, in virtual or in real time."""
+"""The emulated rig: the real firmware, wired to an emulated plant, in virtual or in real time.
+
+The firmware's C core is built for this computer on first use; each rig has a copy of its own.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import hashlib
 import os
 import pty
 import select
+import shutil
+import subprocess
+import tempfile
 import threading
 import time
 import tty
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
 
-from friction_bench.protocol.messages import RigInputError
-from friction_bench.rig.native import NativeBoard, native_library
+from friction_bench.rig.messages import ResetCause, RigError, RigInputError
 from friction_bench.rig.plant import SLICE, RigPlant
 from friction_bench.rig.rig_file import CODES, Rig
+from rx90_common.base.share import share_directory
 
 SLICE_US = round(SLICE * 1e6)
 """Firmware and plant exchange DAC, ADC and encoder this often."""
 _LONGEST_STEP = 0.02
+_SOURCES = ("core/frame.c", "core/rig.c", "native/hal_native.c")
+_HEADERS = ("core/frame.h", "core/hal.h", "core/rig.h", "core/rig_config.h")
 
 
-class Board(Protocol):
-    """What runs the firmware: this computer, or a simulated microcontroller."""
+def firmware_directory() -> Path:
+    """Return the folder of the firmware's sources."""
+    return share_directory() / "firmware"
+
+
+def compile_core(sources: Path, library: Path, figures: Mapping[str, int]) -> None:
+    """Compile the firmware in `sources` for this computer into `library`; `figures` replace those of rig_config.h.
+
+    Raises:
+        RigError: if there is no C compiler or it refuses the sources.
+    """
+    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
+    if not compiler:
+        raise RigError("the emulated rig runs the real firmware and needs a C compiler: none found as cc or gcc")
+    command = [*compiler.split(), "-std=c11", "-O2", "-fPIC", "-shared", f"-I{sources / 'core'}"]
+    command += [f"-D{name}={value}u" for name, value in figures.items()]
+    command += [str(sources / name) for name in _SOURCES] + ["-o", str(library)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        reason = (done.stderr.strip().splitlines() or ["no message"])[0]
+        raise RigError(f"the C compiler {compiler} refused the firmware: {reason}")
+
+
+def native_library(figures: Mapping[str, int] | None = None) -> Path:
+    """Return the compiled firmware, building it where these sources were not built with these figures before."""
+    figures = figures or {}
+    sources = firmware_directory()
+    digest = hashlib.sha256()
+    for name in (*_SOURCES, *_HEADERS):
+        digest.update((sources / name).read_bytes())
+    if figures:
+        digest.update(repr(sorted(figures.items())).encode())
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    library = base / "rx90_emulator" / "firmware" / f"librig_{digest.hexdigest()[:16]}.so"
+    if not library.exists():
+        library.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+            fresh = Path(folder) / library.name
+            compile_core(sources, fresh, figures)
+            fresh.replace(library)  # atomic: two programs may build at the same time
+    return library
+
+
+class NativeBoard:
+    """A board whose processor is this computer: same firmware, time in slices of the caller's choice.
+
+    Args:
+        library: the compiled firmware; by default the shipped one, built on first use.
+    """
+
+    def __init__(self, baud: int = 19200, library: Path | None = None) -> None:
+        # The core keeps its state in globals, as a microcontroller does: each board loads a copy of its own.
+        with tempfile.TemporaryDirectory() as folder:
+            copy = shutil.copy(library or native_library(), folder)
+            self._core = ctypes.CDLL(copy)
+        self._baud = baud
+        self._buffer = ctypes.create_string_buffer(4096)
+        self._core.native_run.argtypes = (ctypes.c_uint32, ctypes.c_uint16, ctypes.c_uint8)
+        self._core.native_run.restype = None
+        for name in ("native_dac", "native_stage"):
+            getattr(self._core, name).restype = ctypes.c_uint8
+        self.reset(ResetCause.POWER)
+
+    def reset(self, cause: ResetCause) -> None:
+        """Start the firmware anew, as a reset of the board does."""
+        self._core.native_power_up(ctypes.c_uint32(self._baud), ctypes.c_uint8(cause))
 
     def write(self, data: bytes) -> None:
-        """Put bytes on the line to the board."""
+        """Put bytes on the line to the board; what exceeds its 4 KiB buffer is lost, as on a real line."""
+        self._core.native_write(data, ctypes.c_uint32(len(data)))
 
     def read(self) -> bytes:
-        """Return what the board has sent."""
+        """Return the bytes that the board has sent."""
+        count = self._core.native_read(self._buffer, ctypes.c_uint32(4096))
+        return self._buffer.raw[:count]
 
     def run(self, slice_us: int, edges: int, adc: int) -> None:
-        """Let time pass with these encoder edges, negative where the motor turned back, and this ADC code."""
+        """Let `slice_us` pass, in which the encoder gave `edges` and the ADC read `adc`."""
+        self._core.native_run(slice_us, edges, adc)
 
     @property
     def dac(self) -> int:
         """Return the code on the DAC."""
+        return int(self._core.native_dac())
 
     @property
     def stage_on(self) -> bool:
         """Return whether the power stage is enabled."""
+        return bool(self._core.native_stage())
 
 
 class EmulatedRig:
@@ -49,17 +129,17 @@ class EmulatedRig:
     Args:
         rig: the rig file; it must have an `emulation` section.
         seed: of all noise.
-        board: where the firmware runs; by default natively.
+        board: where the firmware runs; by default this computer.
 
     Raises:
         RigInputError: if the rig file describes no plant.
         RigError: if the firmware cannot be built.
     """
 
-    def __init__(self, rig: Rig, seed: int = 0, board: Board | None = None) -> None:
+    def __init__(self, rig: Rig, seed: int = 0, board: NativeBoard | None = None) -> None:
         self.plant = RigPlant(rig, seed)
         self.rig = rig
-        self.board: Board = board or NativeBoard(rig.baud, native_library(rig.firmware_figures))
+        self.board = board or NativeBoard(rig.baud, native_library(rig.firmware_figures))
         self.time = 0.0
         self._edges = 0
         self._adc = 0
@@ -69,10 +149,9 @@ class EmulatedRig:
         for _ in range(max(1, round(seconds * 1e6 / SLICE_US))):
             self.board.run(SLICE_US, self._edges, self._adc)
             command = self.rig.torque(self.board.dac) if self.board.stage_on else 0.0
-            self._edges = self.plant.advance(command, SLICE_US * 1e-6)
-            reading = self.plant.current_reading() / self.rig.adc_full_scale * CODES
-            self._adc = min(CODES, round(reading))
-            self.time += SLICE_US * 1e-6
+            self._edges = self.plant.advance(command, SLICE)
+            self._adc = min(CODES, round(self.plant.current_reading() / self.rig.adc_full_scale * CODES))
+            self.time += SLICE
 
 
 class VirtualPort:
@@ -85,13 +164,9 @@ class VirtualPort:
         """Return virtual time, s."""
         return self.emulated.time
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes, *, first: bool = False) -> None:  # noqa: ARG002 - nothing waits here
         """Send bytes to the rig."""
         self.emulated.board.write(data)
-
-    def write_first(self, data: bytes) -> None:
-        """Send bytes; nothing waits here."""
-        self.write(data)
 
     def read(self, timeout: float) -> bytes:
         """Return the next bytes of the rig; after `timeout` seconds, none."""
@@ -100,7 +175,7 @@ class VirtualPort:
             data = self.emulated.board.read()
             if data or self.emulated.time >= end:
                 return data
-            self.emulated.advance(SLICE_US * 1e-6)
+            self.emulated.advance(SLICE)
 
     def close(self) -> None:
         """Leave the rig to itself."""
@@ -149,20 +224,24 @@ class PtyRig:
         due = time.monotonic()
         while not self._stop.is_set():
             behind = time.monotonic() - due
-            if behind < SLICE_US * 1e-6:
-                select.select([self._master], [], [], 2 * SLICE_US * 1e-6)
+            if behind < SLICE:
+                select.select([self._master], [], [], 2 * SLICE)
             if behind > _LONGEST_STEP:
                 due += behind - _LONGEST_STEP
                 behind = _LONGEST_STEP
-            slices = int(behind * 1e6 / SLICE_US)
+            slices = int(behind / SLICE)
             if slices:
-                due += slices * SLICE_US * 1e-6
+                due += slices * SLICE
                 with self._lock:
-                    with contextlib.suppress(OSError):
-                        self.emulated.board.write(os.read(self._master, 4096))
-                    self.emulated.advance(slices * SLICE_US * 1e-6)
-                    with contextlib.suppress(OSError):  # nobody reads: a full line loses bytes, as a real one does
-                        os.write(self._master, self.emulated.board.read())
+                    self._exchange(slices * SLICE)
+
+    def _exchange(self, seconds: float) -> None:
+        """Let time pass, between what has come on the line and what leaves on it."""
+        with contextlib.suppress(OSError):
+            self.emulated.board.write(os.read(self._master, 4096))
+        self.emulated.advance(seconds)
+        with contextlib.suppress(OSError):  # nobody reads: a full line loses bytes, as a real one does
+            os.write(self._master, self.emulated.board.read())
 
     def close(self) -> None:
         """End the rig: for its opener, this is an unplugged cable."""

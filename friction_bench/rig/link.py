@@ -10,8 +10,8 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 
-from friction_bench.protocol.messages import Fault, Report, RigError, RigLostError, RigResetError, fault_text
 from friction_bench.rig.client import SWITCHED_ON, Port, RigClient, Sample
+from friction_bench.rig.messages import Fault, Report, RigError, RigLostError, RigResetError, fault_text
 from friction_bench.rig.rig_file import Rig
 
 OWNER_SILENCE = 0.1
@@ -26,42 +26,8 @@ _DISTURBED = "the line is disturbed"
 """One kind of trouble for noise, a loose cable and a second reader, whose symptoms alternate."""
 
 
-class _Reporter:
-    """Reports each kind of trouble once until the line has been good for CALM seconds, and then that it is good."""
-
-    def __init__(self, on_trouble: Callable[[str], None], on_good: Callable[[str], None]) -> None:
-        self._on_trouble = on_trouble
-        self._on_good = on_good
-        self._reported: set[str] = set()
-        self._troubled_at = 0.0
-        self._last_fault = Fault.NONE
-        self.greeting = ""  # what `on_good` gets once the line is good
-
-    def trouble(self, text: str, kind: str | None = None) -> None:
-        """Report a trouble, unless one of its kind has been since the line was good."""
-        self._troubled_at = time.monotonic()
-        if (kind or text) not in self._reported:
-            self._reported.add(kind or text)
-            self._on_trouble(text)
-
-    def fault(self, fault: Fault) -> None:
-        """Report the rig's faults when they change."""
-        if fault != self._last_fault:
-            self._last_fault = fault
-            if fault:
-                self._on_trouble(f"the rig switched itself off: {fault_text(fault)}; clear and arm it")
-
-    def watch(self) -> None:
-        """Report that the line is good when it is."""
-        if self._reported and time.monotonic() - self._troubled_at > CALM:
-            self._reported.clear()
-        if self.greeting and not self._reported:
-            self._on_good(self.greeting)
-            self.greeting = ""
-
-
 class RigLink:
-    """One rig on one port.
+    """One rig on one port. Each kind of trouble is reported once until the line has been good for CALM seconds.
 
     Args:
         open_port: opens the port; called again after a loss.
@@ -85,14 +51,17 @@ class RigLink:
         self.rig = rig
         self.client: RigClient | None = None
         self._open_port = open_port
-        self._on_sample = on_sample
-        self._reporter = _Reporter(on_trouble, on_good)
+        self._on_sample, self._on_trouble, self._on_good = on_sample, on_trouble, on_good
+        self._reported: set[str] = set()
+        self._troubled_at = 0.0
+        self._last_fault = Fault.NONE
+        self._greeting = ""  # what `on_good` gets once the line is good
         self._jobs: queue.Queue[tuple[Callable[[RigClient], None], Future[None], int]] = queue.Queue()
         self._jobs_lock = threading.Lock()  # a job is queued for a connection that there is
         self._closed = threading.Event()
         self._alive_at = time.monotonic()
         self._port: Port | None = None
-        self._damage: deque[float] = deque()
+        self._damage_times: deque[float] = deque()
         self._seen_damage = 0
         self._past = (0, 0)  # bad frames and lost reports of earlier connections
 
@@ -114,7 +83,7 @@ class RigLink:
         """Return the damaged frames and the lost reports of all connections."""
         client = self.client
         bad, lost = self._past
-        return (bad, lost) if client is None else (bad + client.line.bad_frames, lost + client.lost_reports)
+        return (bad, lost) if client is None else (bad + client.bad_frames, lost + client.lost_reports)
 
     def alive(self) -> None:
         """Say that the owner is alive; without it the heartbeats stop and the rig switches itself off."""
@@ -130,9 +99,9 @@ class RigLink:
         with self._jobs_lock:
             client = self.client
             if client is not None and client.hello is not None:
-                self._jobs.put((run, future, client.line.stops))
-                return future
-        future.set_exception(RigLostError("there is no connection to the rig"))
+                self._jobs.put((run, future, client.stops))
+            else:
+                future.set_exception(RigLostError("there is no connection to the rig"))
         return future
 
     def stop_rig(self) -> None:
@@ -144,7 +113,7 @@ class RigLink:
         client = self.client
         if client is None:
             raise RigLostError("there is no connection to the rig; its watchdog switches it off")
-        client.line.urgent_stop()
+        client.urgent_stop()
 
     def close(self) -> None:
         """End `run` soon."""
@@ -162,21 +131,27 @@ class RigLink:
             except RigError as error:
                 attempt = 0 if self.connected else attempt + 1
                 disturbed = isinstance(error, RigLostError) and self._port is not None
-                self._reporter.trouble(str(error), _DISTURBED if disturbed else None)
+                self._report(str(error), _DISTURBED if disturbed else "")
             finally:
                 self._drop()
             self._closed.wait(BACKOFF[min(attempt, len(BACKOFF) - 1)])
 
+    def _report(self, text: str, kind: str = "") -> None:
+        """Report a trouble, unless one of its kind has been since the line was good."""
+        self._troubled_at = time.monotonic()
+        if (kind or text) not in self._reported:
+            self._reported.add(kind or text)
+            self._on_trouble(text)
+
     def _drop(self) -> None:
         client, damage = self.client, self.damage
         with self._jobs_lock:
-            self.client = None
+            self.client, self._past = None, damage
             self._refuse_jobs("the connection to the rig was lost")
-        self._past = damage
         port, self._port = self._port, None
         if client is not None:
             with contextlib.suppress(RigError):
-                client.line.urgent_stop()
+                client.urgent_stop()
         if port is not None:
             port.close()
 
@@ -190,28 +165,35 @@ class RigLink:
     def _serve(self, client: RigClient) -> None:
         self._greet(client)
         while not self._closed.is_set():
-            self._reporter.watch()
+            if time.monotonic() - self._troubled_at > CALM:
+                self._reported.clear()
+            if self._greeting and not self._reported:
+                self._on_good(self._greeting)
+                self._greeting = ""
             client.beating = time.monotonic() - self._alive_at < OWNER_SILENCE
             try:
                 for sample in client.pump():
                     self._on_sample(sample)
-                    self._reporter.fault(sample.report.fault)
+                    fault, before = sample.report.fault, self._last_fault
+                    self._last_fault = fault
+                    if fault and fault != before:
+                        self._on_trouble(f"the rig switched itself off: {fault_text(fault)}; clear and arm it")
                 self._watch_damage(client)
                 self._run_next_job(client)
             except RigResetError as error:  # the client has forgotten its greeting
                 with self._jobs_lock:
                     self._refuse_jobs(str(error))
-                self._reporter.trouble(str(error))
+                self._report(str(error))
                 self._greet(client)
 
     def _greet(self, client: RigClient) -> None:
         hello = client.connect()
-        self._seen_damage = client.line.bad_frames + client.lost_reports
-        self._reporter.greeting = f"rig connected, {hello.text}"
+        self._seen_damage = client.bad_frames + client.lost_reports
+        self._greeting = f"rig connected, {hello.text}"
 
     def _run_next_job(self, client: RigClient) -> None:
         try:
-            run, future, client.line.known_stops = self._jobs.get_nowait()
+            run, future, client.known_stops = self._jobs.get_nowait()
         except queue.Empty:
             return
         if future.set_running_or_notify_cancel():
@@ -222,18 +204,18 @@ class RigLink:
                 future.set_exception(error)
                 if isinstance(error, RigLostError | RigResetError):
                     raise
-        client.line.known_stops = client.line.stops
+        client.known_stops = client.stops
 
     def _watch_damage(self, client: RigClient) -> None:
-        now = time.monotonic()
-        damage = client.line.bad_frames + client.lost_reports
+        now, times = time.monotonic(), self._damage_times
+        damage = client.bad_frames + client.lost_reports
         fresh, self._seen_damage = damage - self._seen_damage, damage
-        self._damage.extend([now] * min(fresh, DAMAGE_LIMIT))
-        while self._damage and now - self._damage[0] > DAMAGE_WINDOW:
-            self._damage.popleft()
+        times.extend([now] * min(fresh, DAMAGE_LIMIT))
+        while times and now - times[0] > DAMAGE_WINDOW:
+            times.popleft()
         # What disarmed the rig once must not do so again when it is armed; and one stop is enough, it is repeated.
-        if fresh and len(self._damage) >= DAMAGE_LIMIT:
-            self._reporter.trouble("garbage on the line to the rig; it is disarmed", _DISTURBED)
-            if client.last is not None and client.last.report.state in SWITCHED_ON and not client.line.stopping:
-                client.line.urgent_stop()
-                client.line.known_stops = client.line.stops
+        if fresh and len(times) >= DAMAGE_LIMIT:
+            self._report("garbage on the line to the rig; it is disarmed", _DISTURBED)
+            if client.last is not None and client.last.report.state in SWITCHED_ON and not client.stopping:
+                client.urgent_stop()
+                client.known_stops = client.stops

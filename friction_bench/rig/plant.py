@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from friction_bench.protocol.messages import RigInputError
+from friction_bench.rig.messages import RigInputError
 from friction_bench.rig.rig_file import JointFriction, Rig
 from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.element import FrictionElement
@@ -192,7 +192,7 @@ class RigPlant:
         self._phase = self._rng.random()
         self._gain = 1.0 + rig.plant.gain_error * self._rng.standard_normal()
         self._last_count = math.floor(self._phase)
-        self._noise: Iterator[float] = iter(())
+        self._noise = self._normals()
 
     def load(self, loaded: bool) -> None:
         """Couple the revolute joint to the load shaft, or take it off; the shaft is at rest then."""
@@ -201,11 +201,9 @@ class RigPlant:
         if self._joint is not None:
             start(self._joint)
 
-    def _normal(self) -> float:
-        for value in self._noise:
-            return value
-        self._noise = iter(self._rng.standard_normal(4096).tolist())
-        return self._normal()
+    def _normals(self) -> Iterator[float]:
+        while True:
+            yield from self._rng.standard_normal(4096).tolist()
 
     def motor_torque(self, command: float, dt: float) -> float:
         """Return the torque, Nm, that the amplifier makes of `command` over `dt`.
@@ -215,7 +213,7 @@ class RigPlant:
         p = self.parameters
         if command <= 0.0:
             return 0.0
-        noise = p.torque_noise * math.sqrt(1e-3 / dt) * self._normal() if p.torque_noise else 0.0
+        noise = p.torque_noise * math.sqrt(1e-3 / dt) * next(self._noise) if p.torque_noise else 0.0
         highest = (p.supply - p.torque_constant * self.speed) / p.resistance * p.torque_constant
         return max(0.0, min(self._gain * command + noise, highest))
 
@@ -239,4 +237,4 @@ class RigPlant:
 
     def current_reading(self) -> float:
         """Return what the current sense amplifier shows, as motor torque, Nm."""
-        return max(0.0, self.torque + self.parameters.adc_noise * self._normal())
+        return max(0.0, self.torque + self.parameters.adc_noise * next(self._noise))

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar, TypeVar
 
-from friction_bench.protocol.messages import HelloReply, RigInputError
+from friction_bench.rig.messages import HelloReply, RigInputError
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.declared import Declared
@@ -32,24 +32,20 @@ _positive = partial(Number, low=0.0, above=True)
 
 
 @dataclass(frozen=True)
-class JointFriction:
+class JointFriction(Declared):
     """Coulomb and viscous friction of the revolute joint at the load: Nm and Nm s/rad."""
 
-    coulomb: float
-    viscous: float
+    about: ClassVar[str] = "Coulomb and viscous friction."
+
+    coulomb: Annotated[float, _least_0("Coulomb friction.", "Nm")]
+    viscous: Annotated[float, _least_0("Viscous friction.", "Nm s/rad")]
 
 
 _JOINT_FRICTION = Variants(
     "Friction of the joint, load side.",
     key="model",
     groups={
-        "coulomb_viscous": Group(
-            "Coulomb and viscous friction.",
-            keys={
-                "coulomb": _least_0("Coulomb friction.", "Nm"),
-                "viscous": _least_0("Viscous friction.", "Nm s/rad"),
-            },
-        ),
+        "coulomb_viscous": JointFriction.group(),
         "lugre": Group("A LuGre element.", keys={"lugre": ELEMENT}),
     },
 )

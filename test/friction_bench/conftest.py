@@ -7,16 +7,16 @@ import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rig_bench import Bench
 from rig_simulators import simavr, ucsim
 
-from friction_bench.protocol.messages import ResetCause
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, VirtualPort
-from friction_bench.rig.native import NativeBoard, compile_core, firmware_directory
+from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, compile_core, firmware_directory
 from friction_bench.rig.rig_file import Rig, load_rig
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -24,82 +24,39 @@ TOOLS = {
     "mcs51": (("sdcc",), "sdcc sdcc-ucsim"),
     "avr": (("avr-gcc", "avr-objcopy"), "gcc-avr avr-libc libsimavr-dev"),
 }
-TARGETS = ("native", "mcs51", "avr")
+SIMULATORS = {"mcs51": ucsim, "avr": simavr}
 
 
 def require(target: str, present: bool) -> None:
     """Skip, or fail where RIG_FIRMWARE_REQUIRED is set, when a target's tools are missing."""
-    if present:
-        return
-    message = f"{target}: tools are missing; apt-get install {TOOLS[target][1]}"
-    if os.environ.get("RIG_FIRMWARE_REQUIRED"):
-        pytest.fail(message)
-    pytest.skip(message)
+    if not present:
+        message = f"{target}: tools are missing; apt-get install {TOOLS[target][1]}"
+        (pytest.fail if os.environ.get("RIG_FIRMWARE_REQUIRED") else pytest.skip)(message)
 
 
-def have(programs: tuple[str, ...]) -> bool:
-    """Return whether all programs are installed."""
-    return all(shutil.which(program) for program in programs)
+def make_firmware(target: str, sources: Path, out: Path) -> Path:
+    """Build a target's binary by the firmware's own Makefile."""
+    require(target, all(shutil.which(program) for program in TOOLS[target][0]))
+    command = ["make", "-s", "-C", str(sources), target, f"OUT={out}"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return out / {"mcs51": "rig_mcs51.ihx", "avr": "rig_avr.hex"}[target]
 
 
 @pytest.fixture(scope="session")
 def firmware(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Return a builder of a target's binary, by the firmware's own Makefile, once a session."""
+    """Return a builder of a target's binary, once a session."""
     out = tmp_path_factory.mktemp("firmware")
-    binaries = {"mcs51": out / "rig_mcs51.ihx", "avr": out / "rig_avr.hex"}
-
-    def build(target: str) -> Path:
-        require(target, have(TOOLS[target][0]))
-        if not binaries[target].exists():
-            command = ["make", "-s", "-C", str(REPOSITORY / "firmware"), target, f"OUT={out}"]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-            assert done.returncode == 0, done.stdout + done.stderr
-        return binaries[target]
-
-    return build
-
-
-class TestBoard:
-    """A board that can be reset, whatever it is."""
-
-    __test__ = False
-
-    def __init__(self, board: NativeBoard | ucsim.UcsimBoard | simavr.SimavrBoard) -> None:
-        self.inner = board
-        self.write = board.write
-        self.read = board.read
-        self.run = board.run
-
-    @property
-    def dac(self) -> int:
-        """Return the code on the DAC."""
-        return self.inner.dac
-
-    @property
-    def stage_on(self) -> bool:
-        """Return whether the power stage is enabled."""
-        return self.inner.stage_on
-
-    def restart(self) -> None:
-        """Reset the board."""
-        if isinstance(self.inner, NativeBoard):
-            self.inner.reset(ResetCause.EXTERNAL)
-        else:
-            self.inner.reset()
+    return cache(lambda target: make_firmware(target, REPOSITORY / "firmware", out))
 
 
 @pytest.fixture
-def make_mutant(tmp_path: Path, make_board: Callable[..., TestBoard]) -> Callable[..., TestBoard]:
-    """Return a maker of a board with a firmware, built by its own Makefile, in which one text is replaced."""
+def make_mutant(tmp_path: Path, make_board: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a maker of a board with a firmware in which one text is replaced."""
 
-    def make(target: str, file: str, old: str, new: str) -> TestBoard:
-        require(target, have(TOOLS[target][0]))
-        out = tmp_path / "mutant_firmware"
+    def make(target: str, file: str, old: str, new: str) -> Any:
         sources = mutate(tmp_path / "mutant", file, old, new)
-        command = ["make", "-s", "-C", str(sources), target, f"OUT={out}"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stdout + done.stderr
-        return make_board(target, binary=out / {"mcs51": "rig_mcs51.ihx", "avr": "rig_avr.hex"}[target])
+        return make_board(target, binary=make_firmware(target, sources, tmp_path / "mutant_firmware"))
 
     return make
 
@@ -110,31 +67,29 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     out = tmp_path_factory.mktemp("shims")
 
     def build(target: str) -> Path:
-        library = out / f"{target}.so"
-        if not library.exists():
-            {"mcs51": ucsim, "avr": simavr}[target].build_shim(library)
-        return library
+        SIMULATORS[target].build_shim(out / f"{target}.so")
+        return out / f"{target}.so"
 
-    return build
+    return cache(build)
 
 
 @pytest.fixture
-def make_board(firmware: Callable[[str], Path], shim: Callable[[str], Path]) -> Iterator[Callable[[str], TestBoard]]:
+def make_board(firmware: Callable[[str], Path], shim: Callable[[str], Path]) -> Iterator[Callable[..., Any]]:
     """Return a maker of boards; simulators end with the test, whatever happens."""
     with ExitStack() as stack:
 
-        def make(target: str, seed: int = 1, binary: Path | None = None) -> TestBoard:
+        def make(target: str, seed: int = 1, binary: Path | None = None) -> Any:
             if target == "native":
-                return TestBoard(NativeBoard())
+                return NativeBoard()
             binary = binary or firmware(target)
             if target == "mcs51":
                 require(target, ucsim.simulator() is not None)
-                board: ucsim.UcsimBoard | simavr.SimavrBoard = ucsim.UcsimBoard(shim(target), binary, seed)
+                board: Any = ucsim.UcsimBoard(shim(target), binary, seed)
             else:
                 require(target, Path("/usr/include/simavr/sim_avr.h").exists())
                 board = simavr.SimavrBoard(shim(target), binary)
             stack.callback(board.close)
-            return TestBoard(board)
+            return board
 
         yield make
 

@@ -18,9 +18,9 @@ from scipy.integrate import solve_ivp
 from friction_bench.presliding import job
 from friction_bench.presliding.motions import Profile, Trace, follow, pulled
 from friction_bench.presliding.sliding import evaluate_pull, sampled_growth
-from friction_bench.protocol.messages import RigLostError
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.messages import RigLostError
 from friction_bench.rig.rig_file import load_rig
 from rx90_common.base.share import PRESLIDING_RIG, config_path
 from rx90_common.friction.element import FrictionElement

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from friction_bench.protocol.messages import (
+from friction_bench.rig.emulated import native_library
+from friction_bench.rig.messages import (
     MAX_DECODED,
     Frame,
     FrameDecoder,
@@ -23,7 +24,6 @@ from friction_bench.protocol.messages import (
     parse_hello,
     parse_report,
 )
-from friction_bench.rig.native import native_library
 
 BYTE = st.integers(0, 255)
 FRAMES = st.builds(Frame, BYTE, BYTE, st.binary(max_size=MAX_DECODED - 4))

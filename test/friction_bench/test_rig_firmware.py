@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from rig_conformance import TRANSCRIPTS, MismatchError, Player
 
-from friction_bench.experiment.ramp import run_ramp
-from friction_bench.protocol.messages import Command, Frame, encode
+from friction_bench.experiment.job import run_ramp
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.messages import Command, Frame, encode
 from friction_bench.rig.rig_file import Rig
 
 SIMULATED = [pytest.param(target, marks=pytest.mark.firmware) for target in ("mcs51", "avr")]
@@ -69,7 +69,6 @@ def test_every_target_follows_the_transcript(target: str, transcript: Path, make
 def test_transcripts_catch_the_mutant(name: str, mutant: Callable[..., Any]) -> None:
     """A firmware with one safety rule taken out fails at least one transcript."""
     board = mutant(*MUTANTS[name])
-    board.restart = lambda: board.reset(2)
     for transcript in TRANSCRIPTS:
         board.reset(1)
         try:
@@ -93,13 +92,13 @@ def time_at_full_scale(board: Any) -> float:
 @pytest.mark.firmware
 def test_8051_clears_the_dac_within_microseconds_of_power_up(make_board: Callable[..., Any]) -> None:
     """The ports' reset value, a full-scale DAC, lasts less than 20 µs, and the stage is off meanwhile."""
-    assert time_at_full_scale(make_board("mcs51").inner) < 20e-6
+    assert time_at_full_scale(make_board("mcs51")) < 20e-6
 
 
 @pytest.mark.firmware
 def test_8051_without_its_early_clear_is_caught(make_mutant: Callable[..., Any]) -> None:
     """A binary that leaves the ports to the C start-up shows a full-scale DAC for too long."""
-    board = make_mutant("mcs51", "mcs51/hal_mcs51.c", "    P1 = 0;\n", "").inner
+    board = make_mutant("mcs51", "mcs51/hal_mcs51.c", "    P1 = 0;\n", "")
     assert time_at_full_scale(board) > 20e-6
 
 
@@ -159,7 +158,7 @@ def test_8051_ticks_are_exact_by_the_cycle(make_board: Callable[..., Any], firmw
     found = re.search(r"([0-9A-F]{8})\s+_hal_tick_number", symbols)
     assert found is not None
     address = int(found[1], 16)
-    board = make_board("mcs51").inner
+    board = make_board("mcs51")
     clocks, ticks = 12 * 18432, 40
     first = board.clock_when(address, 3, not_before=int(2.9 * clocks))
     last = board.clock_when(address, 3 + ticks, not_before=first + ticks * clocks - 20_000)

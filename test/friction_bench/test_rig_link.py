@@ -11,13 +11,13 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import pytest
-from processes import wait_until
+from processes import TIMEOUT, wait_until
 from rig_bench import Bench
 
-from friction_bench.protocol.messages import RigLostError, RigRefusedError, RigResetError, State
-from friction_bench.protocol.serial_port import SerialPort
 from friction_bench.rig import link
 from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.messages import Command, RigLostError, RigRefusedError, RigResetError, State
+from friction_bench.rig.serial_port import SerialPort
 
 
 def test_unplugging_is_survived_and_needs_arming(bench: Bench) -> None:
@@ -54,13 +54,13 @@ def test_garbage_disarms_once_and_is_survived(bench: Bench) -> None:
     wait_until(lambda: bench.state != State.ARMED, "the torque to go")
 
     def heard_no_more() -> bool:
-        before = client.line.bad_frames
+        before = client.bad_frames
         bench.listen(3)
-        return client.line.bad_frames == before
+        return client.bad_frames == before
 
     wait_until(heard_no_more, "the end of the noise")
     assert len(bench.troubles) == 1
-    assert client.line.stops == 1  # repeated until it is answered, not piled up
+    assert client.stops == 1  # repeated until it is answered, not piled up
     bench.arm()  # what disarmed the rig does not do so again
     bench.listen(10)
     assert bench.state == State.ARMED
@@ -159,3 +159,32 @@ def test_dead_owner_loses_the_torque(bench: Bench) -> None:
     wait_until(lambda: bench.state == State.FAULT, "the watchdog")
     assert not bench.board.stage_on
     assert sum("silent" in text for text in bench.troubles) == 1
+
+
+def test_stop_reaches_the_rig_within_100_ms_of_its_time(bench: Bench) -> None:
+    """With commands under way, each of ten stops takes the stage off within 100 ms of the rig.
+
+    The rig's time stands still until the stop is on its line, however busy this computer is: a stop that waited for
+    the rig, for its answer to the command under way or for its reading of the line, would never come.
+    """
+    emulated = bench.pty.emulated
+    run, off_at = emulated.board.run, [0.0]
+
+    def watched(*arguments: int) -> None:
+        on = emulated.board.stage_on
+        run(*arguments)
+        if on and not emulated.board.stage_on:
+            off_at[0] = emulated.time
+
+    emulated.board.run = watched
+    for _ in range(10):
+        bench.arm()
+        busy = bench.link.submit(lambda client: client.request(Command.TORQUE, 30))
+        with bench.pty.standing_still():
+            asked_at = emulated.time
+            bench.link.stop_rig()
+            bench.pty.hear(Command.STOP)
+        wait_until(lambda: not emulated.board.stage_on, "the stage to go off")
+        assert asked_at <= off_at[0] < asked_at + 0.1
+        busy.exception(TIMEOUT)
+        wait_until(lambda: bench.state == State.DISARMED, "a rig that is off, and not by its watchdog")

@@ -11,13 +11,12 @@ from pathlib import Path
 
 from processes import TIMEOUT, wait_until
 
-from friction_bench.protocol.messages import Command, FrameDecoder, ResetCause, State
-from friction_bench.protocol.serial_port import SerialPort
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, PtyRig
+from friction_bench.rig.emulated import EmulatedRig, NativeBoard, PtyRig
 from friction_bench.rig.link import RigLink
-from friction_bench.rig.native import NativeBoard
+from friction_bench.rig.messages import Command, FrameDecoder, ResetCause, State
 from friction_bench.rig.rig_file import Rig
+from friction_bench.rig.serial_port import SerialPort
 
 PATIENCE = 0.06
 """Silence of its host, s of its own time, that an armed rig bears before its time stands still; half the watchdog's."""

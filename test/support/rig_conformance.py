@@ -3,58 +3,46 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import yaml
 
-from friction_bench.protocol.messages import (
+from friction_bench.rig.emulated import NativeBoard
+from friction_bench.rig.messages import (
     Command,
     CommandResult,
     Frame,
     FrameDecoder,
     HelloReply,
     Report,
+    ResetCause,
     encode,
-    limits_payload,
     parse_hello,
     parse_report,
-    ramp_payload,
-    torque_payload,
+    payload_of,
 )
-from friction_bench.rig.emulated import Board
 
 TRANSCRIPTS = sorted((Path(__file__).parents[1] / "friction_bench" / "transcripts").glob("*.yaml"))
 TORQUE_LIMIT_CODE = 229
-
-
-class ResettableBoard(Board, Protocol):
-    """A board whose reset the test can pull."""
-
-    def restart(self) -> None:
-        """Reset the board."""
 
 
 class MismatchError(AssertionError):
     """The board does not do what the transcript says."""
 
 
-def payload_of(command: dict[str, Any] | str) -> tuple[Command, bytes]:
+def command_of(command: dict[str, Any] | str) -> tuple[Command, bytes]:
     """Return type and payload of a command as transcripts write it."""
     if isinstance(command, str):
         return Command[command.upper()], b""
     ((name, value),) = command.items()
     kind = Command[name.upper()]
-    if kind == Command.RAMP:
-        return kind, ramp_payload(*value)
-    if kind == Command.LIMITS:
-        return kind, limits_payload(*value)
-    return kind, torque_payload(value)  # HELLO has one byte too
+    return kind, payload_of(kind, *(value if isinstance(value, list) else [value]))
 
 
 class Player:
     """One board and what it has said."""
 
-    def __init__(self, board: ResettableBoard) -> None:
+    def __init__(self, board: Any) -> None:
         self.board = board
         self.decoder = FrameDecoder()
         self.sequence = 0
@@ -102,7 +90,7 @@ class Player:
     def next_frame(self, command: dict[str, Any] | str) -> Frame:
         """Return the frame of a command with the next sequence number."""
         self.sequence = (self.sequence + 1) & 0xFF
-        kind, payload = payload_of(command)
+        kind, payload = command_of(command)
         return Frame(kind, self.sequence, payload)
 
     def do_send(self, command: dict[str, Any] | str) -> None:
@@ -173,7 +161,7 @@ class Player:
 
     def do_reset(self, _: None) -> None:
         """Reset the board."""
-        self.board.restart()
+        self.board.reset(*[ResetCause.EXTERNAL] * isinstance(self.board, NativeBoard))
 
     def do_forget(self, _: None) -> None:
         """Look at reports from now on only."""

@@ -9,10 +9,12 @@ import select
 import termios
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import serial
 
-from friction_bench.protocol.messages import RigInputError, RigLostError
+from friction_bench.rig.messages import RigInputError, RigLostError
 
 _READ_SLICE = 0.01
 WRITE_TIMEOUT = 0.02
@@ -52,25 +54,17 @@ class SerialPort:
         """Return the monotonic clock, s."""
         return time.monotonic()
 
-    def write(self, data: bytes) -> None:
-        """Send bytes; after WRITE_TIMEOUT give up."""
-        self._write(data, first=False)
-
-    def write_first(self, data: bytes) -> None:
-        """Send bytes ahead of what is still waiting in this computer: that is thrown away, perhaps in mid-frame."""
-        self._write(data, first=True)
-
-    def _write(self, data: bytes, *, first: bool) -> None:
+    @contextmanager
+    def _lost_while(self, doing: str, *more: type[Exception]) -> Iterator[None]:
         try:
-            with self._lock:
-                if first:
-                    self._serial.reset_output_buffer()
-                self._send(data)
-        except _FAILURES as error:
-            raise RigLostError(f"{self.url}: lost while writing ({_reason(error)})") from error
+            yield
+        except (*_FAILURES, *more) as error:
+            raise RigLostError(f"{self.url}: lost while {doing} ({_reason(error)})") from error
 
-    def _send(self, data: bytes) -> None:
-        """Put all bytes on the line.
+    def write(self, data: bytes, *, first: bool = False) -> None:
+        """Send bytes, or give up after WRITE_TIMEOUT.
+
+        `first` throws away what is still waiting in this computer, perhaps in mid-frame.
 
         pyserial's own `write` calls a write that has succeeded lost if the computer stood still meanwhile for longer
         than its timeout; it serves here where there is no file descriptor.
@@ -78,30 +72,35 @@ class SerialPort:
         Raises:
             RigLostError: if the line accepts nothing for WRITE_TIMEOUT.
         """
-        try:
-            descriptor = self._serial.fileno()
-        except io.UnsupportedOperation:
-            self._serial.write(data)
-            return
-        end = self.now() + WRITE_TIMEOUT
-        while True:
-            with contextlib.suppress(BlockingIOError):
-                data = data[os.write(descriptor, data) :]
-            if not data:
+        with self._lost_while("writing"), self._lock:
+            if first:
+                self._serial.reset_output_buffer()
+            try:
+                descriptor = self._serial.fileno()
+            except io.UnsupportedOperation:
+                self._serial.write(data)
                 return
-            if not select.select([], [descriptor], [], max(0.0, end - self.now()))[1]:
-                raise RigLostError(f"{self.url}: lost while writing (the line accepts no bytes)")
+            end = self.now() + WRITE_TIMEOUT
+            while True:
+                with contextlib.suppress(BlockingIOError):
+                    data = data[os.write(descriptor, data) :]
+                if not data:
+                    return
+                if not select.select([], [descriptor], [], max(0.0, end - self.now()))[1]:
+                    raise serial.SerialTimeoutException("the line accepts no bytes")
 
     def read(self, timeout: float) -> bytes:
-        """Return what has come; wait up to `timeout` seconds, in slices of 10 ms, for the first byte."""
+        """Return what has come; wait up to `timeout` seconds, in slices of 10 ms, for the first byte.
+
+        Raises:
+            RigLostError: if the line is gone.
+        """
         end = self.now() + timeout
-        try:
+        with self._lost_while("reading", TypeError):  # TypeError: closed by another thread meanwhile
             while True:
                 data = self._serial.read(max(1, self._serial.in_waiting))
                 if data or self.now() >= end:
                     return bytes(data)
-        except (*_FAILURES, TypeError) as error:  # TypeError: closed by another thread meanwhile
-            raise RigLostError(f"{self.url}: lost while reading ({_reason(error)})") from error
 
     def close(self) -> None:
         """Give the port back."""

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import binascii
 import struct
-from dataclasses import dataclass
 from enum import IntEnum, IntFlag
+from typing import NamedTuple
 
 from rx90_common.base.errors import REFUSED, FailureError
 
@@ -46,8 +46,7 @@ class RigInputError(RigError):
     exit_code = REFUSED
 
 
-@dataclass(frozen=True)
-class Frame:
+class Frame(NamedTuple):
     """One intact frame: type and sequence in 0..255, payload without CRC."""
 
     type: int
@@ -62,27 +61,24 @@ def crc16(data: bytes) -> int:
 
 def cobs_encode(data: bytes) -> bytes:
     """Replace the zeros of `data` (shorter than 254 bytes), so that 0x00 can delimit frames."""
-    if len(data) >= 254:
-        raise ValueError(f"{len(data)} bytes; accepted: at most 253")
     return b"".join(bytes([len(block) + 1]) + block for block in data.split(b"\0"))
 
 
 def cobs_decode(data: bytes) -> bytes | None:
-    """Invert `cobs_encode`; None where `data` cannot come from it."""
-    blocks = []
-    at = 0
+    """Invert `cobs_encode`; None where `data`, which holds no zero, cannot come from it."""
+    blocks, at = [], 0
     while at < len(data):
-        code = data[at]
-        block = data[at + 1 : at + code]
-        if code == 0 or len(block) != code - 1 or 0 in block:
-            return None
-        blocks.append(block)
-        at += code
-    return b"\0".join(blocks) if blocks else None
+        blocks.append(data[at + 1 : at + data[at]])
+        at += data[at]
+    return b"\0".join(blocks) if blocks and at == len(data) else None
 
 
 def encode(frame: Frame) -> bytes:
-    """Return the bytes of `frame` on the line, delimiter included."""
+    """Return the bytes of `frame` on the line, delimiter included.
+
+    Raises:
+        ValueError: if the payload is too long.
+    """
     body = bytes([frame.type, frame.sequence]) + frame.payload
     if len(body) + 2 > MAX_DECODED:
         raise ValueError(f"payload of {len(frame.payload)} bytes; accepted: at most {MAX_DECODED - 4}")
@@ -94,10 +90,8 @@ def decode(encoded: bytes) -> Frame | None:
     data = cobs_decode(encoded)
     if data is None or not 4 <= len(data) <= MAX_DECODED:
         return None
-    body = data[:-2]
-    if crc16(body) != int.from_bytes(data[-2:], "little"):
-        return None
-    return Frame(body[0], body[1], body[2:])
+    intact = crc16(data[:-2]) == int.from_bytes(data[-2:], "little")
+    return Frame(data[0], data[1], data[2:-2]) if intact else None
 
 
 class FrameDecoder:
@@ -135,6 +129,20 @@ class Command(IntEnum):
     LIMITS = 0x08
 
 
+_PAYLOADS = {Command.HELLO: "<B", Command.TORQUE: "<B", Command.RAMP: "<HB", Command.LIMITS: "<HH"}
+
+
+def payload_of(command: Command, *values: int) -> bytes:
+    """Return a command's payload.
+
+    Args:
+        command: what the host sends.
+        values: HELLO: protocol version. TORQUE: DAC code. RAMP: slope in 1/256 DAC code per tick, and the code at which
+            it ends. LIMITS: travel in units of 256 counts, speed in counts per tick.
+    """
+    return struct.pack(_PAYLOADS.get(command, "<"), *values)
+
+
 class Answer(IntEnum):
     """Frame types that the rig sends."""
 
@@ -152,29 +160,24 @@ class State(IntEnum):
 
 
 class CommandResult(IntEnum):
-    """What became of the last command."""
+    """What became of the last command, by its number, and in words."""
 
-    OK = 0
-    UNKNOWN = 1
-    LENGTH = 2
-    VERSION = 3
-    NO_HELLO = 4
-    FAULT = 5
-    STATE = 6
-    RANGE = 7
+    text: str
 
+    OK = 0, "done"
+    UNKNOWN = 1, "the rig does not know this command"
+    LENGTH = 2, "the command has a wrong length"
+    VERSION = 3, "the rig speaks another protocol version"
+    NO_HELLO = 4, "the rig has not been greeted since its last reset"
+    FAULT = 5, "a fault is latched; clear it first"
+    STATE = 6, "not possible in the rig's present state"
+    RANGE = 7, "a value is outside the firmware's limits"
 
-RESULT_TEXTS = (
-    "done",
-    "the rig does not know this command",
-    "the command has a wrong length",
-    "the rig speaks another protocol version",
-    "the rig has not been greeted since its last reset",
-    "a fault is latched; clear it first",
-    "not possible in the rig's present state",
-    "a value is outside the firmware's limits",
-)
-"""By the number of the result."""
+    def __new__(cls, number: int, text: str) -> CommandResult:
+        """Return the result of a number, with its words."""
+        member = int.__new__(cls, number)
+        member._value_, member.text = number, text
+        return member
 
 
 class Fault(IntFlag):
@@ -214,8 +217,7 @@ PROCESSORS = ("native", "mcs51", "avr")
 """What the firmware runs on, by its number."""
 
 
-@dataclass(frozen=True)
-class HelloReply:
+class HelloReply(NamedTuple):
     """What the firmware was built for.
 
     Attributes:
@@ -245,8 +247,7 @@ class HelloReply:
         return f"processor {processor}, reset cause {cause}"
 
 
-@dataclass(frozen=True)
-class Report:
+class Report(NamedTuple):
     """The rig's state at one tick; tick (16 bits) and counts (24 bits) roll over."""
 
     sequence: int
@@ -266,16 +267,16 @@ class Report:
     @property
     def result_text(self) -> str:
         """Return what became of the last command, in words."""
-        known = self.result < len(RESULT_TEXTS)
-        return RESULT_TEXTS[self.result] if known else f"unknown result {self.result}"
+        known = self.result in CommandResult.__members__.values()
+        return CommandResult(self.result).text if known else f"unknown result {self.result}"  # type: ignore[call-arg]
 
 
 def parse_hello(frame: Frame) -> HelloReply | None:
     """Return the greeting in `frame`, None if it is something else."""
     if frame.type != Answer.HELLO_REPLY or len(frame.payload) != _HELLO.size:
         return None
-    version, processor, cause, cpr, tick_us, dac, adc, limit, watchdog = _HELLO.unpack(frame.payload)
-    return HelloReply(version, processor, cause, cpr, tick_us, dac * 1e-5, adc * 1e-5, limit, watchdog)
+    hello = HelloReply(*_HELLO.unpack(frame.payload))
+    return hello._replace(dac_full_scale=hello.dac_full_scale * 1e-5, adc_full_scale=hello.adc_full_scale * 1e-5)
 
 
 def parse_report(frame: Frame) -> Report | None:
@@ -283,33 +284,6 @@ def parse_report(frame: Frame) -> Report | None:
     if frame.type != Answer.REPORT or len(frame.payload) != _REPORT.size:
         return None
     tick, low, high, dac, adc, status, fault, ack, result, bad = _REPORT.unpack(frame.payload)
-    return Report(
-        sequence=frame.sequence,
-        tick=tick,
-        counts=low | high << 16,
-        dac=dac,
-        adc=adc,
-        state=State(status & 3),
-        greeted=bool(status & 4),
-        stage_on=bool(status & 8),
-        ramp_done=bool(status & 16),
-        fault=Fault(fault & 15),
-        ack_sequence=ack,
-        result=result,
-        bad_frames=bad,
-    )
-
-
-def torque_payload(code: int) -> bytes:
-    """Return the payload of TORQUE: a DAC code."""
-    return struct.pack("<B", code)
-
-
-def ramp_payload(slope: int, end_code: int) -> bytes:
-    """Return the payload of RAMP: slope in 1/256 DAC code per tick, and the code at which it ends."""
-    return struct.pack("<HB", slope, end_code)
-
-
-def limits_payload(travel: int, speed: int) -> bytes:
-    """Return the payload of LIMITS: travel in units of 256 counts, speed in counts per tick."""
-    return struct.pack("<HH", travel, speed)
+    counts, (greeted, stage_on, ramp_done) = low | high << 16, (bool(status & bit) for bit in (4, 8, 16))
+    state, faults = State(status & 3), Fault(fault & 15)
+    return Report(frame.sequence, tick, counts, dac, adc, state, greeted, stage_on, ramp_done, faults, ack, result, bad)

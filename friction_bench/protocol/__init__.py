@@ -1,1 +1,0 @@
-"""What goes over the serial line: frames, messages, the port and its errors."""

@@ -1,0 +1,432 @@
+"""Known friction in, known friction out; no number where the data carry none; and the comparison with the models."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.integrate import solve_ivp
+from scipy.linalg import solve_triangular
+
+from benchmarks.friction_ramp import QuickRig, random_rig, truth_of
+from friction_bench.experiment.asymptote import fit_asymptote
+from friction_bench.experiment.four_way import integrate_equation_3, simulate_multibody
+from friction_bench.experiment.identification import (
+    RampIdentification,
+    evaluate,
+    identify_ramps,
+    joint_friction,
+    source_formulas,
+)
+from friction_bench.experiment.job import plan_from, run_ramp
+from friction_bench.experiment.record import RampModel, RampRecord, RecordError, read_csv, read_text, write_csv
+from friction_bench.experiment.sliding_fit import whiten
+from friction_bench.rig.client import RigClient
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.plant import Shaft, turn
+from friction_bench.rig.rig_file import Rig, load_rig
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import IdentificationError
+from rx90_common.base.share import config_path
+
+TICK = 0.02
+STEP = math.tau / 504
+MODEL = RampModel(coulomb=0.05, viscous=0.02, inertia=3e-3, slope=0.05)
+MODELS = [RampModel(0.03, 6.4e-4, 1.3e-5, 0.02), RampModel(0.07, 8.0e-4, 6.3e-5, 0.05), MODEL]
+
+
+def ideal_record(model: RampModel, duration: float, **changes: Any) -> RampRecord:
+    """Return a ramp as a perfect rig with an encoder would give it, without torques."""
+    time = np.arange(0.0, duration, TICK)
+    angle = np.floor(model.angle(time) / STEP + 0.5) * STEP
+    return RampRecord(**{"time": time, "angle": angle, "slope": model.slope, "angle_step": STEP, **changes})
+
+
+def bent(record: RampRecord, left: float, **changes: Any) -> RampRecord:
+    """Return a ramp whose velocity rises half-way on by a part of what it did."""
+    speed = np.diff(record.angle, prepend=0.0)
+    half = record.time.size // 2
+    speed[half:] = speed[half] + left * (speed[half:] - speed[half])
+    return replace(record, angle=np.cumsum(speed), **changes)
+
+
+def own(rig: Rig, coulomb: float, viscous: float, inertia: float) -> Rig:
+    """Return the rig with this friction and inertia at the motor, without a load."""
+    load = (inertia - rig.plant.rotor_inertia) * rig.gear_ratio**2 * rig.gear_efficiency
+    return replace(rig, plant=replace(rig.plant, coulomb=coulomb, viscous=viscous, load_inertia=load))
+
+
+def quiet(rig: Rig) -> Rig:
+    """Return the rig without noise and gain error."""
+    return replace(rig, plant=replace(rig.plant, gain_error=0.0, torque_noise=0.0, adc_noise=0.0))
+
+
+def measure(rig: Rig, seed: int, repeats: int, slopes: tuple[float, ...], end: float = 0.15, loaded: bool = False):
+    """Return ramps of an emulated rig with the real firmware, in virtual time."""
+    emulated = EmulatedRig(rig, seed)
+    emulated.plant.load(loaded)
+    client = RigClient(VirtualPort(emulated), rig)
+    client.connect()
+    return [run_ramp(client, slope, end, loaded, f"{slope} {k}") for k in range(repeats) for slope in slopes]
+
+
+def test_source_figures_come_out() -> None:
+    """The source's asymptotes give its f_c and f_v, and 0.231 - 0.147 = 0.084 Nm, where 0.147 is f_c + f_v."""
+    fc, fv = source_formulas(949.5407, 227.8898, 0.61)
+    loaded, viscous = source_formulas(981.3603, 412.1713, 0.55)
+    assert fc == pytest.approx(0.1464, abs=5e-5)
+    assert (fv, viscous) == pytest.approx((6.4e-4, 5.6e-4), abs=5e-6)
+    assert (round(loaded, 3), round(fc + fv, 3), round(loaded - fc - fv, 3)) == (0.231, 0.147, 0.084)
+
+
+@pytest.mark.parametrize(("m", "a", "b", "by_source"), [(0.02, 1.0, 2.65, 0.053), (0.05, 2.5, 2.875, 0.0575)])
+def test_closed_form_has_the_asymptote_of_the_hand_calculation(m: float, a: float, b: float, by_source: float) -> None:
+    """J = 3e-3, f_v = 0.02, f_c = 0.05: a, b, the source's f_c, and m b / a - J a = 0.05 exactly."""
+    late = np.array([50.0, 60.0])
+    assert replace(MODEL, slope=m).velocity(late) == pytest.approx(a * late - b, rel=1e-9)
+    assert source_formulas(a, b, m)[0] == pytest.approx(by_source, rel=1e-12)
+    assert m * b / a - 3e-3 * a == pytest.approx(0.05, rel=1e-12)
+
+
+def test_release_is_the_solution_of_equation_3() -> None:
+    """With static friction above f_c the closed form is what a solver makes of a shaft that starts at break-away."""
+    model = RampModel(coulomb=0.05, viscous=8e-4, inertia=6e-5, slope=0.03, release=0.01)
+    time = model.break_away_time + np.linspace(0.0, 1.0, 20)
+
+    def derivative(t: float, y: Array) -> list[float]:
+        return [y[1], (0.03 * t - 0.05 - 8e-4 * y[1]) / 6e-5]
+
+    exact = solve_ivp(derivative, (time[0], time[-1]), [0.0, 0.0], "LSODA", time, rtol=1e-10, atol=1e-12).y
+    assert model.break_away_time == pytest.approx(2.0)
+    assert model.angle(time) == pytest.approx(exact[0], rel=1e-6, abs=1e-8)
+    assert model.velocity(time) == pytest.approx(exact[1], rel=1e-6, abs=1e-8)
+
+
+def integrated_ou_covariance(time: Array, T: float) -> Array:
+    """Return the covariance of an integrated Ornstein-Uhlenbeck process of unit intensity from rest at 0, (n, n)."""
+    s, gap = np.minimum.outer(time, time), np.abs(np.subtract.outer(time, time))
+    far = np.exp(-gap / T)
+    return s + T * np.expm1(-s / T) - T * (far - np.exp(-(s + gap) / T)) + T / 2 * (far - np.exp(-(2 * s + gap) / T))
+
+
+def test_whitening_is_the_inverse_cholesky_factor() -> None:
+    """The Kalman filter's innovations are L^-1 y and its determinant that of V = L L' = r I + q K, at uneven times.
+
+    K is the sample covariance of an inertia that white noise drives.
+    """
+    rng = np.random.default_rng(1)
+    time = np.cumsum(rng.uniform(0.01, 0.05, 60))
+    T, q, r = 0.08, 3e-3, 1.3e-5
+    L = np.linalg.cholesky(r * np.eye(time.size) + q * integrated_ou_covariance(time - time[0], T))
+    columns = rng.standard_normal((3, time.size))
+    white, determinant = whiten(time, columns, T, q, r)
+    assert white == pytest.approx(solve_triangular(L, columns.T, lower=True).T, rel=1e-6, abs=1e-6)
+    assert determinant == pytest.approx(2 * np.log(np.diag(L)).sum(), rel=1e-9)
+    T, h, rng = 0.3, 0.01, np.random.default_rng(3)
+    speed, angle, kept = np.zeros(4000), np.zeros(4000), []
+    decay = math.exp(-h / T)
+    for _ in range(100):
+        kick = rng.standard_normal(4000) / math.sqrt(h)
+        angle += kick * h + (speed - kick) * T * (1 - decay)
+        speed = kick + (speed - kick) * decay
+        kept.append(angle.copy())
+    chosen = np.array([19, 49, 99])
+    assert integrated_ou_covariance(h * (chosen + 1), T) == pytest.approx(np.cov(np.array(kept)[chosen]), rel=0.12)
+
+
+def test_exact_formula_recovers_noiseless_friction() -> None:
+    """From rounded encoder counts alone, two slopes give f_c, f_v to 0.1 % and J to 1 %."""
+    exact = identify_ramps([ideal_record(replace(MODEL, slope=m), 40.0) for m in (0.02, 0.05)], 0.0).exact
+    assert (exact.coulomb.value, exact.viscous.value) == pytest.approx((0.05, 0.02), rel=1e-3)
+    assert exact.inertia.value == pytest.approx(3e-3, rel=1e-2)
+
+
+GRID = [
+    # f_c, f_v, J, slopes, end torque
+    (0.030, 6.4e-4, 1.3e-5, (0.02, 0.05), 0.15),
+    (0.070, 8.0e-4, 6.3e-5, (0.02, 0.05), 0.16),
+    (0.050, 1.0e-3, 1.0e-4, (0.02, 0.06), 0.17),
+    (0.020, 6.0e-4, 4.0e-5, (0.03, 0.06), 0.14),
+    (0.100, 5.0e-4, 3.0e-5, (0.015, 0.03), 0.17),
+    (0.010, 9.0e-4, 2.0e-5, (0.025, 0.05), 0.17),
+]
+SEEDS = 10
+
+
+@pytest.fixture(scope="module")
+def grid_results(rig: Rig) -> list[list[RampIdentification]]:
+    """Return the estimates of every cell of the grid, by seeds."""
+
+    def result(cell: int, seed: int) -> RampIdentification:
+        fc, fv, inertia, slopes, end = GRID[cell]
+        quick = QuickRig(own(rig, fc, fv, inertia), 1000 * cell + seed)
+        records = [quick.ramp(slope, end, False, f"{slope} {k}") for k in range(3) for slope in slopes]
+        return identify_ramps(records, rig.scale_uncertainty)
+
+    return [[result(cell, seed) for seed in range(SEEDS)] for cell in range(len(GRID))]
+
+
+@pytest.mark.parametrize(("name", "index"), [("coulomb", 0), ("viscous", 1)])
+@pytest.mark.parametrize("method", ["exact", "repeated"])
+def test_estimates_are_right_and_their_intervals_hold(
+    name: str, index: int, method: str, grid_results: list[list[RampIdentification]]
+) -> None:
+    """In every cell the mean estimate is within 1 % of the truth; of the 95 % intervals 90 to 99 % hold it."""
+    hits = 0
+    for (*truth, _, _), results in zip(GRID, grid_results, strict=True):
+        estimates = [getattr(getattr(found, method), name) for found in results]
+        assert abs(np.mean([one.value / truth[index] - 1 for one in estimates])) < 0.01, truth
+        hits += sum(one.low <= truth[index] <= one.high for one in estimates)
+    assert 0.90 <= hits / (len(GRID) * SEEDS) <= 0.99
+
+
+def test_source_formula_is_high_by_inertia_times_acceleration(grid_results: list[list[RampIdentification]]) -> None:
+    """The source's f_c exceeds the truth by the mean J a, within 1 %; p-values of the repeats' scatter are uniform."""
+    for (fc, fv, inertia, _, _), results in zip(GRID, grid_results, strict=True):
+        excess = np.mean([found.source.coulomb.value - fc for found in results])
+        expected = np.mean([inertia * ramp.slope / fv for ramp in results[0].ramps if ramp.asymptote])
+        assert excess == pytest.approx(expected, abs=0.01 * fc)
+    p = [found.consistency for results in grid_results for found in results]
+    assert stats.kstest(p, "uniform").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("kind", ["Coulomb-viscous", "LuGre"])
+def test_intervals_hold_whatever_the_release(kind: str) -> None:
+    """On random rigs the true f_c, f_v and J lie in most 95 % intervals and within 4.5 standard uncertainties."""
+    deviations = []
+    for number in range(6):
+        rig = random_rig(1, number, kind)
+        quick = QuickRig(rig, number)
+        records = [quick.ramp(slope, 0.16, True, f"{slope} {k}") for k in range(3) for slope in (0.02, 0.05)]
+        best = identify_ramps(records, rig.scale_uncertainty).best
+        for estimate, truth in zip((best.coulomb, best.viscous, best.inertia), truth_of(rig, True), strict=True):
+            deviations.append((estimate.value - truth) / estimate.error)
+            assert estimate.error < 0.15 * truth
+    assert np.abs(deviations).max() < 4.5
+    assert np.mean(np.abs(deviations) < 1.96) >= 14 / 18
+
+
+def test_wide_stribeck_effect_does_not_bias_coulomb_friction() -> None:
+    """A release that lasts until the shaft turns at tens of rad/s, without noise: f_c and f_v within 0.5 %."""
+    rig = quiet(load_rig(config_path("rig/gm8224_lugre.yaml")))
+    wide = replace(rig.plant.joint, tau_s_positive=1.35, tau_s_negative=1.35, omega_s=0.2)
+    rig = replace(rig, plant=replace(rig.plant, joint=wide))
+    quick = QuickRig(rig, 3)
+    found = identify_ramps([quick.ramp(slope, 0.16, True, f"{slope}") for slope in (0.02, 0.05)], 0.0)
+    values = found.best.coulomb.value, found.best.viscous.value
+    assert values == pytest.approx(tuple(truth_of(rig, True)[:2]), rel=5e-3)
+    assert found.stribeck > 0.99
+
+
+@pytest.mark.parametrize("kind", ["Coulomb-viscous", "LuGre"])
+def test_quick_ramps_are_those_of_the_rig_with_its_firmware(kind: str) -> None:
+    """Without noise the compiled ramp gives the readings of the real firmware on the emulated rig, to one count."""
+    rig = quiet(random_rig(1, 2, kind))
+    (record,) = measure(rig, 0, 1, (0.05,), loaded=True)
+    fast = QuickRig(rig, 0).ramp(0.05, 0.15, True, "quick")
+    assert fast.torque == pytest.approx(record.torque)
+    assert np.abs(fast.angle - record.angle).max() <= 1.01 * record.angle_step
+
+
+def test_joint_friction_is_the_difference_and_carries_its_scale(rig: Rig) -> None:
+    """f_joint is right within 3 standard uncertainties; a common scale error does not widen it twice.
+
+    The four velocities of a loaded ramp lie in the source's bands: models 0.1 %, experiment 7 % and 10 %.
+    """
+    records = [record for loaded in (False, True) for record in measure(rig, 5, 3, (0.02, 0.05), 0.155, loaded)]
+    result = evaluate(records, replace(rig, efficiency_uncertainty=0.0))
+    (_, unloaded), (_, loaded) = result.parts
+    joint, friction = result.joint, rig.plant.joint
+    assert joint == joint_friction(unloaded, loaded, replace(rig, efficiency_uncertainty=0.0))
+    for estimate, truth in zip(joint[2:], (friction.coulomb, friction.viscous), strict=True):
+        assert estimate.value == pytest.approx(truth, abs=3 * estimate.error)
+        assert estimate.error < 0.01 * truth
+    assert joint.coulomb.error < math.hypot(unloaded.best.coulomb.error, loaded.best.coulomb.error)
+    worst = [pair.worst for pair in result.comparison.pairs]  # experiment with three models, then these
+    assert len(worst) == 6
+    assert worst[0] < 10.0
+    assert worst[1] < 7.0
+    assert max(worst[3:]) < 0.1
+    assert all(pair.within for pair in result.comparison.pairs)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_models_and_closed_form_agree_to_a_tenth_of_a_per_cent(model: RampModel) -> None:
+    """Equation 3 integrated, the joint in Pinocchio and the closed form differ by less than 0.1 %."""
+    time = np.linspace(0.0, 3 * model.break_away_time + 10 * model.time_constant, 80)
+    closed = model.velocity(time)
+    assert np.abs(integrate_equation_3(model, time) - closed).max() < 1e-3 * closed[-1]
+    assert np.abs(simulate_multibody(model, 31.0, time) - closed).max() < 1e-3 * closed[-1]
+
+
+@pytest.mark.parametrize(("speed", "torque"), [(5.0, 0.1), (5.0, -0.1), (-3.0, 0.02), (0.0, 0.04), (0.0, 0.06)])
+def test_emulated_shaft_is_the_solution_of_equation_3(speed: float, torque: float) -> None:
+    """One exact slice equals a stiff solver with a smoothed sign, through a stop and a reversal."""
+    inertia, coulomb, viscous, dt = 6e-5, 0.05, 8e-4, 0.02
+
+    def derivative(_: float, y: Array) -> list[float]:
+        return [y[1], (torque - viscous * y[1] - coulomb * np.tanh(y[1] / 1e-4)) / inertia]
+
+    exact = solve_ivp(derivative, (0, dt), [0.0, speed], "Radau", rtol=1e-9, atol=1e-11).y[:, -1]
+    assert turn(0.0, speed, torque, Shaft(inertia, coulomb, viscous), dt) == pytest.approx(exact, abs=3e-4)
+
+
+def test_one_slope_gives_the_source_formula_alone(rig: Rig) -> None:
+    """With one slope there is no inertia, no exact value, and the best is the source's."""
+    found = identify_ramps(measure(rig, 3, 2, (0.02,)), rig.scale_uncertainty)
+    assert found.exact is None
+    assert found.best is found.source
+    assert found.source.inertia is None
+
+
+def test_break_away_torque_is_found(rig: Rig) -> None:
+    """Torque m t_b of each ramp is the Coulomb friction within 3 %, where friction does not fall at break-away."""
+    records = measure(own(rig, 0.05, 8e-4, 6e-5), 3, 2, (0.02, 0.05))
+    for ramp in identify_ramps(records, rig.scale_uncertainty).ramps:
+        assert ramp.break_away * ramp.slope == pytest.approx(0.05, rel=0.03)
+
+
+def test_a_bent_ramp_is_left_out_as_if_it_had_not_been_run() -> None:
+    """One ramp of five whose velocity bends is named; each of the others has its own asymptote, by T without it."""
+    slopes = (0.03, 0.05, 0.03, 0.05)
+    straight = [ideal_record(replace(MODEL, slope=m), 20.0, label=f"ramp {k}") for k, m in enumerate(slopes)]
+    found = identify_ramps([bent(straight[1], 0.9, label="bent"), *straight], 0.0)
+    assert [reason.partition(":")[0] for reason in found.unused] == ["bent"]
+    assert [ramp.record.label for ramp in found.ramps] == [record.label for record in straight]
+    T = found.exact.inertia.value / found.exact.viscous.value
+    for ramp in found.ramps:
+        alone = fit_asymptote(ramp.record, T)
+        assert (ramp.asymptote.a, ramp.asymptote.b) == pytest.approx((alone.a, alone.b), rel=1e-12)
+
+
+def test_ramps_that_cannot_be_used_are_named_and_the_others_count(rig: Rig) -> None:
+    """One ramp whose current saturates is left out with its label and reason; the rest carries the estimate."""
+    quick = QuickRig(own(rig, 0.05, 8e-4, 6e-5), 1)
+    records = [quick.ramp(slope, 0.15, False, f"ramp {slope} {k}") for k in range(2) for slope in (0.02, 0.05)]
+    records[1] = replace(records[1], measured_torque=np.minimum(records[1].measured_torque, 0.1))
+    found = identify_ramps(records, rig.scale_uncertainty)
+    assert [ramp.record.label for ramp in found.ramps] == ["ramp 0.02 0", "ramp 0.02 1", "ramp 0.05 1"]
+    (reason,) = found.unused
+    assert reason.startswith("ramp 0.05 0: the measured torque falls")
+    assert found.best.coulomb.value == pytest.approx(0.05, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("friction", "kept"),
+    [((0.03, 6.4e-4, 1.3e-5), True), ((0.10, 6e-4, 1.5e-4), False), ((0.11, 1e-3, 2e-5), False)],
+)
+def test_plan_gives_each_ramp_time_enough_to_slide(friction: tuple[float, float, float], kept: bool, rig: Rig) -> None:
+    """Slopes that suit the rig are kept; else planned ramps slide for 8 time constants and 1.4 s, within the travel."""
+    coulomb, viscous, inertia = friction
+    changed = own(rig, *friction)
+    first = QuickRig(changed, 1).ramp(min(rig.ramps.slopes), rig.ramps.end_torque, False, "first")
+    plan = plan_from(first, changed.ramps, changed)
+    assert (plan.slopes == rig.ramps.slopes) is kept
+    rise = plan.end_torque - coulomb
+    assert rise / max(plan.slopes) >= max(1.4, 8 * inertia / viscous)
+    assert rise**2 / (2 * viscous * min(plan.slopes)) < math.tau * rig.load_travel * rig.gear_ratio
+    assert max(plan.slopes) >= 1.8 * min(plan.slopes)
+    assert plan.repeats * rise / max(plan.slopes) / rig.tick >= 280
+    assert plan.end_torque == rig.ramps.end_torque
+
+
+def test_ramp_ends_before_the_firmware_trips(rig: Rig) -> None:
+    """Where the end torque would mean twice the speed limit, a ramp ends short of that limit, without a fault."""
+    (record,) = measure(own(rig, 0.01, 3e-4, 2e-5), 2, 1, (0.05,))
+    assert 0.85 * rig.speed_limit < np.ptp(record.angle[-6:]) / np.ptp(record.time[-6:]) < rig.speed_limit
+
+
+def with_torques(command: Callable[[Any], Any], measured: Callable[[Any], Any]) -> RampRecord:
+    """Return an ideal ramp with these torque columns."""
+    record = ideal_record(MODEL, 10.0)
+    torque = command(MODEL.slope * (record.time + TICK / 2))
+    return replace(record, torque=torque, measured_torque=measured(np.roll(torque, 1)))
+
+
+REFUSALS = {
+    "no break-away": lambda: ideal_record(MODEL, 0.9),
+    "too short": lambda: ideal_record(MODEL, 2.2),
+    "too short|no straight asymptote": lambda: ideal_record(replace(MODEL, viscous=0.002), 6.0),
+    "no straight asymptote|does not accelerate": lambda: bent(ideal_record(MODEL, 10.0), 0.0),
+    "leaves the ramp": lambda: with_torques(lambda t: np.minimum(t, 0.3), lambda t: t),
+    "measured torque falls": lambda: with_torques(lambda t: t, lambda t: np.minimum(t, 0.35)),
+    "starts from rest|does not accelerate|no straight asymptote": lambda: replace(
+        ideal_record(MODEL, 10.0), angle=np.linspace(0, 50, 500)
+    ),
+    "accepted: a number > 0": lambda: ideal_record(MODEL, 10.0, slope=0.0),
+    "time does not increase at reading 2": lambda: ideal_record(MODEL, 10.0, time=np.r_[0, np.arange(499)] * TICK),
+    "not finite": lambda: ideal_record(MODEL, 10.0, angle=np.full(500, np.nan)),
+}
+
+
+@pytest.mark.parametrize("message", REFUSALS)
+def test_data_without_an_estimate_are_refused(message: str) -> None:
+    """What a ramp cannot carry is refused in one line that says what is wrong, never answered by a number."""
+    with pytest.raises((IdentificationError, RecordError), match=message) as caught:
+        fit_asymptote(REFUSALS[message]())
+    assert "\n" not in str(caught.value)
+
+
+def test_emulated_rig_beyond_its_supply_is_refused(rig: Rig) -> None:
+    """A ramp in which the amplifier runs out of voltage is recognised by its measured current."""
+    records = measure(replace(rig, plant=replace(rig.plant, supply=9.0)), 1, 1, (0.02, 0.05))
+    with pytest.raises(IdentificationError, match=r"amplifier saturates|straight asymptote"):
+        identify_ramps(records, rig.scale_uncertainty)
+
+
+def test_csv_gives_the_record_back(tmp_path: Path, rig: Rig) -> None:
+    """Writing and reading a record changes no bit; a file that Excel saved, with a byte order mark, is read, too."""
+    path = tmp_path / "x.csv"
+    (record,) = measure(rig, 4, 1, (0.05,))
+    write_csv(record, path)
+    again = read_csv(path, record.slope, record.angle_step)
+    for name in ("time", "angle", "torque", "measured_torque"):
+        assert np.array_equal(getattr(again, name), getattr(record, name)), name
+    path.write_bytes(b"\xef\xbb\xbftime,counts\r\n0,0\r\n0.02,3\r\n,\r\n")
+    assert read_csv(path, 0.1, STEP).angle == pytest.approx([0.0, 3 * STEP])
+
+
+@pytest.mark.parametrize("kind", ["increments", "counts", "velocity"])
+@pytest.mark.parametrize("with_time", [True, False])
+def test_plain_text_of_every_kind_gives_the_same_fit(kind: str, with_time: bool, tmp_path: Path) -> None:
+    """Increments, counts and velocities of one ramp, with and without a time column, agree to 0.5 %."""
+    record = ideal_record(MODEL, 12.0)
+    counts = np.rint(record.angle / STEP)
+    steps = np.diff(counts, prepend=0.0)
+    values = {"counts": counts, "increments": steps, "velocity": steps * STEP / TICK}[kind]
+    lines = [f"{t + TICK:.4f}\t{v:.9g}" if with_time else f"{v:.9g}" for t, v in zip(record.time, values, strict=True)]
+    path = tmp_path / "old.txt"
+    path.write_text("% saved by a Turbo C program\n" + "\r\n".join(lines) + "\n")
+    fit = fit_asymptote(read_text(path, kind, MODEL.slope, STEP, TICK))
+    assert (fit.a, fit.b) == pytest.approx((2.5, 2.875 + 2.5 * TICK), rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1\n2\nthree\n", "line 3 holds 'three'"),
+        ("1\n1 2\n", "line 2 holds 2 numbers"),
+        ("1 2 3\n1 2 3\n", "line 1 holds 3 numbers"),
+        ("1\n", "1 readings"),
+        ("0,5\n1,7\n2,9\n3,1\n", "advances by 1 a line; accepted: s, about 0.02 a line, and a point"),
+        ("time,counts\n0,1\n0.02,x\n", "line 3, column counts holds 'x'"),
+        ("time,counts\n0,1\n0.02\n", "line 3, column counts holds 'nothing'"),
+        ("# made by hand\n\ntime,counts\n0,1\n\n# pause\n0.02,x\n", "line 7, column counts holds 'x'"),
+        ("time;counts\n0;1\n", "column 'time' is missing, found 'time;counts'"),
+        ("# time,counts\n", "is empty"),
+    ],
+)
+def test_unreadable_files_are_refused_by_line(text: str, message: str, tmp_path: Path) -> None:
+    """A damaged file, plain text or CSV, is refused with line, column and what stands there."""
+    path = tmp_path / "bad.txt"
+    path.write_text(text)
+    read = partial(read_csv, path, 0.1, STEP) if "time" in text else partial(read_text, path, "counts", 0.1, STEP, TICK)
+    with pytest.raises(RecordError, match=message):
+        read()
