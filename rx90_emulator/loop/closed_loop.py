@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,8 @@ from rx90_emulator.loop.setup import Setup
 from rx90_sim.drives import warm_motors
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import friction_states, plant_step
+
+SetpointSource = Callable[[TrajectoryGenerator, Sequence[MotionCommand], int], Array]
 
 TRIPPED = -2
 """How a run ends in which the controller's supervision cuts the power."""
@@ -197,8 +199,9 @@ def run_commands(
     *,
     substeps: int | None = None,
     record_fast: bool = False,
+    sample: SetpointSource | None = None,
 ) -> RunResult:
-    """Do the same without a warning."""
+    """Do the same without a warning, with set-points from elsewhere than `setpoints_of` if asked to."""
     rates = setup.rates
     ticks = rates.ticks_of(duration)
     plant, controller = setup.plant(substeps), setup.cs7b()
@@ -206,7 +209,7 @@ def run_commands(
     controller.reset(plant.motor_states()[0])
     warm = bool(plant.temperatures.elements) or setup.drives.winding.used
     fast, slow = empty_series(ticks, rates.ratio, record_fast, rates.temperature_ticks if warm else 0)
-    setpoints = setpoints_of(controller.trajectory, commands, len(slow.joint_states))
+    setpoints = (sample or setpoints_of)(controller.trajectory, commands, len(slow.joint_states))
     run_setpoints(plant, controller, setpoints, ticks, fast, slow)
     return RunResult(setup, fast if record_fast else None, slow, controller.saturated, tuple(commands), plant.substeps)
 

@@ -14,6 +14,7 @@ import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -369,12 +370,18 @@ def _check_body(row: int, mass: float, com: NDArray[np.float64], inertia: NDArra
 
 def _model(model: Any, links: set[int], bodies: Mapping[str, NDArray[np.float64]]) -> Any:
     """Return a copy of Pinocchio's model with the bodies of the chain, whose axes are the base's at q = 0."""
-    model = model.copy()
-    data = model.createData()
-    pin.forwardKinematics(model, data, np.zeros(model.nq))
+    turns, model = _rotations_at_zero(model), model.copy()
     for row in sorted(links):
-        turn = data.oMi[row + 1].rotation
+        turn = turns[row]
         xx, yy, zz, xy, xz, yz = bodies["inertia"][row]
         tensor = turn.T @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn
         model.inertias[row + 1] = pin.Inertia(bodies["mass"][row], turn.T @ bodies["com"][row], tensor)
     return model
+
+
+@lru_cache(maxsize=4)
+def _rotations_at_zero(model: Any) -> list[NDArray[np.float64]]:
+    """Return the orientation of each link at q = 0; runs of a sweep have it in common."""
+    data = model.createData()
+    pin.forwardKinematics(model, data, np.zeros(model.nq))
+    return [data.oMi[row + 1].rotation.copy() for row in range(model.nq)]

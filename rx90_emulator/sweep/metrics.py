@@ -10,6 +10,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.kinematics import path_error, tip_position
+from rx90_common.kernels.compiled import kernel
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.perturbation.model import PerturbationResult
@@ -74,22 +75,41 @@ def measure(task: LineTask, result: RunResult) -> tuple[float | int, ...]:
     rows = _window(task, result.times)
     slow = result.slow
     tip = tip_position(result.setup.robot.chain, slow.joint_states[rows, 0])
-    power = slow.friction_states[rows, 1] * slow.friction_states[rows, 2]
-    work = (result.setup.rates.position_period * (power[1:] + power[:-1]) / 2.0).sum(axis=0)
+    peaks, work = np.zeros((3, 6)), np.zeros(7)
+    _scan(
+        slow.joint_states[rows], slow.friction_states[rows], slow.tracking_error[rows],
+        result.setup.rates.position_period, peaks, work,
+    )  # fmt: skip
+    velocity, torque, error = peaks.tolist()
     return (
-        *_measured_errors(task, tip, slow.tracking_error[rows, 0]),
-        *np.abs(slow.joint_states[rows, 1]).max(axis=0).tolist(),
-        *np.abs(slow.joint_states[rows, 2]).max(axis=0).tolist(),
-        *work.tolist(),
-        *result.saturated.tolist(),
-    )
+        *_path_errors(task, tip), *error, *map(_rms, slow.tracking_error[rows, 0].T),
+        *velocity, *torque, *work.tolist(), *result.saturated.tolist(),
+    )  # fmt: skip
+
+
+@kernel
+def _scan(joints: Array, friction: Array, tracking: Array, period: float, peaks: Array, work: Array) -> None:
+    """Find the peaks of velocity, torque and tracking error, shape (3, 6), and add up the friction's work."""
+    for n in range(len(joints)):
+        for j in range(6):
+            values = joints[n, 1, j], joints[n, 2, j], tracking[n, 0, j]
+            for k in range(3):
+                if not abs(values[k]) <= peaks[k, j]:  # NaN stays
+                    peaks[k, j] = abs(values[k])
+        if n > 0:
+            for e in range(7):
+                power = friction[n, 1, e] * friction[n, 2, e] + friction[n - 1, 1, e] * friction[n - 1, 2, e]
+                work[e] += period * power / 2.0
 
 
 def measure_perturbation(task: LineTask, result: PerturbationResult, run: int) -> tuple[float | int, ...]:
     """Return the metrics of a run of `task` by the perturbation method."""
     rows = _window(task, result.model.times)
+    deviation = result.joint_deviation[run, rows]
     return (
-        *_measured_errors(task, result.tip_position(run)[rows], result.joint_deviation[run, rows]),
+        *_path_errors(task, result.tip_position(run)[rows]),
+        *np.abs(deviation).max(axis=0).tolist(),
+        *map(_rms, deviation.T),
         *result.saturated[run].tolist(),
         tip_distance(result, run),
     )
@@ -100,9 +120,9 @@ def tip_distance(result: PerturbationResult, run: int) -> float:
     return float(np.linalg.norm(result.tip_deviation[run], axis=1).max())
 
 
-def _measured_errors(task: LineTask, tip: Array, error: Array) -> list[float]:
+def _path_errors(task: LineTask, tip: Array) -> tuple[float, float]:
     path = path_error(tip, np.array(task.start), np.array(task.end)).perpendicular
-    return [float(path.max()), _rms(path), *np.abs(error).max(axis=0).tolist(), *map(_rms, error.T)]
+    return float(path.max()), _rms(path)
 
 
 def _window(task: LineTask, times: Array) -> slice:

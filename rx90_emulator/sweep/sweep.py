@@ -14,12 +14,13 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, SweepError
 from rx90_common.base.sources import ROOT, sources_hash, versions, with_imports
 from rx90_common.description.robot_files import provenance_of
 from rx90_controller.lines.task import LineTask, load_task
-from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.closed_loop import run_commands
+from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
+from rx90_emulator.loop.closed_loop import run_commands, setpoints_of
 from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.parameters import Catalogue, Leaf, Value, apply
 from rx90_emulator.loop.result import MotionCommand, RunResult
@@ -41,6 +42,7 @@ LARGEST_DEVIATION: Final = 0.04
 """Of the tip, m, by the perturbation method: there its error reaches 4 to 5 % (docs/explanation/perturbation.md)."""
 _LARGEST_ERROR = 0.05  # of the deviation, in the runs that are held against the closed loop
 _PREPARED = 4  # nominal motions that are kept
+_KEPT_SETPOINTS = 4
 _OF_THE_MOTION = {("controller", "start_tolerance"), ("controller", "max_acceleration")}
 RUN_COLUMNS = ("index", "block", "seed", "error")
 """Columns of the results beside parameters and metrics."""
@@ -110,7 +112,7 @@ class Sweep:
             taken.add(column.title)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_motion", "_model")}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_motion", "_model", "_setpoints")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -130,6 +132,7 @@ class Sweep:
             return task, prepare_perturbation(setup, points, points.position[0], duration)
 
         self._motion, self._model = motion, model
+        self._setpoints: dict[tuple[object, ...], Array] = {}
 
     def warm_up(self) -> None:
         """Compile, or load, every kernel that a run calls, and plan the line of the task.
@@ -139,7 +142,7 @@ class Sweep:
             LineError: if the arm cannot travel the line of the plan's own task.
         """
         period = self.setup.rates.position_period
-        self._follow(self.setup, self._motion(self.task), period)
+        self._follow(self.setup, self.task, period)
         if self.perturbs:
             self._model(())[1].run_one()
 
@@ -154,12 +157,24 @@ class Sweep:
 
     def _simulate(self, run: RunDescription) -> tuple[LineTask, RunResult]:
         setup, task = apply(self.setup, self.task, self.runs.changes(run))
-        points = self._motion(task)
-        return task, self._follow(setup, points, float(points.times[-1]))
+        return task, self._follow(setup, task)
 
-    def _follow(self, setup: Setup, points: TrajectoryPoints, duration: float) -> RunResult:
-        commands, substeps = (MotionCommand(0, points),), self.plan.base.substeps
-        return run_commands(setup, commands, points.position[0], duration, substeps=substeps)
+    def _follow(self, setup: Setup, task: LineTask, duration: float | None = None) -> RunResult:
+        points = self._motion(task)
+
+        def sample(generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int) -> Array:
+            """Return set-points, which runs of the same task, limits and start share."""
+            limits = (np.asarray(value).tobytes() for value in vars(generator.limits).values())
+            key = task, count, generator.setpoints(0).tobytes(), *limits
+            if key not in self._setpoints:
+                if len(self._setpoints) == _KEPT_SETPOINTS:
+                    del self._setpoints[next(iter(self._setpoints))]
+                self._setpoints[key] = setpoints_of(generator, commands, count)
+            return self._setpoints[key]
+
+        end = float(points.times[-1]) if duration is None else duration
+        substeps = self.plan.base.substeps
+        return run_commands(setup, (MotionCommand(0, points),), points.position[0], end, substeps=substeps, sample=sample)
 
     def run(self, index: int) -> RunOutcome:
         """Run one run and measure it; an error is an outcome too, one that nobody thought of as well."""
