@@ -108,7 +108,7 @@ if TYPE_CHECKING:
         Uniform,
         Values,
     )
-    from rx90_emulator.sweep.plan_file import load_sweep_plan
+    from rx90_emulator.sweep.plan import load_sweep_plan
     from rx90_emulator.sweep.sweep import Sweep
 
 __all__ = [
@@ -242,7 +242,7 @@ _HOMES = {
     "rx90_emulator.perturbation.model": "prepare_perturbation PerturbationModel PerturbationResult",
     "rx90_emulator.sweep.execution": "read_sweep run_sweep",
     "rx90_emulator.sweep.plan": "Block LogUniform Normal SweepBase SweepPlan SweptParameter Uniform Values",
-    "rx90_emulator.sweep.plan_file": "load_sweep_plan",
+    "rx90_emulator.sweep.plan": "load_sweep_plan",
     "rx90_emulator.sweep.sweep": "Sweep",
 }
 """The modules that the names come from, as in the imports above, which type checkers and editors read."""

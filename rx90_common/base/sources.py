@@ -49,9 +49,9 @@ def with_imports(files: Iterable[Path]) -> list[Path]:
 
 
 @cache
-def _imported(file: Path) -> list[Path]:
+def _imported(source: Path) -> list[Path]:
     files = []
-    for base, items, plain in _IMPORT.findall(file.read_text(encoding="utf-8")):
+    for base, items, plain in _IMPORT.findall(source.read_text(encoding="utf-8")):
         names = [f"{base}.{item}" for item in re.findall(r"\w+", items)] if base else []
         files += [file for name in (base, *names, plain) if name and (file := module_file(name))]
     return files

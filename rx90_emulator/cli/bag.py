@@ -231,7 +231,7 @@ def _plot(args: argparse.Namespace) -> None:
     """
     from rx90_common.bags.mapping import LogMapping
     from rx90_common.bags.plotting import is_page, plot_bags, write_plots
-    from rx90_emulator.cli.progress import progress_bar
+    from rx90_emulator.cli.options import progress_bar
 
     if args.align is not None and args.second is None:
         raise ConfigError(f"--align {plain(args.align)} with one bag; accepted: with two")
@@ -270,7 +270,7 @@ def _export(args: argparse.Namespace) -> None:
         told = f"--format {args.format} with the file {plain(args.output)}"
         raise ConfigError(f"{told}; accepted: with a folder, for the suffix of a file says its format")
     from rx90_common.bags.exporting import export_bag
-    from rx90_emulator.cli.progress import progress_bar
+    from rx90_emulator.cli.options import progress_bar
 
     with progress_bar("export") as progress:
         done = export_bag(
@@ -303,7 +303,7 @@ def _import(args: argparse.Namespace) -> None:
     """
     from rx90_common.bags.logs import corrupt_text, exported_logs, import_logs
     from rx90_common.bags.mapping import LogMapping
-    from rx90_emulator.cli.progress import progress_bar
+    from rx90_emulator.cli.options import progress_bar
 
     if len(args.logs) == 1 and args.logs[0].is_dir():
         if args.mapping is not None:

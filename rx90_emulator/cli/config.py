@@ -12,7 +12,7 @@ from rx90_common.base.share import SHIPPED_RIG
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.process.files import write_text
 from rx90_emulator.cli.completion import SHELLS, completion
-from rx90_emulator.cli.options import POSITIVE, CommandParser, add_robot_arguments, new_file, place
+from rx90_emulator.cli.options import POSITIVE, CommandParser, add_robot_arguments, check_picture, new_file, place
 
 if TYPE_CHECKING:
     from rx90_emulator.configuration.origins import ShownValue
@@ -174,15 +174,14 @@ def _values_of_files(options: argparse.Namespace) -> list[ShownValue]:
 
 def _friction(options: argparse.Namespace) -> int:
     # Here, because --help must not wait for them.
-    from rx90_common.report.picture import PICTURES, write_picture
+    from rx90_common.report.picture import write_picture
     from rx90_emulator.configuration import friction
 
     if bool(options.take) != (options.output is not None):
         raise ConfigError("--take and --output: only one of them is there; accepted: both, or none")
     plot: Path | None = options.plot
-    if plot is not None and plot.suffix.lower() not in PICTURES:
-        raise ConfigError(f"--plot {plain(plot)}; accepted: a file with {', '.join(PICTURES)}")
     if plot is not None:
+        check_picture(plot)
         check_replaced(plot, force=options.force)
     choices = [friction.FrictionChoice.named(text) for text in options.friction]
     if options.output is not None:

@@ -62,7 +62,7 @@ def main(options: argparse.Namespace) -> None:
 def _run(options: argparse.Namespace) -> None:
     from rx90_emulator.sweep.execution import read_sweep, run_sweep
     from rx90_emulator.sweep.metrics import DEVIATION
-    from rx90_emulator.sweep.plan_file import load_sweep_plan
+    from rx90_emulator.sweep.plan import load_sweep_plan
     from rx90_emulator.sweep.sweep import Sweep
 
     if options.robot is not None:

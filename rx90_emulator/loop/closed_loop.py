@@ -62,40 +62,36 @@ def run_ticks(
         controller's supervision cut the power in the tick after them.
     """
     state, law = plant_states[0], law_states[0]
+    sensed = plants[0].sensor.used
     for k in range(first, first + ticks):
-        row = k // ratio
+        row, setpoint = k // ratio, setpoints[k // ratio]
         slow_tick = k % ratio == 0
         if slow_tick:
-            _keep_plant(plants, plant_states, row, slow)
-            tripped = position_loop(laws, law_states, setpoints[row], state.motor_position, state.motor_velocity)
-            if tripped:
+            # By lanes: assigning slices takes numba longer, an eighth of a tick in all.
+            store(slow.joint_states[row, 0], load(state.q, 6))
+            store(slow.joint_states[row, 1], load(state.v, 6))
+            store(slow.joint_states[row, 2], load(state.drive_torque, 6))
+            store(slow.friction_states[row, 0], load(state.z, 7))
+            friction_states(plants, plant_states, slow.friction_states[row, 1], slow.friction_states[row, 2])
+            if position_loop(laws, law_states, setpoint, state.motor_position, state.motor_velocity):
                 return k - first, TRIPPED
         velocity_loop(laws, law_states, state.motor_velocity)
         if slow_tick:
-            _keep_law(laws[0].gear, law, setpoints[row], row, slow)
-            if plants[0].sensor.used:
-                _keep_reported(state.sensor.torque, laws[0].torque_constant, row, slow)
+            _keep_law(laws[0].gear, law, setpoint, row, slow)
+            if sensed:
+                store(slow.details[row, 2], load(state.sensor.torque, 6) / load(laws[0].torque_constant, 6))
         if slow.temperatures.shape[0] > 0 and k % warm_ticks == 0:
             slow.temperatures[k // warm_ticks] = state.parts.temperature.temperature
             slow.windings[k // warm_ticks] = state.temperature
         if fast.motor_commands.shape[0] > 0:
-            _keep_motors(plants[0].sensor.used, state, law.command, k, fast)
+            store(fast.motor_states[k, 0], load(state.motor_position, 6))
+            store(fast.motor_states[k, 1], load(state.motor_velocity, 6))
+            store(fast.motor_states[k, 2], load(state.sensor.torque if sensed else state.motor_torque, 6))
+            store(fast.motor_commands[k], load(law.command, 6))
         joint = plant_step(plants, plant_states, law.command, True)
         if joint >= 0:
             return k + 1 - first, joint
     return ticks, -1
-
-
-@inlined
-def _keep_plant(plants: Record, plant_states: Record, row: int, slow: SlowSeries) -> None:
-    """Write the row of joint and friction states."""
-    state = plant_states[0]
-    # By lanes: assigning slices takes numba longer, an eighth of a tick in all.
-    store(slow.joint_states[row, 0], load(state.q, 6))
-    store(slow.joint_states[row, 1], load(state.v, 6))
-    store(slow.joint_states[row, 2], load(state.drive_torque, 6))
-    store(slow.friction_states[row, 0], load(state.z, 7))
-    friction_states(plants, plant_states, slow.friction_states[row, 1], slow.friction_states[row, 2])
 
 
 @inlined
@@ -110,21 +106,6 @@ def _keep_law(gear: Array, law: Any, setpoint: Array, row: int, slow: SlowSeries
     store(slow.details[row, 0], load(setpoint[2], 6))
     store(slow.details[row, 1], load(law.commanded, 6))
     store(slow.details[row, 2], load(law.current, 6))
-
-
-@inlined
-def _keep_reported(torque: Array, torque_constant: Array, row: int, slow: SlowSeries) -> None:
-    """Write the motor currents that the drives report by torques, Nm, in place of the law's."""
-    store(slow.details[row, 2], load(torque, 6) / load(torque_constant, 6))
-
-
-@inlined
-def _keep_motors(sensed: bool, state: Any, command: Array, tick: int, fast: FastSeries) -> None:
-    """Write the row of motor states, with the torque by the current sensors where there are any, and commands."""
-    store(fast.motor_states[tick, 0], load(state.motor_position, 6))
-    store(fast.motor_states[tick, 1], load(state.motor_velocity, 6))
-    store(fast.motor_states[tick, 2], load(state.sensor.torque if sensed else state.motor_torque, 6))
-    store(fast.motor_commands[tick], load(command, 6))
 
 
 def simulate(
@@ -161,13 +142,7 @@ def simulate(
 
 
 def simulate_commands(
-    setup: Setup,
-    commands: Sequence[MotionCommand],
-    initial_position: ArrayLike,
-    duration: float,
-    *,
-    substeps: int | None = None,
-    record_fast: bool = False,
+    setup: Setup, commands: Sequence[MotionCommand], initial_position: ArrayLike, duration: float, **how: Any
 ) -> RunResult:
     """Run the closed loop without ROS along several trajectories, and warn of what means less than it seems to.
 
@@ -176,8 +151,7 @@ def simulate_commands(
         commands: in the order of their start; each replaces the one before it at its start.
         initial_position: joint positions at rest, rad, shape (6,).
         duration: simulated time, s.
-        substeps: plant steps in a tick; None for as many as the arm needs, usually 1.
-        record_fast: also keep the series on base ticks.
+        how: `substeps` and `record_fast` of `simulate`.
 
     Raises:
         ConfigError: if the duration is shorter than a tick or not finite, or the arm needs more steps.
@@ -186,7 +160,7 @@ def simulate_commands(
         SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
     """
     setup.warn_of_friction()
-    run = run_commands(setup, commands, initial_position, duration, substeps=substeps, record_fast=record_fast)
+    run = run_commands(setup, commands, initial_position, duration, **how)
     setup.warn_of_heat(run.slow.temperatures)
     return run
 

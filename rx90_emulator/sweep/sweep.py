@@ -7,7 +7,7 @@ side by side; a run whose deviation the method does not hold for ends in an erro
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from itertools import groupby
 from typing import Any, Final, NamedTuple
@@ -93,7 +93,11 @@ class Sweep:
             perturbation_metrics(names) if self.perturbs else metrics_of(names, self.setup.friction.names)
         )
         self.runs = RunList(plan, Catalogue(self.setup, self.task))
-        self._check_names()
+        taken = {*RUN_COLUMNS, *(metric.name for metric in self.metrics)}
+        for column in self.runs.columns:
+            if column.title in taken:
+                raise ConfigError(f"a parameter has the name '{column.title}' of a result; accepted: another name")
+            taken.add(column.title)
         self._prepare()
 
     def __len__(self) -> int:
@@ -103,13 +107,6 @@ class Sweep:
     def perturbs(self) -> bool:
         """Return whether runs are computed by the perturbation method."""
         return self.plan.base.method == "perturbation"
-
-    def _check_names(self) -> None:
-        taken = {*RUN_COLUMNS, *(metric.name for metric in self.metrics)}
-        for column in self.runs.columns:
-            if column.title in taken:
-                raise ConfigError(f"a parameter has the name '{column.title}' of a result; accepted: another name")
-            taken.add(column.title)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in ("_motion", "_model", "_setpoints")}
@@ -153,11 +150,7 @@ class Sweep:
             SweepError: if there is no such run.
             Rx90Error: whatever ends it.
         """
-        return self._simulate(self.runs.describe(index))[1]
-
-    def _simulate(self, run: RunDescription) -> tuple[LineTask, RunResult]:
-        setup, task = apply(self.setup, self.task, self.runs.changes(run))
-        return task, self._follow(setup, task)
+        return self._follow(*apply(self.setup, self.task, self.runs.changes(self.runs.describe(index))))
 
     def _follow(self, setup: Setup, task: LineTask, duration: float | None = None) -> RunResult:
         points = self._motion(task)
@@ -174,16 +167,25 @@ class Sweep:
 
         end = float(points.times[-1]) if duration is None else duration
         substeps = self.plan.base.substeps
-        return run_commands(setup, (MotionCommand(0, points),), points.position[0], end, substeps=substeps, sample=sample)
+        return run_commands(
+            setup, (MotionCommand(0, points),), points.position[0], end, substeps=substeps, sample=sample
+        )
 
     def run(self, index: int) -> RunOutcome:
         """Run one run and measure it; an error is an outcome too, one that nobody thought of as well."""
         run = self.runs.describe(index)
         try:
             with np.errstate(all="ignore"):  # a diverging run says so itself
-                return RunOutcome(run, measure(*self._simulate(run)), None)
+                setup, task = apply(self.setup, self.task, self.runs.changes(run))
+                return RunOutcome(run, measure(task, self._follow(setup, task)), None)
         except Exception as error:  # the sweep goes on whatever a value has led to
             return _failed(run, error)
+
+    def compute(self, indices: Sequence[int], stop: Callable[[], bool] = lambda: False) -> list[RunOutcome]:
+        """Run runs by the plan's method, until `stop` says so."""
+        if self.perturbs:
+            return [] if stop() else self.run_together(indices)
+        return [self.run(index) for index in indices if not stop()]
 
     def run_together(self, indices: Sequence[int]) -> list[RunOutcome]:
         """Run runs by the perturbation method, those of one nominal motion side by side.
@@ -191,10 +193,7 @@ class Sweep:
         What a run gives does not depend on the others. Errors are outcomes, as in `run`.
         """
         described = [self.runs.describe(index) for index in indices]
-        outcomes: list[RunOutcome] = []
-        for key, runs in groupby(described, self._nominal):
-            outcomes += self._perturbed(key, list(runs))
-        return outcomes
+        return [one for key, runs in groupby(described, self._nominal) for one in self._perturbed(key, list(runs))]
 
     def _nominal(self, run: RunDescription) -> tuple[tuple[Leaf, Value], ...]:
         """Return the values of a run that its nominal motion depends on."""

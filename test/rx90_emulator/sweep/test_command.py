@@ -14,7 +14,7 @@ import pytest
 
 from rx90_common.process.children import TIMEOUT, executable
 from rx90_emulator.cli.frame import run
-from rx90_emulator.sweep.plan_file import load_sweep_plan
+from rx90_emulator.sweep.plan import load_sweep_plan
 from rx90_emulator.sweep.store import parts_folder, read_results
 from rx90_emulator.sweep.sweep import Sweep
 
