@@ -13,8 +13,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
-from rx90_emulator.sweep.plan import LogUniform, Normal, Uniform, Values, plan_hash
-from rx90_emulator.sweep.plan import load_sweep_plan
+from rx90_emulator.sweep.plan import LogUniform, Normal, Uniform, Values, load_sweep_plan, plan_hash
 from rx90_emulator.sweep.sweep import Sweep
 
 ROOT = Path(__file__).resolve().parents[3]
