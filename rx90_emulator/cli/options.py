@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import itertools
 import math
 import os
@@ -219,6 +220,19 @@ def add_rig_arguments(parser: argparse.ArgumentParser, rig: str, output: str) ->
     parser.add_argument("--seed", type=whole_number, help="of the emulated rig's noise (0)")
     parser.add_argument("--real-time", action="store_true", help="run the emulated rig in real time")
     parser.add_argument("--output", type=new_folder, default=output, help="new folder for bag and report")
+
+
+Verb = tuple[Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int | None], str]
+"""Of a command: what adds its arguments; what runs it, named as the verb, with its description; its line in --help."""
+
+
+def add_verbs(parser: argparse.ArgumentParser, verbs: Sequence[Verb]) -> None:
+    """Add a parser for each verb, whose function `options.run` then is."""
+    added = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+    for add, run, text in verbs:
+        one = added.add_parser(run.__name__.strip("_"), help=text, description=inspect.getdoc(run))
+        one.set_defaults(run=run)
+        add(one)
 
 
 def add_robot_argument(parser: argparse._ActionsContainer) -> None:
