@@ -44,9 +44,8 @@ def _add_run(run: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> None:
     """Run a plan of closed-loop runs."""
     from rx90_emulator.sweep.execution import read_sweep, run_sweep
-    from rx90_emulator.sweep.metrics import DEVIATION
     from rx90_emulator.sweep.plan import load_sweep_plan
-    from rx90_emulator.sweep.sweep import Sweep
+    from rx90_emulator.sweep.sweep import DEVIATION, Sweep
 
     if options.robot is not None:
         options.interrupted += " --robot {robot}"

@@ -142,30 +142,6 @@ def simulate(
 
 
 def simulate_commands(
-    setup: Setup, commands: Sequence[MotionCommand], initial_position: ArrayLike, duration: float, **how: Any
-) -> RunResult:
-    """Run the closed loop without ROS along several trajectories, and warn of what means less than it seems to.
-
-    Args:
-        setup: robot, drives, friction, controller, rates.
-        commands: in the order of their start; each replaces the one before it at its start.
-        initial_position: joint positions at rest, rad, shape (6,).
-        duration: simulated time, s.
-        how: `substeps` and `record_fast` of `simulate`.
-
-    Raises:
-        ConfigError: if the duration is shorter than a tick or not finite, or the arm needs more steps.
-        TrajectoryError: if a trajectory is refused.
-        DivergenceError: naming joint and tick.
-        SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
-    """
-    setup.warn_of_friction()
-    run = run_commands(setup, commands, initial_position, duration, **how)
-    setup.warn_of_heat(run.slow.temperatures)
-    return run
-
-
-def run_commands(
     setup: Setup,
     commands: Sequence[MotionCommand],
     initial_position: ArrayLike,
@@ -173,9 +149,29 @@ def run_commands(
     *,
     substeps: int | None = None,
     record_fast: bool = False,
+    warn: bool = True,
     sample: SetpointSource | None = None,
 ) -> RunResult:
-    """Do the same without a warning, with set-points from elsewhere than `setpoints_of` if asked to."""
+    """Run the closed loop without ROS along several trajectories.
+
+    Args:
+        setup: robot, drives, friction, controller, rates.
+        commands: in the order of their start; each replaces the one before it at its start.
+        initial_position: joint positions at rest, rad, shape (6,).
+        duration: simulated time, s.
+        substeps: plant steps in a tick; None for as many as the arm needs, usually 1.
+        record_fast: also keep the series on base ticks.
+        warn: of what means less than it seems to.
+        sample: where set-points come from, in place of `setpoints_of`.
+
+    Raises:
+        ConfigError: if the duration is shorter than a tick or not finite, or the arm needs more steps.
+        TrajectoryError: if a trajectory is refused.
+        DivergenceError: naming joint and tick.
+        SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
+    """
+    if warn:
+        setup.warn_of_friction()
     rates = setup.rates
     ticks = rates.ticks_of(duration)
     plant, controller = setup.plant(substeps), setup.cs7b()
@@ -185,6 +181,8 @@ def run_commands(
     fast, slow = empty_series(ticks, rates.ratio, record_fast, rates.temperature_ticks if warm else 0)
     setpoints = (sample or setpoints_of)(controller.trajectory, commands, len(slow.joint_states))
     run_setpoints(plant, controller, setpoints, ticks, fast, slow)
+    if warn:
+        setup.warn_of_heat(slow.temperatures)
     return RunResult(setup, fast if record_fast else None, slow, controller.saturated, tuple(commands), plant.substeps)
 
 

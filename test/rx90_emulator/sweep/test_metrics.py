@@ -9,7 +9,7 @@ from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.line import path_accuracy, run_line
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.sweep.metrics import measure, metrics_of
+from rx90_emulator.sweep.sweep import measure, metrics_of
 
 
 def test_tip_is_that_of_the_kinematics(shipped: Setup) -> None:
