@@ -109,7 +109,7 @@ class RunResult:
     @property
     def times(self) -> Array:
         """Return the times of the slow series, s, shape (m,)."""
-        return np.arange(len(self.slow.joint_states)) * self.setup.rates.position_period
+        return np.asarray(np.arange(len(self.slow.joint_states), dtype=np.float64) * self.setup.rates.position_period)
 
     @cached_property
     def series(self) -> dict[str, JointSeries]:

@@ -191,7 +191,7 @@ class PerturbationModel:
     @property
     def times(self) -> Array:
         """Return the times of the series, s, shape (m,)."""
-        return np.arange(len(self.nominal_tip)) * self.setup.rates.position_period
+        return np.asarray(np.arange(len(self.nominal_tip), dtype=np.float64) * self.setup.rates.position_period)
 
     @property
     def slow_position(self) -> Array:
