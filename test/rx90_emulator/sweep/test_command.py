@@ -162,9 +162,9 @@ def test_run_and_info(tmp_path: Path, task_file: Path, capsys: pytest.CaptureFix
         encoding="utf-8",
     )
     assert run("rx90_sweep", ["run", str(plan), "--output", str(output)]) == 0
-    told = capsys.readouterr().out
-    assert "3 of 3 runs" in told
-    assert f"1 failed (rx90_sweep info {output} says why)" in told
+    said = capsys.readouterr().out
+    assert "3 of 3 runs" in said
+    assert f"1 failed (rx90_sweep info {output} says why)" in said
     assert run("rx90_sweep", ["run", str(plan), "--output", str(output), "--resume"]) == 0
     assert "has all 3 runs" in capsys.readouterr().out
     assert run("rx90_sweep", ["info", str(output)]) == 0
