@@ -108,6 +108,30 @@ def _keep_law(gear: Array, law: Any, setpoint: Array, row: int, slow: SlowSeries
     store(slow.details[row, 2], load(law.current, 6))
 
 
+@kernel
+def peaks_and_work(joints: Array, friction: Array, tracking: Array, period: float, peaks: Array, work: Array) -> None:
+    """Find the peaks of velocity, torque and tracking error, shape (3, 6), and the friction's work, J, shape (7,).
+
+    Args:
+        joints: rows of joint states, shape (n, 3, 6).
+        friction: rows of friction states, shape (n, 3, 7).
+        tracking: rows of tracking errors, shape (n, 3, 6).
+        period: from one row to the next, s.
+        peaks: raised in place.
+        work: added to in place.
+    """
+    for n in range(len(joints)):
+        for j in range(6):
+            values = joints[n, 1, j], joints[n, 2, j], tracking[n, 0, j]
+            for k in range(3):
+                if not abs(values[k]) <= peaks[k, j]:  # NaN stays
+                    peaks[k, j] = abs(values[k])
+        if n > 0:
+            for e in range(7):
+                power = friction[n, 1, e] * friction[n, 2, e] + friction[n - 1, 1, e] * friction[n - 1, 2, e]
+                work[e] += period * power / 2.0
+
+
 def simulate(
     setup: Setup,
     points: TrajectoryPoints,

@@ -20,10 +20,9 @@ from rx90_common.base.errors import ConfigError, FailureError, SweepError
 from rx90_common.base.sources import ROOT, sources_hash, versions, with_imports
 from rx90_common.description.kinematics import path_error, tip_position
 from rx90_common.description.robot_files import provenance_of
-from rx90_common.kernels.compiled import kernel
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
-from rx90_emulator.loop.closed_loop import setpoints_of, simulate_commands
+from rx90_emulator.loop.closed_loop import peaks_and_work, setpoints_of, simulate_commands
 from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.parameters import Catalogue, Leaf, Value, apply
 from rx90_emulator.loop.result import MotionCommand, RunResult
@@ -95,7 +94,7 @@ def measure(task: LineTask, result: RunResult) -> tuple[float | int, ...]:
     slow = result.slow
     tip = tip_position(result.setup.robot.chain, slow.joint_states[rows, 0])
     peaks, work = np.zeros((3, 6)), np.zeros(7)
-    _scan(
+    peaks_and_work(
         slow.joint_states[rows], slow.friction_states[rows], slow.tracking_error[rows],
         result.setup.rates.position_period, peaks, work,
     )  # fmt: skip
@@ -104,21 +103,6 @@ def measure(task: LineTask, result: RunResult) -> tuple[float | int, ...]:
         *_path_errors(task, tip), *error, *map(_rms, slow.tracking_error[rows, 0].T),
         *velocity, *torque, *work.tolist(), *result.saturated.tolist(),
     )  # fmt: skip
-
-
-@kernel
-def _scan(joints: Array, friction: Array, tracking: Array, period: float, peaks: Array, work: Array) -> None:
-    """Find the peaks of velocity, torque and tracking error, shape (3, 6), and add up the friction's work."""
-    for n in range(len(joints)):
-        for j in range(6):
-            values = joints[n, 1, j], joints[n, 2, j], tracking[n, 0, j]
-            for k in range(3):
-                if not abs(values[k]) <= peaks[k, j]:  # NaN stays
-                    peaks[k, j] = abs(values[k])
-        if n > 0:
-            for e in range(7):
-                power = friction[n, 1, e] * friction[n, 2, e] + friction[n - 1, 1, e] * friction[n - 1, 2, e]
-                work[e] += period * power / 2.0
 
 
 def measure_perturbation(task: LineTask, result: PerturbationResult, run: int) -> tuple[float | int, ...]:
