@@ -9,18 +9,10 @@ import numpy as np
 import pytest
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
-
-
-def test_the_shipped_files_make_a_setup(shipped: Setup) -> None:
-    """The shipped files load, at 4 kHz and 1 kHz, with six joints and seven friction elements."""
-    assert (shipped.rates.base_hz, shipped.rates.position_hz) == (4000, 1000)
-    assert len(shipped.robot.joint_names) == 6
-    assert len(shipped.friction.elements) == 7
 
 
 def test_every_file_can_be_the_user_s_own(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
@@ -57,10 +49,3 @@ def test_plants_and_controllers_do_not_share_state(shipped: Setup) -> None:
     one.step(np.full(6, 0.3), np.zeros(6))
     assert other.tick == 0
     assert not other.state["command"][0].any()
-
-
-def test_rates_reach_plant_and_controller(shipped: Setup) -> None:
-    """Other rates change the tick of both sides alike."""
-    setup = Setup(shipped.robot, shipped.drives, shipped.friction, shipped.controller, Rates(8000, 2000))
-    assert setup.plant().constants["period"][0] == 1 / 8000
-    assert setup.cs7b().rates.ratio == 4
