@@ -166,28 +166,19 @@ def run_many(plants: Record, tables: Tables, spacing: int, ratio: int, groups: G
 def _run(plant: Any, tables: Tables, spacing: int, ratio: int, groups: Groups, series: Series, lanes: int) -> None:
     for group in range(len(groups.states)):
         state, servos = groups.states[group], groups.servos[group]
-        _switch_on(plant, tables.position[0], state, lanes)
+        for i in range(6):  # counts and observers start where the arm is
+            angle = _motor_angle(plant, tables.position[0], state, i, lanes)
+            store(state.observer[i], angle)
+            store(state.motor_position[i], whole_steps(angle, plant.resolution[i]))
         for k in range(len(tables.velocity)):
             row = k // ratio
             if k % ratio == 0:
                 _record(tables.jacobian[row], state, group * lanes, row, series, lanes)
-                _position_loops(servos, tables.reference[row], state, lanes)
-                _supervise(servos, plant.gear, state, lanes)
-                _mark_divergence(plant.speed_limit, state, lanes)
+                _position_loops(plant, servos, tables.reference[row], state, lanes)
             _interpolate(tables.coefficients, k, spacing, state)
             _velocity_loops(servos, plant.gear, tables.reference[row, 1], tables.torque[k], state, lanes)
-            _predict(state, lanes)
             _substep(tables, k, groups, group, state, plant.period, lanes)
             _sample(plant, tables.position[k + 1], state, lanes)
-
-
-@inlined
-def _switch_on(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
-    """Let counts and observers start where the arm is."""
-    for i in range(6):
-        angle = _motor_angle(plant, nominal, state, i, lanes)
-        store(state.observer[i], angle)
-        store(state.motor_position[i], whole_steps(angle, plant.resolution[i]))
 
 
 @inlined
@@ -208,8 +199,8 @@ def _record(jacobian: Array, state: Any, first: int, row: int, series: Series, l
 
 
 @inlined
-def _position_loops(servos: Record, reference: Array, state: Any, lanes: int) -> None:
-    """Run PI and FF; leave the position errors in `rhs`."""
+def _position_loops(plant: Any, servos: Record, reference: Array, state: Any, lanes: int) -> None:
+    """Run PI and FF, and mark runs beyond a limit of the supervision, as `rx90_controller.law.loops`, or diverged."""
     for i in range(6):
         error, integrator, position_torque, feed_forward = position_servo(
             servos[i], lanes, reference[0, i], reference[1, i], reference[2, i], load(state.motor_position[i], lanes),
@@ -219,27 +210,24 @@ def _position_loops(servos: Record, reference: Array, state: Any, lanes: int) ->
         store(state.position_torque[i], position_torque)
         store(state.feed_forward[i], feed_forward)
         store(state.rhs[i], error)
-
-
-@inlined
-def _supervise(servos: Record, gear: Array, state: Any, lanes: int) -> None:
-    """Mark runs beyond a limit, as `rx90_controller.law.loops` does; the position errors are in `rhs`."""
-    tripped = load(state.tripped[0], lanes)
+    tripped, diverged = load(state.tripped[0], lanes), load(state.diverged[0], lanes)
     for i in range(6):
         error, speed = load(state.rhs[i], lanes), load(state.motor_velocity[i], lanes)
         if i == 5:  # motor 6 turns with joints 5 and 6 together
-            share = gear[5] / gear[4]
+            share = plant.gear[5] / plant.gear[4]
             error = error - share * load(state.rhs[4], lanes)
             speed = speed - share * load(state.motor_velocity[4], lanes)
         # The comparisons are false for NaN too.
         tripped = select(absolute(error) <= load(servos[i].following_error, lanes), tripped, 1.0)
         tripped = select(absolute(speed) <= load(servos[i].over_speed, lanes), tripped, 1.0)
+        diverged = select(absolute(load(state.velocity[i], lanes)) <= plant.speed_limit[i], diverged, 1.0)
     store(state.tripped[0], tripped)
+    store(state.diverged[0], diverged)
 
 
 @inlined
 def _velocity_loops(servos: Record, gear: Array, velocity: Array, nominal: Array, state: Any, lanes: int) -> None:
-    """Run D and C; leave what the drives give beyond tau0 and, in `rhs`, its jump."""
+    """Run D and C; leave what the drives give beyond tau0, and predict what its jump does to the acceleration."""
     coupled = 0.0 * load(state.rhs[0], lanes)
     for n in range(6):
         i = 5 - n  # motor 6 first: it acts on joint 5, too
@@ -259,6 +247,9 @@ def _velocity_loops(servos: Record, gear: Array, velocity: Array, nominal: Array
         excess = torque - nominal[i]
         store(state.rhs[i], excess - load(state.excess[i], lanes))
         store(state.excess[i], excess)
+    inverse = state.coefficients[0]
+    for i in range(6):
+        store(state.acceleration[i], _product(inverse, i, state.rhs, load(state.acceleration[i], lanes), 1.0, lanes))
 
 
 @inlined
@@ -278,14 +269,6 @@ def _product(matrix: Array, i: int, vectors: Array, total: Lanes, sign: float, l
     for j in range(6):
         total = fma(sign * matrix[i, j], load(vectors[j], lanes), total)
     return total
-
-
-@inlined
-def _predict(state: Any, lanes: int) -> None:
-    """Add what the jump of the torques, in `rhs`, does to the acceleration."""
-    inverse = state.coefficients[0]
-    for i in range(6):
-        store(state.acceleration[i], _product(inverse, i, state.rhs, load(state.acceleration[i], lanes), 1.0, lanes))
 
 
 @inlined
@@ -323,15 +306,6 @@ def _substep(tables: Tables, tick: int, groups: Groups, group: int, state: Any, 
         store(state.q[i], load(state.q[i], lanes) + (step * (v + half * acceleration) - slip[i]))
         store(state.v[i], v + step * acceleration)
         store(state.acceleration[i], acceleration)
-
-
-@inlined
-def _mark_divergence(speed_limit: Array, state: Any, lanes: int) -> None:
-    diverged = load(state.diverged[0], lanes)
-    for i in range(6):
-        # The comparison is false for NaN too.
-        diverged = select(absolute(load(state.velocity[i], lanes)) <= speed_limit[i], diverged, 1.0)
-    store(state.diverged[0], diverged)
 
 
 @inlined

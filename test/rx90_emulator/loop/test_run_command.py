@@ -41,8 +41,6 @@ def test_what_cannot_be_written_is_refused_before_the_run(tmp_path: Path, capsys
         (["--output", str(tmp_path)], f"{tmp_path} exists; accepted: a new name"),
         (["--output", f"{tmp_path}/file/bag"], f"{tmp_path}/file/bag: cannot be written (Not a directory)"),
         (["--hours", "8", "--output", f"{tmp_path}/bag"], "--output with --hours; accepted: --task and --plot"),
-        (["--hours", "8", "--decimation", "1"], "--decimation with --hours; accepted: --task and --plot"),
-        (["--hours", "8", "--storage", "mcap"], "--storage with --hours; accepted: --task and --plot"),
         (["--hours", "8", "--start-time", "0"], "--start-time with --hours; accepted: --task and --plot"),
         (["--hours", "8", "--slow-only"], "--slow-only with --hours; accepted: --task and --plot"),
         (["--hours", "8", "--plot", "day.txt"], "--plot day.txt; accepted: a file with .png, .svg, .pdf"),

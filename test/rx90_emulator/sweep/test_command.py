@@ -133,6 +133,8 @@ def test_interrupt_and_kill_keep_what_is_done(tmp_path: Path, plan_file: Path, s
         (["run", "bad.yaml", "--output", "out.parquet"], "'sped' is unknown"),
         (["run", "sweep/reference_1000.yaml", "--output", "no/out.parquet"], "the folder no does not exist"),
         (["run", "sweep/reference_1000.yaml", "--output", "out.parquet", "--workers", "0"], "workers is 0"),
+        (["run", "sweep/reference_1000.yaml", "--output", ""], ". is a folder; accepted: a file"),
+        (["info", ""], ". is a folder; accepted: a file"),
         (["info", "none.parquet"], "none.parquet does not exist"),
         (["info", "bad.yaml"], "cannot be read as Parquet"),
     ],
