@@ -12,20 +12,11 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
 
-Edit = Callable[..., Path]
 
-
-def test_every_file_can_be_the_user_s_own(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
-    """A changed value in any of the files reaches the setup; the other files stay the shipped ones."""
-    drives = edited_yaml(shipped_files.drives, ("spring", "torque", 1), 99.0)
-    assert Setup.load(RobotFiles(drives=drives)).drives.spring_torque[1] == 99.0
-    friction = edited_yaml(shipped_files.friction, ("elements", "joint_5_6", "c2"), 0.7)
-    assert Setup.load(RobotFiles(friction=friction)).friction.elements[6].c2 == 0.7
-    controller = edited_yaml(shipped_files.controller, ("current_loop", "bandwidth"), 555.0)
-    assert Setup.load(RobotFiles(controller=controller)).controller.current_bandwidth == 555.0
+def test_the_tool_can_be_the_user_s_own_or_none(shipped_files: RobotFiles, edited_yaml: Callable[..., Path]) -> None:
+    """A changed mass of the tool reaches the arm's last body, which has its own without a tool."""
     tool = edited_yaml(shipped_files.tool or Path(), ("inertial", "mass"), 1.25)
-    lighter = Setup.load(RobotFiles(tool=tool))
-    assert lighter.robot.chain.mass[5] == pytest.approx(1.45)
+    assert Setup.load(RobotFiles(tool=tool)).robot.chain.mass[5] == pytest.approx(1.45)
     assert Setup.load(RobotFiles(tool=None)).robot.chain.mass[5] == pytest.approx(0.2)
 
 
