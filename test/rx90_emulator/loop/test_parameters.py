@@ -136,7 +136,7 @@ def test_wrong_paths_and_values_are_refused(parted: Setup, path: str, value: flo
 @pytest.mark.parametrize(
     ("path", "kind", "said"),
     [
-        ("task.speed", LineError, "speed is -1.0 m/s"),
+        ("task.speed", LineError, "speed is -1 m/s"),
         ("task.speed.x", ConfigError, "goes on after a value; accepted: task.speed"),
         ("task.speed[0]", ConfigError, "is one value; accepted: task.speed, without an index"),
     ],

@@ -87,8 +87,9 @@ def test_quantiles(distribution: Distribution, oracle: Any) -> None:
 )
 def test_spaces_without_sense_are_refused(build: Any, said: str) -> None:
     """A list or distribution without sense is refused with the value and what is accepted."""
-    with pytest.raises(ConfigError, match=f"{said}.*accepted"):
+    with pytest.raises(ConfigError, match=said) as error:
         build()
+    assert "accepted" in str(error.value)
 
 
 def written(folder: Path, text: str) -> Path:
