@@ -137,12 +137,6 @@ def test_the_arm_follows_and_comes_to_rest(shipped: Setup) -> None:
     assert np.array_equal(reference[-1], HOME)
 
 
-def test_more_substeps_change_little(shipped: Setup) -> None:
-    """Eight plant steps in a tick instead of one move the arm's path by under 10 urad."""
-    paths = [simulate(shipped, there_and_back(), HOME, 0.8, substeps=n).slow.joint_states[:, 0] for n in (1, 8)]
-    assert 0.0 < np.abs(paths[0] - paths[1]).max() < 1e-5
-
-
 def test_what_cannot_be_run_is_refused(shipped: Setup) -> None:
     """A time that is none, a trajectory that starts elsewhere or in the past, and a pose out of reach are refused."""
     for duration in (0.0, -1.0, 1e-9, float("nan"), float("inf")):
