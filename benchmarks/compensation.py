@@ -169,7 +169,7 @@ GAINS = (0.0, 30.0)  # of the bristles that follow the measured velocity, 1/s
 ROUNDS = 15
 SETTLED = 300  # position ticks
 TARGET = 0.03  # mm
-_STIFF = 1000.0  # times as stiff: bristles without presliding to speak of
+_STIFF = 400.0  # times as stiff: bristles without presliding to speak of
 
 _BUDGET: dict[str, dict[str, float]] = {
     "as shipped": {},

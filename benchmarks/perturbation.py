@@ -82,7 +82,7 @@ ROUNDS = 9
 BATCH = 64
 ACCEPTED_SPEEDUP, ACCEPTED_ERROR = 5.0, 0.05
 SPEEDS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
-SCALES = (0.5, 1.0, 2.0, 4.0)
+SCALES = (0.5, 1.0, 2.0, 3.0)
 SPACINGS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 RAMP = 0.1
 """How long a line of the validity table takes to reach its speed, s."""

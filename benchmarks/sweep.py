@@ -22,7 +22,7 @@ from benchmarks.report import ROOT, merge, print_table
 from rx90_common.base.share import config_path
 from rx90_common.process.children import executable
 from rx90_emulator.loop.line import run_line
-from rx90_emulator.sweep.plan_file import load_sweep_plan
+from rx90_emulator.sweep.plan import load_sweep_plan
 from rx90_emulator.sweep.store import describe_results
 from rx90_emulator.sweep.sweep import Sweep
 

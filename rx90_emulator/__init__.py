@@ -37,226 +37,124 @@ they are first used; docs/tutorials/python.md shows them at work. Everything els
 
 from __future__ import annotations
 
+import re
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rx90_common.bags.comparison import (
-        BagComparison,
-        Scope,
-        TopicComparison,
-        Verdict,
-        compare_bags,
-        compare_series,
+        BagComparison as BagComparison,
+        Scope as Scope,
+        TopicComparison as TopicComparison,
+        Verdict as Verdict,
+        compare_bags as compare_bags,
+        compare_series as compare_series,
     )
-    from rx90_common.bags.joint_series import JointSeries
-    from rx90_common.bags.reading import read_bag, read_joint_states
-    from rx90_common.bags.tables import comparison_text
-    from rx90_common.bags.tolerance import Tolerances
-    from rx90_common.bags.writing import write_joint_states
-    from rx90_common.base.errors import Rx90Error, Rx90Warning
-    from rx90_common.base.rates import Rates
-    from rx90_common.description.robot_files import RobotFiles
-    from rx90_common.friction import FrictionElement, FrictionSet
-    from rx90_common.friction.friction_file import FrictionFile
-    from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
-    from rx90_common.friction.parts.load import LoadPart
-    from rx90_common.friction.parts.ripple import RipplePart
-    from rx90_common.friction.parts.scatter import ScatterPart
-    from rx90_common.friction.parts.temperature import TemperaturePart
-    from rx90_controller.lines.plan import LinePlan
-    from rx90_controller.lines.task import LineTask, load_task
-    from rx90_controller.trajectory import TrajectoryPoints
-    from rx90_emulator.identification.excitation.identify import identify_excitation
-    from rx90_emulator.identification.excitation.payload import Payload, read_payloads
-    from rx90_emulator.identification.excitation.result import ExcitationIdentification
-    from rx90_emulator.identification.experiments.folder import IdentificationBags
-    from rx90_emulator.identification.experiments.plan import Experiment, plan_experiments
-    from rx90_emulator.identification.experiments.series import record_on_engine
-    from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction
-    from rx90_emulator.identification.job import write_excitation, write_identification, write_measured
+    from rx90_common.bags.joint_series import JointSeries as JointSeries
+    from rx90_common.bags.reading import read_bag as read_bag, read_joint_states as read_joint_states
+    from rx90_common.bags.tables import comparison_text as comparison_text
+    from rx90_common.bags.tolerance import Tolerances as Tolerances
+    from rx90_common.bags.writing import write_joint_states as write_joint_states
+    from rx90_common.base.errors import Rx90Error as Rx90Error, Rx90Warning as Rx90Warning
+    from rx90_common.base.rates import Rates as Rates
+    from rx90_common.description.robot_files import RobotFiles as RobotFiles
+    from rx90_common.friction import FrictionElement as FrictionElement, FrictionSet as FrictionSet
+    from rx90_common.friction.friction_file import FrictionFile as FrictionFile
+    from rx90_common.friction.parts.bristles import ElastoPlastic as ElastoPlastic, MaxwellSlip as MaxwellSlip
+    from rx90_common.friction.parts.load import LoadPart as LoadPart
+    from rx90_common.friction.parts.ripple import RipplePart as RipplePart
+    from rx90_common.friction.parts.scatter import ScatterPart as ScatterPart
+    from rx90_common.friction.parts.temperature import TemperaturePart as TemperaturePart
+    from rx90_controller.lines.plan import LinePlan as LinePlan
+    from rx90_controller.lines.task import LineTask as LineTask, load_task as load_task
+    from rx90_controller.trajectory import TrajectoryPoints as TrajectoryPoints
+    from rx90_emulator.identification.excitation.identify import identify_excitation as identify_excitation
+    from rx90_emulator.identification.excitation.payload import Payload as Payload, read_payloads as read_payloads
+    from rx90_emulator.identification.excitation.result import ExcitationIdentification as ExcitationIdentification
+    from rx90_emulator.identification.experiments.folder import IdentificationBags as IdentificationBags
+    from rx90_emulator.identification.experiments.plan import (
+        Experiment as Experiment,
+        plan_experiments as plan_experiments,
+    )
+    from rx90_emulator.identification.experiments.series import record_on_engine as record_on_engine
+    from rx90_emulator.identification.identify import (
+        FrictionIdentification as FrictionIdentification,
+        check_friction as check_friction,
+        identify_friction as identify_friction,
+    )
+    from rx90_emulator.identification.job import (
+        write_excitation as write_excitation,
+        write_identification as write_identification,
+        write_measured as write_measured,
+    )
     from rx90_emulator.identification.options import (
-        ExcitationTolerances,
-        MeasuredLayout,
-        RobotOptions,
-        ValidationTolerances,
+        ExcitationTolerances as ExcitationTolerances,
+        MeasuredLayout as MeasuredLayout,
+        RobotOptions as RobotOptions,
+        ValidationTolerances as ValidationTolerances,
     )
     from rx90_emulator.identification.output.summary import (
-        excitation_summary,
-        identification_summary,
-        measured_summary,
+        excitation_summary as excitation_summary,
+        identification_summary as identification_summary,
+        measured_summary as measured_summary,
     )
-    from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured
-    from rx90_emulator.identification.validation.options import MeasuredTolerances
-    from rx90_emulator.identification.validation.prediction import Validation
-    from rx90_emulator.loop.closed_loop import simulate
-    from rx90_emulator.loop.line import LineRun, PathAccuracy, path_accuracy, plan_line, run_line
-    from rx90_emulator.loop.parameters import parameters, with_parameters
-    from rx90_emulator.loop.result import RunResult, save_arrays, write_bag
-    from rx90_emulator.loop.setup import Setup, load_setup
-    from rx90_emulator.loop.trajectory_file import load_trajectory
-    from rx90_emulator.loop.working_day import RepeatedLine, repeat_line
-    from rx90_emulator.perturbation.model import PerturbationModel, PerturbationResult, prepare_perturbation
-    from rx90_emulator.sweep.execution import read_sweep, run_sweep
+    from rx90_emulator.identification.validation.measured import (
+        MeasuredComparison as MeasuredComparison,
+        compare_measured as compare_measured,
+    )
+    from rx90_emulator.identification.validation.options import MeasuredTolerances as MeasuredTolerances
+    from rx90_emulator.identification.validation.prediction import Validation as Validation
+    from rx90_emulator.loop.closed_loop import simulate as simulate
+    from rx90_emulator.loop.line import (
+        LineRun as LineRun,
+        PathAccuracy as PathAccuracy,
+        path_accuracy as path_accuracy,
+        plan_line as plan_line,
+        run_line as run_line,
+    )
+    from rx90_emulator.loop.parameters import parameters as parameters, with_parameters as with_parameters
+    from rx90_emulator.loop.result import RunResult as RunResult, save_arrays as save_arrays, write_bag as write_bag
+    from rx90_emulator.loop.setup import Setup as Setup, load_setup as load_setup
+    from rx90_emulator.loop.trajectory_file import load_trajectory as load_trajectory
+    from rx90_emulator.loop.working_day import RepeatedLine as RepeatedLine, repeat_line as repeat_line
+    from rx90_emulator.perturbation.model import (
+        PerturbationModel as PerturbationModel,
+        PerturbationResult as PerturbationResult,
+        prepare_perturbation as prepare_perturbation,
+    )
+    from rx90_emulator.sweep.execution import read_sweep as read_sweep, run_sweep as run_sweep
     from rx90_emulator.sweep.plan import (
-        Block,
-        LogUniform,
-        Normal,
-        SweepBase,
-        SweepPlan,
-        SweptParameter,
-        Uniform,
-        Values,
+        Block as Block,
+        LogUniform as LogUniform,
+        Normal as Normal,
+        SweepBase as SweepBase,
+        SweepPlan as SweepPlan,
+        SweptParameter as SweptParameter,
+        Uniform as Uniform,
+        Values as Values,
+        load_sweep_plan as load_sweep_plan,
     )
-    from rx90_emulator.sweep.plan_file import load_sweep_plan
-    from rx90_emulator.sweep.sweep import Sweep
+    from rx90_emulator.sweep.sweep import Sweep as Sweep
 
-__all__ = [
-    "BagComparison",
-    "Block",
-    "ElastoPlastic",
-    "ExcitationIdentification",
-    "ExcitationTolerances",
-    "Experiment",
-    "FrictionElement",
-    "FrictionFile",
-    "FrictionIdentification",
-    "FrictionSet",
-    "IdentificationBags",
-    "JointSeries",
-    "LinePlan",
-    "LineRun",
-    "LineTask",
-    "LoadPart",
-    "LogUniform",
-    "MaxwellSlip",
-    "MeasuredComparison",
-    "MeasuredLayout",
-    "MeasuredTolerances",
-    "Normal",
-    "PathAccuracy",
-    "Payload",
-    "PerturbationModel",
-    "PerturbationResult",
-    "Rates",
-    "RepeatedLine",
-    "RipplePart",
-    "RobotFiles",
-    "RobotOptions",
-    "RunResult",
-    "Rx90Error",
-    "Rx90Warning",
-    "ScatterPart",
-    "Scope",
-    "Setup",
-    "Sweep",
-    "SweepBase",
-    "SweepPlan",
-    "SweptParameter",
-    "TemperaturePart",
-    "Tolerances",
-    "TopicComparison",
-    "TrajectoryPoints",
-    "Uniform",
-    "Validation",
-    "ValidationTolerances",
-    "Values",
-    "Verdict",
-    "check_friction",
-    "compare_bags",
-    "compare_measured",
-    "compare_series",
-    "comparison_text",
-    "excitation_summary",
-    "identification_summary",
-    "identify_excitation",
-    "identify_friction",
-    "load_setup",
-    "load_sweep_plan",
-    "load_task",
-    "load_trajectory",
-    "measured_summary",
-    "parameters",
-    "path_accuracy",
-    "plan_experiments",
-    "plan_line",
-    "prepare_perturbation",
-    "read_bag",
-    "read_joint_states",
-    "read_payloads",
-    "read_sweep",
-    "record_on_engine",
-    "repeat_line",
-    "run_line",
-    "run_sweep",
-    "save_arrays",
-    "simulate",
-    "with_parameters",
-    "write_bag",
-    "write_excitation",
-    "write_identification",
-    "write_joint_states",
-    "write_measured",
-]
 
 _HOMES = {
-    "rx90_common.bags.comparison": "BagComparison Scope TopicComparison Verdict compare_bags compare_series",
-    "rx90_common.bags.joint_series": "JointSeries",
-    "rx90_common.bags.reading": "read_bag read_joint_states",
-    "rx90_common.bags.tables": "comparison_text",
-    "rx90_common.bags.tolerance": "Tolerances",
-    "rx90_common.bags.writing": "write_joint_states",
-    "rx90_common.base.errors": "Rx90Error Rx90Warning",
-    "rx90_common.base.rates": "Rates",
-    "rx90_common.description.robot_files": "RobotFiles",
-    "rx90_common.friction": "FrictionSet FrictionElement",
-    "rx90_common.friction.friction_file": "FrictionFile",
-    "rx90_common.friction.parts.bristles": "ElastoPlastic MaxwellSlip",
-    "rx90_common.friction.parts.load": "LoadPart",
-    "rx90_common.friction.parts.ripple": "RipplePart",
-    "rx90_common.friction.parts.scatter": "ScatterPart",
-    "rx90_common.friction.parts.temperature": "TemperaturePart",
-    "rx90_controller.lines.plan": "LinePlan",
-    "rx90_controller.lines.task": "LineTask load_task",
-    "rx90_controller.trajectory": "TrajectoryPoints",
-    "rx90_emulator.identification.excitation.identify": "identify_excitation",
-    "rx90_emulator.identification.excitation.payload": "Payload read_payloads",
-    "rx90_emulator.identification.excitation.result": "ExcitationIdentification",
-    "rx90_emulator.identification.experiments.folder": "IdentificationBags",
-    "rx90_emulator.identification.experiments.plan": "Experiment plan_experiments",
-    "rx90_emulator.identification.experiments.series": "record_on_engine",
-    "rx90_emulator.identification.identify": "check_friction identify_friction FrictionIdentification",
-    "rx90_emulator.identification.job": "write_excitation write_identification write_measured",
-    "rx90_emulator.identification.options": ("ExcitationTolerances MeasuredLayout RobotOptions ValidationTolerances"),
-    "rx90_emulator.identification.output.summary": "excitation_summary identification_summary measured_summary",
-    "rx90_emulator.identification.validation.measured": "compare_measured MeasuredComparison",
-    "rx90_emulator.identification.validation.options": "MeasuredTolerances",
-    "rx90_emulator.identification.validation.prediction": "Validation",
-    "rx90_emulator.loop.parameters": "parameters with_parameters",
-    "rx90_emulator.loop.closed_loop": "simulate",
-    "rx90_emulator.loop.line": "LineRun PathAccuracy path_accuracy plan_line run_line",
-    "rx90_emulator.loop.result": "RunResult save_arrays write_bag",
-    "rx90_emulator.loop.setup": "Setup load_setup",
-    "rx90_emulator.loop.trajectory_file": "load_trajectory",
-    "rx90_emulator.loop.working_day": "RepeatedLine repeat_line",
-    "rx90_emulator.perturbation.model": "prepare_perturbation PerturbationModel PerturbationResult",
-    "rx90_emulator.sweep.execution": "read_sweep run_sweep",
-    "rx90_emulator.sweep.plan": "Block LogUniform Normal SweepBase SweepPlan SweptParameter Uniform Values",
-    "rx90_emulator.sweep.plan_file": "load_sweep_plan",
-    "rx90_emulator.sweep.sweep": "Sweep",
+    name: module
+    for module, names in re.findall(r"^    from (\S+) import (\([^)]*\)|.*)$", Path(__file__).read_text(), re.MULTILINE)
+    for name in re.findall(r"(\w+) as", names)
 }
-"""The modules that the names come from, as in the imports above, which type checkers and editors read."""
+"""The module of each name, by the imports above, which type checkers and editors read."""
 
 if not TYPE_CHECKING:  # so that type checkers know of no other names
+    __all__ = list(_HOMES)
 
     def __getattr__(name: str) -> Any:
         """Import a name of the API when it is first used."""
-        home = next((module for module, names in _HOMES.items() if name in names.split()), None)
-        if home is None:
+        if name not in _HOMES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}; help({__name__}) lists them")
-        globals()[name] = found = getattr(import_module(home), name)
+        globals()[name] = found = getattr(import_module(_HOMES[name]), name)
         return found
 
 
 def __dir__() -> list[str]:
-    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
+    return sorted({*_HOMES, *(name for name in globals() if name.startswith("__"))})

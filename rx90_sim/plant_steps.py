@@ -39,7 +39,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.drives import LINK, DriveParameters, coupling_matrix, element_matrix
 from rx90_common.description.robot import RobotModel
@@ -47,6 +47,7 @@ from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE
 from rx90_common.dynamics.manipulator import mass_and_bias
 from rx90_common.friction import ELEMENT_COUNT, FrictionSet
 from rx90_common.friction.element import SIGNS
+from rx90_common.kernels.compiled import kernel
 
 MOST_AUTOMATIC: Final = 64
 """Steps in a tick that the plant takes without being asked to."""
@@ -60,7 +61,9 @@ GROWTH: Final = 0.1
 DIRECTIONS: Final = 20.0
 """How many times the friction torque of one direction may be that of the other."""
 
-_POSES = 128
+# 128 points that fill a cube evenly: multiples of powers of a root of x^7 = x + 1, modulo 1 (Kronecker's sequence).
+_SHARES = (0.5 + np.arange(1.0, 129.0)[:, None] * 1.112775684278706 ** -np.arange(1.0, 7.0)) % 1.0
+_BODY = np.zeros(1, BODY_DTYPE)  # workspace
 _LARGE = 1e100  # beyond all that an eigenvalue can be computed of
 _GEAR_DAMPING = 0.05  # d / (h k) from which a gear's vibration is gone within some ten steps
 _FRICTION, _HELD, _GEARS = slice(0, ELEMENT_COUNT), slice(0, ELEMENT_COUNT + 12), slice(ELEMENT_COUNT + 12, None)
@@ -228,33 +231,53 @@ def _compliance(arm: bytes, lower: bytes, upper: bytes, rotor: bytes, elastic: b
 
     The inertia that a row feels alone is the inverse of its entry on the diagonal.
     """
-    record, body = np.frombuffer(arm, MANIPULATOR_DTYPE).copy()[0], np.zeros(1, BODY_DTYPE)[0]
-    low, high = np.frombuffer(lower), np.frombuffer(upper)
+    low, high, inertia = np.frombuffer(lower), np.frombuffer(upper), np.diag(np.frombuffer(rotor))
     soft = np.frombuffer(elastic, np.bool_)
-    # Points that fill a cube evenly: multiples of powers of a root of x^7 = x + 1, modulo 1 (Kronecker's sequence).
-    powers = 1.112775684278706 ** -np.arange(1.0, 7.0)
-    share = (0.5 + np.arange(1.0, _POSES + 1.0)[:, None] * powers) % 1.0
-    mass, bias, still = np.empty((_POSES, 6, 6)), np.empty(6), np.zeros(6)
-    for pose, matrix in zip(low + share * (high - low), mass, strict=True):
-        mass_and_bias(record, body, pose, still, matrix, bias)
     coupling, inputs = coupling_matrix(), element_matrix()
-    turns = np.linalg.inv(coupling)  # of the joints as the motors have them, for those of the motors
     count = int(soft.sum())
-    whole = np.zeros((_POSES, 6 + count, 6 + count))
-    whole[:, :6, :6] = mass
+    whole = np.zeros((6 + count, 6 + count))
     if count:  # the motors run ahead of the links by twists
-        inertia = np.diag(np.frombuffer(rotor))
-        whole[:, :6, 6:] = (coupling.T @ inertia)[:, soft]
-        whole[:, 6:, :6] = (inertia @ coupling)[soft]
-        whole[:, 6:, 6:] = inertia[np.ix_(soft, soft)]
+        whole[:6, 6:] = (coupling.T @ inertia)[:, soft]
+        whole[6:, :6] = (inertia @ coupling)[soft]
+        whole[6:, 6:] = inertia[np.ix_(soft, soft)]
     w = np.zeros((ELEMENT_COUNT + 18, 6 + count))
     w[:ELEMENT_COUNT, :6] = inputs
-    if not link_friction:
-        w[:ELEMENT_COUNT, 6:] = (inputs @ turns)[:, soft]
+    if not link_friction:  # of the joints as the motors have them, for those of the motors
+        w[:ELEMENT_COUNT, 6:] = (inputs @ np.linalg.inv(coupling))[:, soft]
     w[7:13, :6], w[7:13, 6:] = coupling, np.eye(6)[:, soft]
     w[13:19, :6] = np.eye(6)
     w[19:, 6:] = np.eye(6)[:, soft]
-    return np.asarray(np.abs(w @ np.linalg.inv(whole) @ w.T).max(axis=0))
+    largest = np.zeros((len(w), len(w)))
+    _raise_to_largest(np.frombuffer(arm, MANIPULATOR_DTYPE), _BODY, low + _SHARES * (high - low), whole, w, largest)
+    return largest
+
+
+@kernel
+def _raise_to_largest(arms: Record, bodies: Record, poses: Array, whole: Array, w: Array, largest: Array) -> None:
+    """Raise `largest` to the entries of W M^-1 W^T, by size; M's block of the joints in `whole` is overwritten."""
+    rows, size = w.shape
+    mass, bias, still = np.empty((6, 6)), np.empty(6), np.zeros(6)
+    factor, solved = np.empty((size, size)), np.empty((rows, size))
+    for pose in range(len(poses)):
+        mass_and_bias(arms[0], bodies[0], poses[pose], still, mass, bias)
+        whole[:6, :6] = mass
+        for i in range(size):  # M = L L^T
+            for j in range(i + 1):
+                total = whole[i, j]
+                for k in range(j):
+                    total -= factor[i, k] * factor[j, k]
+                factor[i, j] = math.sqrt(total) if i == j else total / factor[j, j]
+        for r in range(rows):  # the rows of W L^-T
+            for i in range(size):
+                total = w[r, i]
+                for k in range(i):
+                    total -= factor[i, k] * solved[r, k]
+                solved[r, i] = total / factor[i, i]
+            for other in range(r + 1):
+                total = 0.0
+                for k in range(size):
+                    total += solved[r, k] * solved[other, k]
+                largest[r, other] = largest[other, r] = max(largest[r, other], abs(total))
 
 
 def _refusal(

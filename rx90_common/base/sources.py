@@ -6,6 +6,7 @@ import hashlib
 import platform
 import re
 from collections.abc import Iterable
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -18,6 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 _IMPORT = re.compile(r"^\s*(?:from (\S+) import ([^\n(]*(?:\([^)]*\))?)|import (\S+))", re.MULTILINE)
 
 
+@cache
 def module_file(name: str) -> Path | None:
     """Return the file of a module of this project, None for any other name."""
     parts = name.split(".")
@@ -42,13 +44,14 @@ def with_imports(files: Iterable[Path]) -> list[Path]:
         file = todo.pop()
         if file not in found:
             found.add(file)
-            todo.extend(_imported(file.read_text(encoding="utf-8")))
+            todo.extend(_imported(file))
     return sorted(found)
 
 
-def _imported(text: str) -> list[Path]:
+@cache
+def _imported(source: Path) -> list[Path]:
     files = []
-    for base, items, plain in _IMPORT.findall(text):
+    for base, items, plain in _IMPORT.findall(source.read_text(encoding="utf-8")):
         names = [f"{base}.{item}" for item in re.findall(r"\w+", items)] if base else []
         files += [file for name in (base, *names, plain) if name and (file := module_file(name))]
     return files

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import inspect
 import sys
 from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
@@ -18,7 +17,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.ros_start import prepare
 from rx90_common.process.interrupts import stop_request
 from rx90_common.process.threads import be_nice, run_on
-from rx90_emulator.cli.options import STORAGE, new_folder, place, whole_number
+from rx90_emulator.cli.options import STORAGE, add_verbs, new_folder, place, whole_number
 
 if TYPE_CHECKING:
     from rx90_common.bags.recorder.recording import TopicCount
@@ -46,11 +45,7 @@ a mapping file (docs/howto/bags.md says more):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add a parser for each verb, whose help is what its function says of itself."""
     parser.set_defaults(ros_args=[])  # `ros2 run` and launch files append them
-    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
-    for add, run, text in _VERBS:
-        one = verbs.add_parser(run.__name__.strip("_"), help=text, description=inspect.getdoc(run))
-        add(one)
-        one.set_defaults(run=run)
+    add_verbs(parser, _VERBS)
 
 
 def main(options: argparse.Namespace) -> int | None:
@@ -59,8 +54,7 @@ def main(options: argparse.Namespace) -> int | None:
     Raises:
         Rx90Error: if it cannot be done.
     """
-    code: int | None = options.run(options)
-    return code
+    return options.run(options)  # type: ignore[no-any-return]  # of a verb, below
 
 
 def _add_record(parser: argparse.ArgumentParser) -> None:
@@ -99,22 +93,17 @@ def _record(args: argparse.Namespace) -> int:
 def _report(topics: Sequence[str], counts: Sequence[TopicCount], stalls: Sequence[float], output: Path) -> int:
     """Print what was recorded, and what not; return the exit code."""
     repeated = sum(count.repeated for count in counts)
-    recorded = sum(count.received for count in counts) - repeated
+    received = sum(count.received for count in counts)
     left_out = f"; {repeated} repetitions of the sample before are left out" if repeated else ""
-    print(f"recorded {recorded} messages of {len(counts)} topics to {plain(output)}{left_out}")
-    failures = [] if any(count.received for count in counts) else [
-        f"nothing recorded: no message came on {listed(topics)}"
-    ]  # fmt: skip
-    failures += [
-        f"lost: an unknown number of messages, in {stall:.1f} s in which this process did not run" for stall in stalls
-    ]
+    print(f"recorded {received - repeated} messages of {len(counts)} topics to {plain(output)}{left_out}")
+    failures = [] if received else [f"nothing recorded: no message came on {listed(topics)}"]
+    failures += [f"lost: an unknown number of messages, in {s:.1f} s in which this process did not run" for s in stalls]
     for count in counts:
         if count.other_clock:
-            print(f"{count.topic}: {count.other_clock} messages have stamps of another clock; "
-                  "they are dated by when they came, by the clock of the bag")  # fmt: skip
-        if count.lost:
-            writers = "; ".join(f"{w.lost} of {w.received + w.lost}" for w in count.writers)
-            failures.append(f"lost: {count.lost} messages of {count.topic} (by publisher: {writers})")
+            print(f"{count.topic}: {count.other_clock} messages have stamps of another clock; they are dated by when "
+                  "they came, by the clock of the bag")  # fmt: skip
+        writers = "; ".join(f"{w.lost} of {w.received + w.lost}" for w in count.writers)
+        failures += [f"lost: {count.lost} messages of {count.topic} (by publisher: {writers})"] * bool(count.lost)
         if count.missing:
             failures.append(f"not recorded: {count.missing} trajectories of {count.topic} that the controller has "
                             "accepted: sent before the recording was ready, or lost")  # fmt: skip
@@ -167,8 +156,8 @@ def _compare(args: argparse.Namespace) -> int:
     scope = Scope(
         topics=tuple(dict.fromkeys(args.topics)) if args.topics else None,
         fields=tuple(args.fields),
-        start_ns=_nanoseconds("--from", args.start),
-        end_ns=_nanoseconds("--to", args.end),
+        start_ns=None if args.start is None else _time("--from", args.start),
+        end_ns=None if args.end is None else _time("--to", args.end),
         common_range=args.common_range,
         align=alignment(args.align),
     )
@@ -185,24 +174,17 @@ def alignment(text: str) -> int | str:
     """
     from rx90_common.bags.recorded import START, TRAJECTORY
 
-    if text in (START, TRAJECTORY):
-        return text
-    return _time("--align", text, f"{START}, {TRAJECTORY}, or a time in s, up to {_LONGEST:,} s")
+    return text if text in (START, TRAJECTORY) else _time("--align", text, f"{START}, {TRAJECTORY}, or a time in s")
 
 
-def _nanoseconds(option: str, text: str | None) -> int | None:
-    return None if text is None else _time(option, text, f"a time in s, e.g. 1.25, up to {_LONGEST:,} s")
-
-
-def _time(option: str, text: str, accepted: str) -> int:
+def _time(option: str, text: str, accepted: str = "a time in s, e.g. 1.25") -> int:
     """Return a time in ns without the detour over floating point, which spoils stamps of the wall clock."""
     try:
-        time = Decimal(text)
-        if abs(time) <= _LONGEST:  # raises for what is no number
+        if abs(time := Decimal(text)) <= _LONGEST:  # raises for what is no number
             return int(time * NANOSECONDS)
     except (InvalidOperation, ValueError):
         pass
-    raise BagError(f"{option} is {quoted(text)}; accepted: {accepted}")
+    raise BagError(f"{option} is {quoted(text)}; accepted: {accepted}, up to {_LONGEST:,} s")
 
 
 def _add_plot(parser: argparse.ArgumentParser) -> None:
@@ -231,7 +213,7 @@ def _plot(args: argparse.Namespace) -> None:
     """
     from rx90_common.bags.mapping import LogMapping
     from rx90_common.bags.plotting import is_page, plot_bags, write_plots
-    from rx90_emulator.cli.progress import progress_bar
+    from rx90_emulator.cli.options import progress_bar
 
     if args.align is not None and args.second is None:
         raise ConfigError(f"--align {plain(args.align)} with one bag; accepted: with two")
@@ -267,10 +249,10 @@ def _export(args: argparse.Namespace) -> None:
     all its bits: `rx90_bag import` makes an equal bag of exported CSV files.
     """
     if args.format is not None and args.output.suffix.lower().removeprefix(".") in _KINDS:
-        told = f"--format {args.format} with the file {plain(args.output)}"
-        raise ConfigError(f"{told}; accepted: with a folder, for the suffix of a file says its format")
+        given = f"--format {args.format} with the file {plain(args.output)}"
+        raise ConfigError(f"{given}; accepted: with a folder, for the suffix of a file says its format")
     from rx90_common.bags.exporting import export_bag
-    from rx90_emulator.cli.progress import progress_bar
+    from rx90_emulator.cli.options import progress_bar
 
     with progress_bar("export") as progress:
         done = export_bag(
@@ -303,14 +285,18 @@ def _import(args: argparse.Namespace) -> None:
     """
     from rx90_common.bags.logs import corrupt_text, exported_logs, import_logs
     from rx90_common.bags.mapping import LogMapping
-    from rx90_emulator.cli.progress import progress_bar
+    from rx90_emulator.cli.options import progress_bar
 
     if len(args.logs) == 1 and args.logs[0].is_dir():
         if args.mapping is not None:
             raise ConfigError(f"--mapping {plain(args.mapping)}: a folder has its own; accepted: none of the two")
         logs = exported_logs(args.logs[0])
     else:
-        logs = [(args.logs, LogMapping.load(_mapping_file(args)))]
+        mapping = args.mapping or args.logs[0].with_suffix(".yaml")
+        if args.mapping is None and not mapping.is_file():
+            accepted = "a file that says what the columns hold"
+            raise ConfigError(f"--mapping is missing, and there is no {plain(mapping)}; accepted: {accepted}")
+        logs = [(args.logs, LogMapping.load(mapping))]
     with progress_bar("import") as progress:
         done = import_logs(logs, args.bag, skip_corrupt=args.skip_corrupt, storage=args.storage, progress=progress)
     for one, (_, mapping) in zip(done, logs, strict=True):
@@ -318,23 +304,11 @@ def _import(args: argparse.Namespace) -> None:
             print(one.text)
             continue
         for series in one.series:
-            print(
-                f"{plain(series.topic)}: {counted(len(series.names), 'joint')}, {counted(series.messages, 'message')}"
-            )
+            joints, messages = counted(len(series.names), "joint"), counted(series.messages, "message")
+            print(f"{plain(series.topic)}: {joints}, {messages}")
         if one.corrupt:
             print(f"{plain(one.paths[0])}: left out: {corrupt_text(one.corrupt)}")
     print(f"bag: {plain(args.bag)}")
-
-
-def _mapping_file(args: argparse.Namespace) -> Path:
-    if args.mapping is not None:
-        return Path(args.mapping)
-    beside = Path(args.logs[0]).with_suffix(".yaml")
-    if not beside.is_file():
-        raise ConfigError(
-            f"--mapping is missing, and there is no {plain(beside)}; accepted: a file that says what the columns hold"
-        )
-    return beside
 
 
 def _add_info(parser: argparse.ArgumentParser) -> None:

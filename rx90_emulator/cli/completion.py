@@ -30,27 +30,21 @@ def completion(shell: str, executables: Mapping[str, str]) -> str:
 
     parts: list[str] = []
     for name, module in sorted(executables.items()):
-        parser = _parser(name, module)
+        parser = CommandParser(prog=name)
+        if name in NODES:  # whose arguments ROS reads
+            ros = parser.add_argument_group("ros")
+            ros.add_argument("--ros-args", action="store_true", help="what follows is for ROS")
+            ros.add_argument("--params-file", metavar="FILE", help="parameter file")
+            ros.add_argument("-p", "--param", metavar="NAME:=VALUE", help="parameter")
+            ros.add_argument("-r", "--remap", metavar="FROM:=TO", help="other name of a topic, a service or the node")
+        else:
+            import_module(module).add_arguments(parser)
+        parser.description = None
         for action in _actions(parser):
-            found = _completed_by(action, shtab.FILE, shtab.DIRECTORY)
-            if found is not None:
+            if (found := _completed_by(action, shtab.FILE, shtab.DIRECTORY)) is not None:
                 action.complete = found  # type: ignore[attr-defined]  # where shtab looks for it
         parts.append(shtab.complete(parser, shell=shell, preamble="" if parts else _words_or_files(shell)))
     return "\n".join(parts)
-
-
-def _parser(name: str, module: str) -> argparse.ArgumentParser:
-    parser = CommandParser(prog=name)
-    if name in NODES:  # whose arguments ROS reads
-        ros = parser.add_argument_group("ros")
-        ros.add_argument("--ros-args", action="store_true", help="what follows is for ROS")
-        ros.add_argument("--params-file", metavar="FILE", help="parameter file")
-        ros.add_argument("-p", "--param", metavar="NAME:=VALUE", help="parameter")
-        ros.add_argument("-r", "--remap", metavar="FROM:=TO", help="other name of a topic, a service or the node")
-    else:
-        import_module(module).add_arguments(parser)
-    parser.description = None
-    return parser
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:

@@ -12,79 +12,26 @@ from rx90_common.base.share import SHIPPED_RIG
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.process.files import write_text
 from rx90_emulator.cli.completion import SHELLS, completion
-from rx90_emulator.cli.options import POSITIVE, CommandParser, add_robot_arguments, new_file, place
+from rx90_emulator.cli.options import (
+    POSITIVE,
+    CommandParser,
+    add_robot_arguments,
+    add_verbs,
+    check_picture,
+    new_file,
+    place,
+)
 
 if TYPE_CHECKING:
     from rx90_emulator.configuration.origins import ShownValue
 
-_COMPLETION = """
-Print the completion of all commands for a shell. To turn it on, put into ~/.bashrc or ~/.zshrc: eval "$(rx90_config
-completion bash)", or zsh; that of zsh behind compinit. For fish: rx90_config completion fish | source, in config.fish.
-"""
-_SHOW = """
-Show what a setup of the arm, and the friction rig, come to: each value with its unit, where it comes from (file and
-line, command line, default of the code), whether it is assumed, and the sentence that names its source.
-"""
-_FRICTION = """\
-Show friction elements beside each other, each number with its source, and put elements of one file into another.
-
-FRICTION is a shipped robot (rx90b), published friction (puma560), a friction file or a robot folder, and
-FRICTION:ELEMENT one element of it.
-"""
 _KINDS = "controller, drives, friction, rig, sweep_plan …"
 _HEAD = "# Elements of several files; each says below `note` where it was taken from.\n"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verbs and their options."""
-    verbs = parser.add_subparsers(required=True, metavar="VERB")
-    check = verbs.add_parser(
-        "check",
-        help="say what is wrong in configuration files",
-        description="Say what is wrong in configuration files, each problem in a line with key, value and what is "
-        "accepted. Exit code 0: nothing; 1: something is; 2: a file is not there, or it cannot be told what it is.",
-    )
-    check.add_argument("files", nargs="+", type=Path, metavar="FILE",
-                       help="YAML file of the project, or a robot folder: its files, and whether they fit "
-                       "together")  # fmt: skip
-    check.add_argument("--kind", metavar="KIND", help=f"what the files are ({_KINDS}); else told from their keys")
-    check.set_defaults(verb=_check)
-    complete = verbs.add_parser(
-        "completion", help="print the completion of all commands for a shell", description=_COMPLETION
-    )
-    complete.add_argument("shell", choices=SHELLS)
-    complete.set_defaults(verb=_complete)
-    show = verbs.add_parser(
-        "show", help="show what a setup comes to, and where each value comes from", description=_SHOW
-    )
-    show.set_defaults(verb=_show, ros_args=[])
-    add_robot_arguments(show, *FILES)
-    show.add_argument("--rig", metavar="FILE", help=f"rig file of the friction rig ({SHIPPED_RIG})")
-    _add_parameters(show.add_argument_group("nodes", "what rx90_sim, rx90_controller and friction_bench come to with "
-                                            "these, which may also stand behind --ros-args"))  # fmt: skip
-    show.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    friction = verbs.add_parser(
-        "friction",
-        help="show friction elements beside each other, and put elements of one file into another",
-        description=_FRICTION,
-    )
-    friction.set_defaults(verb=_friction)
-    friction.add_argument("friction", nargs="+", metavar="FRICTION", help="a name or a file, or an element of it")
-    friction.add_argument("--speed", type=POSITIVE, default=1.0, metavar="RAD/S",
-                          help="highest velocity of table and plot (%(default)s)")  # fmt: skip
-    friction.add_argument("--plot", type=place, metavar="FILE",
-                          help="draw the torque over velocity: .png, .svg or .pdf")  # fmt: skip
-    friction.add_argument("--force", action="store_true", help="replace a plot that exists")
-    friction.add_argument("--take", action="append", default=[], metavar="[ELEMENT=]FRICTION[:ELEMENT]",
-                          help="put an element into the first FRICTION, or all of equal names; needs -o")  # fmt: skip
-    friction.add_argument("-o", "--output", type=new_file, metavar="FILE", help="where to write what --take makes")
-    friction.add_argument("--json", action="store_true", help="print JSON instead of a table")
-
-
-def _add_parameters(group: argparse._ActionsContainer) -> None:
-    group.add_argument("--params-file", type=Path, action="append", default=[], metavar="FILE", help="parameter file")
-    group.add_argument("-p", "--param", action="append", default=[], metavar="[NODE:]NAME:=VALUE", help="a parameter")
-    group.add_argument("--nodes", action="store_true", help="with the nodes' parameters also where none is given")
+    add_verbs(parser, _VERBS)
 
 
 def main(options: argparse.Namespace) -> int:
@@ -93,11 +40,22 @@ def main(options: argparse.Namespace) -> int:
     Raises:
         Rx90Error: if it cannot be done.
     """
-    code: int = options.verb(options)
+    code: int = options.run(options)
     return code
 
 
+def _add_check(check: argparse.ArgumentParser) -> None:
+    check.add_argument("files", nargs="+", type=Path, metavar="FILE",
+                       help="YAML file of the project, or a robot folder: its files, and whether they fit "
+                       "together")  # fmt: skip
+    check.add_argument("--kind", metavar="KIND", help=f"what the files are ({_KINDS}); else told from their keys")
+
+
 def _check(options: argparse.Namespace) -> int:
+    """Say what is wrong in configuration files, each problem in a line with key, value and what is accepted.
+
+    Exit code 0: nothing; 1: something is; 2: a file is not there, or it cannot be told what it is.
+    """
     from rx90_emulator.configuration.check import check_path, kind_named
 
     kind = None if options.kind is None else kind_named(options.kind)
@@ -118,18 +76,45 @@ def _check(options: argparse.Namespace) -> int:
         for text in refused:
             fault, _, accepted = text.partition("; accepted: ")
             by_accepted.setdefault(accepted, []).append(fault)
-        raise ConfigError(
-            "; ".join(f"{'; '.join(faults)}; accepted: {accepted}" for accepted, faults in by_accepted.items())
-        )
+        raise ConfigError("; ".join(f"{'; '.join(faults)}; accepted: {one}" for one, faults in by_accepted.items()))
     return VERDICT_NO if problems else DONE
 
 
-def _complete(options: argparse.Namespace) -> int:
+def _add_completion(complete: argparse.ArgumentParser) -> None:
+    complete.add_argument("shell", choices=SHELLS)
+
+
+def _completion(options: argparse.Namespace) -> int:
+    """Print the completion of all commands for a shell.
+
+    To turn it on, put into ~/.bashrc or ~/.zshrc: eval "$(rx90_config completion bash)", or zsh; that of zsh behind
+    compinit. For fish: rx90_config completion fish | source, in config.fish.
+    """
     print(completion(options.shell, options.executables))
     return DONE
 
 
+def _add_show(show: argparse.ArgumentParser) -> None:
+    show.set_defaults(ros_args=[])
+    add_robot_arguments(show, *FILES)
+    show.add_argument("--rig", metavar="FILE", help=f"rig file of the friction rig ({SHIPPED_RIG})")
+    _add_parameters(show.add_argument_group("nodes", "what rx90_sim, rx90_controller and friction_bench come to with "
+                                            "these, which may also stand behind --ros-args"))  # fmt: skip
+    show.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def _add_parameters(group: argparse._ActionsContainer) -> None:
+    group.add_argument("--params-file", type=Path, action="append", default=[], metavar="FILE", help="parameter file")
+    group.add_argument("-p", "--param", action="append", default=[], metavar="[NODE:]NAME:=VALUE", help="a parameter")
+    group.add_argument("--nodes", action="store_true", help="with the nodes' parameters also where none is given")
+
+
 def _show(options: argparse.Namespace) -> int:
+    """Show what a setup of the arm, and the friction rig, come to.
+
+    Each value with its unit, where it comes from (file and line, command line, default of the code), whether it is
+    assumed, and the sentence that names its source.
+    """
     from rx90_emulator.configuration.origins import values_json, values_table
 
     if options.ros_args:
@@ -140,8 +125,8 @@ def _show(options: argparse.Namespace) -> int:
             raise ConfigError(f"--ros-args {quoted(other[0])}; accepted: -p and --params-file")
         options.params_file += given.params_file
         options.param += given.param
-    nodes = options.params_file or options.param or options.nodes
-    values = _values_of_nodes(options) if nodes else _values_of_files(options)
+    of_nodes = options.params_file or options.param or options.nodes
+    values = _values_of_nodes(options) if of_nodes else _values_of_files(options)
     print(values_json(values) if options.json else values_table(values))
     return DONE
 
@@ -172,17 +157,34 @@ def _values_of_files(options: argparse.Namespace) -> list[ShownValue]:
     return [*setup_values(files, chosen), steps, *rig_values(rig, origin)]
 
 
+def _add_friction(friction: argparse.ArgumentParser) -> None:
+    friction.add_argument("friction", nargs="+", metavar="FRICTION", help="a name or a file, or an element of it")
+    friction.add_argument("--speed", type=POSITIVE, default=1.0, metavar="RAD/S",
+                          help="highest velocity of table and plot (%(default)s)")  # fmt: skip
+    friction.add_argument("--plot", type=place, metavar="FILE",
+                          help="draw the torque over velocity: .png, .svg or .pdf")  # fmt: skip
+    friction.add_argument("--force", action="store_true", help="replace a plot that exists")
+    friction.add_argument("--take", action="append", default=[], metavar="[ELEMENT=]FRICTION[:ELEMENT]",
+                          help="put an element into the first FRICTION, or all of equal names; needs -o")  # fmt: skip
+    friction.add_argument("-o", "--output", type=new_file, metavar="FILE", help="where to write what --take makes")
+    friction.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
 def _friction(options: argparse.Namespace) -> int:
+    """Show friction elements beside each other, each number with its source, and put elements of one file into another.
+
+    FRICTION is a shipped robot (rx90b), published friction (puma560), a friction file or a robot folder, and
+    FRICTION:ELEMENT one element of it.
+    """
     # Here, because --help must not wait for them.
-    from rx90_common.report.picture import PICTURES, write_picture
+    from rx90_common.report.picture import write_picture
     from rx90_emulator.configuration import friction
 
     if bool(options.take) != (options.output is not None):
         raise ConfigError("--take and --output: only one of them is there; accepted: both, or none")
     plot: Path | None = options.plot
-    if plot is not None and plot.suffix.lower() not in PICTURES:
-        raise ConfigError(f"--plot {plain(plot)}; accepted: a file with {', '.join(PICTURES)}")
     if plot is not None:
+        check_picture(plot)
         check_replaced(plot, force=options.force)
     choices = [friction.FrictionChoice.named(text) for text in options.friction]
     if options.output is not None:
@@ -195,3 +197,11 @@ def _friction(options: argparse.Namespace) -> int:
         if not options.json:
             print(f"plot: {plain(plot.resolve())}")
     return DONE
+
+
+_VERBS = (
+    (_add_check, _check, "say what is wrong in configuration files"),
+    (_add_completion, _completion, "print the completion of all commands for a shell"),
+    (_add_show, _show, "show what a setup comes to, and where each value comes from"),
+    (_add_friction, _friction, "show friction elements beside each other, and put elements of one file into another"),
+)

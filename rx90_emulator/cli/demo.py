@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from datetime import datetime
 from itertools import count
 from pathlib import Path
@@ -11,7 +10,13 @@ from pathlib import Path
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.exchange.ros_start import prepare
-from rx90_emulator.cli.options import add_page_arguments, add_robot_arguments, new_folder, page_arguments
+from rx90_emulator.cli.options import (
+    add_page_arguments,
+    add_robot_arguments,
+    new_folder,
+    page_arguments,
+    stay_on_this_machine,
+)
 
 _ANY_PORT = 0  # the demonstration need not know which
 
@@ -38,9 +43,7 @@ def main(options: argparse.Namespace) -> int:
     view = page_arguments(options)
     if view and not options.view:
         raise ConfigError(f"{view[0]} without --view; accepted: with --view, for its page")
-    # Before rclpy is imported: DDS stays on this machine, and apart from other runs on it.
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    stay_on_this_machine()
     prepare()
     # Here, because a wrong option must not wait for them.
     from rx90_emulator.demo.demonstration import Demonstration

@@ -14,6 +14,7 @@ from rx90_emulator.cli.options import (
     STORAGE,
     add_node_arguments,
     add_robot_arguments,
+    check_apart,
     check_needs,
     new_folder,
     node_of,
@@ -75,17 +76,14 @@ def _add_excitation(verb: argparse.ArgumentParser) -> None:
 
 def _excitation_options(options: argparse.Namespace) -> ExcitationOptions | None:
     """Return the options of excitation runs; None without --excitation."""
-    given = {name: value for name in (*DECLARED, "torque_noise") if (value := getattr(options, name)) is not None}
+    names = (*DECLARED, "torque_noise")
+    check_needs(options, (*names, "keep_above", "wall"), ("excitation",))
+    check_apart(options, ("group", "speeds"), "excitation", "without it, all joints move at once")
     if not options.excitation:
-        planes = [name for name in ("keep_above", "wall") if getattr(options, name) is not None]
-        if unused := [*given, *planes]:
-            raise IdentificationError(f"--{unused[0].replace('_', '-')} without --excitation; accepted: with it")
         return None
-    if options.group or options.speeds is not None:
-        name = "--group" if options.group else "--speeds"
-        raise IdentificationError(f"{name} with --excitation; accepted: without it, all joints move at once")
     if options.clearance is not None and options.keep_above is None and not options.wall:
         raise IdentificationError(f"--clearance {options.clearance} without --keep-above or --wall; accepted: with one")
+    given = {name: value for name in names if (value := getattr(options, name)) is not None}
     if options.torque_noise is not None:
         given["torque_noise"] = tuple(options.torque_noise)
     walls = [] if options.keep_above is None else [Wall.above(options.keep_above)]

@@ -6,25 +6,19 @@ import argparse
 
 from friction_bench.presliding import KINDS, USUAL_BLOCKS, USUAL_CYCLES
 from rx90_common.base.share import PRESLIDING_RIG
-from rx90_emulator.cli.options import new_folder, whole_number
+from rx90_emulator.cli.options import add_rig_arguments, whole_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.set_defaults(interrupted="the rig is switched off", load="joint")
-    parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
-    parser.add_argument("--baud", type=whole_number, help="line rate (default: the rig file's)")
-    parser.add_argument("--rig", default=PRESLIDING_RIG, help="rig file (default: %(default)s)")
+    parser.set_defaults(load="joint")
     parser.add_argument(
         "--kinds", nargs="+", choices=KINDS, metavar="KIND",
         help=f"experiments after the ramps: {', '.join(KINDS)} (default: all)",
     )  # fmt: skip
     parser.add_argument("--blocks", type=whole_number, help=f"blocks of loops (default: {USUAL_BLOCKS})")
     parser.add_argument("--cycles", type=whole_number, help=f"small cycles of the drift (default: {USUAL_CYCLES})")
-    parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
-    parser.add_argument("--seed", type=whole_number, help="of the emulated rig's noise (0)")
-    parser.add_argument("--real-time", action="store_true", help="run the emulated rig in real time")
-    parser.add_argument("--output", type=new_folder, default="out/presliding", help="new folder for bag and report")
+    add_rig_arguments(parser, PRESLIDING_RIG, "out/presliding")
 
 
 def main(options: argparse.Namespace) -> int:

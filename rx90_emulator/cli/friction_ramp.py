@@ -6,15 +6,11 @@ import argparse
 
 from friction_bench.experiment.record import TEXT_KINDS, VELOCITIES
 from rx90_common.base.share import SHIPPED_RIG
-from rx90_emulator.cli.options import FINITE, add_robot_argument, new_folder, whole_number
+from rx90_emulator.cli.options import FINITE, add_rig_arguments, add_robot_argument, whole_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.set_defaults(interrupted="the rig is switched off")
-    parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
-    parser.add_argument("--baud", type=whole_number, help="line rate (default: the rig file's)")
-    parser.add_argument("--rig", default=SHIPPED_RIG, help="rig file (default: %(default)s)")
     parser.add_argument(
         "--slopes", type=FINITE, nargs="+", metavar="M", help="slopes, Nm/s (default: by the first ramp)"
     )
@@ -23,10 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--load", choices=("none", "joint", "both"), default="both", help="joint coupled? (default: %(default)s)"
     )
-    parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
-    parser.add_argument("--seed", type=whole_number, help="of the emulated rig's noise (0)")
-    parser.add_argument("--real-time", action="store_true", help="run the emulated rig in real time")
-    parser.add_argument("--output", type=new_folder, default="out/friction", help="new folder for bag and report")
+    add_rig_arguments(parser, SHIPPED_RIG, "out/friction")
     parser.add_argument("--element", default="joint_6", help="friction element that the joint stands for")
     add_robot_argument(parser)
     files = parser.add_argument_group("old data instead of a rig")

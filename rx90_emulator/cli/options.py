@@ -1,12 +1,17 @@
-"""The parser of every command, and the options that several of them have."""
+"""The parser of every command, the options that several of them have, and their progress bar."""
 
 from __future__ import annotations
 
 import argparse
+import inspect
+import itertools
 import math
 import os
 import re
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -20,7 +25,7 @@ is no (bags differ, messages lost, not confirmed); 2 refused, nothing was writte
 gone, disk full); 130 interrupted; 141 the reader of the output has gone.
 """
 _NEGATIVE = re.compile(r"-((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf|infinity|nan)$", re.IGNORECASE)
-_LAST_PORT = 65535
+_BAR = "{desc}: {percentage:3.0f} % |{bar}| [{elapsed}<{remaining}]"
 CONTROLLER = "rx90_controller"
 """The controller node, where no other is named."""
 STORAGE = "mcap"
@@ -87,12 +92,17 @@ FINITE = number("a finite number")
 POSITIVE = number("a positive number", lambda value: value > 0.0)
 
 
-def whole_number(text: str) -> int:
+def whole_number(text: str, low: float = -math.inf, high: float = math.inf, accepted: str = "a whole number") -> int:
     """Return a whole number, as a type for argparse; argparse itself does not say what would be accepted."""
     try:
-        return int(text)
+        if low <= (value := int(text)) <= high:
+            return value
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{quoted(text)}; accepted: a whole number") from None
+        pass
+    raise argparse.ArgumentTypeError(f"{quoted(text)}; accepted: {accepted}")
+
+
+_PORT = partial(whole_number, low=0, high=65535, accepted="a whole number from 0 to 65535")
 
 
 def place(text: str) -> Path:
@@ -134,28 +144,95 @@ def _check_new(text: str) -> None:
         raise ConfigError(f"{plain(text)} exists; accepted: a new name")
 
 
-def check_needs(options: argparse.Namespace, names: Sequence[str], others: Sequence[str]) -> None:
-    """Refuse options that count only together with one of some others, where none of these is given.
+def is_given(options: argparse.Namespace, name: str) -> bool:
+    """Return whether an option was given: whether it is something else than None, False or an empty list."""
+    value = getattr(options, name)
+    return value is not None and value is not False and value != []
 
-    Args:
-        options: None or False for what is not given.
-        names: of the options, as attributes.
-        others: the same; of one or more.
+
+def check_needs(options: argparse.Namespace, names: Sequence[str], others: Sequence[str]) -> None:
+    """Refuse options, by their attributes, that count only together with one of some others, where none is given.
 
     Raises:
         ConfigError: naming the first such option.
     """
+    if not any(is_given(options, name) for name in others):
+        for name in names:
+            if is_given(options, name):
+                one = "it" if len(others) == 1 else "one"
+                raise ConfigError(f"{_spelt(name)} without {' or '.join(map(_spelt, others))}; accepted: with {one}")
 
-    def given(name: str) -> bool:
-        value = getattr(options, name)
-        return value is not None and value is not False
 
-    if any(map(given, others)):
-        return
-    for name in filter(given, names):
-        spelt, *accepted = (f"--{each.replace('_', '-')}" for each in (name, *others))
-        one = "it" if len(others) == 1 else "one"
-        raise ConfigError(f"{spelt} without {' or '.join(accepted)}; accepted: with {one}")
+def check_apart(options: argparse.Namespace, names: Sequence[str], other: str, accepted: str) -> None:
+    """Refuse options, by their attributes, that do not count with another one, where both are given.
+
+    Raises:
+        ConfigError: naming the first such option, and what is accepted.
+    """
+    for name in names:
+        if is_given(options, other) and is_given(options, name):
+            raise ConfigError(f"{_spelt(name)} with {_spelt(other)}; accepted: {accepted}")
+
+
+def check_picture(path: Path) -> None:
+    """Refuse a picture of another format than Matplotlib is asked for.
+
+    Raises:
+        ConfigError: naming what is accepted.
+    """
+    from rx90_common.report.picture import PICTURES
+
+    if path.suffix.lower() not in PICTURES:
+        raise ConfigError(f"--plot {plain(path)}; accepted: a file with {', '.join(PICTURES)}")
+
+
+def _spelt(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def stay_on_this_machine() -> None:
+    """Keep ROS, before it is imported, on this machine and apart from other runs on it, unless the user says where."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+
+
+@contextmanager
+def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function that is called with how much is done and how much there is; after a second it shows a bar."""
+    from tqdm import tqdm
+
+    with tqdm(desc=what, bar_format=_BAR, delay=1.0, disable=None, file=sys.stderr) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield show
+
+
+def add_rig_arguments(parser: argparse.ArgumentParser, rig: str, output: str) -> None:
+    """Add the options of a command that measures on a friction rig: where it is, its file, where results go."""
+    parser.set_defaults(interrupted="the rig is switched off")
+    parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
+    parser.add_argument("--baud", type=whole_number, help="line rate (default: the rig file's)")
+    parser.add_argument("--rig", default=rig, help="rig file (default: %(default)s)")
+    parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
+    parser.add_argument("--seed", type=whole_number, help="of the emulated rig's noise (0)")
+    parser.add_argument("--real-time", action="store_true", help="run the emulated rig in real time")
+    parser.add_argument("--output", type=new_folder, default=output, help="new folder for bag and report")
+
+
+Verb = tuple[Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int | None], str]
+"""Of a command: what adds its arguments; what runs it, named as the verb, with its description; its line in --help."""
+
+
+def add_verbs(parser: argparse.ArgumentParser, verbs: Sequence[Verb]) -> None:
+    """Add a parser for each verb, whose function `options.run` then is."""
+    added = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+    for add, run, text in verbs:
+        one = added.add_parser(run.__name__.strip("_"), help=text, description=inspect.getdoc(run))
+        one.set_defaults(run=run)
+        add(one)
 
 
 def add_robot_argument(parser: argparse._ActionsContainer) -> None:
@@ -177,28 +254,14 @@ def add_page_arguments(group: argparse._ActionsContainer, port: int) -> None:
     group.add_argument("--host", metavar="ADDRESS",
                        help="to serve the page on; 0.0.0.0 shows it to other machines, too (127.0.0.1: to this one "
                        "alone)")  # fmt: skip
-    group.add_argument("--port", type=_port, metavar="N", help=f"0: any free one ({port})")
+    group.add_argument("--port", type=_PORT, metavar="N", help=f"0: any free one ({port})")
     group.add_argument("--no-browser", action="store_true", help="print the address and open no browser")
 
 
 def page_arguments(options: argparse.Namespace) -> list[str]:
     """Return the words that say of a page what was given, for another command."""
-    words = []
-    if options.host is not None:
-        words += ["--host", options.host]
-    if options.port is not None:
-        words += ["--port", str(options.port)]
-    return words + ["--no-browser"] * options.no_browser
-
-
-def _port(text: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        value = -1
-    if not 0 <= value <= _LAST_PORT:
-        raise argparse.ArgumentTypeError(f"{text!r}; accepted: a whole number from 0 to {_LAST_PORT}")
-    return value
+    words = [(f"--{name}", str(value)) for name in ("host", "port") if (value := getattr(options, name)) is not None]
+    return [*itertools.chain(*words), *["--no-browser"] * options.no_browser]
 
 
 def add_node_arguments(group: argparse._ActionsContainer, timeout: float) -> None:

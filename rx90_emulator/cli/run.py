@@ -5,27 +5,30 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import one_line, plain
+from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import Rates
 from rx90_emulator.cli.options import (
     FINITE,
     STORAGE,
     add_robot_arguments,
+    check_apart,
     check_needs,
+    check_picture,
     new_file,
     new_folder,
+    progress_bar,
     whole_number,
 )
-from rx90_emulator.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from rx90_common.report.plot import Plot
+    from rx90_common.base.arrays import Array
     from rx90_emulator.loop.result import RunResult
     from rx90_emulator.loop.setup import Setup
     from rx90_emulator.loop.working_day import RepeatedLine
@@ -33,7 +36,7 @@ if TYPE_CHECKING:
 _ROWS = 12  # of the tables of --hours
 _NOT_WITH_HOURS = (
     "trajectory", "from_bag", "initial_position", "start_time", "output", "arrays", "storage", "decimation",
-    "slow_only", "temperature_rate",
+    "slow_only", "temperature_rate", "substeps",
 )  # fmt: skip
 
 
@@ -43,22 +46,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     motion = parser.add_mutually_exclusive_group()
     motion.add_argument("--task", metavar="FILE", help="task file (the robot's task.yaml)")
     motion.add_argument("--trajectory", type=Path, help="JointTrajectory in YAML instead of a task")
-    motion.add_argument(
-        "--from-bag",
-        type=Path,
-        metavar="BAG",
-        help="the trajectories of a recorded bag, from where the arm began",
-    )
-    parser.add_argument(
-        "--initial-position", type=FINITE, nargs=6, metavar="RAD",
-        help="where the arm rests at time 0 (of a trajectory its first point, of a bag the first joint_states)",
-    )  # fmt: skip
+    motion.add_argument("--from-bag", type=Path, metavar="BAG",
+                        help="the trajectories of a recorded bag, from where the arm began")  # fmt: skip
+    parser.add_argument("--initial-position", type=FINITE, nargs=6, metavar="RAD",
+                        help="where the arm rests at time 0 (of a trajectory its first point, of a bag the first "
+                        "joint_states)")  # fmt: skip
     parser.add_argument("--start-time", type=FINITE, help="start of the task or trajectory, s (0)")
-    parser.add_argument(
-        "--hours", type=FINITE, metavar="H",
-        help="run the task there and back for so long, as the joints get warm: friction and path error over a working "
-        "day; for friction with temperature",
-    )  # fmt: skip
+    parser.add_argument("--hours", type=FINITE, metavar="H",
+                        help="run the task there and back for so long, as the joints get warm: friction and path error "
+                        "over a working day; for friction with temperature")  # fmt: skip
     parser.add_argument("--plot", type=new_file, metavar="FILE", help="picture of it (.png, .svg); must not exist")
     parser.add_argument("--output", type=new_folder, help="bag folder to write; must not exist")
     parser.add_argument("--arrays", type=new_file, help="NumPy file to write (.npz), names with units; must not exist")
@@ -66,28 +62,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--decimation", type=whole_number, help="write every n-th message of the 1 kHz topics (1)")
     parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of bag and arrays")
     forward = parser.add_mutually_exclusive_group()
-    forward.add_argument(
-        "--no-feed-forward",
-        action="store_true",
-        help="FF and dq_r off: no feed-forward, and D from the measured velocity alone",
-    )
-    forward.add_argument(
-        "--no-velocity-feed-forward",
-        action="store_true",
-        help="dq_r off: D from the measured velocity alone, as the paper draws it",
-    )
+    forward.add_argument("--no-feed-forward", action="store_true",
+                         help="FF and dq_r off: no feed-forward, and D from the measured velocity alone")  # fmt: skip
+    forward.add_argument("--no-velocity-feed-forward", action="store_true",
+                         help="dq_r off: D from the measured velocity alone, as the paper draws it")  # fmt: skip
     parser.add_argument("--substeps", type=whole_number, help="plant steps in a tick (as many as the arm needs)")
-    parser.add_argument(
-        "--seed", type=whole_number, metavar="N",
-        help="of all that is random in the arm, such as the scatter of its friction; the same seed gives the same bits "
-        "(0; with --from-bag that of the bag's run)",
-    )  # fmt: skip
+    parser.add_argument("--seed", type=whole_number, metavar="N",
+                        help="of all that is random in the arm, such as the scatter of its friction; the same seed "
+                        "gives the same bits (0; with --from-bag that of the bag's run)")  # fmt: skip
     parser.add_argument("--base-rate", type=whole_number, default=4000, help="Hz (%(default)s)")
     parser.add_argument("--position-rate", type=whole_number, default=1000, help="Hz (%(default)s)")
-    parser.add_argument(
-        "--temperature-rate", type=whole_number, metavar="HZ",
-        help="of temperatures in bag and arrays, Hz (1; with --from-bag that of the bag's run)",
-    )  # fmt: skip
+    parser.add_argument("--temperature-rate", type=whole_number, metavar="HZ",
+                        help="of temperatures in bag and arrays, Hz (1; with --from-bag that of the bag's "
+                        "run)")  # fmt: skip
     add_robot_arguments(parser)
 
 
@@ -129,45 +116,32 @@ def main(options: argparse.Namespace) -> None:
 
 def _check(options: argparse.Namespace) -> None:
     """Refuse what can be seen to be wrong before anything is read."""
-    if options.plot is not None and options.hours is None:
-        raise ConfigError("--plot without --hours; accepted: with --hours; rx90_bag plot draws bags")
-    if options.hours is not None:
-        from rx90_common.report.picture import PICTURES
-
-        for name in _NOT_WITH_HOURS:
-            given = getattr(options, name)
-            if given is not None and given is not False:  # 0 is given, too
-                raise ConfigError(f"--{name.replace('_', '-')} with --hours; accepted: --task and --plot")
-        if options.plot is not None and options.plot.suffix.lower() not in PICTURES:
-            raise ConfigError(f"--plot {plain(options.plot)}; accepted: a file with {', '.join(PICTURES)}")
-        if options.substeps is not None:
-            raise ConfigError(f"--substeps {options.substeps} with --hours; accepted: left out")
+    check_needs(options, ("plot",), ("hours",))
+    check_apart(options, _NOT_WITH_HOURS, "hours", "--task and --plot")
+    if options.plot is not None:
+        check_picture(options.plot)
     if options.decimation is not None and options.decimation < 1:
         raise ConfigError(f"--decimation is {options.decimation}; accepted: a whole number >= 1")
     check_needs(options, ("storage", "decimation"), ("output",))
     check_needs(options, ("slow_only", "temperature_rate"), ("output", "arrays"))
-    if options.from_bag is not None and options.start_time is not None:
-        raise ConfigError("--start-time with --from-bag; accepted: the times in the bag")
-    if options.from_bag is not None and options.temperature_rate is not None:
-        raise ConfigError("--temperature-rate with --from-bag; accepted: the rate in the bag")
-    if options.initial_position is not None and options.trajectory is None and options.from_bag is None:
-        raise ConfigError("--initial-position with a task; accepted: with --trajectory or --from-bag")
+    check_apart(options, ("start_time",), "from_bag", "the times in the bag")
+    check_apart(options, ("temperature_rate",), "from_bag", "the rate in the bag")
+    check_needs(options, ("initial_position",), ("trajectory", "from_bag"))
 
 
 def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
     """Run what was asked for; print where the arm begins and how well it kept to its path."""
     from rx90_common.description.robot_files import RobotFiles
     from rx90_controller.lines.task import SETTLING, load_task
-    from rx90_emulator.loop.closed_loop import simulate
+    from rx90_emulator.loop import closed_loop
+    from rx90_emulator.loop import recorded_run as loop
     from rx90_emulator.loop.line import LineRun, run_line
-    from rx90_emulator.loop.recorded_run import read_run, replay
     from rx90_emulator.loop.trajectory_file import load_trajectory
 
     begin, start = options.start_time or 0.0, options.initial_position
-    substeps, fast = options.substeps, not options.slow_only
-    result: RunResult
+    simulate: Callable[..., RunResult]
     if options.from_bag is not None:
-        recorded = read_run(options.from_bag, setup, start)
+        recorded = loop.read_run(options.from_bag, setup, start)
         starts = ", ".join(f"{command.start * setup.rates.position_period:.3f} s" for command in recorded.commands)
         print(f"trajectories in {one_line(options.from_bag)}: {len(recorded.commands)}, from {starts}")
         if options.seed is None:
@@ -183,20 +157,21 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
                 f"{', '.join(recorded.given)} had other values in that run from its beginning; here the controller "
                 "file and the options of this command hold"
             )
-        _print_start(recorded.initial_position)
-        began = time.perf_counter()
-        result = replay(setup, recorded, substeps=substeps, record_fast=fast)
+        start = recorded.initial_position
+        simulate = partial(loop.replay, setup, recorded)
     elif options.trajectory is not None:
         points = load_trajectory(options.trajectory, setup.robot.joint_names)
         start = points.position[0] if start is None else start
-        _print_start(start)
-        duration = begin + float(points.times[-1]) + SETTLING
-        began = time.perf_counter()
-        result = simulate(setup, points, start, duration, begin, substeps=substeps, record_fast=fast)
+        simulate = partial(
+            closed_loop.simulate, setup, points, start, begin + float(points.times[-1]) + SETTLING, begin
+        )
     else:
         task = load_task(RobotFiles.of_options(options).required("task"))
-        began = time.perf_counter()
-        result = run_line(setup, task, start_time=begin, substeps=substeps, record_fast=fast)
+        simulate = partial(run_line, setup, task, start_time=begin)
+    if start is not None:
+        print("begins at rest at", ", ".join(f"{angle:.6g}" for angle in start), "rad")
+    began = time.perf_counter()
+    result: RunResult = simulate(substeps=options.substeps, record_fast=not options.slow_only)
     simulated = result.times[-1] + result.setup.rates.position_period
     print(f"simulated {simulated:.3f} s in {time.perf_counter() - began:.2f} s")
     if isinstance(result, LineRun):
@@ -207,10 +182,6 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
     for name, error in zip(setup.robot.joint_names, worst, strict=True):
         print(f"{name}: worst tracking error {error * 1e3:.4f} mrad")
     return result
-
-
-def _print_start(position: Iterable[float]) -> None:
-    print("begins at rest at", ", ".join(f"{angle:.6g}" for angle in position), "rad")
 
 
 def _warn(text: str) -> None:
@@ -241,52 +212,34 @@ def _run_hours(setup: Setup, options: argparse.Namespace) -> None:
 def _show_hours(result: RepeatedLine, cycles: int, plot: Path | None) -> None:
     import numpy as np
 
-    count = len(result.times)
-    print(f"{cycles} times there and back in {cycles * result.cycle / 3600.0:.3g} h, of which {count} were simulated")
-    rows = np.unique(np.linspace(0, count - 1, _ROWS).round().astype(int))
-    names = result.setup.friction.names
-    head = "".join(f"{name:>11}" for name in names)
-    warm = [element.temperature is not None for element in result.setup.friction.elements]
-    print(f"\n{'':8}{'path error, mm':>18}  temperature of the joints, °C\n{'h':>8}{'worst':>9}{'RMS':>9}{head}")
-    for i in rows:
-        degrees = "".join(
-            f"{t:11.1f}" if known else f"{'-':>11}" for t, known in zip(result.temperatures[i], warm, strict=True)
-        )
-        print(f"{result.times[i] / 3600.0:8.3f}{result.worst[i] * 1e3:9.4f}{result.rms[i] * 1e3:9.4f}{degrees}")
-    print(f"\n{'':8}{'':18}  mean friction torque, Nm\n{'h':>8}{'':18}{head}")
-    for i in rows:
-        print(f"{result.times[i] / 3600.0:8.3f}{'':18}{''.join(f'{torque:11.3f}' for torque in result.friction[i])}")
-    if plot is not None:
-        from rx90_common.report.picture import write_picture
-
-        write_picture(_hours_plot(result), plot)
-        print(one_line(f"plot: {plot}"))
-
-
-def _hours_plot(result: RepeatedLine) -> Plot:
-    """Return temperatures, friction and path error over the hours."""
+    from rx90_common.report.picture import write_picture
     from rx90_common.report.plot import COLOURS, Curve, Panel, Plot
 
-    hours = result.times / 3600.0
-    elements = list(zip(result.setup.friction.names, result.setup.friction.elements, COLOURS, strict=True))
-    warmth = [
-        Curve(hours, result.temperatures[:, i], name, colour)
-        for i, (name, element, colour) in enumerate(elements)
-        if element.temperature is not None
-    ]
-    share = result.friction / result.friction[0]
-    friction = [Curve(hours, share[:, i], name, colour) for i, (name, _, colour) in enumerate(elements)]
-    error = [
-        Curve(hours, result.worst * 1e3, "worst", COLOURS[0]),
-        Curve(hours, result.rms * 1e3, "RMS", COLOURS[1]),
-    ]
-    time = "time, h"
-    return Plot(
-        [
-            Panel(warmth, "", time, "temperature of the joints, °C"),
-            Panel(friction, "", time, "mean friction torque, over that at the start"),
-            Panel(error, "", time, "path error, mm", from_zero=True),
-        ],
-        columns=3,
-        height=3.6,
-    )
+    hours, count, friction = result.times / 3600.0, len(result.times), result.setup.friction
+    print(f"{cycles} times there and back in {cycles * result.cycle / 3600.0:.3g} h, of which {count} were simulated")
+    rows = np.unique(np.linspace(0, count - 1, _ROWS).round().astype(int))
+    head = "".join(f"{name:>11}" for name in friction.names)
+    warm = [element.temperature is not None for element in friction.elements]
+    print(f"\n{'':8}{'path error, mm':>18}  temperature of the joints, °C\n{'h':>8}{'worst':>9}{'RMS':>9}{head}")
+    for i in rows:
+        cells = (f"{t:11.1f}" if known else f"{'-':>11}" for t, known in zip(result.temperatures[i], warm, strict=True))
+        print(f"{hours[i]:8.3f}{result.worst[i] * 1e3:9.4f}{result.rms[i] * 1e3:9.4f}{''.join(cells)}")
+    print(f"\n{'':8}{'':18}  mean friction torque, Nm\n{'h':>8}{'':18}{head}")
+    for i in rows:
+        print(f"{hours[i]:8.3f}{'':18}{''.join(f'{torque:11.3f}' for torque in result.friction[i])}")
+    if plot is None:
+        return
+
+    def curves(values: Array, names: Sequence[str]) -> list[Curve]:
+        return [Curve(hours, one, name, colour) for one, name, colour in zip(values.T, names, COLOURS, strict=False)]
+
+    errors = 1e3 * np.stack([result.worst, result.rms], axis=1)
+    warmth = [curve for curve, known in zip(curves(result.temperatures, friction.names), warm, strict=True) if known]
+    panels = [
+        Panel(warmth, "", "time, h", "temperature of the joints, °C"),
+        Panel(curves(result.friction / result.friction[0], friction.names), "", "time, h",
+              "mean friction torque, over that at the start"),
+        Panel(curves(errors, ("worst", "RMS")), "", "time, h", "path error, mm", from_zero=True),
+    ]  # fmt: skip
+    write_picture(Plot(panels, columns=3, height=3.6), plot)
+    print(one_line(f"plot: {plot}"))

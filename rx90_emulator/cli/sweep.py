@@ -9,45 +9,12 @@ from pathlib import Path
 from rx90_common.base.errors import FailureError, check_replaced
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.process.files import write_text
-from rx90_emulator.cli.options import add_robot_argument, new_file, place, whole_number
-
-_REPORT = """
-Write a page on a file of results: how the path error is distributed, what each swept parameter does to it, the worst
-runs, and what all of them started from.
-"""
+from rx90_emulator.cli.options import add_robot_argument, add_verbs, new_file, place, whole_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verbs and their options."""
-    verbs = parser.add_subparsers(required=True, metavar="VERB")
-    run = verbs.add_parser("run", help="run a plan", description="Run a plan of closed-loop runs.")
-    run.add_argument(
-        "plan",
-        metavar="PLAN",
-        help="plan file of your own (docs/howto/sweep.md), or the name of a shipped one: "
-        "sweep/friction_and_feed_forward.yaml, sweep/payload_and_speed.yaml, sweep/reference_1000.yaml",
-    )
-    run.add_argument("--output", type=place, metavar="FILE", required=True, help="Parquet file to write")
-    add_robot_argument(run)
-    run.add_argument("--report", type=new_file, metavar="FILE", help="page on the results to write as well, .html; new")
-    run.add_argument("--resume", action="store_true", help="compute only the runs that the output lacks")
-    where = run.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=whole_number, help="processes on this machine (all cores)")
-    where.add_argument("--scheduler", help="run on the Dask cluster at this address, such as tcp://host:8786")
-    run.set_defaults(
-        verb=_run,
-        interrupted="what is done is kept; go on with: rx90_sweep run {plan} --output {output} --resume",
-    )
-    info = verbs.add_parser(
-        "info", help="show what a file of results holds", description="Show what a file of results holds."
-    )
-    info.add_argument("file", type=Path, metavar="FILE", help="Parquet file, finished or not")
-    info.set_defaults(verb=_info)
-    report = verbs.add_parser("report", help="write a page on a file of results", description=_REPORT)
-    report.add_argument("file", type=Path, metavar="FILE", help="Parquet file, finished or not")
-    report.add_argument("-o", "--output", type=place, metavar="PAGE", help="page (the file's name with .html, here)")
-    report.add_argument("--force", action="store_true", help="replace a page that exists")
-    report.set_defaults(verb=_report, interrupted="nothing was written")
+    add_verbs(parser, _VERBS)
 
 
 def main(options: argparse.Namespace) -> None:
@@ -56,14 +23,29 @@ def main(options: argparse.Namespace) -> None:
     Raises:
         Rx90Error: if it cannot be done.
     """
-    options.verb(options)
+    options.run(options)
+
+
+def _add_run(run: argparse.ArgumentParser) -> None:
+    run.add_argument("plan", metavar="PLAN", help="plan file of your own (docs/howto/sweep.md), or the name of a "
+                     "shipped one: sweep/friction_and_feed_forward.yaml, sweep/payload_and_speed.yaml, "
+                     "sweep/reference_1000.yaml")  # fmt: skip
+    run.add_argument("--output", type=place, metavar="FILE", required=True, help="Parquet file to write")
+    add_robot_argument(run)
+    run.add_argument("--report", type=new_file, metavar="FILE", help="page on the results to write as well, .html; new")
+    run.add_argument("--resume", action="store_true", help="compute only the runs that the output lacks")
+    where = run.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=whole_number, help="processes on this machine (all cores)")
+    where.add_argument("--scheduler", help="run on the Dask cluster at this address, such as tcp://host:8786")
+    kept = "what is done is kept; go on with: rx90_sweep run {plan} --output {output} --resume"
+    run.set_defaults(interrupted=kept)
 
 
 def _run(options: argparse.Namespace) -> None:
+    """Run a plan of closed-loop runs."""
     from rx90_emulator.sweep.execution import read_sweep, run_sweep
-    from rx90_emulator.sweep.metrics import DEVIATION
-    from rx90_emulator.sweep.plan_file import load_sweep_plan
-    from rx90_emulator.sweep.sweep import Sweep
+    from rx90_emulator.sweep.plan import load_sweep_plan
+    from rx90_emulator.sweep.sweep import DEVIATION, Sweep
 
     if options.robot is not None:
         options.interrupted += " --robot {robot}"
@@ -83,35 +65,41 @@ def _run(options: argparse.Namespace) -> None:
         done = f"{counts.computed} of {len(sweep)} runs in {elapsed:.1f} s, {counts.failed} failed"
         why = f" (rx90_sweep info {options.output} says why)" if counts.failed else ""
         print(one_line(f"{done}{why}; {options.output}"))
-    if counts.failed == counts.computed:
-        _check_any_done(options.output)
+    if counts.failed == counts.computed:  # perhaps not one run of the file has results, also of calls before
+        errors = read_sweep(options.output)["error"]
+        if errors.null_count == 0:
+            runs = "the run" if len(errors) == 1 else f"each of the {len(errors)} runs"
+            more = f"rx90_sweep info {plain(options.output)} says more"
+            raise FailureError(f"{runs} failed, for example: {errors[0].as_py()}; {more}")
     if sweep.perturbs and counts.computed:
         print(one_line(sweep.check_method(read_sweep(options.output)[DEVIATION].to_pylist())))
     if options.report is not None:
         _write_page(options.output, options.report)
 
 
-def _check_any_done(file: Path) -> None:
-    """Say so where not one run of a file has results, neither of this call nor of those before it.
-
-    Raises:
-        FailureError: with the reason of the first run.
-    """
-    from rx90_emulator.sweep.execution import read_sweep
-
-    errors = read_sweep(file)["error"]
-    if errors.null_count == 0:
-        told = "the run" if len(errors) == 1 else f"each of the {len(errors)} runs"
-        raise FailureError(f"{told} failed, for example: {errors[0].as_py()}; rx90_sweep info {plain(file)} says more")
+def _add_info(info: argparse.ArgumentParser) -> None:
+    info.add_argument("file", type=Path, metavar="FILE", help="Parquet file, finished or not")
 
 
 def _info(options: argparse.Namespace) -> None:
+    """Show what a file of results holds."""
     from rx90_emulator.sweep.store import describe_results
 
     print("\n".join(describe_results(options.file)))
 
 
+def _add_report(report: argparse.ArgumentParser) -> None:
+    _add_info(report)
+    report.add_argument("-o", "--output", type=place, metavar="PAGE", help="page (the file's name with .html, here)")
+    report.add_argument("--force", action="store_true", help="replace a page that exists")
+    report.set_defaults(interrupted="nothing was written")
+
+
 def _report(options: argparse.Namespace) -> None:
+    """Write a page on a file of results: how the path error is distributed, and why.
+
+    What each swept parameter does to it, the worst runs, and what all of them started from.
+    """
     page: Path = options.output or place(options.file.with_suffix(".html").name)
     check_replaced(page, force=options.force)
     _write_page(options.file, page)
@@ -122,3 +110,10 @@ def _write_page(file: Path, page: Path) -> None:
 
     write_text(page, sweep_page(file))
     print(one_line(f"page: {page.resolve()}"))
+
+
+_VERBS = (
+    (_add_run, _run, "run a plan"),
+    (_add_info, _info, "show what a file of results holds"),
+    (_add_report, _report, "write a page on a file of results"),
+)

@@ -3,41 +3,72 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
+from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import plain
+from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.process.children import kill_all
 from rx90_common.process.interrupts import ends_within
-from rx90_common.process.threads import where_threads_are
-from rx90_emulator.cli import view_bags, view_live
-from rx90_emulator.cli.options import add_page_arguments, add_robot_arguments
+from rx90_common.process.threads import be_nice, where_threads_are
+from rx90_emulator.cli.bag import alignment
+from rx90_emulator.cli.options import (
+    CONTROLLER,
+    add_message_arguments,
+    add_page_arguments,
+    add_record_arguments,
+    add_robot_arguments,
+    node_of,
+    stay_on_this_machine,
+    whole_number,
+)
 
-_PORT = 8080
+_PORT, _NICENESS, _MOST_BAGS = 8080, 10, 2
 _PATIENCE = 1.5, 20.0  # s, from Ctrl-C to the end: of a start, of a page that is shown
+_OF_BAGS = ("topic", "names", "gear", "coupling", "torque_constant", "zero", "record_time", "signals")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.set_defaults(ros_args=[])
-    view_live.add_arguments(parser)
+    live = parser.add_argument_group("running nodes")
+    live.add_argument("--node", metavar="NAME", help=f"controller node ({CONTROLLER})")
+    live.add_argument(
+        "--nice", type=whole_number, metavar="N", help=f"niceness: above 0 others come first ({_NICENESS})"
+    )
+    live.add_argument(
+        "--demo", action="store_true",
+        help="start simulation and controller, too, and move along the reference line until Ctrl-C",
+    )  # fmt: skip
     page = parser.add_argument_group("page")
     add_page_arguments(page, _PORT)
     page.add_argument("--output", type=Path, default=Path(), metavar="FOLDER",
                       help="what is written on the page goes beneath it; made where it is missing (the current "
                       "one)")  # fmt: skip
-    parser.set_defaults(host="127.0.0.1", port=_PORT)
+    parser.set_defaults(host="127.0.0.1", port=_PORT, ros_args=[])
     add_robot_arguments(parser, "urdf", "tool", "drives", "friction", "controller", "task")
-    view_bags.add_arguments(parser)
+    bags = parser.add_argument_group("bags", "what they hold is by default joint_states, else motor_states, as here")
+    bags.add_argument("bags", nargs="*", type=Path, metavar="BAG",
+                      help="a bag to play in place of running nodes, and a second one as a ghost beside it: folder, "
+                      ".mcap, .db3 or ROS 1 .bag file")  # fmt: skip
+    bags.add_argument("--align", metavar="start|trajectory|S",
+                      help="move the stamps of the second bag: so that both begin together, so that their last "
+                      "trajectories do, or by a time in s (0)")  # fmt: skip
+    add_message_arguments(bags, "joint_states in any namespace, else motor_states", "as here", "the robot's wrist")
+    add_record_arguments(bags)
 
 
 def main(options: argparse.Namespace) -> None:
     """Show the page until Ctrl-C.
 
     Raises:
-        Rx90Error: where the page cannot be served, or the robot or a bag cannot be read.
+        Rx90Error: where the page cannot be served, the robot or a bag cannot be read, or nodes of its own end.
         KeyboardInterrupt: before the page shows what it was started for; later Ctrl-C is how it ends.
     """
-    of_bags = view_bags.wanted(options)
+    _check(options)
     with ends_within(*_PATIENCE, _give_up, _say_where) as start:
         import viser  # noqa: F401 - before kernels are compiled for a page that cannot be made
 
@@ -45,10 +76,25 @@ def main(options: argparse.Namespace) -> None:
 
         output_folder(options.output)  # refused before bags are read
         try:
-            (view_bags if of_bags else view_live).main(options, start.over)
+            (_play if options.bags else _show_nodes)(options, start.over)
         except KeyboardInterrupt:
             if not start.is_over:
                 raise
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse more bags than two, options for bags without any, and for nodes with bags."""
+    count = len(options.bags)
+    if count > _MOST_BAGS:
+        raise BagError(f"{count} bags; accepted: one, or two to be compared")
+    if options.align is not None and count < _MOST_BAGS:
+        raise BagError(f"--align {plain(options.align)} with {count} bags; accepted: two bags")
+    given = [name for name in _OF_BAGS if getattr(options, name)]
+    if given and not count:
+        raise BagError(f"--{given[0].replace('_', '-')} without a bag; accepted: with one, to be played")
+    of_nodes = [name for name in ("demo", "node", "nice") if getattr(options, name) not in (None, False)]
+    if count and of_nodes:
+        raise BagError(f"--{of_nodes[0]} with the bag {plain(options.bags[0])}; accepted: one of them")
 
 
 def _give_up() -> None:
@@ -60,3 +106,69 @@ def _say_where() -> None:
     kill_all()
     lines = "; ".join(where_threads_are())
     print(f"rx90_view: did not end within {_PATIENCE[1]:g} s, and was cut off. {lines}", file=sys.stderr, flush=True)
+
+
+def _play(options: argparse.Namespace, started: Callable[[], None]) -> None:
+    """Play bags; `started` is called when the page runs."""
+    align = alignment("0" if options.align is None else options.align)
+    from rx90_emulator.identification.options import MeasuredLayout
+    from rx90_emulator.view.page import Page
+    from rx90_emulator.view.player import open_player
+
+    layout = MeasuredLayout(**{name: getattr(options, name) for name in _OF_BAGS})
+    page, _ = open_player(
+        lambda: Page("rx90_view", options.host, options.port, options.output), options.bags,
+        RobotFiles.of_options(options), layout, align,
+    )  # fmt: skip
+    try:
+        page.announce(browser=not options.no_browser)
+        started()
+        page.run()
+    finally:
+        page.close()
+
+
+def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> None:
+    """Show running nodes; `started` is called when the page runs, with nodes of its own when their arm is seen."""
+    from rx90_common.exchange.ros_start import prepare
+
+    if options.demo:  # a motion that nobody else asked for stays among its own nodes
+        stay_on_this_machine()
+    prepare()
+    from rx90_common.description.robot import load_robot
+    from rx90_common.exchange.client_node import client_node
+    from rx90_controller.lines.task import load_task
+    from rx90_emulator.view.live import LiveView
+    from rx90_emulator.view.page import Page
+    from rx90_emulator.view.panel import DoPanel
+    from rx90_emulator.view.plots import add_plot_export
+    from rx90_emulator.view.processes import RecordButton, Tour
+
+    files = RobotFiles.of_options(options)
+    controller = node_of(options)
+    robot = load_robot(files.urdf, files.tool)
+    line = None if files.task is None else load_task(files.task)
+    shipped = DEFAULT_ROBOT if options.robot is None else options.robot
+    tour = Tour(shipped, files, controller) if options.demo else None
+    page = Page("rx90_view", options.host, options.port, options.output)
+    with ExitStack() as ends:
+        if tour is not None:
+            ends.callback(tour.end)
+        ends.callback(page.close)
+        if tour is not None:
+            tour.start()
+        be_nice(max(os.getpriority(os.PRIO_PROCESS, 0), _NICENESS) if options.nice is None else options.nice)
+        with client_node("rx90_view", 1.0, print, options.ros_args) as client:
+            view = LiveView(page, client, robot, controller, line)
+            ends.callback(DoPanel(page, client, files, view.newest, controller, view.lay_line).close)
+            with page.tab("Files"):  # once all plots are there
+                with page.gui.add_folder("Record a bag"):
+                    ends.callback(RecordButton(page, view.watch.namespace, options.ros_args).close)
+                with page.gui.add_folder("Export a plot"):
+                    add_plot_export(page)
+            page.announce(browser=not options.no_browser)
+            if tour is None:
+                started()
+            else:
+                tour.follow(page, view, started)
+            page.run(check_interrupt=client.check_interrupt)

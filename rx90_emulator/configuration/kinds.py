@@ -22,7 +22,7 @@ from rx90_emulator.identification.excitation.payload import PAYLOADS, read_paylo
 from rx90_emulator.identification.experiments.folder import EXPERIMENTS, read_index
 from rx90_emulator.identification.experiments.plan import POSES, Poses
 from rx90_emulator.loop.trajectory_file import TRAJECTORY, load_trajectory
-from rx90_emulator.sweep.plan_file import PLAN, load_sweep_plan
+from rx90_emulator.sweep.plan import PLAN, load_sweep_plan
 from rx90_emulator.sweep.sweep import Sweep
 
 NODE_PARAMETERS = "node_parameters"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,8 @@ from rx90_emulator.loop.setup import Setup
 from rx90_sim.drives import warm_motors
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import friction_states, plant_step
+
+SetpointSource = Callable[[TrajectoryGenerator, Sequence[MotionCommand], int], Array]
 
 TRIPPED = -2
 """How a run ends in which the controller's supervision cuts the power."""
@@ -60,40 +62,36 @@ def run_ticks(
         controller's supervision cut the power in the tick after them.
     """
     state, law = plant_states[0], law_states[0]
+    sensed = plants[0].sensor.used
     for k in range(first, first + ticks):
-        row = k // ratio
+        row, setpoint = k // ratio, setpoints[k // ratio]
         slow_tick = k % ratio == 0
         if slow_tick:
-            _keep_plant(plants, plant_states, row, slow)
-            tripped = position_loop(laws, law_states, setpoints[row], state.motor_position, state.motor_velocity)
-            if tripped:
+            # By lanes: assigning slices takes numba longer, an eighth of a tick in all.
+            store(slow.joint_states[row, 0], load(state.q, 6))
+            store(slow.joint_states[row, 1], load(state.v, 6))
+            store(slow.joint_states[row, 2], load(state.drive_torque, 6))
+            store(slow.friction_states[row, 0], load(state.z, 7))
+            friction_states(plants, plant_states, slow.friction_states[row, 1], slow.friction_states[row, 2])
+            if position_loop(laws, law_states, setpoint, state.motor_position, state.motor_velocity):
                 return k - first, TRIPPED
         velocity_loop(laws, law_states, state.motor_velocity)
         if slow_tick:
-            _keep_law(laws[0].gear, law, setpoints[row], row, slow)
-            if plants[0].sensor.used:
-                _keep_reported(state.sensor.torque, laws[0].torque_constant, row, slow)
+            _keep_law(laws[0].gear, law, setpoint, row, slow)
+            if sensed:
+                store(slow.details[row, 2], load(state.sensor.torque, 6) / load(laws[0].torque_constant, 6))
         if slow.temperatures.shape[0] > 0 and k % warm_ticks == 0:
             slow.temperatures[k // warm_ticks] = state.parts.temperature.temperature
             slow.windings[k // warm_ticks] = state.temperature
         if fast.motor_commands.shape[0] > 0:
-            _keep_motors(plants[0].sensor.used, state, law.command, k, fast)
+            store(fast.motor_states[k, 0], load(state.motor_position, 6))
+            store(fast.motor_states[k, 1], load(state.motor_velocity, 6))
+            store(fast.motor_states[k, 2], load(state.sensor.torque if sensed else state.motor_torque, 6))
+            store(fast.motor_commands[k], load(law.command, 6))
         joint = plant_step(plants, plant_states, law.command, True)
         if joint >= 0:
             return k + 1 - first, joint
     return ticks, -1
-
-
-@inlined
-def _keep_plant(plants: Record, plant_states: Record, row: int, slow: SlowSeries) -> None:
-    """Write the row of joint and friction states."""
-    state = plant_states[0]
-    # By lanes: assigning slices takes numba longer, an eighth of a tick in all.
-    store(slow.joint_states[row, 0], load(state.q, 6))
-    store(slow.joint_states[row, 1], load(state.v, 6))
-    store(slow.joint_states[row, 2], load(state.drive_torque, 6))
-    store(slow.friction_states[row, 0], load(state.z, 7))
-    friction_states(plants, plant_states, slow.friction_states[row, 1], slow.friction_states[row, 2])
 
 
 @inlined
@@ -110,19 +108,28 @@ def _keep_law(gear: Array, law: Any, setpoint: Array, row: int, slow: SlowSeries
     store(slow.details[row, 2], load(law.current, 6))
 
 
-@inlined
-def _keep_reported(torque: Array, torque_constant: Array, row: int, slow: SlowSeries) -> None:
-    """Write the motor currents that the drives report by torques, Nm, in place of the law's."""
-    store(slow.details[row, 2], load(torque, 6) / load(torque_constant, 6))
+@kernel
+def peaks_and_work(joints: Array, friction: Array, tracking: Array, period: float, peaks: Array, work: Array) -> None:
+    """Find the peaks of velocity, torque and tracking error, shape (3, 6), and the friction's work, J, shape (7,).
 
-
-@inlined
-def _keep_motors(sensed: bool, state: Any, command: Array, tick: int, fast: FastSeries) -> None:
-    """Write the row of motor states, with the torque by the current sensors where there are any, and commands."""
-    store(fast.motor_states[tick, 0], load(state.motor_position, 6))
-    store(fast.motor_states[tick, 1], load(state.motor_velocity, 6))
-    store(fast.motor_states[tick, 2], load(state.sensor.torque if sensed else state.motor_torque, 6))
-    store(fast.motor_commands[tick], load(command, 6))
+    Args:
+        joints: rows of joint states, shape (n, 3, 6).
+        friction: rows of friction states, shape (n, 3, 7).
+        tracking: rows of tracking errors, shape (n, 3, 6).
+        period: from one row to the next, s.
+        peaks: raised in place.
+        work: added to in place.
+    """
+    for n in range(len(joints)):
+        for j in range(6):
+            values = joints[n, 1, j], joints[n, 2, j], tracking[n, 0, j]
+            for k in range(3):
+                if not abs(values[k]) <= peaks[k, j]:  # NaN stays
+                    peaks[k, j] = abs(values[k])
+        if n > 0:
+            for e in range(7):
+                power = friction[n, 1, e] * friction[n, 2, e] + friction[n - 1, 1, e] * friction[n - 1, 2, e]
+                work[e] += period * power / 2.0
 
 
 def simulate(
@@ -166,8 +173,10 @@ def simulate_commands(
     *,
     substeps: int | None = None,
     record_fast: bool = False,
+    warn: bool = True,
+    sample: SetpointSource | None = None,
 ) -> RunResult:
-    """Run the closed loop without ROS along several trajectories, and warn of what means less than it seems to.
+    """Run the closed loop without ROS along several trajectories.
 
     Args:
         setup: robot, drives, friction, controller, rates.
@@ -176,6 +185,8 @@ def simulate_commands(
         duration: simulated time, s.
         substeps: plant steps in a tick; None for as many as the arm needs, usually 1.
         record_fast: also keep the series on base ticks.
+        warn: of what means less than it seems to.
+        sample: where set-points come from, in place of `setpoints_of`.
 
     Raises:
         ConfigError: if the duration is shorter than a tick or not finite, or the arm needs more steps.
@@ -183,22 +194,8 @@ def simulate_commands(
         DivergenceError: naming joint and tick.
         SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
     """
-    setup.warn_of_friction()
-    run = run_commands(setup, commands, initial_position, duration, substeps=substeps, record_fast=record_fast)
-    setup.warn_of_heat(run.slow.temperatures)
-    return run
-
-
-def run_commands(
-    setup: Setup,
-    commands: Sequence[MotionCommand],
-    initial_position: ArrayLike,
-    duration: float,
-    *,
-    substeps: int | None = None,
-    record_fast: bool = False,
-) -> RunResult:
-    """Do the same without a warning."""
+    if warn:
+        setup.warn_of_friction()
     rates = setup.rates
     ticks = rates.ticks_of(duration)
     plant, controller = setup.plant(substeps), setup.cs7b()
@@ -206,8 +203,10 @@ def run_commands(
     controller.reset(plant.motor_states()[0])
     warm = bool(plant.temperatures.elements) or setup.drives.winding.used
     fast, slow = empty_series(ticks, rates.ratio, record_fast, rates.temperature_ticks if warm else 0)
-    setpoints = setpoints_of(controller.trajectory, commands, len(slow.joint_states))
+    setpoints = (sample or setpoints_of)(controller.trajectory, commands, len(slow.joint_states))
     run_setpoints(plant, controller, setpoints, ticks, fast, slow)
+    if warn:
+        setup.warn_of_heat(slow.temperatures)
     return RunResult(setup, fast if record_fast else None, slow, controller.saturated, tuple(commands), plant.substeps)
 
 

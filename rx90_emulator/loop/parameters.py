@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +26,6 @@ from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.base.quoting import quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
-from rx90_common.friction import FrictionSet
 from rx90_common.friction.element import FRICTION_PARAMETERS, PARTS
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_controller.lines.task import LineTask
@@ -41,16 +40,9 @@ SWITCH = "switch"
 
 ARM_UNITS = {"mass": "kg", "com": "m", "inertia": "kg m^2"}
 TASK_UNITS = {
-    "start": "m",
-    "end": "m",
-    "speed": "m/s",
-    "acceleration": "m/s^2",
-    "start_rpy": "rad",
-    "end_rpy": "rad",
-    "rest_before": "s",
-    "rest_after": "s",
-    "singularity_margin": "1",
-}
+    "start": "m", "end": "m", "speed": "m/s", "acceleration": "m/s^2", "start_rpy": "rad", "end_rpy": "rad",
+    "rest_before": "s", "rest_after": "s", "singularity_margin": "1",
+}  # fmt: skip
 
 _PATH = re.compile(r"(?P<names>[^\[\]]+)(?P<indices>(?:\[(?:[0-9]{1,9}|\*)\])*)")
 
@@ -113,32 +105,23 @@ class Catalogue:
 
     def __init__(self, setup: Setup, task: LineTask | None = None) -> None:
         check_type(setup=(setup, Setup))
-        self._units: dict[Key, str] = {}
-        self._values: dict[Key, Any] = {}
-        self._add(("arm",), setup, {"seed": "1"})
+        self._units: dict[Key, str] = {("arm", "seed"): "1"}
+        self._values: dict[Key, Any] = {("arm", "seed"): setup.seed}
         self._add_declared(("drives",), setup.drives)
         self._add_declared(("controller",), setup.controller)
-        if task is not None:
-            self._add(("task",), task, TASK_UNITS)
+        for field, unit in TASK_UNITS.items() if task is not None else ():
+            self._units["task", field], self._values["task", field] = unit, getattr(task, field)
         for name, element in zip(setup.friction.names, setup.friction.elements, strict=True):
             self._add_declared(("friction", name), element)
             for part_name, part in element.parts.items():
                 self._add_declared(("friction", name, part_name), part)
-        chain = setup.robot.chain
-        for i in range(len(setup.robot.joint_names)):
-            for field, unit in ARM_UNITS.items():
-                key = ("arm", f"link_{i + 1}", field)
-                self._units[key], self._values[key] = unit, getattr(chain, field)[i]
+        for i, (field, unit) in itertools.product(range(len(setup.robot.joint_names)), ARM_UNITS.items()):
+            key = ("arm", f"link_{i + 1}", field)
+            self._units[key], self._values[key] = unit, getattr(setup.robot.chain, field)[i]
         self._names: dict[Key, tuple[Key, ...]] = {key: (key,) for key in self._units}
-        for element_name in setup.friction.names:
-            for parameter in FRICTION_PARAMETERS:
-                keys = tuple(("friction", element_name, field) for field in parameter.attributes)
-                self._names["friction", element_name, parameter.name] = keys
-
-    def _add(self, prefix: Key, holder: object, units: dict[str, str]) -> None:
-        for field, unit in units.items():
-            key = (*prefix, field)
-            self._units[key], self._values[key] = unit, getattr(holder, field)
+        for name, parameter in itertools.product(setup.friction.names, FRICTION_PARAMETERS):
+            keys = tuple(("friction", name, field) for field in parameter.attributes)
+            self._names["friction", name, parameter.name] = keys
 
     def _add_declared(self, prefix: Key, holder: Declared) -> None:
         """Add all numbers and switches that a declared object holds, and what it holds of others."""
@@ -226,9 +209,6 @@ def _matches(key: Sequence[str], wanted: Sequence[str]) -> bool:
     return len(key) == len(wanted) and all(w in ("*", k) for k, w in zip(key, wanted, strict=True))
 
 
-Changes = dict[Key, dict[Index, Value]]
-
-
 def with_parameters(setup: Setup, values: Mapping[str, Value]) -> Setup:
     """Return a copy of a setup with some of its parameters set, such as `{"friction.joint_2.tau_s": 40.0}`.
 
@@ -247,11 +227,10 @@ def with_parameters(setup: Setup, values: Mapping[str, Value]) -> Setup:
     for path, value in values.items():
         for place in catalogue.places(path):
             try:
-                taken = place.check(value)
+                leaves.update(dict.fromkeys(place.leaves, place.check(value)))
             except ConfigError as error:
                 raise ConfigError(f"{quoted(path)}: {error}") from error
-            leaves.update(dict.fromkeys(place.leaves, taken))
-    return _changed(setup, _sections(leaves))
+    return _changed(setup, _tree(leaves))
 
 
 def apply(setup: Setup, task: LineTask, values: Mapping[Leaf, Value]) -> tuple[Setup, LineTask]:
@@ -262,119 +241,93 @@ def apply(setup: Setup, task: LineTask, values: Mapping[Leaf, Value]) -> tuple[S
     Raises:
         ConfigError, LineError: if a value is out of range.
     """
-    sections = _sections(values)
-    if "task" in sections:
-        task = replace(task, **_fields(task, sections["task"]))
-    return _changed(setup, sections), task
+    tree = _tree(values)
+    return _changed(setup, tree), replace(task, **_fields(task, tree["task"])) if "task" in tree else task
 
 
-def _sections(values: Mapping[Leaf, Value]) -> dict[str, Changes]:
-    sections: dict[str, Changes] = defaultdict(dict)
+def _tree(values: Mapping[Leaf, Value]) -> dict[str, Any]:
+    """Return values by the names of their paths, one below the other; those of a leaf by their index."""
+    tree: dict[Any, Any] = {}
     for leaf, value in values.items():
-        sections[leaf.key[0]].setdefault(leaf.key[1:], {})[leaf.index] = value
-    return sections
+        node = tree
+        for name in leaf.key:
+            node = node.setdefault(name, {})
+        node[leaf.index] = value
+    return tree
 
 
-def _changed(setup: Setup, sections: Mapping[str, Changes]) -> Setup:
-    new: dict[str, Any] = {}
-    if "friction" in sections:
-        new["friction"] = _friction(setup.friction, sections["friction"])
-    if "drives" in sections:
-        new["drives"] = _replaced("drives", setup.drives, sections["drives"])
-    if "controller" in sections:
-        new["controller"] = _replaced("controller", setup.controller, sections["controller"])
-    links = dict(sections.get("arm", {}))
-    seed = links.pop(("seed",), None)
-    if seed is not None:
-        new["seed"] = _seed(seed[()])
+def _changed(setup: Setup, tree: Mapping[str, Any]) -> Setup:
+    new = {name: _replaced(name, getattr(setup, name), tree[name]) for name in ("drives", "controller") if name in tree}
+    if "friction" in tree:
+        elements = zip(setup.friction.names, setup.friction.elements, strict=True)
+        changed = [_replaced(f"friction.{name}", one, tree["friction"].get(name, {})) for name, one in elements]
+        new["friction"] = replace(setup.friction, elements=tuple(changed))
+    links = dict(tree.get("arm", {}))
+    if (seed := links.pop("seed", {(): None})[()]) is not None:
+        if isinstance(seed, float) and not seed.is_integer():  # NaN and infinity are none
+            raise ConfigError(f"arm.seed is {seed}; accepted: a whole number from 0 to {LARGEST_SEED}")
+        new["seed"] = int(seed)
     if links:
         new["robot"] = _robot(setup.robot, links)
     return replace(setup, **new) if new else setup
 
 
-def _fields(holder: object, changes: Changes) -> dict[str, Any]:
-    """Return the changed fields of a dataclass; those that hold several numbers keep their other ones."""
-    fields: dict[str, Any] = {}
-    for (name,), entries in changes.items():
-        old = getattr(holder, name)
-        if () in entries:
-            fields[name] = entries[()]
-            continue
-        numbers = np.array(old, dtype=np.float64)
-        for index, value in entries.items():
-            numbers[index] = value
-        fields[name] = tuple(numbers.tolist()) if isinstance(old, tuple) else numbers
-    return fields
-
-
-def _replaced(where: str, holder: Any, changes: Changes) -> Any:
+def _replaced(where: str, holder: Any, tree: Mapping[str, Any]) -> Any:
     """Return a dataclass with changed values of its own, and of the dataclasses in it, such as parts of an element."""
-    own: Changes = {key: entries for key, entries in changes.items() if len(key) == 1}
-    blocks = _by_first_name({key: entries for key, entries in changes.items() if len(key) > 1})
-    new = {name: _replaced(where, getattr(holder, name), block) for name, block in blocks.items()}
+    if not tree:
+        return holder
     try:
-        return replace(holder, **_fields(holder, own), **new)
+        return replace(holder, **_fields(holder, tree, where))
     except ConfigError as error:
         named = str(error).startswith(f"{where}: ")
         raise error if named else ConfigError(f"{where}: {error}") from error
 
 
-def _by_first_name(changes: Changes) -> dict[str, Changes]:
-    groups: dict[str, Changes] = defaultdict(dict)
-    for (name, *field), entries in changes.items():
-        groups[name][tuple(field)] = entries
-    return groups
+def _fields(holder: object, tree: Mapping[str, Any], where: str = "") -> dict[str, Any]:
+    """Return the changed fields of a dataclass; those that hold several numbers keep their other ones."""
+    fields: dict[str, Any] = {}
+    for name, entries in tree.items():
+        old = getattr(holder, name)
+        if () in entries:
+            fields[name] = entries[()]
+        elif isinstance(next(iter(entries)), str):
+            fields[name] = _replaced(where, old, entries)
+        else:
+            numbers = np.array(old, dtype=np.float64)
+            for index, value in entries.items():
+                numbers[index] = value
+            fields[name] = tuple(numbers.tolist()) if isinstance(old, tuple) else numbers
+    return fields
 
 
-def _friction(friction: FrictionSet, changes: Changes) -> FrictionSet:
-    by_element = _by_first_name(changes)
-    elements = tuple(
-        _replaced(f"friction.{name}", element, by_element[name]) if name in by_element else element
-        for name, element in zip(friction.names, friction.elements, strict=True)
-    )
-    return replace(friction, elements=elements)
-
-
-def _seed(value: Value) -> int:
-    if isinstance(value, float) and not value.is_integer():  # NaN and infinity are none
-        raise ConfigError(f"arm.seed is {value}; accepted: a whole number from 0 to {LARGEST_SEED}")
-    return int(value)
-
-
-def _robot(robot: RobotModel, changes: Changes) -> RobotModel:
-    chain = robot.chain
-    bodies = {"mass": chain.mass.copy(), "com": chain.com.copy(), "inertia": chain.inertia.copy()}
-    links = set()
-    for (link, field), entries in changes.items():
+def _robot(robot: RobotModel, links: Mapping[str, Any]) -> RobotModel:
+    """Return the robot with the bodies of some links changed, in the chain and in a copy of Pinocchio's model."""
+    bodies = {name: getattr(robot.chain, name).copy() for name in ARM_UNITS}
+    turns, model = _rotations_at_zero(robot.model), robot.model.copy()
+    for link, fields in links.items():
         row = int(link.removeprefix("link_")) - 1
-        links.add(row)
-        for index, value in entries.items():
-            bodies[field][(row, *index)] = value
-    for row in sorted(links):
-        _check_body(row, bodies["mass"][row], bodies["com"][row], bodies["inertia"][row])
-    chain = chain._replace(**bodies)
-    return replace(robot, chain=chain, model=_model(robot.model, links, bodies))
+        for field, entries in fields.items():
+            for index, value in entries.items():
+                bodies[field][(row, *index)] = value
+    for row in sorted(int(link.removeprefix("link_")) - 1 for link in links):
+        mass, com, inertia = (bodies[name][row] for name in ARM_UNITS)
+        where = f"arm.link_{row + 1}"
+        if not (np.isfinite(mass) and mass > 0):
+            raise ConfigError(f"{where}.mass is {mass:g} kg; accepted: a finite number > 0")
+        if not (np.isfinite(com).all() and np.isfinite(inertia).all()):
+            raise ConfigError(f"{where}: com {com.tolist()}, inertia {inertia.tolist()}; accepted: finite numbers")
+        if (fault := inertia_fault(tuple(inertia.tolist()))) is not None:
+            raise ConfigError(f"{where}.inertia is {inertia.tolist()} kg m^2; accepted: {fault}")
+        turn = turns[row]  # the chain's axes are the base's at q = 0
+        xx, yy, zz, xy, xz, yz = inertia
+        tensor = turn.T @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn
+        model.inertias[row + 1] = pin.Inertia(mass, turn.T @ com, tensor)
+    return replace(robot, chain=robot.chain._replace(**bodies), model=model)
 
 
-def _check_body(row: int, mass: float, com: NDArray[np.float64], inertia: NDArray[np.float64]) -> None:
-    where = f"arm.link_{row + 1}"
-    if not (np.isfinite(mass) and mass > 0):
-        raise ConfigError(f"{where}.mass is {mass:g} kg; accepted: a finite number > 0")
-    if not (np.isfinite(com).all() and np.isfinite(inertia).all()):
-        raise ConfigError(f"{where}: com {com.tolist()}, inertia {inertia.tolist()}; accepted: finite numbers")
-    fault = inertia_fault(tuple(inertia.tolist()))
-    if fault is not None:
-        raise ConfigError(f"{where}.inertia is {inertia.tolist()} kg m^2; accepted: {fault}")
-
-
-def _model(model: Any, links: set[int], bodies: Mapping[str, NDArray[np.float64]]) -> Any:
-    """Return a copy of Pinocchio's model with the bodies of the chain, whose axes are the base's at q = 0."""
-    model = model.copy()
+@lru_cache(maxsize=4)
+def _rotations_at_zero(model: Any) -> list[NDArray[np.float64]]:
+    """Return the orientation of each link at q = 0; runs of a sweep have it in common."""
     data = model.createData()
     pin.forwardKinematics(model, data, np.zeros(model.nq))
-    for row in sorted(links):
-        turn = data.oMi[row + 1].rotation
-        xx, yy, zz, xy, xz, yz = bodies["inertia"][row]
-        tensor = turn.T @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn
-        model.inertias[row + 1] = pin.Inertia(bodies["mass"][row], turn.T @ bodies["com"][row], tensor)
-    return model
+    return [data.oMi[row + 1].rotation.copy() for row in range(model.nq)]

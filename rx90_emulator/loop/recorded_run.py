@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.recorded import check_robot, read_changes, read_trajectories, read_values
 from rx90_common.base.arrays import Array
@@ -79,35 +80,12 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
             f"{plain(bag)}: begins at {first / NANOSECONDS:.3f} s; accepted: a bag that begins within {_LATEST:g} s of "
             "simulated time"
         )
-    row = int(np.argmin(states.stamp_ns))
     if initial_position is None:
-        initial_position = setup.plant().position_of(
-            _position_at_rest(bag, states.position, states.velocity, row, setup)
-        )
-    changed = {change.name for change in read_changes(bag) if change.name.startswith(OF_LAW)}
+        initial_position = setup.plant().position_of(_position_at_rest(bag, states, setup.robot.joint_names))
     values = read_values(bag)
-    given = [name for name, value in values.items() if _is_other(name, value, setup.controller)]
-    return RecordedRun(
-        commands=_commands(bag, setup),
-        initial_position=initial_position,
-        duration=last / NANOSECONDS + setup.rates.position_period,
-        changed=tuple(sorted(changed)),
-        given=tuple(sorted(given)),
-        seed=_whole(bag, values, SEED),
-        temperature_rate=_whole(bag, values, TEMPERATURE_RATE),
-    )
-
-
-def _whole(bag: Path | str, values: Mapping[str, Any], name: str) -> int | None:
-    """Return a whole number that a bag tells, None if it tells none."""
-    value: int | None = values.get(name)
-    if value is not None and type(value) is not int:
-        raise BagError(f"{plain(bag)}: its {name} is {quoted(value)}; accepted: a whole number")
-    return value
-
-
-def _commands(bag: Path | str, setup: Setup) -> tuple[MotionCommand, ...]:
-    """Return the trajectories of a bag, and where the arm was stopped, by the ticks of their starts."""
+    for name in (SEED, TEMPERATURE_RATE):
+        if values.get(name) is not None and type(values[name]) is not int:
+            raise BagError(f"{plain(bag)}: its {name} is {quoted(values[name])}; accepted: a whole number")
     commands = []
     for one in read_trajectories(bag):
         try:
@@ -115,7 +93,15 @@ def _commands(bag: Path | str, setup: Setup) -> tuple[MotionCommand, ...]:
         except TrajectoryError as error:
             raise TrajectoryError(f"{plain(bag)}: {error}") from error
         commands.append(MotionCommand(setup.rates.start_tick(one.start_ns / NANOSECONDS), points))
-    return tuple(commands)
+    return RecordedRun(
+        commands=tuple(commands),
+        initial_position=initial_position,
+        duration=last / NANOSECONDS + setup.rates.position_period,
+        changed=tuple(sorted({change.name for change in read_changes(bag) if change.name.startswith(OF_LAW)})),
+        given=tuple(sorted(name for name, value in values.items() if _is_other(name, value, setup.controller))),
+        seed=values.get(SEED),
+        temperature_rate=values.get(TEMPERATURE_RATE),
+    )
 
 
 def replay(setup: Setup, run: RecordedRun, *, substeps: int | None = None, record_fast: bool = False) -> RunResult:
@@ -145,14 +131,15 @@ def _is_other(name: str, value: Any, law: CS7BParameters) -> bool:
     return not np.array_equal(np.asarray(value), getattr(holder, _ATTRIBUTES.get(key, key)))
 
 
-def _position_at_rest(bag: Path | str, position: Array | None, velocity: Array | None, row: int, setup: Setup) -> Array:
-    if position is None:
+def _position_at_rest(bag: Path | str, states: JointSeries, names: Sequence[str]) -> Array:
+    if states.position is None:
         raise BagError(f"{plain(bag)}: joint_states without positions; accepted: a bag with them")
-    if velocity is not None:
-        joint = int(np.argmax(np.abs(velocity[row])))
-        if not abs(velocity[row, joint]) <= _AT_REST:
-            raise BagError(
-                f"{plain(bag)}: {setup.robot.joint_names[joint]} begins with {velocity[row, joint]:.4g} rad/s; "
-                f"accepted: up to {_AT_REST:g} rad/s, or an initial position of your own"
-            )
-    return np.array(position[row])
+    row = int(np.argmin(states.stamp_ns))
+    velocity = np.zeros(1) if states.velocity is None else states.velocity[row]
+    joint = int(np.argmax(np.abs(velocity)))
+    if not abs(velocity[joint]) <= _AT_REST:
+        raise BagError(
+            f"{plain(bag)}: {names[joint]} begins with {velocity[joint]:.4g} rad/s; accepted: up to {_AT_REST:g} "
+            "rad/s, or an initial position of your own"
+        )
+    return np.array(states.position[row])

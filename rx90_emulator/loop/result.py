@@ -76,14 +76,11 @@ def empty_series(ticks: int, ratio: int, record_fast: bool, warm_ticks: int = 0)
     Raises:
         FailureError: if they do not fit into memory.
     """
-    rows = -(-ticks // ratio)
-    fast_rows = ticks if record_fast else 0
+    rows, fast_rows, warm_rows = -(-ticks // ratio), ticks * record_fast, -(-ticks // warm_ticks) if warm_ticks else 0
     try:
         fast = FastSeries(np.empty((fast_rows, 3, 6)), np.empty((fast_rows, 6)))
-        joints, friction, *others = (np.empty((rows, 3, columns)) for columns in (6, 7, 6, 6, 6))
-        warm_rows = -(-ticks // warm_ticks) if warm_ticks else 0
-        warmth = np.empty((warm_rows, 7)), np.empty((warm_rows, 6))
-        slow = SlowSeries(joints, friction, others[0], others[1], others[2], *warmth)
+        of_joints = (np.empty((rows, 3, columns)) for columns in (6, 7, 6, 6, 6))
+        slow = SlowSeries(*of_joints, np.empty((warm_rows, 7)), np.empty((warm_rows, 6)))  # type: ignore[call-arg]
     except (MemoryError, ValueError, OverflowError) as error:  # the last two: more than any machine could address
         raise FailureError(f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one") from error
     return fast, slow
@@ -112,55 +109,39 @@ class RunResult:
     @property
     def times(self) -> Array:
         """Return the times of the slow series, s, shape (m,)."""
-        rows = np.arange(len(self.slow.joint_states), dtype=np.float64)
-        return np.asarray(rows * self.setup.rates.position_period)
+        return np.asarray(np.arange(len(self.slow.joint_states), dtype=np.float64) * self.setup.rates.position_period)
 
     @cached_property
     def series(self) -> dict[str, JointSeries]:
         """Return the series by topic, as a bag of the nodes holds them; those on base ticks if the run kept them."""
-        joints, rates = self.setup.robot.joint_names, self.setup.rates
-        position_period = rates.period_ns * rates.ratio
-        slow = self.slow
+        joints, friction, rates = self.setup.robot.joint_names, self.setup.friction, self.setup.rates
+        slow, period = self.slow, rates.period_ns * rates.ratio
         series = [
-            _series("/joint_states", joints, slow.joint_states, position_period),
-            _series("/friction_states", self.setup.friction.names, slow.friction_states, position_period),
-            _series("/rx90_controller/reference", joints, slow.reference, position_period),
-            _series("/rx90_controller/tracking_error", joints, slow.tracking_error, position_period),
+            _series("joint_states", joints, slow.joint_states, period),
+            _series("friction_states", friction.names, slow.friction_states, period),
+            _series("rx90_controller/reference", joints, slow.reference, period),
+            _series("rx90_controller/tracking_error", joints, slow.tracking_error, period),
         ]
         for k, (name, names) in enumerate(zip(DETAILS, (joints, MOTOR_NAMES, MOTOR_NAMES), strict=True)):
             values = np.ascontiguousarray(slow.details[::DETAIL_DECIMATION, k])
-            series.append(
-                JointSeries(
-                    f"/rx90_controller/{name}",
-                    names,
-                    _stamps(values, position_period * DETAIL_DECIMATION),
-                    effort=values,
-                )
-            )
+            series.append(_series(f"rx90_controller/{name}", names, values, period * DETAIL_DECIMATION))
         if self.fast is not None:
-            series.append(_series(f"/{MOTOR_STATES}", MOTOR_NAMES, self.fast.motor_states, rates.period_ns))
-            commands = self.fast.motor_commands
-            series.append(
-                JointSeries(f"/{MOTOR_COMMANDS}", MOTOR_NAMES, _stamps(commands, rates.period_ns), effort=commands)
-            )
-        if len(slow.temperatures):
-            series.append(self._temperatures())
+            series.append(_series(MOTOR_STATES, MOTOR_NAMES, self.fast.motor_states, rates.period_ns))
+            series.append(_series(MOTOR_COMMANDS, MOTOR_NAMES, self.fast.motor_commands, rates.period_ns))
+        if len(slow.temperatures):  # of the elements and windings that get warm, as the nodes publish them
+            warm = [i for i, element in enumerate(friction.elements) if element.temperature is not None]
+            windings = 6 * self.setup.drives.winding.used
+            names = (*(friction.names[i] for i in warm), *MOTOR_NAMES[:windings])
+            values = np.concatenate([slow.temperatures[:, warm], slow.windings[:, :windings]], axis=1)
+            stamps = _stamps(values, rates.period_ns * rates.temperature_ticks)
+            series.append(JointSeries(f"/{TEMPERATURES}", names, stamps, temperature=values))
         return {one.topic.removeprefix("/"): one for one in series}
-
-    def _temperatures(self) -> JointSeries:
-        """Return the temperatures of the elements and windings that get warm, as the nodes publish them."""
-        setup, slow = self.setup, self.slow
-        warm = [i for i, element in enumerate(setup.friction.elements) if element.temperature is not None]
-        names, values = [setup.friction.names[i] for i in warm], [slow.temperatures[:, warm]]
-        if setup.drives.winding.used:
-            names, values = [*names, *MOTOR_NAMES], [*values, slow.windings]
-        stamps = _stamps(slow.temperatures, setup.rates.period_ns * setup.rates.temperature_ticks)
-        return JointSeries(f"/{TEMPERATURES}", tuple(names), stamps, temperature=np.concatenate(values, axis=1))
 
 
 def _series(topic: str, names: tuple[str, ...], rows: Array, period_ns: int) -> JointSeries:
-    position, velocity, effort = (rows[:, k] for k in range(3))
-    return JointSeries(topic, names, _stamps(rows, period_ns), position, velocity, effort)
+    """Return a series of rows of position, velocity, effort, shape (n, 3, m), or of efforts alone, shape (n, m)."""
+    values = (None, None, rows) if rows.ndim == 2 else np.moveaxis(rows, 1, 0)
+    return JointSeries(f"/{topic}", names, _stamps(rows, period_ns), *values)
 
 
 def _stamps(rows: Array, period_ns: int) -> NDArray[np.int64]:
@@ -182,19 +163,14 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
     """
     check_type(run=(run, RunResult))
     # Here, because it takes as long as the plant's import.
-    from rx90_common.bags.writing import (
-        parameters_message,
-        string_message,
-        trajectory_message,
-        write_joint_states,
-    )
+    from rx90_common.bags.writing import parameters_message, string_message, trajectory_message, write_joint_states
 
     names, rates = run.setup.robot.joint_names, run.setup.rates
     period_ns = rates.period_ns * rates.ratio
-    told = {SEED: run.setup.seed, TEMPERATURE_RATE: rates.temperature_hz}
+    parameters = {SEED: run.setup.seed, TEMPERATURE_RATE: rates.temperature_hz}
     others = [
         string_message("/robot_description", run.setup.robot.urdf),
-        parameters_message(f"/rx90_sim/{PARAMETERS}", "/rx90_sim", told),
+        parameters_message(f"/rx90_sim/{PARAMETERS}", "/rx90_sim", parameters),
     ]
     for start, points in run.commands:
         content = message_content(names, points) if points else {"joint_names": list(names), "points": []}
@@ -225,27 +201,26 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
         "detail time [s]": run.times[::DETAIL_DECIMATION],
     }
     if len(run.slow.temperatures):
-        rows = np.arange(len(run.slow.temperatures), dtype=np.float64)
-        arrays["temperature time [s]"] = rows / run.setup.rates.temperature_hz
+        arrays["temperature time [s]"] = np.arange(len(run.slow.temperatures)) / run.setup.rates.temperature_hz
         arrays["temperature [degC]"] = run.slow.temperatures
         arrays["winding temperature [degC]"] = run.slow.windings
     for topic, series in run.series.items():
         if topic == TEMPERATURES:
             continue
         if topic == MOTOR_STATES:
-            ticks = np.arange(len(series.stamp_ns), dtype=np.float64)
-            arrays["base time [s]"] = np.asarray(ticks * run.setup.rates.period)
+            arrays["base time [s]"] = np.arange(len(series.stamp_ns)) * run.setup.rates.period
         for field, values in series.fields.items():
             arrays[f"{topic.rpartition('/')[2]} {series.quantities[field]}"] = values
+    path = Path(file)
     try:
-        stream = Path(file).open("xb")  # noqa: SIM115 - what fails from here on must not remove a file of others
+        stream = path.open("xb")
     except OSError as error:
         raise write_error(file, error, "a new file") from error
     try:
         with stream:
             np.savez_compressed(stream, **arrays)
     except BaseException as error:
-        Path(file).unlink(missing_ok=True)  # half a file is of no use
+        path.unlink(missing_ok=True)  # half a file is of no use
         if isinstance(error, OSError):
             raise write_error(file, error) from error
         raise

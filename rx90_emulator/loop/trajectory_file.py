@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
-from rx90_common.bags.topics import POINT_FIELDS
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import Integer, ListOf, Number, Texts
 from rx90_common.base.errors import ConfigError, TrajectoryError
@@ -20,19 +18,15 @@ _TIME = {
     "sec": Integer("Whole seconds.", "s", low=-(2**31), high=2**31 - 1, default=0),
     "nanosec": Integer("The rest.", "ns", low=0, high=2**32 - 1, default=0),
 }
-_ABOUT = {
-    "positions": ("Of each joint.", "rad"),
-    "velocities": ("Of each joint; may be left out.", "rad/s"),
-    "accelerations": ("Of each joint, with velocities; may be left out.", "rad/s^2"),
-    "effort": ("None: the controller follows positions.", "Nm"),
+_OF_JOINTS = {
+    name: ListOf(about, unit, item=Number(""), accepted="a list of numbers", default=())
+    for name, about, unit in (
+        ("positions", "Of each joint.", "rad"),
+        ("velocities", "Of each joint; may be left out.", "rad/s"),
+        ("accelerations", "Of each joint, with velocities; may be left out.", "rad/s^2"),
+        ("effort", "None: the controller follows positions.", "Nm"),
+    )
 }
-
-
-def _of_joints(name: str) -> ListOf:
-    about, unit = _ABOUT[name]
-    return ListOf(about, unit, item=Number(""), accepted="a list of numbers", default=())
-
-
 TRAJECTORY = Group(
     "A trajectory_msgs/JointTrajectory; the header is not looked at.",
     keys={
@@ -42,7 +36,7 @@ TRAJECTORY = Group(
             item=Group(
                 "A point.",
                 keys={
-                    **{name: _of_joints(name) for name in POINT_FIELDS},
+                    **_OF_JOINTS,
                     "time_from_start": Group("Its time.", keys=_TIME, known=False),
                 },
                 known=False,
@@ -71,18 +65,16 @@ def load_trajectory(name: Path | str, robot_joints: Sequence[str]) -> Trajectory
         content = TRAJECTORY.read(root)
     except ConfigError as error:
         raise ConfigError(f"{error}, as {_ACCEPTED} has") from error
-    try:
-        return points_from_message(robot_joints, _message(content))
-    except TrajectoryError as error:
-        raise TrajectoryError(f"{file}: {error}") from error
-
-
-def _message(content: dict[str, Any]) -> SimpleNamespace:
     points = [
         SimpleNamespace(
             time_from_start=SimpleNamespace(**{key: point["time_from_start"][key] for key in _TIME}),
-            **{name: list(point[name] or ()) for name in POINT_FIELDS},
+            **{name: list(point[name] or ()) for name in _OF_JOINTS},
         )
         for point in content["points"]
     ]
-    return SimpleNamespace(joint_names=list(content["joint_names"]), points=points)
+    try:
+        return points_from_message(
+            robot_joints, SimpleNamespace(joint_names=list(content["joint_names"]), points=points)
+        )
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{file}: {error}") from error

@@ -23,11 +23,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, check_type
-from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_controller.law.model import ModelTemperatures
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.closed_loop import run_setpoints, setpoints_of
@@ -132,6 +130,8 @@ def repeat_line(
 class ThermalRun:
     """What `repeat_line` does, step by step, so that whoever is interrupted has what was done.
 
+    Temperatures are those of 14 joints, of the plant and of the controller's model, and of six windings.
+
     Attributes:
         done: how many cycles have been passed.
     """
@@ -145,14 +145,23 @@ class ThermalRun:
         if not (math.isfinite(change) and change > 0.0):
             raise ConfigError(f"the change between cycles is {change} K; accepted: a finite number > 0")
         setup.warn_of_friction()
-        self._setup, self._task, self._bound = setup, task, change
-        self._cycles = _Cycles(setup, task)
-        self._capacity, self._conductance, self._ambient, self._now = _nodes([*parts, *_believed(setup)])
-        self._windings = np.full(6, setup.drives.winding.initial)
+        self._setup, self._task, self._cycles = setup, task, _Cycles(setup, task)
+        self._bound = change * np.repeat([1.0, _WINDING_CHANGE], [14, 6])
+        controller = setup.controller
+        known = (
+            controller.model.constants.friction if controller.model and controller.feed_forward.friction_model else ()
+        )
+        parts += [element.temperature for element in known] or [None] * 7
+        # J/K, W/K, degrees Celsius; what has no temperature stays at 0.
+        self._capacity, self._conductance, self._ambient, start = np.array(
+            [(1.0, 0.0, 0.0, 0.0) if one is None else (one.capacity, 1.0 / one.resistance, one.ambient, one.start)
+             for one in parts]
+        ).T  # fmt: skip
+        self._now = np.concatenate([start, np.full(6, setup.drives.winding.initial)])
         self._slope = np.zeros(14)
         self._known: Cycle | None = None
-        self._rows: list[tuple[float, Array, Array, Cycle]] = []
-        self.done, self._ended = 0, False
+        self._rows: list[tuple[float, Array, Cycle]] = []
+        self.done = 0
 
     def whole_cycles(self, duration: float) -> int:
         """Return how many cycles a time, s, has.
@@ -168,106 +177,59 @@ class ThermalRun:
 
     def advance(self, total: int) -> bool:
         """Simulate a cycle and go on to where the next one is to be, at most the last; return whether there is one."""
-        cycle = self._cycles.run(self._now, self._windings)
-        self._rows.append((self.done * self._cycles.duration, self._now, self._windings, cycle))
+        cycle, duration = self._cycles.run(self._now[:14], self._now[14:]), self._cycles.duration
+        self._rows.append((self.done * duration, self._now, cycle))
         left = total - 1 - self.done
         if left <= 0:
             self.done = total
             return False
         self._learn(cycle)
-        count = max(1, min(left, self._count(cycle), total // _FEWEST))
-        self._now, self._windings = self._after(cycle, count)
+        rate, end = self._rate_and_end(cycle)
+        way = np.abs(end - self._now)
+        far, seconds = (way > self._bound) & (rate > 0.0), math.inf  # until a temperature reaches the bound
+        if far.any():
+            seconds = float(np.min(-np.log1p(-self._bound[far] / way[far]) / rate[far]))
+        count = max(1, min(left, int(min(seconds / duration, LONGEST)), total // _FEWEST))
+        if count == 1:
+            self._now = np.concatenate([cycle.end, cycle.windings])
+        else:
+            self._now = end + (self._now - end) * np.exp(-rate * (count * duration))
         self.done += count
         return True
 
     def result(self) -> RepeatedLine:
         """Return the cycles that were simulated, and warn of joints that got too warm for their law."""
-        times, temperatures, windings, cycles = zip(*self._rows, strict=True)
-        joints = np.array(temperatures)
-        self._setup.warn_of_heat(joints[:, :7])
+        times, temperatures, cycles = zip(*self._rows, strict=True)
+        now = np.array(temperatures)
+        self._setup.warn_of_heat(now[:, :7])
         heat, *values = (np.array([getattr(one, name) for one in cycles]) for name in _VALUES)
-        rows = (np.array(times), joints[:, :7], np.array(windings), heat[:, :7], joints[:, 7:], *values)
+        rows = (np.array(times), now[:, :7], now[:, 14:], heat[:, :7], now[:, 7:14], *values)
         return RepeatedLine(self._setup, self._task, self._cycles.duration, *rows)
 
     def _learn(self, cycle: Cycle) -> None:
         """Take the slope of the heat over temperature from this cycle and the last one that was far enough from it."""
-        if self._known is None:
-            self._known = cycle
-            return
-        risen = cycle.warm - self._known.warm
-        far = np.abs(risen) > _LEAST_CHANGE * self._bound
-        if far.any():
-            slope = (cycle.heat - self._known.heat) / np.where(far, risen, 1.0)
-            self._slope = np.where(far, np.minimum(slope, _MOST_FEEDBACK * self._conductance), self._slope)
-            self._known = _updated(self._known, cycle, far)
+        known = self._known = self._known or cycle
+        risen = cycle.warm - known.warm
+        far = np.abs(risen) > _LEAST_CHANGE * self._bound[:14]
+        slope = np.minimum((cycle.heat - known.heat) / np.where(far, risen, 1.0), _MOST_FEEDBACK * self._conductance)
+        self._slope = np.where(far, slope, self._slope)
+        self._known = known._replace(
+            warm=np.where(far, cycle.warm, known.warm), heat=np.where(far, cycle.heat, known.heat)
+        )
 
     def _rate_and_end(self, cycle: Cycle) -> tuple[Array, Array]:
-        """Return the rate, 1/s, with which each temperature nears its end, and this end, degrees Celsius."""
-        loss = self._conductance - self._slope
-        rate = loss / self._capacity
+        """Return the rate, 1/s, with which each temperature nears its end, and this end, degrees Celsius.
+
+        That of windings from their time constant, and from how far the cycle brought them.
+        """
+        loss, end = self._conductance - self._slope, self._now.copy()
         inflow = cycle.heat - self._slope * cycle.warm + self._conductance * self._ambient
-        return rate, np.divide(inflow, loss, out=self._now.copy(), where=loss > 0.0)
-
-    def _count(self, cycle: Cycle) -> int:
-        """Return in how many cycles a temperature reaches the bound of its change."""
-        rate, end = self._rate_and_end(cycle)
-        winding, hottest = self._winding_rate_and_end(cycle)
-        bound = self._bound
-        seconds = min(
-            _time_to(end - self._now, rate, bound),
-            _time_to(hottest - self._windings, winding, _WINDING_CHANGE * bound),
-        )
-        return int(min(seconds / self._cycles.duration, LONGEST))
-
-    def _after(self, cycle: Cycle, count: int) -> tuple[Array, Array]:
-        """Return the temperatures of joints and windings behind so many cycles, the simulated one included."""
-        if count == 1:
-            return cycle.end, cycle.windings
-        rate, end = self._rate_and_end(cycle)
-        winding, hottest = self._winding_rate_and_end(cycle)
-        time = count * self._cycles.duration
-        joints = end + (self._now - end) * np.exp(-rate * time)
-        return joints, hottest + (self._windings - hottest) * np.exp(-winding * time)
-
-    def _winding_rate_and_end(self, cycle: Cycle) -> tuple[Array, Array]:
-        """Return the same of the windings: by their time constant, and how far the cycle brought them."""
-        winding = self._setup.drives.winding
-        if not winding.used:
-            return np.zeros(6), self._windings
-        rate = 1.0 / (winding.heat_capacity * winding.thermal_resistance)
-        return rate, self._windings - (cycle.windings - self._windings) / np.expm1(-rate * self._cycles.duration)
-
-
-def _updated(old: Cycle, new: Cycle, chosen: NDArray[np.bool_]) -> Cycle:
-    """Return a cycle with the temperatures and heats of another for some elements."""
-    return old._replace(warm=np.where(chosen, new.warm, old.warm), heat=np.where(chosen, new.heat, old.heat))
-
-
-def _time_to(way: Array, rate: Array, bound: float) -> float:
-    """Return when the first of some exponentials has gone so far, s; infinite if none ever does."""
-    far = (np.abs(way) > bound) & (rate > 0.0)
-    if not far.any():
-        return math.inf
-    return float(np.min(-np.log1p(-bound / np.abs(way[far])) / rate[far]))
-
-
-def _nodes(parts: list[TemperaturePart | None]) -> tuple[Array, Array, Array, Array]:
-    """Return capacity, J/K, conductance, W/K, ambient and start, degrees Celsius; without a part it stays at 0."""
-    rows = [
-        (1.0, 0.0, 0.0, 0.0) if part is None else (part.capacity, 1.0 / part.resistance, part.ambient, part.start)
-        for part in parts
-    ]
-    capacity, conductance, ambient, start = np.array(rows).T
-    return capacity, conductance, ambient, start
-
-
-def _believed(setup: Setup) -> list[TemperaturePart | None]:
-    """Return the temperatures of the controller's model, none where its friction is off."""
-    controller = setup.controller
-    if not controller.feed_forward.friction_model:
-        return [None] * 7
-    assert controller.model is not None
-    return [element.temperature for element in controller.model.constants.friction]
+        np.divide(inflow, loss, out=end[:14], where=loss > 0.0)
+        winding, winding_rate = self._setup.drives.winding, np.zeros(6)
+        if winding.used:
+            winding_rate += 1.0 / (winding.heat_capacity * winding.thermal_resistance)
+            end[14:] -= (cycle.windings - end[14:]) / np.expm1(-winding_rate * self._cycles.duration)
+        return np.concatenate([loss / self._capacity, winding_rate]), end
 
 
 class _Cycles:

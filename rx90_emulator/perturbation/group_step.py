@@ -59,18 +59,6 @@ def lanes_for(runs: int) -> int:
     return FEW if runs <= 2 * FEW else MANY
 
 
-def servo_dtype(lanes: int) -> np.dtype[np.void]:
-    """Return the type of one motor's controller, a lane for each run; the fields are those of CONTROLLER_DTYPE."""
-    return np.dtype([(name, np.float64, lanes) for name in _SERVO_NAMES], align=True)
-
-
-def group_dtype(lanes: int) -> np.dtype[np.void]:
-    """Return the type of the state of a group of runs, a lane for each run."""
-    fields = [(name, np.float64, (rows, lanes)) for name, rows in _STATE_ROWS.items()]
-    # The inverse of M0, C0 and K0 in the present tick serve all runs.
-    return np.dtype([*fields, ("coefficients", np.float64, (3, 6, 6))], align=True)
-
-
 class Groups(NamedTuple):
     """All runs, group by group; idle lanes of the last group repeat the last run.
 
@@ -78,8 +66,8 @@ class Groups(NamedTuple):
         elements: friction elements, shape (groups, 7).
         kinds: their bristles, shape (groups, 7).
         blocks: what these remember, all zero, shape (groups, 7).
-        servos: controllers, shape (groups, 6).
-        states: all zero, shape (groups,).
+        servos: controllers of the motors, shape (groups, 6), with the fields of CONTROLLER_DTYPE.
+        states: all zero, shape (groups,), with the fields of _STATE_ROWS.
     """
 
     elements: Record
@@ -101,19 +89,20 @@ def pack(frictions: Sequence[FrictionSet], laws: Sequence[Record], lanes: int) -
     elements = np.zeros((groups, ELEMENT_COUNT), elements_dtype(lanes))
     kinds = np.zeros((groups, ELEMENT_COUNT), bristles_dtype(lanes))
     blocks = np.zeros((groups, ELEMENT_COUNT), bristles_state_dtype(lanes))
-    servos = np.zeros((groups, 6), servo_dtype(lanes))
-    for run in range(groups * lanes):
-        group, lane = divmod(run, lanes)
-        source = min(run, len(frictions) - 1)
+    servos = np.zeros((groups, 6), np.dtype([(name, np.float64, lanes) for name in _SERVO_NAMES], align=True))
+    fields = [(name, np.float64, (rows, lanes)) for name, rows in _STATE_ROWS.items()]
+    # The inverse of M0, C0 and K0 in the present tick serve all runs.
+    states = np.zeros(groups, np.dtype([*fields, ("coefficients", np.float64, (3, 6, 6))], align=True))
+    sources = np.minimum(np.arange(groups * lanes), len(frictions) - 1).reshape(groups, lanes)
+    for (group, lane), source in np.ndenumerate(sources):
         arrays = element_arrays(frictions[source].elements)
         for name in arrays.dtype.names or ():
             elements[name][group, ..., lane] = arrays[name][0].T
         for name in _SERVO_NAMES:
             servos[name][group, :, lane] = laws[source][name][0]
-    sources = np.minimum(np.arange(groups * lanes), len(frictions) - 1).reshape(groups, lanes)
     for group, element in np.ndindex(kinds.shape):
         fill_bristles(kinds[group, element], [frictions[run].elements[element].bristles for run in sources[group]])
-    return Groups(elements, kinds, blocks, servos, np.zeros(groups, group_dtype(lanes)))
+    return Groups(elements, kinds, blocks, servos, states)
 
 
 class Tables(NamedTuple):
@@ -153,18 +142,7 @@ class Series(NamedTuple):
 
 
 @kernel
-def run_few(
-    plants: Record,
-    tables: Tables,
-    spacing: int,
-    ratio: int,
-    elements: Record,
-    kinds: Record,
-    blocks: Record,
-    servos: Record,
-    states: Record,
-    series: Series,
-) -> None:
+def run_few(plants: Record, tables: Tables, spacing: int, ratio: int, groups: Groups, series: Series) -> None:
     """Run all groups of FEW lanes through the whole motion.
 
     Args:
@@ -172,71 +150,35 @@ def run_few(
         tables: what the runs share.
         spacing: base ticks from one point of the coefficients to the next.
         ratio: base ticks in a position tick.
-        elements: friction elements, shape (groups, 7), `elements_dtype`.
-        kinds: their bristles, shape (groups, 7), `bristles_dtype`.
-        blocks: what these remember, shape (groups, 7), `bristles_state_dtype`, advanced in place.
-        servos: controllers, shape (groups, 6), `servo_dtype`.
-        states: initial states, shape (groups,), `group_dtype`, advanced in place.
+        groups: the runs; their states are advanced in place.
         series: written for the runs that exist.
     """
-    _run(plants[0], tables, spacing, ratio, elements, kinds, blocks, servos, states, series, FEW)
+    _run(plants[0], tables, spacing, ratio, groups, series, FEW)
 
 
 @kernel
-def run_many(
-    plants: Record,
-    tables: Tables,
-    spacing: int,
-    ratio: int,
-    elements: Record,
-    kinds: Record,
-    blocks: Record,
-    servos: Record,
-    states: Record,
-    series: Series,
-) -> None:
+def run_many(plants: Record, tables: Tables, spacing: int, ratio: int, groups: Groups, series: Series) -> None:
     """Run all groups of MANY lanes as `run_few` does; vectors have their width in their type."""
-    _run(plants[0], tables, spacing, ratio, elements, kinds, blocks, servos, states, series, MANY)
+    _run(plants[0], tables, spacing, ratio, groups, series, MANY)
 
 
 @inlined
-def _run(
-    plant: Any,
-    tables: Tables,
-    spacing: int,
-    ratio: int,
-    elements: Record,
-    kinds: Record,
-    blocks: Record,
-    servos: Record,
-    states: Record,
-    series: Series,
-    lanes: int,
-) -> None:
-    for group in range(len(states)):
-        state = states[group]
-        _switch_on(plant, tables.position[0], state, lanes)
+def _run(plant: Any, tables: Tables, spacing: int, ratio: int, groups: Groups, series: Series, lanes: int) -> None:
+    for group in range(len(groups.states)):
+        state, servos = groups.states[group], groups.servos[group]
+        for i in range(6):  # counts and observers start where the arm is
+            angle = _motor_angle(plant, tables.position[0], state, i, lanes)
+            store(state.observer[i], angle)
+            store(state.motor_position[i], whole_steps(angle, plant.resolution[i]))
         for k in range(len(tables.velocity)):
             row = k // ratio
             if k % ratio == 0:
                 _record(tables.jacobian[row], state, group * lanes, row, series, lanes)
-                _position_loops(servos[group], tables.reference[row], state, lanes)
-                _supervise(servos[group], plant.gear, state, lanes)
-                _mark_divergence(plant.speed_limit, state, lanes)
+                _position_loops(plant, servos, tables.reference[row], state, lanes)
             _interpolate(tables.coefficients, k, spacing, state)
-            _velocity_loops(servos[group], plant.gear, tables.reference[row, 1], tables.torque[k], state, lanes)
-            _predict(state, lanes)
-            _substep(tables, k, elements[group], (kinds[group], blocks[group]), state, plant.period, lanes)
+            _velocity_loops(servos, plant.gear, tables.reference[row, 1], tables.torque[k], state, lanes)
+            _substep(tables, k, groups, group, state, plant.period, lanes)
             _sample(plant, tables.position[k + 1], state, lanes)
-
-
-@inlined
-def _switch_on(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
-    """Let counts and observers start where the arm is."""
-    for i in range(6):
-        angle = _motor_angle(plant, nominal, state, i, lanes)
-        store(state.observer[i], angle)
-        store(state.motor_position[i], whole_steps(angle, plant.resolution[i]))
 
 
 @inlined
@@ -257,57 +199,43 @@ def _record(jacobian: Array, state: Any, first: int, row: int, series: Series, l
 
 
 @inlined
-def _position_loops(servos: Record, reference: Array, state: Any, lanes: int) -> None:
-    """Run PI and FF; leave the position errors in `rhs`."""
+def _position_loops(plant: Any, servos: Record, reference: Array, state: Any, lanes: int) -> None:
+    """Run PI and FF, and mark runs beyond a limit of the supervision, as `rx90_controller.law.loops`, or diverged."""
     for i in range(6):
         error, integrator, position_torque, feed_forward = position_servo(
-            servos[i],
-            lanes,
-            reference[0, i],
-            reference[1, i],
-            reference[2, i],
-            load(state.motor_position[i], lanes),
-            load(state.integrator[i], lanes),
-            load(state.limited[i], lanes),
-        )
+            servos[i], lanes, reference[0, i], reference[1, i], reference[2, i], load(state.motor_position[i], lanes),
+            load(state.integrator[i], lanes), load(state.limited[i], lanes),
+        )  # fmt: skip
         store(state.integrator[i], integrator)
         store(state.position_torque[i], position_torque)
         store(state.feed_forward[i], feed_forward)
         store(state.rhs[i], error)
-
-
-@inlined
-def _supervise(servos: Record, gear: Array, state: Any, lanes: int) -> None:
-    """Mark runs beyond a limit, as `rx90_controller.law.loops` does; the position errors are in `rhs`."""
-    tripped = load(state.tripped[0], lanes)
+    tripped, diverged = load(state.tripped[0], lanes), load(state.diverged[0], lanes)
     for i in range(6):
         error, speed = load(state.rhs[i], lanes), load(state.motor_velocity[i], lanes)
         if i == 5:  # motor 6 turns with joints 5 and 6 together
-            share = gear[5] / gear[4]
+            share = plant.gear[5] / plant.gear[4]
             error = error - share * load(state.rhs[4], lanes)
             speed = speed - share * load(state.motor_velocity[4], lanes)
         # The comparisons are false for NaN too.
         tripped = select(absolute(error) <= load(servos[i].following_error, lanes), tripped, 1.0)
         tripped = select(absolute(speed) <= load(servos[i].over_speed, lanes), tripped, 1.0)
+        diverged = select(absolute(load(state.velocity[i], lanes)) <= plant.speed_limit[i], diverged, 1.0)
     store(state.tripped[0], tripped)
+    store(state.diverged[0], diverged)
 
 
 @inlined
 def _velocity_loops(servos: Record, gear: Array, velocity: Array, nominal: Array, state: Any, lanes: int) -> None:
-    """Run D and C; leave what the drives give beyond tau0 and, in `rhs`, its jump."""
+    """Run D and C; leave what the drives give beyond tau0, and predict what its jump does to the acceleration."""
     coupled = 0.0 * load(state.rhs[0], lanes)
     for n in range(6):
         i = 5 - n  # motor 6 first: it acts on joint 5, too
         _, current, command, limited = velocity_servo(
-            servos[i],
-            lanes,
-            load(servos[i].current_gain, lanes),
-            load(state.position_torque[i], lanes),
-            load(state.feed_forward[i], lanes),
-            velocity[i],
-            load(state.motor_velocity[i], lanes),
+            servos[i], lanes, load(servos[i].current_gain, lanes), load(state.position_torque[i], lanes),
+            load(state.feed_forward[i], lanes), velocity[i], load(state.motor_velocity[i], lanes),
             load(state.current[i], lanes),
-        )
+        )  # fmt: skip
         store(state.current[i], current)
         store(state.limited[i], limited)
         store(state.saturated[i], load(state.saturated[i], lanes) + limited * limited)
@@ -319,6 +247,9 @@ def _velocity_loops(servos: Record, gear: Array, velocity: Array, nominal: Array
         excess = torque - nominal[i]
         store(state.rhs[i], excess - load(state.excess[i], lanes))
         store(state.excess[i], excess)
+    inverse = state.coefficients[0]
+    for i in range(6):
+        store(state.acceleration[i], _product(inverse, i, state.rhs, load(state.acceleration[i], lanes), 1.0, lanes))
 
 
 @inlined
@@ -341,17 +272,7 @@ def _product(matrix: Array, i: int, vectors: Array, total: Lanes, sign: float, l
 
 
 @inlined
-def _predict(state: Any, lanes: int) -> None:
-    """Add what the jump of the torques, in `rhs`, does to the acceleration."""
-    inverse = state.coefficients[0]
-    for i in range(6):
-        store(state.acceleration[i], _product(inverse, i, state.rhs, load(state.acceleration[i], lanes), 1.0, lanes))
-
-
-@inlined
-def _substep(
-    tables: Tables, tick: int, elements: Record, kinds: tuple[Record, Record], state: Any, step: float, lanes: int
-) -> None:
+def _substep(tables: Tables, tick: int, groups: Groups, group: int, state: Any, step: float, lanes: int) -> None:
     """Evaluate arm and friction at the predicted midpoint and step with the mean acceleration found there."""
     velocity, slip = tables.velocity[tick], tables.slip[tick]
     half = 0.5 * step
@@ -363,7 +284,19 @@ def _substep(
         store(state.velocity[i], velocity[i] + v_mid)
         store(state.rhs[i], load(state.excess[i], lanes))
     store(state.velocity[6], load(state.velocity[4], lanes) + load(state.velocity[5], lanes))
-    _add_friction(elements, kinds, state, step, lanes)
+    for i in range(7):  # the bristles advance, and their torques are taken from `rhs`
+        element, kind = load_elements(groups.elements[group, i], lanes), groups.kinds[group, i]
+        z, speed = load(state.z[i], lanes), load(state.velocity[i], lanes)
+        if kind.elastic_used or kind.blocks_used:
+            z, torque = bristles_step(element, kind, groups.blocks[group, i], z, speed, step, lanes)
+        else:
+            z, torque = bristle_step(element, z, speed, step)
+        store(state.z[i], z)
+        if i < 6:
+            store(state.rhs[i], load(state.rhs[i], lanes) - torque)
+        else:
+            store(state.rhs[4], load(state.rhs[4], lanes) - torque)
+            store(state.rhs[5], load(state.rhs[5], lanes) - torque)
     for i in range(6):
         rhs = _product(state.coefficients[1], i, state.v_mid, load(state.rhs[i], lanes), -1.0, lanes)
         store(state.rhs[i], _product(state.coefficients[2], i, state.q_mid, rhs, -1.0, lanes))
@@ -376,49 +309,14 @@ def _substep(
 
 
 @inlined
-def _add_friction(elements: Record, kinds: tuple[Record, Record], state: Any, step: float, lanes: int) -> None:
-    """Advance the bristles of the seven elements and take their torques from `rhs`."""
-    others, blocks = kinds
-    for i in range(7):
-        element, z, velocity = (
-            load_elements(elements[i], lanes),
-            load(state.z[i], lanes),
-            load(state.velocity[i], lanes),
-        )
-        if others[i].elastic_used or others[i].blocks_used:
-            z, torque = bristles_step(element, others[i], blocks[i], z, velocity, step, lanes)
-        else:
-            z, torque = bristle_step(element, z, velocity, step)
-        store(state.z[i], z)
-        if i < 6:
-            store(state.rhs[i], load(state.rhs[i], lanes) - torque)
-        else:
-            store(state.rhs[4], load(state.rhs[4], lanes) - torque)
-            store(state.rhs[5], load(state.rhs[5], lanes) - torque)
-
-
-@inlined
-def _mark_divergence(speed_limit: Array, state: Any, lanes: int) -> None:
-    diverged = load(state.diverged[0], lanes)
-    for i in range(6):
-        # The comparison is false for NaN too.
-        diverged = select(absolute(load(state.velocity[i], lanes)) <= speed_limit[i], diverged, 1.0)
-    store(state.diverged[0], diverged)
-
-
-@inlined
 def _sample(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
     """Sample the resolvers: counts, and the converters' velocity."""
     for i in range(6):
         angle = _motor_angle(plant, nominal, state, i, lanes)
         position, velocity = observe(
-            angle,
-            load(state.observer[i], lanes),
-            load(state.motor_velocity[i], lanes),
-            plant.period,
-            plant.observer_position,
-            plant.observer_velocity,
-        )
+            angle, load(state.observer[i], lanes), load(state.motor_velocity[i], lanes), plant.period,
+            plant.observer_position, plant.observer_velocity,
+        )  # fmt: skip
         store(state.observer[i], position)
         store(state.motor_velocity[i], velocity)
         store(state.motor_position[i], whole_steps(angle, plant.resolution[i]))

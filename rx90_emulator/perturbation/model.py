@@ -72,6 +72,7 @@ def nominal_motion(trajectory: TrajectoryGenerator, ticks: int, rates: Rates) ->
     )
 
 
+@kernel
 def nominal_torque(plants: Record, states: Record, motion: NominalMotion) -> Array:
     """Return tau0 = M a0 + h without friction in the middle of the steps, Nm, shape (n, 6).
 
@@ -80,22 +81,16 @@ def nominal_torque(plants: Record, states: Record, motion: NominalMotion) -> Arr
         states: state of a plant, shape (1,), STATE_DTYPE; its workspace is overwritten.
         motion: the nominal motion.
     """
-    torque = np.empty_like(motion.acceleration)
-    _inverse_dynamics(plants, states, motion.middle_position, motion.middle_velocity, motion.acceleration, torque)
-    return torque
-
-
-@kernel
-def _inverse_dynamics(
-    plants: Record, states: Record, position: Array, velocity: Array, acceleration: Array, torque: Array
-) -> None:
     plant, state = plants[0], states[0]
+    torque = np.empty((len(motion.acceleration), 6))
     for k in range(len(torque)):
-        mass_and_bias(plant.arm, state.body, position[k], velocity[k], state.mass_matrix, state.bias)
+        q, v, acceleration = motion.middle_position[k], motion.middle_velocity[k], motion.acceleration[k]
+        mass_and_bias(plant.arm, state.body, q, v, state.mass_matrix, state.bias)
         for i in range(6):
             torque[k, i] = state.bias[i]
             for j in range(6):
-                torque[k, i] += state.mass_matrix[i, j] * acceleration[k, j]
+                torque[k, i] += state.mass_matrix[i, j] * acceleration[j]
+    return torque
 
 
 class Linearisation(NamedTuple):
@@ -110,10 +105,6 @@ class Linearisation(NamedTuple):
     mass: Array
     damping: Array
     stiffness: Array
-
-    def for_steps(self) -> Array:
-        """Return the inverse of M0, C0 and K0 as steps use them, shape (n, 3, 6, 6)."""
-        return np.ascontiguousarray(np.stack([np.linalg.inv(self.mass), self.damping, self.stiffness], axis=1))
 
 
 def linearise(
@@ -200,8 +191,7 @@ class PerturbationModel:
     @property
     def times(self) -> Array:
         """Return the times of the series, s, shape (m,)."""
-        rows = np.arange(len(self.nominal_tip), dtype=np.float64)
-        return np.asarray(rows * self.setup.rates.position_period)
+        return np.asarray(np.arange(len(self.nominal_tip), dtype=np.float64) * self.setup.rates.position_period)
 
     @property
     def slow_position(self) -> Array:
@@ -232,37 +222,33 @@ class PerturbationModel:
             raise ConfigError("a batch of 0 runs; accepted: at least one")
         if controllers is not None and len(controllers) != runs:
             raise ConfigError(f"{len(controllers)} controllers for {runs} friction sets; accepted: one for each")
+        setup, tables = self.setup, self.tables
         for friction in frictions:
             elements = dict(zip(friction.names, friction.elements, strict=True))
             refuse_parts(elements, "the perturbation method", held=("bristles",))
             # Its step is the plant's of a tick, so it bears no more.
-            setup, arm = self.setup, self.plants["arm"]
+            arm = self.plants["arm"]
             plant_steps(setup.robot, setup.drives, friction, arm, setup.rates.period, asked=1, braked=False)
+        laws = []
+        for controller in controllers or [setup.controller]:
+            for name in MODEL_PARTS:
+                if getattr(controller.feed_forward, name):
+                    raise ConfigError(f"feed_forward.{name} is true; accepted: false, by the perturbation method")
+            laws.append(controller.record(setup.robot, setup.drives, setup.rates))
         lanes = lanes_for(runs)
-        groups = pack(frictions, self._laws(controllers, runs), lanes)
+        groups = pack(frictions, laws if controllers else laws * runs, lanes)
         states, motion = groups.states, self.motion
         states["q"] = (self.initial_position - motion.position[0])[:, None]
         states["v"] = -motion.velocity[0][:, None]
-        states["excess"] = -self.tables.torque[0][:, None]  # the brakes held the arm until now
+        states["excess"] = -tables.torque[0][:, None]  # the brakes held the arm until now
         rows = len(self.nominal_tip)
         series = Series(*(np.empty((runs, rows, columns)) for columns in (6, 7, 3)))
         run = run_few if lanes == FEW else run_many
-        ratio = self.setup.rates.ratio
-        run(self.plants, self.tables, self.spacing, ratio, *groups, series)
+        run(self.plants, tables, self.spacing, setup.rates.ratio, groups, series)
         # A diverged run may have counted into NaN.
         saturated = np.nan_to_num(np.moveaxis(states["saturated"], 2, 1).reshape(-1, 6)[:runs])
         tripped, diverged = (states[name].reshape(-1)[:runs].astype(np.bool_) for name in ("tripped", "diverged"))
         return PerturbationResult(self, *series, saturated.astype(np.int64), tripped, diverged)
-
-    def _laws(self, controllers: Sequence[CS7BParameters] | None, runs: int) -> list[Record]:
-        robot, drives, rates = self.setup.robot, self.setup.drives, self.setup.rates
-        for controller in controllers or [self.setup.controller]:
-            for name in MODEL_PARTS:
-                if getattr(controller.feed_forward, name):
-                    raise ConfigError(f"feed_forward.{name} is true; accepted: false, by the perturbation method")
-        if controllers is None:
-            return [self.setup.controller.record(robot, drives, rates)] * runs
-        return [controller.record(robot, drives, rates) for controller in controllers]
 
 
 def prepare_perturbation(
@@ -292,7 +278,12 @@ def prepare_perturbation(
     start, ticks = rates.start_tick(start_time), rates.ticks_of(duration)
     if not rates.period <= spacing < np.inf:
         raise ConfigError(f"spacing is {spacing} s; accepted: a finite number, at least a tick, {rates.period:g} s")
-    _refuse_drives(setup.drives)
+    for i in np.flatnonzero(setup.drives.elasticity.elastic):
+        found = f"drives.elasticity.stiffness[{i}] is {setup.drives.elasticity.stiffness[i]:g} Nm/rad"
+        raise ConfigError(f"{found}; accepted by the perturbation method: rigid drives")
+    for name in ("cogging", "winding", "current_sensor"):
+        if getattr(setup.drives, name).used:
+            raise ConfigError(f"drives.{name}: the perturbation method cannot hold this; accepted: left out")
     plant, controller = setup.plant(), setup.cs7b()
     plant.reset(initial_position)
     encoders = plant.motor_states()[0]
@@ -302,44 +293,23 @@ def prepare_perturbation(
     motion = nominal_motion(controller.trajectory, ticks, rates)
     slow = motion.position[: -1 : rates.ratio]
     apart = max(1, round(spacing * rates.base_hz))
+    # The coefficients at every so many ticks, one point past the end, for which the last one stands in.
+    last = len(motion.acceleration) - 1
+    at = np.minimum(np.arange(0, last + 2 * apart, apart), last)
+    linear = linearise(setup.robot, setup.drives, motion.position[at], motion.velocity[at], motion.acceleration[at])
+    reference = np.empty_like(setpoints)
+    for row, motor in zip(setpoints.reshape(-1, 6), reference.reshape(-1, 6), strict=True):
+        to_motor(setup.drives.gear, row, motor)
     tables = Tables(
         position=motion.position,
         velocity=motion.middle_velocity,
         torque=nominal_torque(plant.constants, plant.state, motion),
         slip=motion.slip,
-        coefficients=_coefficients(setup, motion, apart),
-        reference=_motor_side(setup, setpoints),
+        coefficients=np.stack([np.linalg.inv(linear.mass), linear.damping, linear.stiffness], axis=1),
+        reference=reference,
         jacobian=np.ascontiguousarray(jacobian(setup.robot.chain, slow)[:, :3]),
     )
     tip = forward(setup.robot.chain, slow).position
     return PerturbationModel(
         setup, motion, tables, apart, np.array(initial_position, dtype=np.float64), tip, plant.constants
     )
-
-
-def _coefficients(setup: Setup, motion: NominalMotion, apart: int) -> Array:
-    """Return the coefficients at every `apart`-th tick, one point past the end."""
-    last = len(motion.acceleration) - 1
-    ticks = np.minimum(np.arange(0, last + 2 * apart, apart), last)
-    # After the end the motion is not known; the point there stands in for it.
-    linear = linearise(
-        setup.robot, setup.drives, motion.position[ticks], motion.velocity[ticks], motion.acceleration[ticks]
-    )
-    return linear.for_steps()
-
-
-def _motor_side(setup: Setup, setpoints: Array) -> Array:
-    reference = np.empty_like(setpoints)
-    gear = setup.drives.gear
-    for row, motor in zip(setpoints.reshape(-1, 6), reference.reshape(-1, 6), strict=True):
-        to_motor(gear, row, motor)
-    return reference
-
-
-def _refuse_drives(drives: DriveParameters) -> None:
-    for i in np.flatnonzero(drives.elasticity.elastic):
-        found = f"drives.elasticity.stiffness[{i}] is {drives.elasticity.stiffness[i]:g} Nm/rad"
-        raise ConfigError(f"{found}; accepted by the perturbation method: rigid drives")
-    for name in ("cogging", "winding", "current_sensor"):
-        if getattr(drives, name).used:
-            raise ConfigError(f"drives.{name}: the perturbation method cannot hold this; accepted: left out")

@@ -16,12 +16,13 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from importlib import import_module
+from itertools import islice
 from multiprocessing.connection import wait as wait_for_any
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -93,11 +94,18 @@ def run_sweep(
     if workers is not None and not 1 <= workers <= MOST_WORKERS:
         raise ConfigError(f"workers is {workers}; accepted: an integer in [1, {MOST_WORKERS}]")
     failed = computed = 0
-    with _store().ResultStore(Path(output), sweep, resume=resume) as store:
+    with _import("rx90_emulator.sweep.store").ResultStore(Path(output), sweep, resume=resume) as store:
         missing = np.flatnonzero(~store.done).tolist()
         if not missing:
             return SweepCounts(0, 0)
-        with _pool(sweep, workers, scheduler) as pool, _bar(len(sweep), len(missing), quiet) as bar:
+        pool_of = local_pool(sweep, workers or len(os.sched_getaffinity(0))) if scheduler is None else dask_pool(
+            sweep, scheduler
+        )  # fmt: skip
+        shown: Any = tqdm(
+            total=len(sweep), initial=len(sweep) - len(missing), desc="sweep", unit="run", smoothing=0.05,
+            disable=True if quiet else None,  # None: shown on a terminal only
+        )  # fmt: skip
+        with pool_of as pool, shown as bar:
             sizes = _BATCH if sweep.perturbs else (1, LARGEST_CHUNK)
             for outcomes in run_all(pool, missing, sizes):
                 store.add(outcomes)
@@ -114,11 +122,7 @@ def read_sweep(file: Path | str) -> Any:
     Raises:
         SweepError: if there are none, or they cannot be read.
     """
-    return _store().read_results(Path(file))
-
-
-def _store() -> Any:
-    return _import("rx90_emulator.sweep.store")
+    return _import("rx90_emulator.sweep.store").read_results(Path(file))
 
 
 def _import(module: str) -> Any:
@@ -132,22 +136,6 @@ def _import(module: str) -> Any:
         raise FailureError(line) from error
 
 
-def _pool(sweep: Sweep, workers: int | None, scheduler: str | None) -> AbstractContextManager[Pool]:
-    if scheduler is not None:
-        return dask_pool(sweep, scheduler)
-    return local_pool(sweep, workers or available_cores())
-
-
-def _bar(runs: int, missing: int, quiet: bool) -> tqdm[NoReturn]:
-    disable = True if quiet else None  # None: shown on a terminal only
-    return tqdm(total=runs, initial=runs - missing, desc="sweep", unit="run", disable=disable, smoothing=0.05)
-
-
-def available_cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0))
-
-
 def run_all(pool: Pool, indices: Sequence[int], sizes: tuple[int, int] = (1, LARGEST_CHUNK)) -> Iterator[Outcomes]:
     """Run runs on a pool; yield the outcomes of a chunk as soon as it is done, in any order.
 
@@ -158,15 +146,10 @@ def run_all(pool: Pool, indices: Sequence[int], sizes: tuple[int, int] = (1, LAR
     """
     size = min(sizes[1], max(sizes[0], len(indices) // (_CHUNKS_EACH * pool.workers)))
     chunks = (indices[first : first + size] for first in range(0, len(indices), size))
-    running: set[Future[Outcomes]] = set()
-    exhausted = False
-    while running or not exhausted:
-        while len(running) < _QUEUED_EACH * pool.workers and not exhausted:
-            chunk = next(chunks, None)
-            exhausted = chunk is None
-            if chunk is not None:
-                running.add(pool.submit(chunk))
+    running = {pool.submit(chunk) for chunk in islice(chunks, _QUEUED_EACH * pool.workers)}
+    while running:
         ready, running = wait(running, return_when=FIRST_COMPLETED)
+        running |= {pool.submit(chunk) for chunk in islice(chunks, len(ready))}
         for future in ready:
             yield future.result()
 
@@ -186,8 +169,12 @@ def local_pool(sweep: Sweep, workers: int) -> Iterator[Pool]:
     processes = ProcessPoolExecutor(workers, context, _start_worker, (sweep, stop))
 
     def submit(chunk: Chunk) -> Future[Outcomes]:
-        with _interrupt_held_back():
+        # Fork with Ctrl-C and the like blocked: a terminal sends it to the workers too, and they must overlook it.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+        try:
             return processes.submit(_run_in_worker, chunk)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     try:
         submit([])  # forks before the caller starts any thread
@@ -199,40 +186,17 @@ def local_pool(sweep: Sweep, workers: int) -> Iterator[Pool]:
         processes.shutdown(wait=True, cancel_futures=True)
 
 
-@contextmanager
-def _interrupt_held_back() -> Iterator[None]:
-    """Fork with Ctrl-C and the like blocked: a terminal sends it to the workers too, and they must overlook it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-class _Worker(NamedTuple):
-    """What a worker process has from its parent: the sweep, and a shared number, 1 for leave your chunk."""
-
-    sweep: Sweep
-    stop: Any
-
-
-_worker: list[_Worker] = []
+_in_worker: list[Any] = []
+"""What a worker process has from its parent: the sweep, and a shared number, 1 for leave your chunk."""
 
 
 def _start_worker(sweep: Sweep, stop: Any) -> None:
-    _worker.append(_Worker(sweep, stop))
-    _keep_memory()
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _keep_memory() -> None:
-    """Let the C library keep memory that is given back: the series of a run are fresh pages otherwise, an eighth of it.
-
-    The parameters of `mallopt` are M_TRIM_THRESHOLD and M_MMAP_THRESHOLD; other C libraries than glibc have none.
-    """
-    with suppress(OSError, AttributeError):
-        for parameter in (-1, -3):
+    _in_worker[:] = sweep, stop
+    # Let the C library keep memory that is given back: the series of a run are fresh pages otherwise, an eighth of it.
+    with suppress(OSError, AttributeError):  # other C libraries than glibc have none of it
+        for parameter in (-1, -3):  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD
             ctypes.CDLL("libc.so.6").mallopt(parameter, _KEPT_BYTES)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
 def _end_with_parent() -> None:
@@ -243,10 +207,9 @@ def _end_with_parent() -> None:
 
 
 def _run_in_worker(chunk: Chunk) -> Outcomes:
-    sweep, stop = _worker[0]
-    if sweep.perturbs:
-        return [] if stop.value else sweep.run_together(chunk)
-    return [sweep.run(index) for index in chunk if not stop.value]
+    sweep, stop = _in_worker
+    outcomes: Outcomes = sweep.compute(chunk, lambda: bool(stop.value))
+    return outcomes
 
 
 @contextmanager
@@ -260,41 +223,29 @@ def dask_pool(sweep: Sweep, address: str) -> Iterator[Pool]:
     if not _ADDRESS.fullmatch(address):
         raise SweepError(f"the scheduler is {quoted(address)}; accepted: an address such as tcp://host:8786")
     distributed = _import("distributed")
-    with _quiet_loggers():
-        yield from _cluster(sweep, address, distributed)
-
-
-def _cluster(sweep: Sweep, address: str, distributed: Any) -> Iterator[Pool]:
+    # Dask's own tracebacks of a lost connection stay off the terminal; the sweep says it in one line.
+    levels = {logger: logger.level for logger in map(logging.getLogger, _CHATTY)}
+    for logger in levels:
+        logger.setLevel(logging.CRITICAL)
+    client = None
     try:
-        client = distributed.Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
-    except (OSError, ValueError) as error:  # TimeoutError is an OSError
-        raise SweepError(f"no Dask scheduler answers at {address} ({_one_line(error)})") from error
-    try:
+        try:
+            client = distributed.Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
+        except (OSError, ValueError) as error:  # TimeoutError is an OSError
+            raise SweepError(f"no Dask scheduler answers at {address} ({_one_line(error)})") from error
         workers = sum(client.ncores().values())
         if not workers:
             raise SweepError(f"the Dask scheduler at {address} has no workers; accepted: at least one")
-        executor = client.get_executor(pure=False)
-        payload = pickle.dumps(sweep)
+        executor, payload = client.get_executor(pure=False), pickle.dumps(sweep)
         yield Pool(workers, lambda chunk: executor.submit(_run_on_cluster, payload, chunk))
     except (distributed.KilledWorker, CancelledError, OSError) as error:
         raise SweepError(f"the Dask cluster at {address} failed ({_one_line(error)}); {_KEPT}") from error
     except ImportError as error:
         raise SweepError(f"a Dask worker lacks the emulator ({error}); accepted: the same version") from error
     finally:
-        client.close()
-
-
-@contextmanager
-def _quiet_loggers() -> Iterator[None]:
-    """Keep Dask's own tracebacks of a lost connection off the terminal; the sweep says it in one line."""
-    loggers = [logging.getLogger(name) for name in _CHATTY]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, levels, strict=True):
+        if client is not None:
+            client.close()
+        for logger, level in levels.items():
             logger.setLevel(level)
 
 
@@ -307,8 +258,7 @@ def _received(payload: bytes) -> Sweep:
 
 
 def _run_on_cluster(payload: bytes, chunk: Chunk) -> Outcomes:
-    sweep = _received(payload)
-    return sweep.run_together(chunk) if sweep.perturbs else [sweep.run(index) for index in chunk]
+    return _received(payload).compute(chunk)
 
 
 def _one_line(error: BaseException) -> str:

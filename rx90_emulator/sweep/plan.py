@@ -1,6 +1,6 @@
-"""What a sweep consists of: blocks of runs, each the product of a grid and of random draws.
+"""What a sweep consists of: blocks of runs, each the product of a grid and of random draws; and its YAML file.
 
-The values of a parameter come from a list or from a distribution.
+The values of a parameter come from a list or from a distribution. docs/howto/sweep.md shows the file.
 """
 
 from __future__ import annotations
@@ -8,22 +8,34 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, asdict, dataclass, field
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import KW_ONLY, asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import LEFT_OUT, Entry, Integer, ListOf, Number, Numbers, Other, Switch, Text
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.groups import Either, Entries, Group
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
-from rx90_common.description.robot_files import MODEL_FILES, RobotFiles
+from rx90_common.base.section import Section
+from rx90_common.base.share import resolve_config
+from rx90_common.description.robot_files import DESCRIPTIONS, FILES, MODEL_FILES, RobotFiles
 from rx90_emulator.loop.parameters import Value
 
-MOST_VALUES = 1_000_000
+MOST_VALUES, MOST_RUNS = 1_000_000, 10_000_000
+LARGEST_SEED = 2**63 - 1
+METHODS = ("closed_loop", "perturbation")
+_ROLES = (*MODEL_FILES, "task")
 _LEAST_SHARE = 1e-3
+_Thing = TypeVar("_Thing")
 
 
 @dataclass(frozen=True)
@@ -42,8 +54,7 @@ class Values:
         for value in self.values:
             if not math.isfinite(value):
                 raise ConfigError(f"a value is {value}; accepted: finite numbers, or true and false")
-        if len(set(self.values)) < len(self.values):
-            twice = next(v for v in self.values if self.values.count(v) > 1)
+        if (twice := _twice(self.values)) is not None:
             raise ConfigError(f"the value {twice} stands twice; accepted: each value once")
 
     @classmethod
@@ -59,10 +70,22 @@ class Values:
         return cls(tuple(np.geomspace(start, stop, _count(count)).tolist()))
 
 
+def _twice(values: Iterable[_Thing]) -> _Thing | None:
+    return next((value for value, count in Counter(values).items() if count > 1), None)
+
+
 def _count(count: float) -> int:
     if count != int(count) or not 1 <= count <= MOST_VALUES:
         raise ConfigError(f"the count of values is {count:g}; accepted: a whole number in [1, {MOST_VALUES}]")
     return int(count)
+
+
+def _check(low: float, high: float, *finite: float) -> None:
+    if not low < high:
+        raise ConfigError(f"the bounds are {low:g} and {high:g}; accepted: a lower one below the higher one")
+    for value in finite:
+        if not math.isfinite(value):
+            raise ConfigError(f"a distribution has the value {value}; accepted: finite numbers")
 
 
 @dataclass(frozen=True)
@@ -73,8 +96,7 @@ class Uniform:
     high: float
 
     def __post_init__(self) -> None:
-        _check_bounds(self.low, self.high)
-        _check_finite(self.low, self.high)
+        _check(self.low, self.high, self.low, self.high)
 
     def quantile(self, share: float) -> float:
         """Return the value below which `share` of the distribution lies."""
@@ -89,8 +111,7 @@ class LogUniform:
     high: float
 
     def __post_init__(self) -> None:
-        _check_bounds(self.low, self.high)
-        _check_finite(self.low, self.high)
+        _check(self.low, self.high, self.low, self.high)
         if self.low <= 0.0:
             raise ConfigError(f"loguniform from {self.low:g}; accepted: a lower bound > 0")
 
@@ -113,10 +134,9 @@ class Normal:
     high: float = math.inf
 
     def __post_init__(self) -> None:
-        _check_finite(self.mean, self.deviation)
+        _check(self.low, self.high, self.mean, self.deviation)
         if self.deviation <= 0.0:
             raise ConfigError(f"deviation is {self.deviation:g}; accepted: a number > 0")
-        _check_bounds(self.low, self.high)
         first, last = self._ends()
         if last - first < _LEAST_SHARE:
             raise ConfigError(
@@ -136,22 +156,6 @@ class Normal:
 
 
 Distribution = Uniform | LogUniform | Normal
-
-
-def _check_finite(*values: float) -> None:
-    for value in values:
-        if not math.isfinite(value):
-            raise ConfigError(f"a distribution has the value {value}; accepted: finite numbers")
-
-
-def _check_bounds(low: float, high: float) -> None:
-    if not low < high:
-        raise ConfigError(f"the bounds are {low:g} and {high:g}; accepted: a lower one below the higher one")
-
-
-MOST_RUNS = 10_000_000
-LARGEST_SEED = 2**63 - 1
-METHODS = ("closed_loop", "perturbation")
 
 
 @dataclass(frozen=True)
@@ -203,10 +207,8 @@ class Block:
             raise ConfigError(f"draws is {self.draws}; accepted: an integer >= 1")
         if self.draws > 1 and not self.random:
             raise ConfigError(f"draws is {self.draws} without random parameters; accepted: parameters to draw")
-        names = [parameter.name for parameter in (*self.grid, *self.random)]
-        for name in names:
-            if names.count(name) > 1:
-                raise ConfigError(f"the parameter '{name}' stands twice; accepted: once in a block")
+        if (name := _twice(parameter.name for parameter in (*self.grid, *self.random))) is not None:
+            raise ConfigError(f"the parameter '{name}' stands twice; accepted: once in a block")
         for parameter in self.grid:
             if not isinstance(parameter.space, Values):
                 raise ConfigError(f"'{parameter.name}' of a grid is drawn; accepted: a list of values")
@@ -257,20 +259,18 @@ class SweepBase:
         Raises:
             ConfigError: if one cannot be read.
         """
-        paths = {role: getattr(self.files, role) for role in (*MODEL_FILES, "task")}
-        return {
-            role: None if path is None else _named_hash(path, self.files.text(role)) for role, path in paths.items()
-        }
-
-
-def _named_hash(path: Path, text: str) -> dict[str, str]:
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
-    # Wherever the user's own file is, the results are the same.
-    name = path.name if text == str(path) else text
-    return {"name": name, "sha256": hashlib.sha256(content).hexdigest()}
+        found: dict[str, dict[str, str] | None] = dict.fromkeys(_ROLES)
+        for role in _ROLES:
+            path: Path | None = getattr(self.files, role)
+            if path is not None:
+                try:
+                    content = path.read_bytes()
+                except OSError as error:
+                    raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+                # Wherever the user's own file is, the results are the same.
+                name = path.name if (text := self.files.text(role)) == str(path) else text
+                found[role] = {"name": name, "sha256": hashlib.sha256(content).hexdigest()}
+        return found
 
 
 @dataclass(frozen=True)
@@ -295,10 +295,8 @@ class SweepPlan:
             raise ConfigError("the sweep has no blocks; accepted: at least one")
         if not 0 <= self.seed <= LARGEST_SEED:
             raise ConfigError(f"seed is {self.seed}; accepted: an integer in [0, {LARGEST_SEED}]")
-        names = [block.name for block in self.blocks]
-        for name in names:
-            if names.count(name) > 1:
-                raise ConfigError(f"the block '{name}' stands twice; accepted: names that differ")
+        if (name := _twice(block.name for block in self.blocks)) is not None:
+            raise ConfigError(f"the block '{name}' stands twice; accepted: names that differ")
         if self.runs > MOST_RUNS:
             raise ConfigError(f"the sweep has {self.runs} runs; accepted: up to {MOST_RUNS}")
 
@@ -319,6 +317,11 @@ class SweepPlan:
 
     def description(self) -> dict[str, Any]:
         """Return everything that decides the results, as data for JSON: the files by their content."""
+
+        def described(parameter: SweptParameter) -> dict[str, Any]:
+            kind, data = type(parameter.space).__name__.lower(), asdict(parameter)
+            return {**data, "space": {kind: data["space"]}}
+
         return {
             "seed": self.seed,
             "base_rate": self.base.rates.base_hz,
@@ -327,20 +330,14 @@ class SweepPlan:
             # Results of earlier versions, which had no other method, can be taken up.
             **({} if self.base.method == METHODS[0] else {"method": self.base.method}),
             "files": self.base.hashes(),
-            "blocks": [_block_description(block) for block in self.blocks],
-        }
-
-
-def _block_description(block: Block) -> dict[str, Any]:
-    parts = {"grid": block.grid, "random": block.random}
-    described = {name: [_parameter_description(p) for p in parameters] for name, parameters in parts.items()}
-    return {"name": block.name, **described, "draws": block.draws}
-
-
-def _parameter_description(parameter: SweptParameter) -> dict[str, Any]:
-    data = asdict(parameter)
-    data["space"] = {type(parameter.space).__name__.lower(): data["space"]}
-    return data
+            "blocks": [
+                {
+                    "name": block.name, "grid": [*map(described, block.grid)],
+                    "random": [*map(described, block.random)], "draws": block.draws,
+                }
+                for block in self.blocks
+            ],
+        }  # fmt: skip
 
 
 def plan_hash(description: dict[str, Any]) -> str:
@@ -348,3 +345,208 @@ def plan_hash(description: dict[str, Any]) -> str:
     files = {role: entry and entry["sha256"] for role, entry in description["files"].items()}
     text = json.dumps({**description, "files": files}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+# The file.
+
+_SPACES = "[v1, v2, ...], {linspace: [start, stop, count]} or {geomspace: [start, stop, count]}"
+_DRAWN = (
+    "{uniform: [low, high]}, {loguniform: [low, high]} or "
+    "{normal: {mean: x, deviation: x, low: x, high: x}} (the bounds may be left out)"
+)
+
+_KINDS: dict[str, Callable[..., Values | Distribution]] = {
+    "linspace": Values.linspace, "geomspace": Values.geomspace, "uniform": Uniform, "loguniform": LogUniform,
+}  # fmt: skip
+
+
+_VALUE = Other(
+    "A value.",
+    accepted="finite numbers, or true and false",
+    good=lambda value: isinstance(value, int | float) and abs(value) <= sys.float_info.max,
+    fragment={"anyOf": [Number("").rules(), Switch("").rules()]},
+)
+_SPACED = Group(
+    "Values at even distances or ratios, both ends included.",
+    keys={
+        "linspace": Numbers("Start, stop and count of evenly spaced values.", count=3, default=LEFT_OUT),
+        "geomspace": Numbers("Start, stop and count of values with a constant ratio.", count=3, default=LEFT_OUT),
+    },
+    one_of=("linspace", "geomspace"),
+)
+_VALUES = Either(
+    "The values, in their order.",
+    mapping=_SPACED,
+    plain=ListOf("The values.", item=_VALUE, least=1, accepted=_SPACES),
+    default=LEFT_OUT,
+)
+_bound = partial(Number, default=LEFT_OUT)
+_DISTRIBUTION = Group(
+    "The distribution that values are drawn from.",
+    keys={
+        "uniform": Numbers("Bounds; every value between them is as likely.", count=2, default=LEFT_OUT),
+        "loguniform": Numbers("Bounds, above 0; the logarithm is uniform.", count=2, default=LEFT_OUT),
+        "normal": Group(
+            "A normal distribution, cut off at the bounds.",
+            keys={
+                "mean": Number("Mean."),
+                "deviation": Number("Standard deviation.", low=0.0, above=True),
+                "low": _bound("Lower bound; none if left out."),
+                "high": _bound("Upper bound; none if left out."),
+            },
+            default=LEFT_OUT,
+        ),
+    },
+    one_of=("uniform", "loguniform", "normal"),
+    accepted=_DRAWN,
+    default=LEFT_OUT,
+)
+
+
+def _swept(space: Entry, each: Entry) -> Group:
+    path = Text("A path, such as friction.*.c0.")
+    return Group(
+        "A swept quantity; its name is the path that it sets, unless there are paths.",
+        keys={
+            "paths": ListOf(
+                "Paths that are all set to the same value.", item=path, least=1, accepted="at least one path",
+                default=LEFT_OUT,
+            ),
+            "value": replace(space, about=f"{space.about} They replace what the files have."),
+            "factor": replace(space, about=f"{space.about} They multiply what the files have."),
+            "each": each,
+        },
+        one_of=("value", "factor"),
+    )  # fmt: skip
+
+
+_GRID = _swept(
+    _VALUES,
+    Other("Of random draws only.", accepted="in random draws only", good=lambda value: value is False,
+          fragment={"const": False}, default=False),
+)  # fmt: skip
+_RANDOM = _swept(_DISTRIBUTION, Switch("Whether every place that a * stands for is drawn on its own.", default=False))
+
+
+def _name(role: str) -> Text:
+    about = f"{DESCRIPTIONS[role][0].upper()}{DESCRIPTIONS[role][1:]}"
+    return Text(f"{about}: beside the plan, or a shipped one; the robot's {FILES[role]} if left out.", default=LEFT_OUT)
+
+
+PLAN = Group(
+    "A plan of many closed-loop runs, for rx90_sweep.",
+    keys={
+        "seed": Integer("Seed of all random draws.", low=0, high=LARGEST_SEED, default=0),
+        "base": Group(
+            "What every run starts from.",
+            keys={
+                "robot": Text("A shipped robot, or a robot folder; the RX90B if left out.", default=LEFT_OUT),
+                **{role: _name(role) for role in _ROLES},
+                "base_rate": Integer(
+                    "Rate of plant and velocity loop.", "Hz", low=1, high=10**9, default=Rates.base_hz
+                ),
+                "position_rate": Integer(
+                    "Rate of the position loop.", "Hz", low=1, high=10**9, default=Rates.position_hz
+                ),
+                "substeps": Integer(
+                    "Plant steps in a tick; left out: as many as the arm of each run needs.",
+                    low=1, high=1000, default=LEFT_OUT,
+                ),
+                "method": Text(
+                    "How runs are computed: the closed loop, or the perturbation method.",
+                    choices=METHODS, default=METHODS[0],
+                ),
+            },
+            default=LEFT_OUT,
+        ),
+        "blocks": Entries(
+            "Blocks of runs, by names of your own.",
+            of=Group(
+                "All combinations of the grid's values, each with the same random draws.",
+                keys={
+                    "grid": Entries(
+                        "Parameters with lists of values, the last one varying fastest.",
+                        of=_GRID, least=1, what="parameter", default=LEFT_OUT,
+                    ),
+                    "random": Entries(
+                        "Parameters with distributions.", of=_RANDOM, least=1, what="parameter", default=LEFT_OUT
+                    ),
+                    "draws": Integer("How often the random ones are drawn.", low=1, high=MOST_RUNS, default=1),
+                },
+                some_of=("grid", "random"),
+                needed_by={"random": "draws"},
+            ),
+            least=1,
+            what="block",
+        ),
+    },
+)  # fmt: skip
+"""What a sweep plan holds."""
+
+
+def load_sweep_plan(name: Path | str, *, robot: Path | str | None = None) -> SweepPlan:
+    """Read a plan.
+
+    Args:
+        name: a path, or the name of a shipped file below config/.
+        robot: instead of the one that the plan names; a shipped one's name, or a robot folder.
+
+    Raises:
+        ConfigError: naming file, key, value and what is accepted.
+    """
+    root = load_yaml(resolve_config(str(name)))
+    content = PLAN.read(root)
+    given = None if robot is None else str(robot)
+    base = _base(root.section("base"), content["base"], given) if "base" in content else None
+    blocks = tuple(_block(root.section("blocks"), name, block) for name, block in content["blocks"].items())
+    return _built(
+        root, "blocks", lambda: SweepPlan(blocks, content["seed"], base or SweepBase(RobotFiles.named(given)))
+    )
+
+
+def _base(section: Section, content: dict[str, Any], robot: str | None) -> SweepBase:
+    """Return what runs start from; files stand beside the plan or in the working folder, or are shipped."""
+    names = {}
+    for role in ("robot", *_ROLES):
+        if role in content:
+            beside = section.file.parent / content[role]
+            names[role] = str(beside) if beside.exists() else content[role]
+            if role != "robot":
+                _built(section, role, partial(RobotFiles.named, **{role: names[role]}))
+    own = names.pop("robot", None) if robot is None else robot
+    files = _built(section, "robot", lambda: RobotFiles.named(own, **names))
+    rates = _built(section, "base_rate", lambda: Rates(content["base_rate"], content["position_rate"]))
+    return _built(section, "substeps", lambda: SweepBase(files, rates, content.get("substeps"), content["method"]))
+
+
+def _block(blocks: Section, name: str, content: dict[str, Any]) -> Block:
+    parts = {
+        part: tuple(_parameter(blocks.section(name).section(part), key, one) for key, one in content[part].items())
+        for part in ("grid", "random")
+        if part in content
+    }
+    return _built(blocks, name, lambda: Block(name, draws=content["draws"], **parts))
+
+
+def _parameter(part: Section, name: str, content: dict[str, Any]) -> SweptParameter:
+    mode = "factor" if "factor" in content else "value"
+    made = partial(SweptParameter, name, paths=content.get("paths", ()), factor=mode == "factor", each=content["each"])
+    space = _built(part.section(name), mode, lambda: _space(content[mode]))
+    return _built(part, name, lambda: made(space=space))
+
+
+def _space(given: tuple[Value, ...] | dict[str, Any]) -> Values | Distribution:
+    if not isinstance(given, dict):
+        return Values(tuple(value if isinstance(value, bool) else float(value) for value in given))
+    (kind, how), *_ = given.items()
+    return Normal(**how) if kind == "normal" else _KINDS[kind](*how)
+
+
+def _built(section: Section, key: str, build: Callable[[], _Thing]) -> _Thing:
+    """Build something; let a refusal that does not name the file yet name file and key."""
+    try:
+        return build()
+    except ConfigError as error:
+        if str(error).startswith(str(section.file)):
+            raise
+        raise ConfigError(f"{section.where(key)}: {error}") from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from rx90_common.base.quoting import plain
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Curve, Dots, Level, Mark, Panel, Plot
 from rx90_emulator.loop.parameters import SWITCH
-from rx90_emulator.sweep.store import about, read_results
+from rx90_emulator.sweep.store import about, failures, read_results
 
 _WORST, _RMS = "path_error_worst", "path_error_rms"
 _MM = 1e3
@@ -128,15 +127,12 @@ class SweepFigures:
         worst, rms = (_MM * _numbers(table, name) for name in (_WORST, _RMS))
         if not np.isfinite(worst).any():
             raise SweepError(f"{plain(file)}: no run has succeeded; accepted: results with a path error")
-        columns = {field.name: _column(table, field) for field in table.schema if _is_parameter(field)}
+        parameters = [field for field in table.schema if field.metadata[b"kind"] == b"parameter"]
+        columns = {field.name: _column(table, field) for field in parameters}
         effects = [main_effect(name, column.values, worst) for name, column in columns.items()]
         effects = sorted((one for one in effects if one.runs), key=lambda one: (-np.nan_to_num(one.share), -one.span))
         return cls(about(table.schema, file), table["index"].to_numpy(), table["block"].to_pylist(), worst, rms,
-                   columns, effects, _errors(table))  # fmt: skip
-
-
-def _is_parameter(field: pa.Field) -> bool:
-    return bool(field.metadata[b"kind"] == b"parameter")
+                   columns, effects, failures(table))  # fmt: skip
 
 
 def _numbers(table: pa.Table, name: str) -> Array:
@@ -145,19 +141,10 @@ def _numbers(table: pa.Table, name: str) -> Array:
 
 
 def _column(table: pa.Table, field: pa.Field) -> SweptColumn:
+    unit, meaning = (field.metadata[key].decode() for key in (b"unit", b"meaning"))
     if pa.types.is_boolean(field.type):
-        values = _numbers(table.set_column(0, "switch", pc.cast(table[field.name], pa.int8())), "switch")
-        unit = SWITCH
-    else:
-        values, unit = _numbers(table, field.name), field.metadata[b"unit"].decode()
-    meaning = field.metadata[b"meaning"].decode().partition(";")[0]
-    return SweptColumn(field.name, unit, meaning, values)
-
-
-def _errors(table: pa.Table) -> list[tuple[str, int, str]]:
-    texts = [text for text in table["error"].to_pylist() if text is not None]
-    kinds = Counter(text.partition(":")[0] for text in texts)
-    return [(kind, count, next(t for t in texts if t.startswith(kind))) for kind, count in kinds.most_common()]
+        table, unit = pa.table({field.name: pc.cast(table[field.name], pa.int8())}), SWITCH
+    return SweptColumn(field.name, unit, meaning.partition(";")[0], _numbers(table, field.name))
 
 
 def sweep_page(file: Path) -> str:
@@ -232,20 +219,18 @@ def _sampled(worst: Array, most: int) -> NDArray[np.intp]:
 
 def _worst_runs(figures: SweepFigures) -> list[tuple[int, str, str, float, float]]:
     """Return the worst runs: index, block, values of the parameters of largest effect, worst and RMS error, mm."""
+
+    def text(column: SweptColumn, value: float) -> str:
+        if column.unit == SWITCH:
+            return f"{column.name} {'on' if value else 'off'}"
+        return f"{column.name} {value:.4g}{'' if column.unit == '1' else f' {column.unit}'}"
+
     good = np.flatnonzero(np.isfinite(figures.worst))
     order = good[np.argsort(-figures.worst[good], kind="stable")][:_MOST_WORST]
-    found = []
+    columns, found = [figures.columns[one.name] for one in figures.effects], []
     for row in order.tolist():
-        columns = [figures.columns[one.name] for one in figures.effects]
-        values = [f"{c.name} {_value(c, c.values[row])}" for c in columns if np.isfinite(c.values[row])]
+        values = [text(c, c.values[row]) for c in columns if np.isfinite(c.values[row])]
         more = [f"and {len(values) - _SHOWN_VALUES} more"] * (len(values) > _SHOWN_VALUES)
-        text = ", ".join([*values[:_SHOWN_VALUES], *more])
-        found.append((int(figures.index[row]), figures.block[row], text, figures.worst[row], figures.rms[row]))
+        shown = ", ".join([*values[:_SHOWN_VALUES], *more])
+        found.append((int(figures.index[row]), figures.block[row], shown, figures.worst[row], figures.rms[row]))
     return found
-
-
-def _value(column: SweptColumn, value: float) -> str:
-    if column.unit == SWITCH:
-        return "on" if value else "off"
-    unit = "" if column.unit == "1" else f" {column.unit}"
-    return f"{value:.4g}{unit}"

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from rx90_common.base.errors import SweepError, write_error
 from rx90_common.base.quoting import counted
 from rx90_emulator.loop.parameters import SWITCH
-from rx90_emulator.sweep.runs import Column
 from rx90_emulator.sweep.sweep import RUN_COLUMNS, RunOutcome, Sweep
 
 # A part is written after this long, s, or after this share of the time so far: never more is lost, and the
@@ -38,43 +37,32 @@ KEY = b"rx90_sweep"
 """Under which the file's metadata hold JSON: plan, runs, identity, versions, sources."""
 
 _PANDAS = b"PANDAS_ATTRS"  # pandas puts what it finds here into DataFrame.attrs
-_TOLD = ("unit", "meaning")  # of each column, in attrs as units and meanings
 
 
 def schema_of(sweep: Sweep) -> pa.Schema:
     """Return the columns of a sweep's results, with unit, kind and meaning in the metadata of each."""
     index, block, seed, error = RUN_COLUMNS
-    fields = [
-        _field(index, pa.int64(), "1", "run", "number of the run in the sweep"),
-        _field(block, pa.string(), "", "run", "block of the plan"),
-        _field(seed, pa.uint64(), "1", "run", "seed of the run's random draws"),
-        *(_parameter_field(column) for column in sweep.runs.columns),
-        *(_field(m.name, pa.int64() if m.whole else pa.float64(), m.unit, "metric", m.meaning) for m in sweep.metrics),
-        _field(error, pa.string(), "", "run", "what ended the run; null if nothing did"),
+    rows = [
+        (index, pa.int64(), "1", "run", "number of the run in the sweep"),
+        (block, pa.string(), "", "run", "block of the plan"),
+        (seed, pa.uint64(), "1", "run", "seed of the run's random draws"),
     ]
+    for column in sweep.runs.columns:
+        meaning = f"{'factor' if column.factor else 'value'} of {', '.join(column.paths)}; null where the run leaves it"
+        kind, unit = (pa.bool_(), "") if column.unit == SWITCH else (pa.float64(), column.unit)
+        rows.append((column.title, kind, unit, "parameter", f"{meaning} as in the files"))
+    rows += [(m.name, pa.int64() if m.whole else pa.float64(), m.unit, "metric", m.meaning) for m in sweep.metrics]
+    rows.append((error, pa.string(), "", "run", "what ended the run; null if nothing did"))
     about = {
-        "format": 1,
-        "runs": len(sweep),
-        "seed": sweep.plan.seed,
-        "plan": sweep.description,
-        "identity": sweep.identity,
-        "versions": sweep.versions,
-        "sources": sweep.sources,
-        "provenance": sweep.provenance,
-    }
-    told = {f"{key}s": {field.name: field.metadata[key.encode()].decode() for field in fields} for key in _TOLD}
-    return pa.schema(fields, {KEY: json.dumps(about), _PANDAS: json.dumps(told)})
-
-
-def _field(name: str, kind: pa.DataType, unit: str, role: str, meaning: str) -> pa.Field:
-    return pa.field(name, kind, metadata={"unit": unit, "kind": role, "meaning": meaning})
-
-
-def _parameter_field(column: Column) -> pa.Field:
-    what = "factor of" if column.factor else "value of"
-    meaning = f"{what} {', '.join(column.paths)}; null where the run leaves it as in the files"
-    kind = pa.bool_() if column.unit == SWITCH else pa.float64()
-    return _field(column.title, kind, "" if column.unit == SWITCH else column.unit, "parameter", meaning)
+        "format": 1, "runs": len(sweep), "seed": sweep.plan.seed, "plan": sweep.description,
+        **{name: getattr(sweep, name) for name in ("identity", "versions", "sources", "provenance")},
+    }  # fmt: skip
+    attributes = {"units": {row[0]: row[2] for row in rows}, "meanings": {row[0]: row[4] for row in rows}}
+    fields = [
+        pa.field(name, kind, metadata={"unit": unit, "kind": role, "meaning": meaning})
+        for name, kind, unit, role, meaning in rows
+    ]
+    return pa.schema(fields, {KEY: json.dumps(about), _PANDAS: json.dumps(attributes)})
 
 
 def table_of(sweep: Sweep, schema: pa.Schema, outcomes: Iterable[RunOutcome]) -> pa.Table:
@@ -101,24 +89,6 @@ def about(schema: pa.Schema, file: Path) -> dict[str, Any]:
     return found
 
 
-def read_table(file: Path) -> pa.Table:
-    """Read one Parquet file of results.
-
-    Raises:
-        SweepError: if it is missing, damaged or something else.
-    """
-    try:
-        # Arrow's own file, and nothing read ahead: after a bad page, a thread that still reads a Python file would
-        # meet an interpreter that is shutting down.
-        with pa.OSFile(str(file)) as stream:
-            table = pq.read_table(stream, use_threads=False, pre_buffer=False, page_checksum_verification=True)
-    except (OSError, pa.ArrowException) as error:
-        reason = " ".join(str(error).split())
-        raise SweepError(f"{file}: cannot be read as Parquet ({reason})") from error
-    about(table.schema, file)
-    return table
-
-
 def parts_folder(file: Path) -> Path:
     """Return the folder in which an unfinished sweep keeps its results."""
     return file.with_name(file.name + ".parts")
@@ -133,7 +103,19 @@ def read_results(file: Path) -> pa.Table:
     sources = _sources(file)
     if not sources:
         raise SweepError(f"{file} does not exist; accepted: a result of rx90_sweep run")
-    tables = [_read_source(source, file) for source in sources]
+    tables = []
+    for source in sources:
+        try:
+            # Arrow's own file, and nothing read ahead: after a bad page, a thread that still reads a Python file would
+            # meet an interpreter that is shutting down.
+            with pa.OSFile(str(source)) as stream:
+                tables.append(
+                    pq.read_table(stream, use_threads=False, pre_buffer=False, page_checksum_verification=True)
+                )
+        except (OSError, pa.ArrowException) as error:
+            advice = "; accepted: remove this part, resume (--resume) computes its runs again" * (source != file)
+            reason = " ".join(str(error).split())
+            raise SweepError(f"{source}: cannot be read as Parquet ({reason}){advice}") from error
     identities = {about(t.schema, s)["identity"] for t, s in zip(tables, sources, strict=True)}
     if len(identities) > 1:
         raise SweepError(f"{file} and {parts_folder(file)} hold results of different plans")
@@ -141,15 +123,6 @@ def read_results(file: Path) -> pa.Table:
     # A kill between gathering the parts and removing them leaves runs twice.
     _, first = np.unique(table["index"].to_numpy(), return_index=True)
     return table.take(pa.array(first)).combine_chunks()
-
-
-def _read_source(source: Path, file: Path) -> pa.Table:
-    try:
-        return read_table(source)
-    except SweepError as error:
-        if source == file:
-            raise
-        raise SweepError(f"{error}; accepted: remove this part, resume (--resume) computes its runs again") from error
 
 
 def _sources(file: Path) -> list[Path]:
@@ -180,9 +153,11 @@ class ResultStore:
         self._sweep = sweep
         self._schema = schema_of(sweep)
         self._parts = parts_folder(file)
-        if not resume:
-            self._refuse_existing()
         if _sources(file):
+            if not resume:
+                found = file if file.exists() else self._parts
+                accepted = "another output, or resume (--resume) to compute what it lacks"
+                raise SweepError(f"{found} exists; accepted: {accepted}")
             self._take_up()
         self._lock = self._open_folder()
         self._waiting: list[RunOutcome] = []
@@ -190,21 +165,17 @@ class ResultStore:
         self._number = max(numbers, default=-1) + 1
         self._began = self._flushed = time.monotonic()
 
-    def _refuse_existing(self) -> None:
-        if _sources(self.file):
-            found = self.file if self.file.exists() else self._parts
-            raise SweepError(f"{found} exists; accepted: another output, or resume (--resume) to compute what it lacks")
-
     def _take_up(self) -> None:
         table = read_results(self.file)
         there, own = (about(schema, self.file) for schema in (table.schema, self._schema))
         kinds = {"identity": "plan", "sources": "version of the sources", "versions": "set of versions"}
         for key, what in kinds.items():
-            if there[key] != own[key]:
-                raise SweepError(
-                    f"{self.file} has another {what} ({_difference(there[key], own[key])}); accepted: the "
-                    "same, or another output"
-                )
+            if (found := there[key]) != (wanted := own[key]):
+                differ = f"{str(found)[:12]} instead of {str(wanted)[:12]}"
+                if key == "versions":
+                    names = [name for name in wanted if wanted[name] != found.get(name)]
+                    differ = ", ".join(f"{name} {found.get(name)} instead of {wanted[name]}" for name in names)
+                raise SweepError(f"{self.file} has another {what} ({differ}); accepted: the same, or another output")
         self.done[table["index"].to_numpy()] = True
 
     def _open_folder(self) -> int:
@@ -275,11 +246,11 @@ class ResultStore:
             raise write_error(target, error) from error
 
 
-def _difference(there: object, own: object) -> str:
-    if isinstance(there, dict) and isinstance(own, dict):
-        keys = [key for key in own if own[key] != there.get(key)]
-        return ", ".join(f"{key} {there.get(key)} instead of {own[key]}" for key in keys)
-    return f"{str(there)[:12]} instead of {str(own)[:12]}"
+def failures(table: pa.Table) -> list[tuple[str, int, str]]:
+    """Return the kinds of failures, most frequent first, each with the number of runs and an example."""
+    texts = [text for text in table["error"].to_pylist() if text is not None]
+    kinds = Counter(text.partition(":")[0] for text in texts)
+    return [(kind, count, next(t for t in texts if t.startswith(kind))) for kind, count in kinds.most_common()]
 
 
 def describe_results(file: Path) -> list[str]:
@@ -290,31 +261,24 @@ def describe_results(file: Path) -> list[str]:
     """
     table = read_results(file)
     found = about(table.schema, file)
+    state = f"all {found['runs']} runs" + ", not yet gathered" * parts_folder(file).exists()
+    if len(table) < found["runs"]:
+        state = f"{len(table)} of {found['runs']} runs; go on with --resume"
     files = {role: entry for role, entry in found["plan"]["files"].items() if entry}
     width = max(len(role) for role in files)
+    failed, failure = failures(table), "no run failed"
+    if failed:
+        kinds = ", ".join(f"{kind} {count}" for kind, count, _ in failed)
+        number = counted(sum(count for _, count, _ in failed), "run")
+        failure = f"{number} failed ({kinds}), for example: {failed[0][2]}"
     return [
-        f"{file}: {_state(file, table, found['runs'])}",
+        f"{file}: {state}",
         f"plan {found['identity'][:16]}, seed {found['seed']}, sources {found['sources']}",
         "versions: " + ", ".join(f"{name} {version}" for name, version in found["versions"].items()),
         *(f"  {role:{width}}  {entry['sha256'][:16]}  {entry['name']}" for role, entry in files.items()),
-        *_failures(table),
+        failure,
         *_columns(table),
     ]
-
-
-def _state(file: Path, table: pa.Table, runs: int) -> str:
-    if len(table) < runs:
-        return f"{len(table)} of {runs} runs; go on with --resume"
-    return f"all {runs} runs" + (", not yet gathered" if parts_folder(file).exists() else "")
-
-
-def _failures(table: pa.Table) -> list[str]:
-    texts = [text for text in table["error"].to_pylist() if text is not None]
-    if not texts:
-        return ["no run failed"]
-    kinds = Counter(text.split(":")[0] for text in texts)
-    by_kind = ", ".join(f"{kind} {count}" for kind, count in kinds.most_common())
-    return [f"{counted(len(texts), 'run')} failed ({by_kind}), for example: {texts[0]}"]
 
 
 def _columns(table: pa.Table) -> list[str]:

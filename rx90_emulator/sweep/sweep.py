@@ -1,4 +1,4 @@
-"""A plan made ready to run: files read, paths checked, the line planned once.
+"""A plan made ready to run: files read, paths checked, the line planned once; and what is measured of its runs.
 
 With the perturbation method runs that differ in friction and controller alone share one nominal motion and are computed
 side by side; a run whose deviation the method does not hold for ends in an error.
@@ -7,32 +7,27 @@ side by side; a run whose deviation the method does not hold for ends in an erro
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, SweepError
 from rx90_common.base.sources import ROOT, sources_hash, versions, with_imports
+from rx90_common.description.kinematics import path_error, tip_position
 from rx90_common.description.robot_files import provenance_of
 from rx90_controller.lines.task import LineTask, load_task
-from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.closed_loop import run_commands
+from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
+from rx90_emulator.loop.closed_loop import peaks_and_work, setpoints_of, simulate_commands
 from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.parameters import Catalogue, Leaf, Value, apply
 from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.model import PerturbationModel, prepare_perturbation
-from rx90_emulator.sweep.metrics import (
-    Metric,
-    measure,
-    measure_perturbation,
-    metrics_of,
-    perturbation_metrics,
-    tip_distance,
-)
+from rx90_emulator.perturbation.model import PerturbationModel, PerturbationResult, prepare_perturbation
 from rx90_emulator.sweep.plan import SweepPlan, plan_hash
 from rx90_emulator.sweep.runs import RunDescription, RunList
 
@@ -41,9 +36,106 @@ LARGEST_DEVIATION: Final = 0.04
 """Of the tip, m, by the perturbation method: there its error reaches 4 to 5 % (docs/explanation/perturbation.md)."""
 _LARGEST_ERROR = 0.05  # of the deviation, in the runs that are held against the closed loop
 _PREPARED = 4  # nominal motions that are kept
+_KEPT_SETPOINTS = 4
 _OF_THE_MOTION = {("controller", "start_tolerance"), ("controller", "max_acceleration")}
 RUN_COLUMNS = ("index", "block", "seed", "error")
 """Columns of the results beside parameters and metrics."""
+
+
+DEVIATION: Final = "tip_deviation_worst"
+"""The metric that says how far the perturbation method holds."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One number of a run.
+
+    Attributes:
+        name: of its column.
+        unit: SI.
+        meaning: a sentence.
+        whole: whether it is a whole number.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    whole: bool = False
+
+
+def metrics_of(joints: Sequence[str], elements: Sequence[str], *, perturbs: bool = False) -> tuple[Metric, ...]:
+    """Return the metrics for six joints and seven friction elements, in the order of `measure`.
+
+    Of runs by the perturbation method in the order of `measure_perturbation`.
+    """
+    worst = "largest position error" + (", without the encoder's counts" if perturbs else " the controller saw")
+    errors = (
+        Metric("path_error_worst", "m", "largest distance of the tip from the line"),
+        Metric("path_error_rms", "m", "root mean square distance of the tip from the line"),
+        *(Metric(f"tracking_error_worst_{j}", "rad", worst) for j in joints),
+        *(Metric(f"tracking_error_rms_{j}", "rad", "root mean square position error") for j in joints),
+    )
+    about = "base ticks of the whole run at the motor's limit"
+    saturated = [Metric(f"saturated_ticks_motor_{i + 1}", "1", about, whole=True) for i in range(len(joints))]
+    if perturbs:
+        return (*errors, *saturated, Metric(DEVIATION, "m", "largest distance of the tip from its set-point"))
+    return (
+        *errors,
+        *(Metric(f"velocity_peak_{j}", "rad/s", "largest joint speed") for j in joints),
+        *(Metric(f"drive_torque_peak_{j}", "Nm", "largest torque of the drives at the joint") for j in joints),
+        *(Metric(f"friction_work_{e}", "J", "work done against the friction element") for e in elements),
+        *saturated,
+    )
+
+
+def measure(task: LineTask, result: RunResult) -> tuple[float | int, ...]:
+    """Return the metrics of a run of `task`."""
+    rows = _window(task, result.times)
+    slow = result.slow
+    tip = tip_position(result.setup.robot.chain, slow.joint_states[rows, 0])
+    peaks, work = np.zeros((3, 6)), np.zeros(7)
+    peaks_and_work(
+        slow.joint_states[rows], slow.friction_states[rows], slow.tracking_error[rows],
+        result.setup.rates.position_period, peaks, work,
+    )  # fmt: skip
+    velocity, torque, error = peaks.tolist()
+    return (
+        *_path_errors(task, tip), *error, *map(_rms, slow.tracking_error[rows, 0].T),
+        *velocity, *torque, *work.tolist(), *result.saturated.tolist(),
+    )  # fmt: skip
+
+
+def measure_perturbation(task: LineTask, result: PerturbationResult, run: int) -> tuple[float | int, ...]:
+    """Return the metrics of a run of `task` by the perturbation method."""
+    rows = _window(task, result.model.times)
+    deviation = result.joint_deviation[run, rows]
+    return (
+        *_path_errors(task, result.tip_position(run)[rows]),
+        *np.abs(deviation).max(axis=0).tolist(),
+        *map(_rms, deviation.T),
+        *result.saturated[run].tolist(),
+        tip_distance(result, run),
+    )
+
+
+def tip_distance(result: PerturbationResult, run: int) -> float:
+    """Return how far the tip is from its set-point at most, from start to end of a run, m."""
+    return float(np.linalg.norm(result.tip_deviation[run], axis=1).max())
+
+
+def _path_errors(task: LineTask, tip: Array) -> tuple[float, float]:
+    path = path_error(tip, np.array(task.start), np.array(task.end)).perpendicular
+    return float(path.max()), _rms(path)
+
+
+def _window(task: LineTask, times: Array) -> slice:
+    begin, end = task.counted
+    first, last = np.searchsorted(times, begin), np.searchsorted(times, end, side="right")
+    return slice(int(first), int(last))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 class RunOutcome(NamedTuple):
@@ -87,11 +179,13 @@ class Sweep:
         self.task = load_task(plan.base.files.required("task"))
         self.provenance = provenance_of(plan.base.files)
         names = self.setup.robot.joint_names
-        self.metrics: tuple[Metric, ...] = (
-            perturbation_metrics(names) if self.perturbs else metrics_of(names, self.setup.friction.names)
-        )
+        self.metrics = metrics_of(names, self.setup.friction.names, perturbs=self.perturbs)
         self.runs = RunList(plan, Catalogue(self.setup, self.task))
-        self._check_names()
+        taken = {*RUN_COLUMNS, *(metric.name for metric in self.metrics)}
+        for column in self.runs.columns:
+            if column.title in taken:
+                raise ConfigError(f"a parameter has the name '{column.title}' of a result; accepted: another name")
+            taken.add(column.title)
         self._prepare()
 
     def __len__(self) -> int:
@@ -102,15 +196,8 @@ class Sweep:
         """Return whether runs are computed by the perturbation method."""
         return self.plan.base.method == "perturbation"
 
-    def _check_names(self) -> None:
-        taken = {*RUN_COLUMNS, *(metric.name for metric in self.metrics)}
-        for column in self.runs.columns:
-            if column.title in taken:
-                raise ConfigError(f"a parameter has the name '{column.title}' of a result; accepted: another name")
-            taken.add(column.title)
-
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_motion", "_model")}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_motion", "_model", "_setpoints")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -130,6 +217,7 @@ class Sweep:
             return task, prepare_perturbation(setup, points, points.position[0], duration)
 
         self._motion, self._model = motion, model
+        self._setpoints: dict[tuple[object, ...], Array] = {}
 
     def warm_up(self) -> None:
         """Compile, or load, every kernel that a run calls, and plan the line of the task.
@@ -139,7 +227,7 @@ class Sweep:
             LineError: if the arm cannot travel the line of the plan's own task.
         """
         period = self.setup.rates.position_period
-        self._follow(self.setup, self._motion(self.task), period)
+        self._follow(self.setup, self.task, period)
         if self.perturbs:
             self._model(())[1].run_one()
 
@@ -150,25 +238,42 @@ class Sweep:
             SweepError: if there is no such run.
             Rx90Error: whatever ends it.
         """
-        return self._simulate(self.runs.describe(index))[1]
+        return self._follow(*apply(self.setup, self.task, self.runs.changes(self.runs.describe(index))))
 
-    def _simulate(self, run: RunDescription) -> tuple[LineTask, RunResult]:
-        setup, task = apply(self.setup, self.task, self.runs.changes(run))
+    def _follow(self, setup: Setup, task: LineTask, duration: float | None = None) -> RunResult:
         points = self._motion(task)
-        return task, self._follow(setup, points, float(points.times[-1]))
 
-    def _follow(self, setup: Setup, points: TrajectoryPoints, duration: float) -> RunResult:
-        commands, substeps = (MotionCommand(0, points),), self.plan.base.substeps
-        return run_commands(setup, commands, points.position[0], duration, substeps=substeps)
+        def sample(generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int) -> Array:
+            """Return set-points, which runs of the same task, limits and start share."""
+            limits = (np.asarray(value).tobytes() for value in vars(generator.limits).values())
+            key = task, count, generator.setpoints(0).tobytes(), *limits
+            if key not in self._setpoints:
+                if len(self._setpoints) == _KEPT_SETPOINTS:
+                    del self._setpoints[next(iter(self._setpoints))]
+                self._setpoints[key] = setpoints_of(generator, commands, count)
+            return self._setpoints[key]
+
+        end = float(points.times[-1]) if duration is None else duration
+        return simulate_commands(
+            setup, (MotionCommand(0, points),), points.position[0], end, substeps=self.plan.base.substeps, warn=False,
+            sample=sample,
+        )  # fmt: skip
 
     def run(self, index: int) -> RunOutcome:
         """Run one run and measure it; an error is an outcome too, one that nobody thought of as well."""
         run = self.runs.describe(index)
         try:
             with np.errstate(all="ignore"):  # a diverging run says so itself
-                return RunOutcome(run, measure(*self._simulate(run)), None)
+                setup, task = apply(self.setup, self.task, self.runs.changes(run))
+                return RunOutcome(run, measure(task, self._follow(setup, task)), None)
         except Exception as error:  # the sweep goes on whatever a value has led to
             return _failed(run, error)
+
+    def compute(self, indices: Sequence[int], stop: Callable[[], bool] = lambda: False) -> list[RunOutcome]:
+        """Run runs by the plan's method, until `stop` says so."""
+        if self.perturbs:
+            return [] if stop() else self.run_together(indices)
+        return [self.run(index) for index in indices if not stop()]
 
     def run_together(self, indices: Sequence[int]) -> list[RunOutcome]:
         """Run runs by the perturbation method, those of one nominal motion side by side.
@@ -176,10 +281,7 @@ class Sweep:
         What a run gives does not depend on the others. Errors are outcomes, as in `run`.
         """
         described = [self.runs.describe(index) for index in indices]
-        outcomes: list[RunOutcome] = []
-        for key, runs in groupby(described, self._nominal):
-            outcomes += self._perturbed(key, list(runs))
-        return outcomes
+        return [one for key, runs in groupby(described, self._nominal) for one in self._perturbed(key, list(runs))]
 
     def _nominal(self, run: RunDescription) -> tuple[tuple[Leaf, Value], ...]:
         """Return the values of a run that its nominal motion depends on."""

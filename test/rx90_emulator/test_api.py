@@ -59,47 +59,31 @@ def test_a_star_import_brings_in_the_whole_api_and_no_ros() -> None:
     assert fresh(code).split() == [*sorted(rx.__all__), "False"]
 
 
-def test_type_checkers_and_the_interpreter_see_the_same_names() -> None:
-    """The imports for type checkers, the lazy imports and `__all__` agree, name by name and module by module."""
+def test_every_name_explains_itself() -> None:
+    """Each name has a docstring that begins with a sentence, and each function a type for all that it takes and gives.
+
+    The names are those of the imports for type checkers; they stand in the module's overview, help() and dir().
+    """
     tree = ast.parse(Path(rx.__file__).read_text(encoding="utf-8"))
-    typed = {
-        (node.module, alias.name) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names
-    } - {("__future__", "annotations"), ("importlib", "import_module"), ("typing", "TYPE_CHECKING"), ("typing", "Any")}
-    lazy = {(module, name) for module, names in rx._HOMES.items() for name in names.split()}
-    assert typed == lazy
-    assert sorted(rx.__all__) == sorted(name for _, name in lazy)
-
-
-@pytest.mark.parametrize("name", rx.__all__)
-def test_every_name_explains_itself(name: str) -> None:
-    """Each name has a docstring of its own that begins with a sentence, and stands in the module's overview."""
-    found = getattr(rx, name)
-    text = inspect.getdoc(found)
-    assert text
-    assert not text.startswith(f"{name}("), "the docstring that dataclass() makes up"
-    assert text.splitlines()[0].rstrip().endswith((".", ":")) or "\n\n" not in text
-    assert re.search(rf"\b{name}\b", rx.__doc__ or "")
-
-
-@pytest.mark.parametrize("name", [name for name in rx.__all__ if inspect.isfunction(getattr(rx, name))])
-def test_every_function_is_typed(name: str) -> None:
-    """Each function has a type for every parameter and for what it returns."""
-    signature = inspect.signature(getattr(rx, name))
-    assert signature.return_annotation is not inspect.Signature.empty
-    assert [p.name for p in signature.parameters.values() if p.annotation is inspect.Parameter.empty] == []
-
-
-def test_help_shows_the_api() -> None:
-    """`help(rx)` begins with the overview, documents every name, and dir() has them too."""
-    text = pydoc.plain(pydoc.render_doc(rx))
-    assert text.index("Setups ") < text.index("PACKAGE CONTENTS")
-    documented = set(re.findall(r"^    (?:class )?(\w+)(?:\(| = class)", text, re.MULTILINE))
+    imports = (node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom))
+    typed = {one.asname: node.module for node in imports for one in node.names if one.asname == one.name}
+    assert typed == rx._HOMES
+    help_text = pydoc.plain(pydoc.render_doc(rx))
+    assert help_text.index("Setups ") < help_text.index("PACKAGE CONTENTS")
+    documented = set(re.findall(r"^    (?:class )?(\w+)(?:\(| = class)", help_text, re.MULTILINE))
     assert set(rx.__all__) <= documented
-    assert set(rx.__all__) <= set(dir(rx))
-
-
-def test_an_unknown_name_is_an_attribute_error() -> None:
-    """A misspelt name is refused as of any module, with where to look."""
+    assert [name for name in dir(rx) if not name.startswith("__")] == sorted(rx.__all__) == sorted(typed)
+    for name in rx.__all__:
+        found = getattr(rx, name)
+        text = inspect.getdoc(found)
+        assert text, name
+        assert not text.startswith(f"{name}("), "the docstring that dataclass() makes up"
+        assert text.splitlines()[0].rstrip().endswith((".", ":")) or "\n\n" not in text, name
+        assert re.search(rf"\b{name}\b", rx.__doc__ or ""), name
+        if inspect.isfunction(found):
+            signature = inspect.signature(found)
+            assert signature.return_annotation is not inspect.Signature.empty, name
+            assert all(p.annotation is not inspect.Parameter.empty for p in signature.parameters.values()), name
     with pytest.raises(AttributeError, match=r"no attribute 'load_setups'; help\(rx90_emulator\) lists them"):
         _ = rx.load_setups  # type: ignore[attr-defined]
 
@@ -137,22 +121,19 @@ def test_parameters_are_listed_with_their_units_and_can_be_set_back() -> None:
     ("path", "value", "said"),
     [
         ("friction.joint_2.tau_x", 1.0, "'tau_x' is unknown; accepted there: alpha, c0"),
-        ("task.speed", 0.1, "'task' is unknown; accepted there: arm, controller, drives, friction"),
         ("controller.feed_forward.coulomb", 0.5, "'controller.feed_forward.coulomb': a value is 0.5; accepted: true"),
         ("friction.joint_2.c0", True, "a value is True; accepted: numbers"),
         ("friction.joint_2.c0", "stiff", "a value is stiff; accepted: numbers"),
-        ("friction.joint_2.c0", -1.0, "friction.joint_2: c0 is -1.0"),
     ],
 )
 def test_parameters_that_are_none_are_refused(shipped: rx.Setup, path: str, value: float, said: str) -> None:
-    """A path that names nothing of a setup, or a value it cannot have, is refused in one line; the setup stays."""
+    """A path that names nothing of a setup, or a value it cannot have, is refused in one line; the setup stays.
+
+    Of a path with a star and one of its places, the one that is given later decides.
+    """
     with pytest.raises(ConfigError, match=re.escape(said)) as caught:
         rx.with_parameters(shipped, {path: value})
     assert "\n" not in str(caught.value)
-
-
-def test_a_later_path_counts(shipped: rx.Setup) -> None:
-    """Of a path with a star and one of its places, the one that is given later decides."""
     setup = rx.with_parameters(shipped, {"friction.*.c0": 1e5, "friction.joint_2.c0": 2e5})
     assert [element.c0 for element in setup.friction.elements] == [1e5, 2e5, 1e5, 1e5, 1e5, 1e5, 1e5]
     assert shipped.friction["joint_2"].c0 not in (1e5, 2e5)
@@ -175,25 +156,14 @@ def test_a_run_and_its_bag_give_the_same_series(shipped: rx.Setup, task: rx.Line
     assert list(rx.read_bag(tmp_path / "bag", ["motor_states"])) == ["motor_states"]
 
 
-def test_tab_completion_offers_the_api_alone() -> None:
-    """`dir(rx)` lists the API, and no import of the module's own."""
-    assert [name for name in dir(rx) if not name.startswith("__")] == sorted(rx.__all__)
-
-
 HOME = [0.0, 0.3, 1.1, 0.0, 0.7, 0.0]
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 
 
 def points(**changes: object) -> rx.TrajectoryPoints:
-    """Make two points of rest; changed as told."""
+    """Make two points of rest, with changes."""
     given = {"position": [HOME, HOME], "velocity": [[0.0] * 6] * 2, "acceleration": [[]] * 2, **changes}
     return rx.TrajectoryPoints.create(JOINTS, JOINTS, given.pop("times", [0.0, 0.1]), **given)  # type: ignore[arg-type]
-
-
-def test_points_are_taken_as_arrays_too() -> None:
-    """NumPy arrays give the same points as lists."""
-    given = points(times=np.array([0.0, 0.1]), position=np.array([HOME, HOME]), velocity=np.zeros((2, 6)))
-    assert (given.position == points().position).all()
 
 
 @pytest.mark.parametrize(
@@ -205,13 +175,11 @@ def test_points_are_taken_as_arrays_too() -> None:
         (lambda s: rx.simulate(s, points(), duration=1e12), "accepted: a finite number, .*, up to 2.147"),
         (lambda s: rx.simulate(s, points(), start_time=1e306), "accepted: a finite number up to 2.147"),
         (lambda s: rx.simulate(s, points(), substeps=1.5), "substeps is 1.5; accepted: an integer >= 1"),
-        (lambda s: rx.simulate(s, points(), substeps=10**20), "substeps is 100000000000000000000; accepted"),
         (lambda s: rx.write_bag(rx.simulate(s, points()), "never", decimation=0), "decimation is 0; accepted"),
         (lambda s: rx.with_parameters(s, {"friction.joint_2.c0": 10**400}), "accepted: a finite number > 0"),
         (lambda s: rx.path_accuracy(s.robot, rx.load_task(), np.zeros(5), np.zeros((4, 6))), r"accepted: \(5, 6\)"),
         (lambda s: rx.path_accuracy(s.robot, rx.load_task(), [1.0], [[np.nan] * 6]), "accepted: finite numbers"),
         (lambda _: rx.ValidationTolerances(torque=float("nan")), "torque is nan; accepted: a positive number"),
-        (lambda _: rx.ValidationTolerances(tip=-1.0), "tip is -1.0; accepted: a positive number"),
         (lambda _: rx.FrictionFile({}, provenance="guessed"), "provenance is 'guessed'; accepted: one of published"),
         (lambda _: rx.load_setup(tool="x" * 5000), "File name too long"),
         (lambda _: rx.Sweep(rx.SweepPlan.of_grid({"task.speed": [0.1]})).simulate(1), "run 1; accepted: 0 to 0"),

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,6 @@ from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import EXECUTABLES, run
 from rx90_emulator.configuration.check import kind_of
-from rx90_emulator.configuration.kinds import KINDS
 from rx90_emulator.configuration.origins import setup_values
 
 Captured = pytest.CaptureFixture[str]
@@ -71,35 +71,31 @@ def line_of(path: Path, text: str) -> int:
 def test_all_problems_of_a_file_are_told_with_their_lines(arm: Path, capsys: Captured) -> None:
     """Each of several faults of a file is a line of its own, with the line in the file, value and what is accepted."""
     tool = arm / "tool.yaml"
-    edited(tool, ("mass: 3.5", "mass: -3.5"), ("beam: [0.170", "beam: [high"), ("tcp:", "colour: red\ntcp:"))
+    edited(tool, ("mass: 3.5", "mass: -3.5"), ("beam: [0.170", "beam: [high"), ("tcp:", "\u202ecolour: red\ntcp:"))
     assert run("rx90_config", ["check", str(tool)]) == 1
     said = capsys.readouterr().out.splitlines()
     assert said == [
         f"{tool}:{line_of(tool, 'mass:')}: inertial.mass is -3.5; accepted: a number > 0",
         f"{tool}:{line_of(tool, 'beam:')}: visual.cylinders.beam[0] is 'high'; accepted: 3 numbers, "
         "each a finite number",
-        f"{tool}:{line_of(tool, 'colour:')}: colour is not a known key; accepted: collision, inertial, tcp, visual",
+        f"{tool}:{line_of(tool, 'colour:')}: \\u202ecolour is not a known key; accepted: collision, inertial, tcp, "
+        "visual",
     ]
 
 
 def test_what_only_the_reader_sees_is_told_too(arm: Path, capsys: Captured) -> None:
-    """A rule that ties two values together is told with the line, and so is the place of what is no YAML."""
+    """A rule that ties two values together is told with the line, and so is the place of what is no YAML.
+
+    A file that is not there hides no problem of others; the exit code is that of the refusal.
+    """
     friction, task = arm / "friction.yaml", arm / "task.yaml"
     edited(friction, ("tau_c: 18.0", "tau_c: 38.0"))
     edited(task, ("speed: 0.1", "speed: [0.1"))
-    assert run("rx90_config", ["check", str(friction), str(task)]) == 1
-    first, second = capsys.readouterr().out.splitlines()
+    assert run("rx90_config", ["check", "nowhere.yaml", str(friction), str(task)]) == 2
+    said = capsys.readouterr()
+    first, second = said.out.splitlines()
     assert first.startswith(f"{friction}:{line_of(friction, 'joint_3:')}: elements.joint_3: tau_s_positive is 23.0")
     assert re.match(rf"{re.escape(str(task))}:\d+: not valid YAML", second)
-
-
-def test_a_file_that_is_not_there_hides_no_problem_of_others(arm: Path, capsys: Captured) -> None:
-    """Files behind one that is refused are checked, too; the exit code is that of the refusal."""
-    edited(arm / "tool.yaml", ("tcp:", "\u202ecolour: red\ntcp:"))
-    line = line_of(arm / "tool.yaml", "colour:")
-    assert run("rx90_config", ["check", "nowhere.yaml", str(arm / "tool.yaml")]) == 2
-    said = capsys.readouterr()
-    assert said.out.startswith(f"{arm / 'tool.yaml'}:{line}: \\u202ecolour is not a known key")
     assert "nowhere.yaml: no such file" in said.err
 
 
@@ -121,19 +117,6 @@ def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captu
     assert "kind 'toll'; accepted: drives, tool," in capsys.readouterr().err
     assert run("rx90_config", ["check", str(tmp_path / "gone.yaml")]) == 2
     assert "gone.yaml: no such file; accepted" in capsys.readouterr().err
-
-
-def test_moveits_own_files_are_refused_in_short(capsys: Captured) -> None:
-    """Files whose keys are MoveIt's are of no kind of the project; the kinds that there are stand in the line once."""
-    files = [str(path) for path in config_path("moveit").glob("*.yaml")]
-    assert len(files) == 5
-    assert run("rx90_config", ["check", *files]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    kinds = ", ".join([*(kind.name for kind in KINDS), "node_parameters"])
-    assert line.endswith(f"; accepted: {kinds}")
-    assert line.count("accepted") == 1
-    assert all(f"{file}: of no kind that is checked, as MoveIt's own files" in line for file in files)
-    assert len(line) < 300 + sum(map(len, files)) + 60 * len(files)
 
 
 @pytest.mark.parametrize(
@@ -234,9 +217,8 @@ def test_the_rig_is_shown_with_the_lines_that_it_comes_from(show: Show, capsys: 
         assert file == "rig/gm8224_lugre.yaml"
         assert f"{name.rpartition('.')[2]}:" in lines[int(line) - 1]
     assert shown["rig.gear.ratio"]["provenance"] == "published"
-    assert (shown["rig.emulation.motor.resistance"]["assumed"], shown["rig.emulation.motor.resistance"]["unit"]) == (
-        True, "ohm",
-    )  # fmt: skip
+    resistance = shown["rig.emulation.motor.resistance"]
+    assert (resistance["assumed"], resistance["unit"]) == (True, "ohm")
     usual = show()
     assert (usual["file.rig"]["value"], usual["file.rig"]["origin"]) == ("rig/gm8224.yaml", "default of the code")
     assert usual["rig.emulation.joint_friction.model"]["value"] == "coulomb_viscous"
@@ -258,12 +240,8 @@ def test_what_the_nodes_are_given_wins_in_the_order_of_ros(show: Show, tmp_path:
     assert usual[PACE]["origin"] == "default of the code"
     assert str(usual["controller.servo.kp"]["origin"]).startswith("robots/rx90b/controller.yaml:")
     values = show("--params-file", str(file))
-    assert (values[PACE]["value"], values[PACE]["origin"]) == (
-        0.5, f"{file}:3",
-    )  # fmt: skip
-    assert (values["controller.servo.kp"]["value"], values["controller.servo.kp"]["origin"]) == (
-        [1, 2, 3, 4, 5, 6], f"{file}:7",
-    )  # fmt: skip
+    for name, value, line in ((PACE, 0.5, 3), ("controller.servo.kp", [1, 2, 3, 4, 5, 6], 7)):
+        assert (values[name]["value"], values[name]["origin"]) == (value, f"{file}:{line}")
     assert values["controller.feed_forward.coulomb"]["value"] is False
     assert values["file.tool"]["value"] == usual["file.tool"]["value"]
     single = show("--params-file", str(file), "-p", "robot:=tx40", "--ros-args", "-p", "rx90_sim:real_time_factor:=0")
@@ -293,6 +271,29 @@ def test_the_table_names_assumptions_and_their_sources(capsys: Captured) -> None
     assert re.search(r"^\d+ of \d+ values are assumed$", out, re.MULTILINE)
 
 
+ASK = {
+    "bash": """
+source {script}
+function_=$(complete -p {program} | sed 's/.*-F \\([^ ]*\\) .*/\\1/')
+COMP_WORDS=({words} {last}); COMP_CWORD=$(( ${{#COMP_WORDS[@]}} - 1 ))
+$function_ {program}; printf '%s\\n' "${{COMPREPLY[@]}}"
+""",
+    "fish": "source {script}; complete -C '{words}' | string replace -r '\\t.*' ''",
+}
+"""What a shell is asked for its completions."""
+
+
+@pytest.fixture(scope="module")
+def scripts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Return the files of the completion."""
+    files = {shell: tmp_path_factory.mktemp("completion") / f"rx90.{shell}" for shell in ASK}
+    for shell, file in files.items():
+        with file.open("w", encoding="utf-8") as stream, redirect_stdout(stream):
+            assert run("rx90_config", ["completion", shell]) == 0
+    return files
+
+
+@pytest.mark.parametrize("shell", ASK)
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -300,6 +301,7 @@ def test_the_table_names_assumptions_and_their_sources(capsys: Captured) -> None
         ("rx90_bag record --stor", {"--storage"}),
         ("rx90_bag record --storage ", {"mcap", "sqlite3"}),
         ("rx90_bag record motor_s", {"motor_states"}),
+        ("rx90_sim --", {"--help", "--ros-args"}),
         ("rx90_run --robot r", {"rx90b", "robots"}),
         ("rx90_run --task m", {"my_task.yaml"}),
         ("rx90_run --output ", {"robots"}),
@@ -308,73 +310,22 @@ def test_the_table_names_assumptions_and_their_sources(capsys: Captured) -> None
         ("rx90_sim --params-file m", {"my_task.yaml"}),
     ],
 )
-def test_bash_completes_verbs_options_files_and_robots(
-    words: str, expected: set[str], tmp_path: Path, bash_script: Path
+def test_a_shell_completes_verbs_options_files_and_robots(
+    shell: str, words: str, expected: set[str], tmp_path: Path, scripts: dict[str, Path]
 ) -> None:
-    """In a real bash the completion of each command offers what is there, of verbs, too."""
+    """In a real shell the completion of each command offers what is there, of verbs, too."""
+    if shutil.which(shell) is None:
+        pytest.skip(f"{shell} is not installed")
     (tmp_path / "robots").mkdir()
     (tmp_path / "my_task.yaml").touch()
-    program = words.split(" ", maxsplit=1)[0]
-    code = f"""
-source {bash_script}
-function_=$(complete -p {program} | sed 's/.*-F \\([^ ]*\\) .*/\\1/')
-COMP_WORDS=({words} {"''" if words.endswith(" ") else ""}); COMP_CWORD=$(( ${{#COMP_WORDS[@]}} - 1 ))
-$function_ {program}; printf '%s\\n' "${{COMPREPLY[@]}}"
-"""
-    done = subprocess.run(["bash", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
-    assert set(done.stdout.split()) >= expected, done
-    assert "my_task.yaml" not in done.stdout or "my_task.yaml" in expected
-    assert not [each for each in done.stdout.split() if not each.startswith(words.rpartition(" ")[2])]
-
-
-def test_bash_completes_every_command(tmp_path: Path, bash_script: Path) -> None:
-    """In a real bash each executable offers its options, and where it has verbs these."""
-    code = f"source {bash_script}\n" + "".join(
-        f"COMP_WORDS=({name} --); COMP_CWORD=1; COMPREPLY=()\n"
-        f"$(complete -p {name} | sed 's/.*-F \\([^ ]*\\) .*/\\1/') {name}\n"
-        f'echo {name} "${{COMPREPLY[@]}}"\n'
-        for name in EXECUTABLES
-    )
-    done = subprocess.run(["bash", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
-    offered = {line.split()[0]: set(line.split()[1:]) for line in done.stdout.splitlines()}
-    assert set(offered) == set(EXECUTABLES), done
-    assert {name for name, words in offered.items() if "--help" not in words} == set()
-
-
-@pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ("rx90_bag ", {"record", "compare", "info", "import"}),
-        ("rx90_bag record --storage ", {"mcap", "sqlite3"}),
-        ("rx90_run --robot ", {"rx90b", "tx40"}),
-        ("rx90_sweep run sweep/p", {"sweep/payload_and_speed.yaml"}),
-        ("rx90_config check m", {"my_task.yaml"}),
-    ],
-)
-def test_fish_completes_verbs_options_and_files(
-    words: str, expected: set[str], tmp_path: Path, capsys: Captured
-) -> None:
-    """In a real fish each command offers verbs, choices, robots, plans and files."""
-    (tmp_path / "my_task.yaml").touch()
-    assert run("rx90_config", ["completion", "fish"]) == 0
-    (tmp_path / "rx90.fish").write_text(capsys.readouterr().out, encoding="utf-8")
-    code = f"source rx90.fish; complete -C '{words}'"
-    done = subprocess.run(["fish", "-N", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
-                          timeout=60)  # fmt: skip
-    assert {line.split("\t")[0] for line in done.stdout.splitlines()} >= expected, done
-
-
-@pytest.fixture(scope="module")
-def bash_script(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the file of the completion for bash."""
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        printed: list[str] = []
-        monkeypatch.setattr("builtins.print", printed.append)
-        assert run("rx90_config", ["completion", "bash"]) == 0
-    file = tmp_path_factory.mktemp("completion") / "rx90.bash"
-    file.write_text("\n".join(printed), encoding="utf-8")
-    return file
+    last = "''" if words.endswith(" ") else ""
+    code = ASK[shell].format(script=scripts[shell], program=words.split(maxsplit=1)[0], words=words, last=last)
+    done = subprocess.run([shell, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    found = {line.rstrip("/") for line in done.stdout.split()}
+    assert found >= expected, done
+    if shell == "bash":
+        assert "my_task.yaml" not in found or "my_task.yaml" in expected
+        assert not [each for each in found if not each.startswith(words.rpartition(" ")[2])]
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

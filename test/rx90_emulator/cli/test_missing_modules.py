@@ -9,7 +9,6 @@ import subprocess
 import sys
 import sysconfig
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
@@ -78,38 +77,23 @@ for program, words, package, broken in json.load(sys.stdin):
 """
 
 
-class Case(NamedTuple):
-    """One call of an executable without a package, or with one that cannot be loaded."""
-
-    program: str
-    words: list[str]
-    package: str
-    broken: bool = False
-
-
 def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
     """Without a package each executable, a node too, ends with 3 and a line: package, distribution, how to get it."""
     assert set(CALLS) == set(EXECUTABLES)
-    cases = [Case(name, words, package) for name, (words, given) in CALLS.items() for package in given.split()]
-    cases += [Case("rx90_sim", [], "numba", broken=True), Case("rx90_sweep", ["info", "x"], "pyarrow", broken=True)]
+    cases = [(name, words, package, False) for name, (words, given) in CALLS.items() for package in given.split()]
+    cases += [("rx90_sim", [], "numba", True), ("rx90_sweep", ["info", "x"], "pyarrow", True)]
     done = subprocess.run(
-        [sys.executable, "-c", CHILD],
-        input=json.dumps(cases),
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=120,
-    )
+        [sys.executable, "-c", CHILD], input=json.dumps(cases), cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True, timeout=120,
+    )  # fmt: skip
     answers = [json.loads(line) for line in done.stdout.splitlines()]
-    for case, (code, errors) in zip(cases, answers, strict=True):
-        assert (code, errors.count("\n")) == (3, 1), (case, errors)
-        if case.broken:
-            start = f"{case.program}: {case.package} cannot be loaded (NumPy 1.26.4 is too old); accepted: a version"
+    for (program, words, package, broken), (code, errors) in zip(cases, answers, strict=True):
+        assert (code, errors.count("\n")) == (3, 1), (program, words, package, errors)
+        if broken:
+            start = f"{program}: {package} cannot be loaded (NumPy 1.26.4 is too old); accepted: a version"
         else:
-            start = f"{case.program}: needs {case.package}, which is not installed; accepted: "
-            where = "a sourced ROS 2 Jazzy" if is_ros(case.package) else SOURCES[case.package].pip
+            start = f"{program}: needs {package}, which is not installed; accepted: "
+            where = "a sourced ROS 2 Jazzy" if is_ros(package) else SOURCES[package].pip
             assert where in errors.removeprefix(start), errors
         assert errors.startswith(start), errors
     assert list(tmp_path.iterdir()) == []

@@ -11,18 +11,15 @@ from rx90_emulator.cli.frame import run
 CASES = [
     ("rx90_run", "--decimation 5", "--decimation without --output; accepted: with it"),
     ("rx90_run", "--storage mcap --arrays run.npz", "--storage without --output; accepted: with it"),
-    ("rx90_run", "--slow-only", "--slow-only without --output or --arrays; accepted: with one"),
     ("rx90_run", "--temperature-rate 10", "--temperature-rate without --output or --arrays; accepted: with one"),
     ("rx90_run", "--temperature-rate 10 --from-bag bag --output again", "--temperature-rate with --from-bag; accepted"),
     ("rx90_run", "--temperature-rate 3 --output bag", "temperature_rate is 3 Hz; accepted: a rate that divides 4000"),
     ("rx90_run", "--hours 8 --temperature-rate 1", "--temperature-rate with --hours; accepted: --task and --plot"),
     ("rx90_line", "--reference --approach-speed 0.1", "--approach-speed without --approach; accepted: with it"),
-    ("rx90_line", "--approach-acceleration 1", "--approach-acceleration without --approach; accepted: with it"),
     ("rx90_bag", "plot bag --align start", "--align start with one bag; accepted: with two"),
     ("rx90_bag", "export bag -o t.npz --format csv", "--format csv with the file t.npz; accepted: with a folder"),
     ("rx90_experiment", "run --nodes --output new --storage mcap", "--storage without --engine; accepted: with it"),
     ("rx90_experiment", "run --engine --output new --timeout 9", "--timeout without --nodes; accepted: with it"),
-    ("rx90_experiment", "run --engine --output new --node arm", "--node without --nodes; accepted: with it"),
     (
         "rx90_identify",
         "--sliding bag --output new.yaml --total-torque-tolerance 0.2",

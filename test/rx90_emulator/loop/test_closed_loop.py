@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+import math
+from collections import defaultdict
 
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 from rx90_common.base.errors import ConfigError, DivergenceError, TrajectoryError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import CurrentSensor, Windings
-from rx90_controller.law.parameters import FeedForward
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.result import RunResult
@@ -38,20 +38,7 @@ def step_by_step(setup: Setup, duration: float, start: int, substeps: int) -> di
     plant.reset(HOME)
     controller.reset(plant.motor_states()[0])
     controller.trajectory.accept(there_and_back(), 0, start)
-    seen: dict[str, list[Array]] = {
-        name: []
-        for name in (
-            "motor_states",
-            "motor_commands",
-            "joint_states",
-            "friction_states",
-            "reference",
-            "tracking_error",
-            "details",
-            "temperatures",
-            "windings",
-        )
-    }
+    seen: dict[str, list[Array]] = defaultdict(list)
     for k in range(round(duration * setup.rates.base_hz)):
         slow = k % setup.rates.ratio == 0
         if slow:
@@ -69,11 +56,8 @@ def step_by_step(setup: Setup, duration: float, start: int, substeps: int) -> di
             seen["temperatures"].append(plant.temperatures.now.copy())
             seen["windings"].append(plant.winding_temperatures())
         plant.step(command)
-    return {
-        **{name: np.array(rows) for name, rows in seen.items()},
-        "temperatures": np.array(seen["temperatures"]).reshape(-1, 7),
-        "windings": np.array(seen["windings"]).reshape(-1, 6),
-    }
+    empty = {"temperatures": np.empty((0, 7)), "windings": np.empty((0, 6))}
+    return empty | {name: np.array(rows) for name, rows in seen.items()}
 
 
 def series(result: RunResult) -> dict[str, Array]:
@@ -117,13 +101,6 @@ def test_simulate_equals_plant_and_controller_stepped_one_by_one(shipped: Setup,
     assert np.abs(want["joint_states"][:, 0] - HOME).max() > 0.08
 
 
-def test_the_same_run_twice_gives_the_same_bits(shipped: Setup) -> None:
-    """Two runs of the same inputs give the same bits."""
-    first, second = (series(simulate(shipped, there_and_back(), HOME, 0.5, record_fast=True)) for _ in range(2))
-    for name, values in first.items():
-        assert values.tobytes() == second[name].tobytes(), name
-
-
 def test_recording_the_fast_series_does_not_change_the_run(shipped: Setup) -> None:
     """The slow series are the same with and without the fast ones, and have the documented shapes."""
     full = simulate(shipped, there_and_back(), HOME, 0.5, record_fast=True)
@@ -160,39 +137,14 @@ def test_the_arm_follows_and_comes_to_rest(shipped: Setup) -> None:
     assert np.array_equal(reference[-1], HOME)
 
 
-def test_feed_forward_earns_its_place(shipped: Setup) -> None:
-    """Without the feed-forward the same motion has more than a third more tracking error, in most joints."""
-    bare = dataclasses.replace(shipped.controller, feed_forward=FeedForward.off())
-    worst = [
-        np.abs(simulate(s, there_and_back(), HOME, 0.6).slow.tracking_error[:, 0]).max(axis=0)
-        for s in (shipped, dataclasses.replace(shipped, controller=bare))
-    ]
-    assert worst[0].sum() < 0.75 * worst[1].sum()
-    assert np.count_nonzero(worst[0] < worst[1]) >= 4
-
-
-def test_more_substeps_change_little(shipped: Setup) -> None:
-    """Eight plant steps in a tick instead of one move the arm's path by under 10 urad."""
-    paths = [simulate(shipped, there_and_back(), HOME, 0.8, substeps=n).slow.joint_states[:, 0] for n in (1, 8)]
-    assert 0.0 < np.abs(paths[0] - paths[1]).max() < 1e-5
-
-
-@pytest.mark.parametrize("duration", [0.0, -1.0, 1e-9, float("nan"), float("inf")])
-def test_a_duration_that_is_none_is_refused(shipped: Setup, duration: float) -> None:
-    """A duration without an end, or shorter than a tick, is refused with its value."""
-    with pytest.raises(ConfigError, match=rf"duration is {duration} s; accepted: a finite number, at least a tick"):
-        simulate(shipped, there_and_back(), HOME, duration)
-
-
-@pytest.mark.parametrize("start", [float("nan"), float("inf")])
-def test_a_start_time_that_is_none_is_refused(shipped: Setup, start: float) -> None:
-    """A start time that is not finite is refused with its value."""
-    with pytest.raises(ConfigError, match=rf"start time is {start} s; accepted: a finite number"):
-        simulate(shipped, there_and_back(), HOME, 0.5, start)
-
-
-def test_what_the_controller_refuses_the_run_refuses(shipped: Setup) -> None:
-    """A trajectory that starts elsewhere, or in the past, is refused before anything runs."""
+def test_what_cannot_be_run_is_refused(shipped: Setup) -> None:
+    """A time that is none, a trajectory that starts elsewhere or in the past, and a pose out of reach are refused."""
+    for duration in (0.0, -1.0, 1e-9, float("nan"), float("inf")):
+        with pytest.raises(ConfigError, match=rf"duration is {duration} s; accepted: a finite number, at least a tick"):
+            simulate(shipped, there_and_back(), HOME, duration)
+    for start in (float("nan"), float("inf")):
+        with pytest.raises(ConfigError, match=rf"start time is {start} s; accepted: a finite number"):
+            simulate(shipped, there_and_back(), HOME, 0.5, start)
     with pytest.raises(TrajectoryError, match="joint_3 starts at"):
         simulate(shipped, there_and_back(), HOME + np.array([0, 0, 0.5, 0, 0, 0]), 0.5)
     with pytest.raises(TrajectoryError, match="in the past"):
@@ -232,8 +184,13 @@ def test_saturated_amplifiers_are_counted(shipped: Setup) -> None:
     assert result.saturated[3:].tolist() == [0, 0, 0]
 
 
-def test_a_setup_is_frozen(shipped: Setup) -> None:
-    """The parameters of a run cannot be changed behind its back."""
-    changed: Any = shipped
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        changed.rates = Rates()
+def test_at_rest_the_torque_steps_by_no_more_than_one_count_of_the_position(shipped: Setup) -> None:
+    """Held for a second, each torque's steps are the proportional gain times one count, and stay within two of them."""
+    pose = np.array([0.1, 0.5, 1.2, 0.2, 0.9, 0.3])
+    run = simulate(shipped, TrajectoryPoints(np.array([0.0, 1.5]), np.array([pose] * 2), None, None), record_fast=True)
+    assert run.fast is not None
+    torque = shipped.drives.gear * run.fast.motor_commands[4000:]  # Nm at the joint, the last 0.5 s
+    law, count = shipped.controller, 2 * math.pi / shipped.drives.encoder_counts / shipped.drives.gear
+    one_count = law.inertia * law.kv * law.kp * count
+    assert np.all(np.abs(np.diff(torque, axis=0)).max(axis=0) <= 1.02 * one_count)
+    assert np.any(np.abs(np.diff(torque, axis=0)).max(axis=0) > 0.1 * one_count)

@@ -1,4 +1,4 @@
-"""The closed loop about elastic gears: its resonance, its records, the nodes' ticks, parameters by path, refusals."""
+"""The closed loop about elastic gears: its resonance and its records."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from rx90_common.bags.reading import read_joint_states
-from rx90_common.base.errors import ConfigError
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.parameters import parameters, with_parameters
 from rx90_emulator.loop.recorded_run import read_run, replay
 from rx90_emulator.loop.result import write_bag
 from rx90_emulator.loop.setup import Setup
@@ -137,23 +135,3 @@ def test_joint_states_are_the_links_and_motor_states_the_motors(shipped: Setup, 
     assert twist == pytest.approx(load / stiffness, abs=2e-6)  # a count of motor 6 is 4 urad at the joint
     again = replay(setup, read_run(tmp_path / "bag", setup))
     assert again.slow.joint_states.tobytes() == run.slow.joint_states.tobytes()
-
-
-def test_elasticity_is_changed_by_path(shipped: Setup) -> None:
-    """Sweeps and Python set stiffness, damping and play of a drive; what does not fit together is refused."""
-    paths = {
-        "drives.elasticity.stiffness[0]": 1e5,
-        "drives.elasticity.damping[0]": 20.0,
-        "drives.elasticity.backlash[0]": 1e-4,
-        "drives.rotor_inertia[0]": 4.0,
-    }
-    drives = with_parameters(shipped, paths).drives
-    found = (drives.elasticity.stiffness[0], drives.elasticity.damping[0], drives.elasticity.backlash[0])
-    assert found == (1e5, 20.0, 1e-4)
-    assert drives.rotor_inertia[0] == 4.0
-    assert drives.elasticity.elastic.tolist() == [True] + [False] * 5
-    assert all(parameters(shipped)[path].unit for path in paths)
-    with pytest.raises(ConfigError, match=r"drives: elasticity: backlash\[1\] is 0.001, stiffness\[1\] infinite; acc"):
-        with_parameters(shipped, {"drives.elasticity.backlash[1]": 1e-3})
-    with pytest.raises(ConfigError, match=r"drives: rotor_inertia\[2\] is 0; accepted"):
-        with_parameters(shipped, {"drives.elasticity.stiffness[*]": 1e5, "drives.rotor_inertia[2]": 0.0})

@@ -60,13 +60,9 @@ class Nodes:
         self._channel = ours
         rates = setup.rates
         outputs = SimpleNamespace(
-            wait_for_subscribers=lambda: None,
-            ready="ready",
-            wake=lambda: None,
-            publish=self._note,
-            info=self.said.append,
-            error=self.said.append,
-        )
+            wait_for_subscribers=lambda: None, ready="ready", wake=lambda: None, publish=self._note,
+            info=self.said.append, error=self.said.append,
+        )  # fmt: skip
         self.loop = ServoLoop(cs7b, outputs, horizon=60.0)
         self.cs7b = cs7b
         pacer = Pacer(rates.period, 1.0, lambda: 0.0, lambda _: None)
@@ -79,10 +75,8 @@ class Nodes:
         }
         ours.serve = self.controller.serve_free_running
         self.setup = setup
-        codec, self._encode = (
-            JointStateCodec(MOTOR_NAMES),
-            JointStateCodec(MOTOR_NAMES).encoder(*self.plant.motor_states()),
-        )
+        codec = JointStateCodec(MOTOR_NAMES)
+        self._encode = JointStateCodec(MOTOR_NAMES).encoder(*self.plant.motor_states())
         self.held = held_command.HeldCommand(
             ours, lambda raw: codec.decode(raw)[3], rates.period_ns, 0.1, self.said.append
         )

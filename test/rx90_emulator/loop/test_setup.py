@@ -9,31 +9,14 @@ import numpy as np
 import pytest
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
 
-Edit = Callable[..., Path]
 
-
-def test_the_shipped_files_make_a_setup(shipped: Setup) -> None:
-    """The shipped files load, at 4 kHz and 1 kHz, with six joints and seven friction elements."""
-    assert (shipped.rates.base_hz, shipped.rates.position_hz) == (4000, 1000)
-    assert len(shipped.robot.joint_names) == 6
-    assert len(shipped.friction.elements) == 7
-
-
-def test_every_file_can_be_the_user_s_own(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
-    """A changed value in any of the files reaches the setup; the other files stay the shipped ones."""
-    drives = edited_yaml(shipped_files.drives, ("spring", "torque", 1), 99.0)
-    assert Setup.load(RobotFiles(drives=drives)).drives.spring_torque[1] == 99.0
-    friction = edited_yaml(shipped_files.friction, ("elements", "joint_5_6", "c2"), 0.7)
-    assert Setup.load(RobotFiles(friction=friction)).friction.elements[6].c2 == 0.7
-    controller = edited_yaml(shipped_files.controller, ("current_loop", "bandwidth"), 555.0)
-    assert Setup.load(RobotFiles(controller=controller)).controller.current_bandwidth == 555.0
+def test_the_tool_can_be_the_user_s_own_or_none(shipped_files: RobotFiles, edited_yaml: Callable[..., Path]) -> None:
+    """A changed mass of the tool reaches the arm's last body, which has its own without a tool."""
     tool = edited_yaml(shipped_files.tool or Path(), ("inertial", "mass"), 1.25)
-    lighter = Setup.load(RobotFiles(tool=tool))
-    assert lighter.robot.chain.mass[5] == pytest.approx(1.45)
+    assert Setup.load(RobotFiles(tool=tool)).robot.chain.mass[5] == pytest.approx(1.45)
     assert Setup.load(RobotFiles(tool=None)).robot.chain.mass[5] == pytest.approx(0.2)
 
 
@@ -57,10 +40,3 @@ def test_plants_and_controllers_do_not_share_state(shipped: Setup) -> None:
     one.step(np.full(6, 0.3), np.zeros(6))
     assert other.tick == 0
     assert not other.state["command"][0].any()
-
-
-def test_rates_reach_plant_and_controller(shipped: Setup) -> None:
-    """Other rates change the tick of both sides alike."""
-    setup = Setup(shipped.robot, shipped.drives, shipped.friction, shipped.controller, Rates(8000, 2000))
-    assert setup.plant().constants["period"][0] == 1 / 8000
-    assert setup.cs7b().rates.ratio == 4

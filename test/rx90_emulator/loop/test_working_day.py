@@ -218,12 +218,3 @@ def test_a_day_without_temperatures_is_refused(shipped: Setup, short: LineTask, 
             repeat_line(warm, short, duration)
     with pytest.raises(ConfigError, match="change between cycles is 0"):
         repeat_line(warm, short, 3600.0, change=0.0)
-
-
-def test_start_and_surroundings_have_paths(warm: Setup) -> None:
-    """A sweep, or a user in Python, gives start temperatures and surroundings; others than the law's are refused."""
-    hot = with_parameters(warm, {"friction.joint_2.temperature.start": 60.0, "friction.*.temperature.ambient": 21.0})
-    assert hot.plant().temperatures.now.tolist() == [25.0, 60.0, *[25.0] * 5]
-    assert {e.temperature.ambient for e in hot.friction.elements if e.temperature} == {21.0}
-    with pytest.raises(ConfigError, match=r"friction.joint_1.*start is 95 °C; accepted: from lowest to highest"):
-        with_parameters(warm, {"friction.*.temperature.start": 95.0})

@@ -14,7 +14,7 @@ import pytest
 
 from rx90_common.process.children import TIMEOUT, executable
 from rx90_emulator.cli.frame import run
-from rx90_emulator.sweep.plan_file import load_sweep_plan
+from rx90_emulator.sweep.plan import load_sweep_plan
 from rx90_emulator.sweep.store import parts_folder, read_results
 from rx90_emulator.sweep.sweep import Sweep
 
@@ -133,6 +133,8 @@ def test_interrupt_and_kill_keep_what_is_done(tmp_path: Path, plan_file: Path, s
         (["run", "bad.yaml", "--output", "out.parquet"], "'sped' is unknown"),
         (["run", "sweep/reference_1000.yaml", "--output", "no/out.parquet"], "the folder no does not exist"),
         (["run", "sweep/reference_1000.yaml", "--output", "out.parquet", "--workers", "0"], "workers is 0"),
+        (["run", "sweep/reference_1000.yaml", "--output", ""], ". is a folder; accepted: a file"),
+        (["info", ""], ". is a folder; accepted: a file"),
         (["info", "none.parquet"], "none.parquet does not exist"),
         (["info", "bad.yaml"], "cannot be read as Parquet"),
     ],
@@ -154,37 +156,28 @@ def test_mistakes_get_one_line(
     assert [path.name for path in tmp_path.iterdir()] == ["bad.yaml"]
 
 
-def test_run_and_info(tmp_path: Path, task_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A plan runs to its end, is not run over again without need, and info shows what came of it."""
-    plan, output = tmp_path / "plan.yaml", tmp_path / "out.parquet"
-    plan.write_text(
-        f"base: {{task: {task_file}}}\nblocks: {{a: {{grid: {{task.speed: {{value: [0.05, -1, 0.1]}}}}}}}}",
-        encoding="utf-8",
-    )
-    assert run("rx90_sweep", ["run", str(plan), "--output", str(output)]) == 0
-    told = capsys.readouterr().out
-    assert "3 of 3 runs" in told
-    assert f"1 failed (rx90_sweep info {output} says why)" in told
-    assert run("rx90_sweep", ["run", str(plan), "--output", str(output), "--resume"]) == 0
-    assert "has all 3 runs" in capsys.readouterr().out
+@pytest.mark.parametrize("speeds", ["0.05, -1, 0.1", "-1, -2"])
+def test_run_and_info(speeds: str, tmp_path: Path, task_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A plan runs to its end, is not run over again without need, and info shows what came of it.
+
+    Where not one run of the file succeeded, run exits 3 with a line that says why; resumed it does so again.
+    """
+    plan, output, page = tmp_path / "plan.yaml", tmp_path / "out.parquet", tmp_path / "page.html"
+    grid = f"{{a: {{grid: {{task.speed: {{value: [{speeds}]}}}}}}}}"
+    plan.write_text(f"base: {{task: {task_file}}}\nblocks: {grid}", encoding="utf-8")
+    words, lost = ["run", str(plan), "--output", str(output), "--workers", "1"], not speeds.startswith("0")
+    for more, said in ((["--report", str(page)], "3 of 3 runs"), (["--resume"], "has all 3 runs")):
+        assert run("rx90_sweep", [*words, *more]) == (3 if lost else 0)
+        out, err = capsys.readouterr()
+        if lost:
+            (line,) = (one for one in err.splitlines() if one.startswith("rx90_sweep: "))
+            assert line.startswith("rx90_sweep: each of the 2 runs failed, for example: LineError: ")
+            assert line.endswith(f"; rx90_sweep info {output} says more")
+        else:
+            assert said in out
+            assert (f"1 failed (rx90_sweep info {output} says why)" in out) == ("--report" in more)
+    assert page.exists() != lost
     assert run("rx90_sweep", ["info", str(output)]) == 0
     shown = capsys.readouterr().out
-    assert "1 run failed (LineError 1)" in shown
+    assert ("2 runs failed (LineError 2)" if lost else "1 run failed (LineError 1)") in shown
     assert "path_error_worst" in shown
-
-
-def test_a_sweep_without_a_result_could_not_be_carried_out(
-    tmp_path: Path, task_file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Where not one run of the file succeeded, run exits 3 with a line that says why; resumed it does so again."""
-    plan, output, page = tmp_path / "plan.yaml", tmp_path / "out.parquet", tmp_path / "page.html"
-    plan.write_text(
-        f"base: {{task: {task_file}}}\nblocks: {{a: {{grid: {{task.speed: {{value: [-1, -2]}}}}}}}}", encoding="utf-8"
-    )
-    words = ["run", str(plan), "--output", str(output), "--workers", "1"]
-    for more in (["--report", str(page)], ["--resume"]):
-        assert run("rx90_sweep", [*words, *more]) == 3
-        (line,) = (one for one in capsys.readouterr().err.splitlines() if one.startswith("rx90_sweep: "))
-        assert line.startswith("rx90_sweep: each of the 2 runs failed, for example: LineError: ")
-        assert line.endswith(f"; rx90_sweep info {output} says more")
-    assert not page.exists()

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from rx90_common.base.errors import FAILED, ConfigError, FailureError, SweepError
+from rx90_common.base.errors import FAILED, FailureError, SweepError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.children import TIMEOUT
 from rx90_emulator.sweep import execution
@@ -39,20 +39,18 @@ def assert_same(table: pa.Table, expected: pa.Table) -> None:
 
 
 def test_workers_change_nothing(tmp_path: Path, sweep: Sweep, expected: pa.Table) -> None:
-    """One worker, two and three write the same file, byte for byte, with the results of runs in this process."""
-    for workers in (1, 2, 3):
-        counts = run_sweep(sweep, tmp_path / f"{workers}.parquet", workers=workers, quiet=True)
-        assert counts == (len(sweep), 4)
+    """One worker and three write the same file, byte for byte, with the results of runs in this process.
+
+    A run gives the same after any other runs, failed ones included, by another object of the same plan.
+    """
+    for workers in (1, 3):
+        assert run_sweep(sweep, tmp_path / f"{workers}.parquet", workers=workers, quiet=True) == (len(sweep), 4)
     assert_same(read_results(tmp_path / "1.parquet"), expected)
     assert len({file.read_bytes() for file in tmp_path.iterdir()}) == 1
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["1.parquet", "2.parquet", "3.parquet"]
-
-
-def test_order_changes_nothing(sweep: Sweep, outcomes: list[RunOutcome]) -> None:
-    """A run gives the same after any other runs, failed ones included, by another object of the same plan."""
-    other = Sweep(sweep.plan)
-    for index in np.random.default_rng(0).permutation(len(sweep)).tolist():
-        assert other.run(index) == outcomes[index]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["1.parquet", "3.parquet"]
+    other, order = Sweep(sweep.plan), np.random.default_rng(0).permutation(len(sweep)).tolist()
+    outcomes = sorted((other.run(index) for index in order), key=lambda one: one.run.index)
+    assert_same(table_of(sweep, schema_of(sweep), outcomes), expected)
 
 
 @contextmanager
@@ -70,51 +68,41 @@ def a_cluster(processes: int) -> Iterator[distributed.LocalCluster]:
             yield cluster
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def cluster() -> Iterator[distributed.LocalCluster]:
     """Give a cluster of two processes; it starts another one for each that it loses."""
     with a_cluster(2) as cluster:
         yield cluster
 
 
-def test_a_cluster_without_processes_is_refused(tmp_path: Path, sweep: Sweep) -> None:
-    """A scheduler that has no workers is refused in one line, and leaves nothing behind."""
-    with a_cluster(0) as cluster, pytest.raises(SweepError, match="has no workers") as error:
-        run_sweep(sweep, tmp_path / "out.parquet", scheduler=cluster.scheduler_address, quiet=True)
-    assert "\n" not in str(error.value)
-    assert not list(tmp_path.iterdir())
-
-
 def test_cluster_changes_nothing(
     tmp_path: Path, sweep: Sweep, expected: pa.Table, cluster: distributed.LocalCluster
 ) -> None:
-    """Two processes of a Dask cluster give the same table."""
+    """Two processes of a Dask cluster give the same table; one that is killed with work in hand costs no run."""
     run_sweep(sweep, tmp_path / "out.parquet", scheduler=cluster.scheduler_address, quiet=True)
     assert_same(read_results(tmp_path / "out.parquet"), expected)
-
-
-def test_a_cluster_that_loses_a_process_goes_on(
-    sweep: Sweep, expected: pa.Table, cluster: distributed.LocalCluster
-) -> None:
-    """A process of the cluster that is killed with work in hand costs no run: another one takes it over."""
     victim = next(iter(cluster.workers.values())).process.pid
     with dask_pool(sweep, cluster.scheduler_address) as pool:
-        chunks = [[index] for index in range(len(sweep))]
-        futures = [pool.submit(chunk) for chunk in chunks]
+        futures = [pool.submit([index]) for index in range(len(sweep))]
         os.kill(victim, signal.SIGKILL)
         outcomes = [outcome for future in futures for outcome in future.result(timeout=TIMEOUT)]
     assert_same(table_of(sweep, schema_of(sweep), outcomes), expected)
 
 
 def test_no_cluster(tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An address where nobody answers, or that is none, is refused in one line and leaves nothing behind."""
+    """An address where nobody answers, that is none, or has no workers, is refused in one line and leaves nothing."""
     monkeypatch.setattr(execution, "_CONNECT_TIMEOUT", 0.2)
-    for address in ("tcp://127.0.0.1:1", "nonsense://x"):
-        with pytest.raises(SweepError, match=f"no Dask scheduler answers at {address}") as error:
+    for address, said in (
+        ("tcp://127.0.0.1:1", "no Dask scheduler answers at tcp://127.0.0.1:1"),
+        ("nonsense://x", "no Dask scheduler answers at nonsense://x"),
+        ("foo", "the scheduler is 'foo'; accepted: an address such as tcp://host:8786"),
+    ):
+        with pytest.raises(SweepError, match=said) as error:
             run_sweep(sweep, tmp_path / "out.parquet", scheduler=address, quiet=True)
         assert "\n" not in str(error.value)
-    with pytest.raises(SweepError, match="the scheduler is 'foo'; accepted: an address such as tcp://host:8786"):
-        run_sweep(sweep, tmp_path / "out.parquet", scheduler="foo", quiet=True)
+    monkeypatch.undo()
+    with a_cluster(0) as cluster, pytest.raises(SweepError, match="has no workers"):
+        run_sweep(sweep, tmp_path / "out.parquet", scheduler=cluster.scheduler_address, quiet=True)
     assert not list(tmp_path.iterdir())
 
 
@@ -138,8 +126,6 @@ def test_resuming_completes(tmp_path: Path, sweep: Sweep, expected: pa.Table) ->
         ("friction.joint_1.tau_c", True, (1.0, 2.0), "ConfigError: friction.joint_1: tau_s_positive is 32.0"),
         ("task.end[0]", False, (0.604, 3.0), "LineError: the line cannot be travelled at"),
         ("controller.start_tolerance", False, (1e-3, 0.0), "TrajectoryError: point 0"),
-        ("task.speed", False, (0.1, 1e-12), "LineError: the line takes 2.00112e+10 s"),
-        ("task.end[0]", False, (0.604, 1e30), "LineError: the line's length is 1e+30 m"),
     ],
 )
 def test_a_failing_run_is_a_row(
@@ -181,13 +167,6 @@ def test_a_lost_worker_is_said(sweep: Sweep) -> None:
 
     with pytest.raises(SweepError, match="a worker process died"):
         lose()
-
-
-@pytest.mark.parametrize("workers", [0, -2])
-def test_workers_are_positive(tmp_path: Path, sweep: Sweep, workers: int) -> None:
-    """A number of workers that makes no sense is refused."""
-    with pytest.raises(ConfigError, match=f"workers is {workers}"):
-        run_sweep(sweep, tmp_path / "out.parquet", workers=workers)
 
 
 @pytest.mark.parametrize(("missing", "scheduler"), [("pyarrow", None), ("distributed", "tcp://127.0.0.1:1")])

@@ -7,9 +7,8 @@ import numpy as np
 from rx90_common.description.kinematics import forward, tip_position
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.line import path_accuracy, run_line
-from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.sweep.metrics import measure, metrics_of
+from rx90_emulator.sweep.sweep import measure, metrics_of
 
 
 def test_tip_is_that_of_the_kinematics(shipped: Setup) -> None:
@@ -19,16 +18,11 @@ def test_tip_is_that_of_the_kinematics(shipped: Setup) -> None:
     np.testing.assert_allclose(tip_position(robot.chain, q), forward(robot.chain, q).position, rtol=0, atol=1e-14)
 
 
-def named(setup: Setup, task: LineTask, result: RunResult) -> dict[str, float]:
-    """Return the metrics by name."""
-    names = [m.name for m in metrics_of(setup.robot.joint_names, setup.friction.names)]
-    return dict(zip(names, measure(task, result), strict=True))
-
-
 def test_metrics_of_a_run(shipped: Setup, task: LineTask) -> None:
     """The metrics are those that the series of the run give, from the line's start until it has settled."""
     result = run_line(shipped, task)
-    found = named(shipped, task, result)
+    names = [metric.name for metric in metrics_of(shipped.robot.joint_names, shipped.friction.names)]
+    found = dict(zip(names, measure(task, result), strict=True))
     accuracy = path_accuracy(shipped.robot, task, result.times, result.slow.joint_states[:, 0])
     # The error that remains of two ways to the same sum, against 1e-5 m.
     assert abs(found["path_error_worst"] - accuracy.worst) < 1e-13

@@ -11,10 +11,9 @@ import pytest
 from rx90_common.base.errors import REFUSED, ConfigError, FailureError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
-from rx90_emulator.sweep.metrics import DEVIATION
 from rx90_emulator.sweep.plan import Block, LogUniform, SweepBase, SweepPlan, SweptParameter, Values
 from rx90_emulator.sweep.store import read_results
-from rx90_emulator.sweep.sweep import RunOutcome, Sweep
+from rx90_emulator.sweep.sweep import DEVIATION, RunOutcome, Sweep
 
 SHIFTS = {"path_error_worst": 0.01, "path_error_rms": 0.005, "tracking_error_rms_joint_3": 0.005}
 """Largest relative differences: of worst errors on a short line, a count of the encoders."""

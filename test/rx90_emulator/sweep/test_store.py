@@ -29,13 +29,15 @@ def output(tmp_path: Path, sweep: Sweep, outcomes: list[RunOutcome]) -> Path:
 
 
 def test_units_and_plan_are_in_the_file(output: Path, sweep: Sweep) -> None:
-    """PyArrow and pandas find the unit of every number, and the metadata hold plan, seed, files and versions."""
+    """PyArrow and pandas find the unit of every number, and the metadata hold plan, seed, files and versions.
+
+    The summary tells state, failures and each column's unit and range.
+    """
     schema = pq.read_schema(output)
     units = {field.name: field.metadata[b"unit"].decode() for field in schema}
-    assert units["path_error_worst"] == "m"
-    assert units["friction_work_joint_5_6"] == "J"
-    assert units["arm.link_3.mass"] == "kg"
-    assert units["factor of friction.*.c0"] == "1"
+    for name, unit in (("path_error_worst", "m"), ("friction_work_joint_5_6", "J"), ("arm.link_3.mass", "kg"),
+                       ("factor of friction.*.c0", "1")):  # fmt: skip
+        assert units[name] == unit
     assert "friction.*.c0" not in units  # what is a factor does not stand under the parameter's name
     assert schema.field("viscous").type == pa.bool_()
     frame = pd.read_parquet(output)
@@ -52,6 +54,11 @@ def test_units_and_plan_are_in_the_file(output: Path, sweep: Sweep) -> None:
     assert about["plan"]["files"]["friction"]["name"] == "robots/rx90b/friction.yaml"
     assert len(about["plan"]["files"]["task"]["sha256"]) == 64
     assert about["versions"]["numpy"]
+    lines = describe_results(output)
+    assert lines[0].endswith("all 40 runs")
+    assert any(line.startswith("4 runs failed (ConfigError 4), for example: ConfigError: arm") for line in lines)
+    mass = next(line for line in lines if line.startswith("arm.link_3.mass"))
+    assert mass.split() == ["arm.link_3.mass", "kg", "-1", "12", "20"]
 
 
 def test_parts_are_readable_before_the_end(
@@ -101,13 +108,6 @@ def test_existing_results_are_safe(output: Path, sweep: Sweep) -> None:
     assert output.read_bytes() == before
 
 
-def test_one_sweep_at_a_time(tmp_path: Path, sweep: Sweep) -> None:
-    """A second sweep that resumes the same output is turned away while the first one runs."""
-    file = tmp_path / "out.parquet"
-    with ResultStore(file, sweep), pytest.raises(SweepError, match="another sweep is writing"):
-        ResultStore(file, sweep, resume=True)
-
-
 def test_foreign_files_are_refused(tmp_path: Path, sweep: Sweep) -> None:
     """A folder, a text, a torn file and somebody else's Parquet are refused in one line, and stay as they are."""
     text, foreign = tmp_path / "text.parquet", tmp_path / "foreign.parquet"
@@ -147,30 +147,16 @@ def test_a_damaged_part_is_named(tmp_path: Path, sweep: Sweep, outcomes: list[Ru
         assert kept.done.sum() == 20
 
 
-def test_a_lock_that_went_with_its_folder_locks_nothing(
-    tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A sweep that starts while another one takes its folder away is turned away, not left without a lock."""
+def test_one_sweep_at_a_time(tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second sweep that resumes the same output is turned away while the first one runs, or takes its folder away.
+
+    So is an output in a folder that does not exist, before any run.
+    """
     file = tmp_path / "out.parquet"
-
-    def remove_then_lock(*_: object) -> None:
-        shutil.rmtree(parts_folder(file))
-
-    monkeypatch.setattr(store.fcntl, "flock", remove_then_lock)
-    with pytest.raises(SweepError, match="another sweep is writing"):
-        ResultStore(file, sweep)
-
-
-def test_no_place_to_write(tmp_path: Path, sweep: Sweep) -> None:
-    """An output in a folder that does not exist is refused before any run."""
+    with ResultStore(file, sweep), pytest.raises(SweepError, match="another sweep is writing"):
+        ResultStore(file, sweep, resume=True)
     with pytest.raises(ConfigError, match="cannot be written"):
         ResultStore(tmp_path / "no" / "out.parquet", sweep)
-
-
-def test_summary(output: Path) -> None:
-    """The summary tells state, failures and each column's unit and range."""
-    lines = describe_results(output)
-    assert lines[0].endswith("all 40 runs")
-    assert any(line.startswith("4 runs failed (ConfigError 4), for example: ConfigError: arm") for line in lines)
-    mass = next(line for line in lines if line.startswith("arm.link_3.mass"))
-    assert mass.split() == ["arm.link_3.mass", "kg", "-1", "12", "20"]
+    monkeypatch.setattr(store.fcntl, "flock", lambda *_: shutil.rmtree(parts_folder(file)))
+    with pytest.raises(SweepError, match="another sweep is writing"):
+        ResultStore(file, sweep)

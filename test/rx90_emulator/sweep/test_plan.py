@@ -1,0 +1,274 @@
+"""Plans: lists and distributions of values, their YAML files, and which values each run sets."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.share import config_path
+from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.cli.frame import run
+from rx90_emulator.loop.parameters import Catalogue
+from rx90_emulator.sweep.plan import (
+    Block,
+    Distribution,
+    LogUniform,
+    Normal,
+    SweepPlan,
+    SweptParameter,
+    Uniform,
+    Values,
+    load_sweep_plan,
+    plan_hash,
+)
+from rx90_emulator.sweep.runs import RunDescription, RunList
+from rx90_emulator.sweep.sweep import Sweep
+
+ROOT = Path(__file__).resolve().parents[3]
+SHARES = (2.0**-54, 1e-6, 0.25, 0.5, 0.9, 1.0 - 2.0**-53)
+FULL = """
+seed: 5
+base: {task: line.yaml, substeps: 2, base_rate: 8000}
+blocks:
+  both:
+    grid:
+      friction.*.c0: {factor: {geomspace: [0.5, 2.0, 3]}}
+      task.speed: {value: {linspace: [0.1, 0.2, 2]}}
+      switches: {paths: ["controller.feed_forward.*"], value: [true, false]}
+    random:
+      friction.*.c2: {factor: {uniform: [0.5, 2.0]}, each: true}
+      drives.rotor_inertia[1]: {value: {loguniform: [1.0, 5.0]}}
+      controller.kp[*]: {factor: {normal: {mean: 1.0, deviation: 0.1, low: 0.5}}}
+    draws: 20
+"""
+
+
+@pytest.mark.parametrize(
+    ("distribution", "oracle"),
+    [
+        (Uniform(-1.0, 3.0), stats.uniform(-1.0, 4.0)),
+        (LogUniform(1e-3, 10.0), stats.loguniform(1e-3, 10.0)),
+        (Normal(1.0, 0.2), stats.norm(1.0, 0.2)),
+        (Normal(1.0, 0.2, low=0.7), stats.truncnorm(-1.5, np.inf, 1.0, 0.2)),
+        (Normal(1.0, 0.2, low=0.9, high=1.6), stats.truncnorm(-0.5, 3.0, 1.0, 0.2)),
+    ],
+)
+def test_quantiles(distribution: Distribution, oracle: Any) -> None:
+    """The quantiles are SciPy's, finite and within the bounds even at the ends of the generator's range."""
+    for share in SHARES:
+        value = distribution.quantile(share)
+        assert math.isfinite(value)
+        assert value == pytest.approx(oracle.ppf(share), rel=1e-7, abs=1e-12)
+        assert isinstance(distribution, Normal) or distribution.low <= value <= distribution.high
+
+
+@pytest.mark.parametrize(
+    ("build", "said"),
+    [
+        (lambda: Values(()), "empty"),
+        (lambda: Values((math.nan,)), "finite"),
+        (lambda: Values.linspace(0.0, 1.0, 2.5), "count of values is 2.5"),
+        (lambda: Values.geomspace(0.0, 1.0, 3), "both > 0"),
+        (lambda: Uniform(-math.inf, 2.0), "finite"),
+        (lambda: LogUniform(0.0, 2.0), "lower bound > 0"),
+        (lambda: Normal(1.0, 0.0), "deviation is 0"),
+        (lambda: Normal(1.0, 0.1, low=2.0), "leave"),
+    ],
+)
+def test_spaces_without_sense_are_refused(build: Any, said: str) -> None:
+    """A list or distribution without sense is refused with the value and what is accepted."""
+    with pytest.raises(ConfigError, match=said) as error:
+        build()
+    assert "accepted" in str(error.value)
+
+
+def written(folder: Path, text: str) -> Path:
+    """Write a plan, and the line it may name beside it."""
+    shutil.copy(config_path("robots/rx90b/task.yaml"), folder / "line.yaml")
+    file = folder / "plan.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_everything_is_read(tmp_path: Path) -> None:
+    """Each form of values and distributions, the base and the seed arrive in the plan."""
+    plan = load_sweep_plan(written(tmp_path, FULL))
+    (block,) = plan.blocks
+    assert (plan.seed, plan.base.substeps, plan.base.rates.base_hz) == (5, 2, 8000)
+    assert plan.base.files.task == tmp_path / "line.yaml"
+    assert [p.space for p in block.grid] == [Values((0.5, 1.0, 2.0)), Values((0.1, 0.2)), Values((True, False))]
+    assert [p.space for p in block.random] == [Uniform(0.5, 2.0), LogUniform(1.0, 5.0), Normal(1.0, 0.1, low=0.5)]
+    assert [p.each for p in block.random] == [True, False, False]
+    assert block.grid[2].paths == ("controller.feed_forward.*",)
+    assert plan.runs == 3 * 2 * 2 * 20
+
+
+def test_hash_is_of_the_content(tmp_path: Path) -> None:
+    """The hash stays when the files move, and changes with any number of the plan or of a file it names."""
+    hashes = []
+    for folder, text, more in (
+        ("a", FULL, ""),
+        ("b", FULL, ""),
+        ("c", FULL.replace("5", "6", 1), ""),
+        ("d", FULL, "#"),
+    ):
+        (tmp_path / folder).mkdir()
+        plan = written(tmp_path / folder, text)
+        with (tmp_path / folder / "line.yaml").open("a", encoding="utf-8") as line:
+            line.write(more)
+        hashes.append(plan_hash(load_sweep_plan(plan).description()))
+    assert hashes[0] == hashes[1]
+    assert len(set(hashes)) == 3
+
+
+def test_shipped_and_documented_plans_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every shipped plan is named in --help, found from any folder, and names what there is; so does the page's.
+
+    The plan in docs/howto/sweep.md has as many runs as the page counts.
+    """
+    monkeypatch.chdir(tmp_path)
+    assert run("rx90_sweep", ["run", "--help"]) == 0
+    named = set(re.findall(r"sweep/\w+\.yaml", capsys.readouterr().out))
+    assert named == {f"sweep/{path.name}" for path in config_path("sweep").glob("*.yaml")}
+    assert all(len(Sweep(load_sweep_plan(name))) > 0 for name in named)
+    page = (ROOT / "docs/howto/sweep.md").read_text(encoding="utf-8")
+    (text,) = re.findall(r"^```yaml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    said = re.search(r"This plan has .* = (\d+) runs", page)
+    assert said is not None
+    assert len(Sweep(load_sweep_plan(written(tmp_path, text)))) == int(said[1]) == 29
+
+
+@pytest.mark.parametrize(
+    ("block", "said"),
+    [
+        ("{}", "blocks.a.grid is missing; accepted: one or more of grid, random"),
+        ("{grid: {task.speed: {value: 0.1}}}", "value is 0.1; accepted: [v1, v2, ...]"),
+        ("{grid: {task.speed: {value: [fast]}}}", "is 'fast'; accepted: finite numbers"),
+        ("{grid: {task.speed: {value: [true]}}}", "a value is True; accepted: numbers"),
+        ("{grid: {task.speed: {value: [0.1, 0.1]}}}", "0.1 stands twice"),
+        ("{grid: {task.speed: {value: [1], factor: [1]}}}", "value and factor: both are there; accepted: one"),
+        ("{grid: {task.speed: {value: {linspace: [1, 2, -3]}}}}", "count of values is -3"),
+        ("{grid: {task.speed: {value: {logspace: [1, 2, 3]}}}}", "linspace and geomspace: none is there"),
+        ("{grid: {task.speed: {value: [1], each: true}}}", "in random draws only"),
+        ("{grid: {task.sped: {value: [1]}}}", "'sped' is unknown; accepted there: accel"),
+        ("{grid: {friction.*.c0: {factor: [1]}, friction.joint_2.c0: {factor: [1]}}}", "both set friction.joint_2.c0"),
+        ("{random: {x: {paths: [friction.*.c0, friction.joint_1.c0], each: true, factor: {uniform: [1, 2]}}}, "
+         "draws: 1}", "both set friction.joint_1.c0"),
+        ("{grid: {x: {paths: [task.speed, task.speed], value: [1]}}}", "set a value twice"),
+        ("{grid: {seed: {paths: [task.speed], value: [1]}}}", "the name 'seed' of a result"),
+        ("{grid: {controller.feed_forward.coulomb: {factor: [2]}}}", "accepted: value"),
+        ("{grid: {x: {paths: [task.speed, 'task.end[0]'], value: [1]}}}", "different units"),
+        ("{random: {task.speed: {value: {uniform: [1, 2]}}}}", "draws is missing"),
+        ("{random: {task.speed: {value: {uniform: [2, 1]}}}, draws: 1}", "bounds are 2 and 1"),
+        ("{random: {task.speed: {value: [1, 2]}}, draws: 1}", "accepted: {uniform"),
+        ("{grid: {task.speed: {value: [1]}}, draws: 4}", "without random parameters"),
+        ("{grid: {task.speed: {value: [1]}}}\nbase: {task: none.yaml}", "no file 'none.yaml'"),
+        ("{grid: {task.speed: {value: [1]}}}\nbase: {base_rate: 3000}", "base_rate is 3000 Hz"),
+    ],
+)  # fmt: skip
+def test_bad_plans_get_one_line(tmp_path: Path, block: str, said: str) -> None:
+    """A mistake in a plan is refused in one line that names the place, the value and what is accepted."""
+    with pytest.raises(ConfigError) as error:
+        Sweep(load_sweep_plan(written(tmp_path, f"blocks:\n  a: {block}")))
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_plan_names_a_robot_and_an_option_another(tmp_path: Path) -> None:
+    """`robot` sets all files and the task, single files win over it, and who runs the plan may take another robot.
+
+    `tool: none` means what it means to commands and nodes: no tool, and the shipped other files.
+    """
+    blocks = "blocks: {one: {grid: {task.speed: {value: [0.1]}}}}\n"
+    assert load_sweep_plan(written(tmp_path, f"base: {{tool: none}}\n{blocks}")).base.files == RobotFiles(tool=None)
+    plan = written(tmp_path, f"base: {{robot: tx40, friction: robots/rx90b/friction.yaml}}\n{blocks}")
+    rough = RobotFiles().friction
+    assert load_sweep_plan(plan).base.files == replace(RobotFiles.named("tx40"), friction=rough)
+    assert load_sweep_plan(plan, robot="rx90b").base.files == RobotFiles()
+    outcome = Sweep(load_sweep_plan(plan)).run(0)
+    assert (outcome.error, outcome.metrics is not None) == (None, True)
+    shutil.copytree(RobotFiles.named("tx40").urdf.parent, tmp_path / "my_arm")
+    own = load_sweep_plan(written(tmp_path, f"base: {{robot: my_arm}}\n{blocks}")).base.files
+    assert own.urdf == tmp_path / "my_arm" / "robot.urdf"
+    with pytest.raises(ConfigError, match=r"base.robot: robot 'tx50': no such folder; accepted: rx90b, tx40"):
+        load_sweep_plan(written(tmp_path, f"base: {{robot: tx50}}\n{blocks}"))
+
+
+def parameter(path: str, *values: float, factor: bool = True) -> SweptParameter:
+    """Return a grid's parameter."""
+    return SweptParameter(path, factor=factor, space=Values(values))
+
+
+def drawn(path: str) -> SweptParameter:
+    """Return a random factor between 1 and 2."""
+    return SweptParameter(path, factor=True, space=Uniform(1.0, 2.0))
+
+
+def all_runs(plan: SweepPlan, catalogue: Catalogue) -> list[RunDescription]:
+    """Return every run of a plan."""
+    runs = RunList(plan, catalogue)
+    return [runs.describe(index) for index in range(len(runs))]
+
+
+def test_grid_is_the_full_product(catalogue: Catalogue) -> None:
+    """A grid has every combination once, the last parameter varying fastest, and blocks follow each other."""
+    first = Block("a", (parameter("task.speed", 1.0, 2.0), parameter("friction.*.c0", 3.0, 4.0, 5.0)))
+    runs = all_runs(SweepPlan((first, Block("b", (parameter("task.speed", 6.0),)))), catalogue)
+    assert [tuple(v for _, v in run.values) for run in runs] == [*product((1.0, 2.0), (3.0, 4.0, 5.0)), (6.0,)]
+    assert [run.index for run in runs] == list(range(7))
+
+
+def test_runs_do_not_depend_on_how_many_are_asked_for(catalogue: Catalogue) -> None:
+    """More draws, blocks before it and parameters after it leave the values of a run as they are.
+
+    Each draw meets every point of the grid, so that points are compared on the same random robots.
+    """
+    block = Block("a", (parameter("task.speed", 1.0, 2.0),), (drawn("friction.*.c0"),), draws=3)
+    other = Block("other", (parameter("task.speed", 3.0),), (drawn("friction.*.c1"),), draws=4)
+    wider = replace(block, random=(*block.random, drawn("friction.*.c2")))
+    few = all_runs(SweepPlan((block,), seed=1), catalogue)
+    many = all_runs(SweepPlan((replace(block, draws=9),), seed=1), catalogue)
+    after = all_runs(SweepPlan((other, block), seed=1), catalogue)[4:]
+    more = all_runs(SweepPlan((wider,), seed=1), catalogue)
+    assert many[:6] == few
+    assert [(r.seed, r.values) for r in after] == [(r.seed, r.values) for r in few]
+    assert [r.values[:2] for r in more] == [r.values for r in few]
+    assert all_runs(SweepPlan((block,), seed=2), catalogue)[0].values != few[0].values
+    values = [dict(run.values)["friction.*.c0"] for run in many]
+    assert values[0::2] == values[1::2]
+    assert len(set(values)) == 9
+
+
+def test_the_seed_gives_the_draws(catalogue: Catalogue) -> None:
+    """NumPy's default generator, seeded with a run's seed, gives the shares that its values stand for."""
+    stiffness = SweptParameter("friction.*.c0", factor=True, space=LogUniform(0.5, 2.0), each=True)
+    for one in all_runs(SweepPlan((Block("a", (), (stiffness,), draws=3),), seed=3), catalogue):
+        expected = 0.5 * 4.0 ** np.random.default_rng(one.seed).random(7)
+        np.testing.assert_allclose([v for _, v in one.values], expected, rtol=1e-12)
+        assert [name for name, _ in one.values][-1] == "friction.joint_5_6.c0"
+
+
+def test_factor_and_value(catalogue: Catalogue) -> None:
+    """A factor multiplies each place's own number, a value replaces it; a column holds one of the two."""
+    plan = SweepPlan((Block("a", (parameter("friction.*.c0", 2.0), parameter("drives.gear[*]", 50.0, factor=False))),))
+    runs = RunList(plan, catalogue)
+    changes = runs.changes(runs.describe(0))
+    friction = [value for leaf, value in changes.items() if leaf.key[0] == "friction"]
+    assert friction == [2.0e5, 2.2e5, 1.4e5, 3.0e4, 2.0e4, 1.0e4, 8.0e3]
+    assert [v for t, v in changes.items() if t.key[0] == "drives"] == [50.0] * 6
+    assert runs.columns[0].unit == "1"
+    both = Block("a", (parameter("task.speed", 2.0),)), Block("b", (parameter("task.speed", 2.0, factor=False),))
+    with pytest.raises(ConfigError, match="means something else"):
+        RunList(SweepPlan(both), catalogue)
