@@ -319,7 +319,7 @@ def identify_records(
         cycles = identify_presliding(presliding, arm, known, robot.torque_delay, covariances, robot.plant_period)
     else:
         reason = "no bag with micro-oscillations was given"
-        cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names), (), 0)
+        cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names))
     kinds = choose_kinds(cycles, arm, progress) if bristle_kinds else ()
     elements = []
     for e, (first, second, other) in enumerate(zip(slides.estimates, cycles.estimates, fallback, strict=True)):

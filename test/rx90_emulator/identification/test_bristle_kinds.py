@@ -148,7 +148,7 @@ def presliding(sizes: tuple[float, ...], noise: float) -> PreslidingFit:
     """Return what the fit with LuGre's bristles hands on of micro-motions of one joint."""
     motions = micro_motions(ONE, (None,), sizes, noise)
     group = JointGroup((0,), (0,), np.ones((1, 1)))
-    return PreslidingFit((), (), 0, (MovedGroup.of(group, motions, [ELEMENT], np.array([0.9e5])),))
+    return PreslidingFit((), (), (MovedGroup.of(group, motions, [ELEMENT], np.array([0.9e5])),))
 
 
 def test_where_the_data_cannot_tell_the_file_has_lugre_and_says_so(
@@ -168,7 +168,7 @@ def test_where_the_data_cannot_tell_the_file_has_lugre_and_says_so(
     estimates = dict.fromkeys(PARAMETERS, ParameterEstimate(1.0, 0.1))
     one = IdentifiedElement(ELEMENT, estimates, dict.fromkeys(PARAMETERS, ()))
     sliding = SlidingFit((), (), np.zeros(0), np.zeros((0, 0)), 0, quality=(None,))
-    result = FrictionIdentification(hinge, (one,), sliding, PreslidingFit((), (), 0), kinds=kinds)
+    result = FrictionIdentification(hinge, (one,), sliding, PreslidingFit(()), kinds=kinds)
     content = yaml.safe_load(friction_text(result))
     element, found = content["elements"]["joint_1"], content["identification"]["bristles"]["joint_1"]
     assert "bristles" not in element
@@ -198,7 +198,7 @@ def test_blocks_that_slip_beyond_the_motion_are_not_told(
 
 def test_two_motions_are_not_compared(hinge: RigidArm) -> None:
     """A joint with two micro-oscillations, and one without any, keep LuGre's bristles, with the reason."""
-    for fit, count in ((presliding((0.5, 0.4), 0.2), 2), (PreslidingFit((), (), 0), 0)):
+    for fit, count in ((presliding((0.5, 0.4), 0.2), 2), (PreslidingFit(()), 0)):
         seen: list[str] = []
         (kind,) = choose_kinds(fit, hinge, seen.append)
         assert kind.text == f"not compared: {count} micro-oscillations; 3 or more tell kinds apart"
