@@ -12,7 +12,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import SLIDING, VISCOUS_EXPONENT, ElementEstimate, ParameterEstimate
-from rx90_emulator.identification.records import JointRecord, check_joints
+from rx90_emulator.identification.records import BagSource, JointRecord, check_joints
 from rx90_emulator.identification.sliding.plateaus import BagUse, Blocks, find_blocks
 from rx90_emulator.identification.sliding.quality import FitQuality
 from rx90_emulator.identification.sliding.solver import (
@@ -84,7 +84,6 @@ class SlidingFit:
         inertial: estimated error of the arm's inertial parameters, to be added to them, shape (10 n,):
             rigid torque = arm.torque(...) + arm.regressor(...) @ inertial.
         inertial_covariance: of it, that of the prior along directions that sweeps do not observe, shape (10 n, 10 n).
-        plateaus: how many stretches of constant velocity were used.
         usage: what was used of each record, and why the rest was not.
         quality: goodness of fit of each element; None where it could not be identified.
         zeros: what the torques say of the encoders' zeros.
@@ -94,7 +93,6 @@ class SlidingFit:
     curves: tuple[CurvePoints, ...]
     inertial: Array
     inertial_covariance: Array
-    plateaus: int
     usage: tuple[BagUse, ...] = ()
     quality: tuple[FitQuality | None, ...] = ()
     zeros: ZeroCheck | None = None
@@ -146,27 +144,19 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, zero: Array 
         if name in lacking:
             estimates.append(ElementEstimate.unknown(name, SLIDING, lacking[name], sources))
         else:
-            parameters, covariance = _estimates(fit, names, e, usage)
-            estimates.append(ElementEstimate.of(name, parameters, covariance, sources))
+            estimates.append(_estimate(fit, names, e, usage, sources))
         curve = _curve(fit, e)
         curves.append(curve)
         left = curve.torque - curve.fitted
         figures = curve.velocity, left, curve.deviation, curve.torque, fit.misfits[e], fit.drifts[e]
-        quality.append(FitQuality.of(*figures) if len(curve.velocity) else None)
+        quality.append(FitQuality.of(*figures) if len(left) else None)
     # The covariance of the inertial errors is that of the prior where nothing is observed.
-    scale = arm.inertial_scale()
-    seen = rows.directions / scale[:, None]
-    unseen = scale[:, None] * (np.eye(len(scale)) - seen @ seen.T) * scale
-    return SlidingFit(
-        tuple(estimates),
-        tuple(curves),
-        rows.directions @ fit.nuisance,
-        rows.directions @ fit.nuisance_covariance @ rows.directions.T + unseen,
-        len(np.unique(rows.plateau)),
-        usage,
-        tuple(quality),
-        zeros,
-    )
+    scale, directions = arm.inertial_scale(), rows.directions
+    seen = directions / scale[:, None]
+    covariance = directions @ fit.nuisance_covariance @ directions.T
+    covariance += scale[:, None] * (np.eye(len(scale)) - seen @ seen.T) * scale
+    inertial = directions @ fit.nuisance
+    return SlidingFit(tuple(estimates), tuple(curves), inertial, covariance, usage, tuple(quality), zeros)
 
 
 def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
@@ -267,10 +257,10 @@ def _natural_covariance(fit: CurveFit, element: int) -> Array:
     return np.asarray(covariance + np.diag(unseen**2))
 
 
-def _estimates(
-    fit: CurveFit, names: Sequence[str], element: int, usage: Sequence[BagUse]
-) -> tuple[dict[str, ParameterEstimate], Array]:
-    """Return the estimates of one element that was fitted, and their covariance."""
+def _estimate(
+    fit: CurveFit, names: Sequence[str], element: int, usage: Sequence[BagUse], sources: tuple[BagSource, ...]
+) -> ElementEstimate:
+    """Return the estimates of one element that was fitted."""
     chosen = (*SLIDING, VISCOUS_EXPONENT) if fit.free[element, EXPONENT] else SLIDING
     covariance = _natural_covariance(fit, element)[: len(chosen), : len(chosen)]
     values, estimates = natural(fit.parameters[element]), {}
@@ -278,7 +268,7 @@ def _estimates(
         estimate = ParameterEstimate(values[name], deviation)
         reason = _reason(fit, names, element, name, estimate, usage)
         estimates[name] = ParameterEstimate.unknown(reason) if reason else estimate
-    return estimates, covariance
+    return ElementEstimate.of(names[element], estimates, covariance, sources)
 
 
 def _reason(
@@ -315,33 +305,19 @@ def _curve(fit: CurveFit, element: int) -> CurvePoints:
     mine = np.flatnonzero(rows.gain[:, element])
     gain, along = rows.gain[mine, element], rows.velocity[mine, element]
     left = fit.residual[mine] + gain * torque(along, parameters)
-    plateau, number = np.unique(rows.plateau[mine], return_inverse=True)
-
-    def mean(values: Array, weight: Array) -> Array:
-        return np.bincount(number, weight * values, len(plateau)) / np.bincount(number, weight, len(plateau))
-
-    power = np.bincount(number, gain**2, len(plateau))
-    velocity = mean(along, gain**2)
-    noise = np.bincount(number, (gain * fit.noise[mine]) ** 2, len(plateau))
-    return CurvePoints(
-        velocity=velocity,
-        torque=np.bincount(number, gain * left, len(plateau)) / power,
-        deviation=np.sqrt(noise) / power,
-        fitted=torque(velocity, parameters),
-        time=mean(rows.time[mine], np.ones(len(mine))),
-        line=_line(fit, element, velocity),
+    number = np.unique(rows.plateau[mine], return_inverse=True)[1]
+    power, weighted, pull, noise, time = (
+        np.bincount(number, values)
+        for values in (gain**2, gain**2 * along, gain * left, (gain * fit.noise[mine]) ** 2, rows.time[mine])
     )
-
-
-def _line(fit: CurveFit, element: int, measured: Array) -> Array:
-    """Return velocity, torque and standard deviation of the identified curve, shape (3, k)."""
-    if len(measured) == 0:
-        return np.zeros((3, 0))
-    sides = [(sign, sign * measured[sign * measured > 0.0]) for sign in (-1.0, 1.0)]
-    grids = [sign * np.geomspace(speed.min(), speed.max(), _LINE_POINTS) for sign, speed in sides if len(speed)]
-    velocity = np.sort(np.concatenate(grids))
-    parameters = fit.parameters[element]
-    # By the parameters that `natural` returns.
-    slope = np.linalg.solve(natural_jacobian(parameters).T, torque_jacobian(velocity, parameters).T).T
-    deviation = np.sqrt(np.einsum("ki,ij,kj->k", slope, _natural_covariance(fit, element), slope))
-    return np.stack([velocity, torque(velocity, parameters), deviation])
+    velocity = weighted / power
+    line = np.zeros((3, 0))
+    if len(mine):  # velocity, torque and standard deviation of the identified curve
+        sides = [(sign, sign * velocity[sign * velocity > 0.0]) for sign in (-1.0, 1.0)]
+        grids = [sign * np.geomspace(speed.min(), speed.max(), _LINE_POINTS) for sign, speed in sides if len(speed)]
+        grid = np.sort(np.concatenate(grids))
+        slope = np.linalg.solve(natural_jacobian(parameters).T, torque_jacobian(grid, parameters).T).T
+        deviation = np.sqrt(np.einsum("ki,ij,kj->k", slope, _natural_covariance(fit, element), slope))
+        line = np.stack([grid, torque(grid, parameters), deviation])
+    seconds = time / np.bincount(number)
+    return CurvePoints(velocity, pull / power, np.sqrt(noise) / power, torque(velocity, parameters), seconds, line)

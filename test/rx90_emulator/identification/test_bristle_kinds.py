@@ -167,7 +167,7 @@ def test_where_the_data_cannot_tell_the_file_has_lugre_and_says_so(
     assert len(left) > 1
     estimates = dict.fromkeys(PARAMETERS, ParameterEstimate(1.0, 0.1))
     one = IdentifiedElement(ELEMENT, estimates, dict.fromkeys(PARAMETERS, ()))
-    sliding = SlidingFit((), (), np.zeros(0), np.zeros((0, 0)), 0, quality=(None,))
+    sliding = SlidingFit((), (), np.zeros(0), np.zeros((0, 0)), quality=(None,))
     result = FrictionIdentification(hinge, (one,), sliding, PreslidingFit(()), kinds=kinds)
     content = yaml.safe_load(friction_text(result))
     element, found = content["elements"]["joint_1"], content["identification"]["bristles"]["joint_1"]
