@@ -17,7 +17,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise, product
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,7 +134,7 @@ def record_instants(record: JointRecord, arm: RigidArm) -> Instants:
     size = max(1, round(_MEAN_S / float(np.median(np.diff(record.time)))))
     count = len(record.time) // size
 
-    def mean(values: Array) -> Array:
+    def mean(values: NDArray[Any]) -> Array:
         return np.asarray(values[: count * size].reshape(count, size, -1).mean(axis=1))
 
     time, velocity, inputs = mean(record.time)[:, 0], mean(record.velocity), record.velocity @ arm.element_matrix.T

@@ -120,11 +120,13 @@ class PreslidingFit:
     Attributes:
         estimates: for each element of the arm, in its order; the parameters are those in PRESLIDING.
         loops: the largest micro-motion of each joint that has any.
+        motions: how many micro-motions were used.
         groups: what the joints did that made any micro-motion.
     """
 
     estimates: tuple[ElementEstimate, ...]
     loops: tuple[HysteresisLoop, ...] = ()
+    motions: int = 0
     groups: tuple[MovedGroup, ...] = ()
 
 
@@ -164,6 +166,7 @@ def identify_presliding(
     estimates: dict[int, ElementEstimate] = {}
     loops: list[HysteresisLoop] = []
     moved: list[MovedGroup] = []
+    used = 0
     for group in groups:
         seen = [motion for motion in motions if motion.joints == group.joints]
         own = [motion for motion in seen if motion.driven]
@@ -181,6 +184,7 @@ def identify_presliding(
             far = [motion for motion, load in zip(chosen, loads, strict=True) if load < _NEARLY_SLIDING_LOAD]
             if 0 < len(far) < len(chosen):
                 chosen, fit = far, _GroupFit(far, group, elements, plant_period)
+        used += len(chosen)
         spread = None
         if sliding_covariances is not None:
             spread = block_diag(*(sliding_covariances[e] for e in group.elements))
@@ -191,7 +195,8 @@ def identify_presliding(
             simulated = fit.model.friction(fit.x, index)[:, place]
             loops.append(HysteresisLoop(arm.names[joint], position - position.mean(), measured, simulated))
         moved.append(MovedGroup.of(group, own, elements, fit.values[:, 0]))
-    return PreslidingFit(tuple(estimates[e] for e in range(len(arm.element_names))), tuple(loops), tuple(moved))
+    ordered = tuple(estimates[e] for e in range(len(arm.element_names)))
+    return PreslidingFit(ordered, tuple(loops), used, tuple(moved))
 
 
 class _GroupFit:

@@ -87,10 +87,10 @@ class GroupFit:
             own = [np.concatenate([[np.log(c), 1.0], shape]) for c, shape in zip(c0, shapes, strict=True)]
             x = np.concatenate([*own, rest])
             # Start deflections that fit best of a few, one element after the other.
-            for index, n in itertools.product(range(len(motions)), range(len(families))):
-                column = np.arange(x.size) == place.stop + index * len(families) + n
-                tried = [np.where(column, start, x) for start in _STARTS]
-                x = min(tried, key=lambda each: float(np.sum(model.of_motion(each, index) ** 2)))
+            for index, column in itertools.product(range(len(motions)), range(len(families))):
+                own_start = np.arange(x.size) == place.stop + index * len(families) + column
+                tried = [np.where(own_start, start, x) for start in _STARTS]
+                x = tried[int(np.argmin([np.sum(model.of_motion(each, index) ** 2) for each in tried]))]
             found.append(cls._solved(model, x, _MAX_EVALUATIONS))
         return min(found, key=lambda fit: fit.cost)
 
@@ -181,6 +181,11 @@ class KindTrial:
     inertia: float = 0.0
     reach: float = 0.0
 
+    @property
+    def distinguishable(self) -> bool:
+        """Return whether the data tell it from the best kind."""
+        return self.behind > DISTINGUISHABLE_SE
+
 
 @dataclass(frozen=True, eq=False)
 class KindChoice:
@@ -202,7 +207,7 @@ class KindChoice:
     @property
     def possible(self) -> tuple[KindTrial, ...]:
         """Return the trials that the data cannot tell from the best, which is among them."""
-        return tuple(trial for trial in self.trials if trial.behind <= DISTINGUISHABLE_SE)
+        return tuple(trial for trial in self.trials if not trial.distinguishable)
 
     @property
     def kind(self) -> str | None:
@@ -394,7 +399,8 @@ def choose_kinds_of(
             def squares(fit: GroupFit, index: int, starts: Array = starts) -> Array:
                 """Return what a fit misses in each spectral line of a motion, shape (lines,)."""
                 lines = np.unique(motions[index].line, return_inverse=True)[1]
-                return np.bincount(lines, np.sum(fit.left_over(motions[index], starts[index]) ** 2, axis=1))
+                left = fit.left_over(motions[index], starts[index])
+                return np.bincount(lines, np.sum(left**2, axis=1)).astype(np.float64)
 
             without[chosen], power[chosen] = leave_out(range(len(motions)), whole.without, squares)
     errors = HeldOutErrors(power)

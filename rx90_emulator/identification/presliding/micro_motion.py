@@ -160,11 +160,17 @@ def find_micro_motions(
             middle = 0.5 * (position[part][:-1] + position[part][1:])
             drive = torque[part][1:, joints] - weight[joints] - (middle - pose) @ stiffness[joints].T
             mean, acceleration = (np.diff(values[part], axis=0) / step for values in (position, velocity))
-            own = (np.ascontiguousarray(values) for values in (position[part][1:, joints], mean[:, joints]))
-            interval = float(time[part][0]), float(time[part][-1])
             found.append(
                 MicroMotion(
-                    tuple(joints), step, *own, acceleration, np.ascontiguousarray(drive), mass[joints], record, interval
+                    joints=tuple(joints),
+                    step=step,
+                    position=np.ascontiguousarray(position[part][1:, joints]),
+                    velocity=np.ascontiguousarray(mean[:, joints]),
+                    acceleration=acceleration,
+                    drive=np.ascontiguousarray(drive),
+                    mass=mass[joints],
+                    record=record,
+                    interval=(float(time[part][0]), float(time[part][-1])),
                 )
             )
     driven = []

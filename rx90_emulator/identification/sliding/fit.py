@@ -84,6 +84,7 @@ class SlidingFit:
         inertial: estimated error of the arm's inertial parameters, to be added to them, shape (10 n,):
             rigid torque = arm.torque(...) + arm.regressor(...) @ inertial.
         inertial_covariance: of it, that of the prior along directions that sweeps do not observe, shape (10 n, 10 n).
+        plateaus: how many stretches of constant velocity were used.
         usage: what was used of each record, and why the rest was not.
         quality: goodness of fit of each element; None where it could not be identified.
         zeros: what the torques say of the encoders' zeros.
@@ -93,6 +94,7 @@ class SlidingFit:
     curves: tuple[CurvePoints, ...]
     inertial: Array
     inertial_covariance: Array
+    plateaus: int
     usage: tuple[BagUse, ...] = ()
     quality: tuple[FitQuality | None, ...] = ()
     zeros: ZeroCheck | None = None
@@ -156,7 +158,8 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, zero: Array 
     covariance = directions @ fit.nuisance_covariance @ directions.T
     covariance += scale[:, None] * (np.eye(len(scale)) - seen @ seen.T) * scale
     inertial = directions @ fit.nuisance
-    return SlidingFit(tuple(estimates), tuple(curves), inertial, covariance, usage, tuple(quality), zeros)
+    count = len(np.unique(rows.plateau))
+    return SlidingFit(tuple(estimates), tuple(curves), inertial, covariance, count, usage, tuple(quality), zeros)
 
 
 def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:

@@ -253,15 +253,19 @@ class FitQuality:
                 f"standard deviations, which makes deviations up to {widening:.1f} times wider; residual by speed, Nm "
                 f"at rad/s: {by_speed}"
             )
-        if not self.drift.significant:
-            return [text]
+        return [text, *([f"drift of {name}: {self.drift_text}"] if self.drift.significant else [])]
+
+    @property
+    def drift_text(self) -> str:
+        """Return how large the drift is."""
         drift, share = self.drift, self.drift.size / self.friction if self.friction > 0.0 else math.nan
-        return [
-            text,
-            f"drift of {name}: {drift.size:+.3g} +- {drift.deviation:.2g} Nm ({share:+.1%} of its friction) in "
-            f"{drift.seconds:.4g} s, significant (false alarms: {FALSE_ALARMS:.0%} of series; bags by their stamps or, "
-            "where these overlap, as they are given)",
-        ]
+        if math.isnan(drift.size):
+            return "unknown: too few stretches"
+        return (
+            f"{drift.size:+.3g} +- {drift.deviation:.2g} Nm ({share:+.1%} of its friction) in {drift.seconds:.4g} s, "
+            f"{'' if drift.significant else 'not '}significant (false alarms: {FALSE_ALARMS:.0%} of series; bags by "
+            "their stamps or, where these overlap, as they are given)"
+        )
 
     @property
     def content(self) -> dict[str, Any]:

@@ -148,7 +148,7 @@ def presliding(sizes: tuple[float, ...], noise: float) -> PreslidingFit:
     """Return what the fit with LuGre's bristles hands on of micro-motions of one joint."""
     motions = micro_motions(ONE, (None,), sizes, noise)
     group = JointGroup((0,), (0,), np.ones((1, 1)))
-    return PreslidingFit((), (), (MovedGroup.of(group, motions, [ELEMENT], np.array([0.9e5])),))
+    return PreslidingFit((), (), 0, (MovedGroup.of(group, motions, [ELEMENT], np.array([0.9e5])),))
 
 
 def test_where_the_data_cannot_tell_the_file_has_lugre_and_says_so(
@@ -167,7 +167,7 @@ def test_where_the_data_cannot_tell_the_file_has_lugre_and_says_so(
     assert len(left) > 1
     estimates = dict.fromkeys(PARAMETERS, ParameterEstimate(1.0, 0.1))
     one = IdentifiedElement(ELEMENT, estimates, dict.fromkeys(PARAMETERS, ()))
-    sliding = SlidingFit((), (), np.zeros(0), np.zeros((0, 0)), quality=(None,))
+    sliding = SlidingFit((), (), np.zeros(0), np.zeros((0, 0)), 0, quality=(None,))
     result = FrictionIdentification(hinge, (one,), sliding, PreslidingFit(()), kinds=kinds)
     content = yaml.safe_load(friction_text(result))
     element, found = content["elements"]["joint_1"], content["identification"]["bristles"]["joint_1"]
