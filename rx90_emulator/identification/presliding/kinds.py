@@ -224,7 +224,7 @@ class KindChoice:
     @property
     def doubt(self) -> str:
         """Return why no kind is told; "" if one is."""
-        best = self.best
+        best, travel = self.best, float(np.ptp(self.position))
         if best.missed > _MAX_MISSED:
             return f"even the best kind, {best.family.name}, misses {100.0 * best.missed:.0f} % of the friction torque"
         if self.kind is None:
@@ -232,7 +232,6 @@ class KindChoice:
         if best.inertia > _MAX_INERTIA_ERROR:
             error = f"{100.0 * best.inertia:.0f} % off the description's"
             return f"the joint's inertia would be {error}: a payload or a rotor may be missing"
-        travel = float(np.ptp(self.position))
         if best.reach > _MAX_REACH * travel:
             return (
                 f"Maxwell slip predicts best, but a block would slip only after {1e3 * best.reach:.2g} mrad, and "
@@ -258,6 +257,11 @@ class ElementKind:
     sources: tuple[BagSource, ...] = ()
 
     @property
+    def decided(self) -> bool:
+        """Return whether the data tell it, LuGre's too."""
+        return self.choice is not None and not self.reason
+
+    @property
     def decision(self) -> str:
         """Return "LuGre", "elasto-plastic", "Maxwell slip", "cannot tell", or "not compared"."""
         if self.choice is None:
@@ -265,20 +269,10 @@ class ElementKind:
         return self.choice.best.family.kind if self.decided else "cannot tell"
 
     @property
-    def decided(self) -> bool:
-        """Return whether the data tell it, LuGre's too."""
-        return self.choice is not None and not self.reason
-
-    @property
     def trial(self) -> KindTrial | None:
         """Return the trial whose bristles take the place of LuGre's; None where LuGre's stay."""
         best = self.choice.best if self.choice is not None and self.decided else None
         return None if best is None or best.bristles is None else best
-
-    @property
-    def bristles(self) -> BristlesPart | None:
-        """Return the bristles that the element gets; None is LuGre's."""
-        return None if self.trial is None else self.trial.bristles
 
     @property
     def text(self) -> str:
@@ -297,8 +291,7 @@ class ElementKind:
         shown: dict[str, KindTrial] = {}
         for trial in sorted(self.choice.trials, key=lambda trial: trial.behind):
             shown.setdefault(trial.family.kind, trial)
-        torques = {"measured": self.choice.best.seen[0]}
-        torques |= {trial.family.name: trial.seen[1] for trial in shown.values()}
+        torques = {"measured": self.choice.best.seen[0]} | {one.family.name: one.seen[1] for one in shown.values()}
         position = self.choice.position
         return position - position.mean(), {name: torque - torque.mean() for name, torque in torques.items()}
 

@@ -161,7 +161,7 @@ def test_where_the_data_cannot_tell_the_file_has_lugre_and_says_so(
     assert len(seen) == kind_steps(hinge) == len(FAMILIES)
     (kind,) = kinds
     assert kind.decision == "cannot tell"
-    assert kind.bristles is None
+    assert kind.trial is None
     assert kind.choice is not None
     left = [trial.family.name for trial in kind.choice.possible]
     assert len(left) > 1
@@ -191,7 +191,7 @@ def test_blocks_that_slip_beyond_the_motion_are_not_told(
     choice = KindChoice(trials, np.array([0.0, 4e-4]))
     monkeypatch.setattr(kinds_module, "choose_kinds_of", lambda *_: [choice])
     (kind,) = choose_kinds(presliding((1.1, 0.8, 0.5), 0.2), hinge)
-    assert (kind.decision, kind.bristles is None) == (("Maxwell slip", False) if told else ("cannot tell", True))
+    assert (kind.decision, kind.trial is None) == (("Maxwell slip", False) if told else ("cannot tell", True))
     if not told:
         assert f"a block would slip only after {1e3 * reach:.2g} mrad" in kind.text
 
