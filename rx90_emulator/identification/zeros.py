@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import pairwise, product
 from typing import Any, Final, NamedTuple
@@ -117,16 +117,16 @@ class Instants:
 
     Attributes:
         position: rad, velocity: rad/s, acceleration: rad/s^2, and torque of the drives: Nm, each of shape (m, n).
-        known: joints on which no element acts that sticks or may stick, shape (m, n).
-        block: number of the stretch whose errors hang together, shape (m,).
+        sliding: whether each friction element slides and does not stick, shape (m, n_el).
+        plateau: number of the stretch whose errors hang together, shape (m,).
     """
 
     position: Array
     velocity: Array
     acceleration: Array
     torque: Array
-    known: Mask
-    block: NDArray[np.int64]
+    sliding: Mask
+    plateau: NDArray[np.int64]
 
 
 def record_instants(record: JointRecord, arm: RigidArm) -> Instants:
@@ -145,14 +145,9 @@ def record_instants(record: JointRecord, arm: RigidArm) -> Instants:
         velocity=velocity,
         acceleration=np.gradient(velocity, time, axis=0),
         torque=mean(record.torque),
-        known=known_joints(slides, arm.element_matrix),
-        block=np.floor((time - time[0]) / _CLUSTER_S).astype(np.int64),
+        sliding=slides,
+        plateau=np.floor((time - time[0]) / _CLUSTER_S).astype(np.int64),
     )
-
-
-def known_joints(sliding: Mask, elements: Array) -> Mask:
-    """Return the joints on which only elements act that slide, shape (m, n), of which elements slide, (m, n_el)."""
-    return np.asarray(~(~sliding @ (elements != 0.0)))
 
 
 def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) -> ZeroCheck:
@@ -165,7 +160,7 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
     """
     none = np.zeros(len(arm.names))
     stride = max(1, math.ceil(len(instants.torque) / _MAX_INSTANTS))
-    search = _Search(replace(instants, **{name: values[::stride] for name, values in vars(instants).items()}), arm)
+    search = _Search(Instants(**{one.name: getattr(instants, one.name)[::stride] for one in fields(Instants)}), arm)
     turned = none
     for _ in arm.names:
         # By the scatter that the better angles leave: with wrong ones all of it passes for noise.
@@ -201,11 +196,12 @@ class _Search:
 
     def __init__(self, instants: Instants, arm: RigidArm) -> None:
         self._at, self._arm = instants, arm
-        self._row, self._joint = np.nonzero(instants.known)
-        self._cluster = np.unique(instants.block[self._row] * len(arm.names) + self._joint, return_inverse=True)[1]
-        self._friction = _friction(instants.velocity, arm.element_matrix)[instants.known]
+        self._usable = ~(~instants.sliding @ (arm.element_matrix != 0.0))  # joints on which no element sticks, (m, n)
+        self._row, self._joint = np.nonzero(self._usable)
+        self._cluster = np.unique(instants.plateau[self._row] * len(arm.names) + self._joint, return_inverse=True)[1]
+        self._friction = _friction(instants.velocity, arm.element_matrix)[self._usable]
         self._inertial, self._known = arm.inertial, _uncertainty(arm)
-        self._power = max(float(np.mean(instants.torque[instants.known] ** 2)) if len(self._row) else 0.0, 1e-300)
+        self._power = max(float(np.mean(instants.torque[self._usable] ** 2)) if len(self._row) else 0.0, 1e-300)
         self._cached_rigid, self._cached_weight = lru_cache(None)(self._rigid), lru_cache(None)(self._found_weight)
 
     def left(self, shift: Array) -> float:
@@ -233,7 +229,7 @@ class _Search:
             first = self._friction.shape[1]
             inertial = self._inertial + self._known * self.fit(start + shift, weight).values[first:]
             motion = self._at.position + start + shift, self._at.velocity, self._at.acceleration
-            slopes = self._arm.stiffness_of(inertial, *motion)[self._at.known]
+            slopes = self._arm.stiffness_of(inertial, *motion)[self._usable]
             found = self.fit(start + shift, weight, slopes, shift)
             shift = np.clip(shift + found.values[-count:], -1.0, 1.0)
             weight = self._weight_of(found.residual)
@@ -284,7 +280,7 @@ class _Search:
 
     def _rigid(self, shift: tuple[float, ...], every: int) -> tuple[Array, Array]:
         """Return the torque less the rigid arm's, Nm, and its derivatives by errors of the inertials in their units."""
-        at, known = self._at, self._at.known[::every]
+        at, known = self._at, self._usable[::every]
         motion = at.position + np.array(shift), at.velocity, at.acceleration
         position, velocity, acceleration = (values[::every] for values in motion)
         regressor = self._arm.regressor(position, velocity, acceleration)

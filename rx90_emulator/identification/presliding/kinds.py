@@ -112,18 +112,18 @@ class GroupFit:
 
         It begins at the start deflections that fit it best; the search for them begins at `starts`, shape (e,).
         """
-        model, shared = replace(self.model, motions=(motion,)), self.model.inertial.stop
+        model, fixed = replace(self.model, motions=(motion,)), self.x[: self.model.inertial.stop]
 
-        def whole(x: Array) -> Array:
-            return np.concatenate([self.x[:shared], x])
+        def residual(x: Array) -> Array:
+            return model.residual(np.concatenate([fixed, x]))
+
+        def slopes(x: Array) -> Array:
+            return model.jacobian(np.concatenate([fixed, x]))[:, len(fixed) :]
 
         guesses = [starts, *(np.full(len(starts), each) for each in _STARTS)]
-        first = min(guesses, key=lambda x: float(np.sum(model.residual(whole(x)) ** 2)))
-        best = least_squares(
-            lambda x: model.residual(whole(x)), first, lambda x: model.jacobian(whole(x))[:, shared:],
-            method="lm", max_nfev=_MAX_EVALUATIONS, xtol=_TOLERANCE,
-        ).x  # fmt: skip
-        return model.of_motion(whole(best), 0)
+        first = guesses[int(np.argmin([np.sum(residual(x) ** 2) for x in guesses]))]
+        best = least_squares(residual, first, slopes, method="lm", max_nfev=_MAX_EVALUATIONS, xtol=_TOLERANCE).x
+        return model.of_motion(np.concatenate([fixed, best]), 0)
 
     def bristles(self, place: int) -> BristlesPart | None:
         """Return the bristles of the element at a place in the group; None is LuGre's."""

@@ -30,7 +30,7 @@ from rx90_emulator.identification.sliding.solver import (
     torque,
     torque_jacobian,
 )
-from rx90_emulator.identification.zeros import Instants, ZeroCheck, check_zeros, known_joints
+from rx90_emulator.identification.zeros import ZeroCheck, check_zeros
 
 LEAST_SPEEDS = 5
 """Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom.
@@ -124,9 +124,7 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, zero: Array 
         # What an element lacks that moves says more than that another one rests.
         name = min(lacking, key=lambda name: lacking[name] == _DOES_NOT_SLIDE)
         raise IdentificationError(f"{where}: {name} {lacking[name]}")
-    known = known_joints(blocks.sliding, arm.element_matrix)
-    motion = blocks.position, blocks.velocity, blocks.acceleration
-    zeros = check_zeros(Instants(*motion, blocks.torque, known, blocks.plateau), arm, zero)
+    zeros = check_zeros(blocks, arm, zero)
     rows = sliding_rows(blocks, arm)
     free = np.zeros((len(names), SIZE), dtype=np.bool_)
     free[[name not in lacking for name in names], :EXPONENT] = True

@@ -20,6 +20,7 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.records import BagSource, JointRecord
+from rx90_emulator.identification.zeros import Instants
 
 USED = "used"
 RESTS = "at rest"
@@ -104,29 +105,19 @@ class BagUse:
 
 
 @dataclass(frozen=True, eq=False)
-class Blocks:
-    """Block means of plateaus: b blocks of n joints with n_el friction elements.
+class Blocks(Instants):
+    """Block means of m blocks of plateaus, of n joints with n_el friction elements.
 
     Attributes:
-        position: rad, shape (b, n).
-        velocity: of the straight line fitted to the plateau's velocity, rad/s, shape (b, n).
-        acceleration: slope of that line, rad/s^2, shape (b, n).
-        torque: drive torque, Nm, shape (b, n).
-        count: samples in each mean, shape (b,).
-        sliding: whether an element slides steadily, shape (b, n_el).
-        plateau: number of the plateau, shape (b,).
-        source: number of the record, shape (b,).
-        time: in the series, s, shape (b,).
+        velocity: of the straight line fitted to the plateau's velocity, rad/s, shape (m, n).
+        acceleration: slope of that line, rad/s^2, shape (m, n).
+        count: samples in each mean, shape (m,).
+        source: number of the record, shape (m,).
+        time: in the series, s, shape (m,).
         noise: covariance of the torque's samples, Nm^2, shape (n, n).
     """
 
-    position: Array
-    velocity: Array
-    acceleration: Array
-    torque: Array
     count: Array
-    sliding: Mask
-    plateau: NDArray[np.int64]
     source: NDArray[np.int64]
     time: Array
     noise: Array

@@ -23,10 +23,10 @@ from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.presliding import kinds as kinds_module
-from rx90_emulator.identification.presliding.bristle_motion import JointGroup, KindFamily, KindMotion, MovedGroup
-from rx90_emulator.identification.presliding.fit import PreslidingFit
-from rx90_emulator.identification.presliding.group_fit import GroupFit
+from rx90_emulator.identification.presliding.bristle_motion import JointGroup, KindFamily, KindMotion
+from rx90_emulator.identification.presliding.fit import MovedGroup, PreslidingFit
 from rx90_emulator.identification.presliding.kinds import (
+    GroupFit,
     KindChoice,
     KindTrial,
     choose_kinds,
@@ -83,9 +83,7 @@ def micro_motions(
         drive += noise * rng.standard_normal(drive.shape)
         record = JointRecord(("a", "b")[:joints], time, *np.zeros((3, COUNT, joints)), Path("bag"), "digest")
         group, interval = tuple(range(joints)), (0.0, COUNT * STEP)
-        found.append(
-            MicroMotion(group, STEP, position, velocity, acceleration, drive, mass, np.diag(mass), record, interval)
-        )
+        found.append(MicroMotion(group, STEP, position, velocity, acceleration, drive, mass, record, interval))
     return found
 
 
