@@ -336,17 +336,13 @@ class _GroupFit:
         Errors may be correlated over the line of a tone, 1 Hz widened by its fade. The prior of a start deflection goes
         with its motion, that of the inertia with the first motion.
         """
-        by_line, by_motion, first = [], [], 0
-        for index, motion in enumerate(self.model.motions):
-            line = motion.line.astype(np.int64)
-            line -= line.min()
-            by_line.append(np.repeat(first + line, len(self.model.scale)))
-            by_motion.append(np.full(by_line[-1].size, index))
-            first += int(line.max()) + 1
-        starts = np.repeat(np.arange(len(self._motions)), len(self._sliding))
-        own = np.append(np.zeros(len(self._pairs[0]), np.int64), starts)
-        found = [np.concatenate([*by_line, first + np.arange(len(own))]), np.concatenate([*by_motion, own])]
-        return found[: 1 if len(self._motions) < _MIN_MOTION_CLUSTERS else 2]
+        motions, width = self.model.motions, len(self.model.scale)
+        index = np.repeat(np.arange(len(motions)), [width * len(motion.line) for motion in motions])
+        line = np.concatenate([np.repeat(motion.line, width) for motion in motions])
+        number = np.unique(np.column_stack([index, line]), axis=0, return_inverse=True)[1].ravel()
+        own = np.append(np.zeros(len(self._pairs[0])), np.repeat(np.arange(len(motions)), len(self._sliding)))
+        found = [np.r_[number, number.max() + 1 + np.arange(len(own))], np.r_[index, own.astype(np.int64)]]
+        return found[: 1 if len(motions) < _MIN_MOTION_CLUSTERS else 2]
 
     def _by_sliding(self, here: Array) -> Array:
         """Return the derivatives of the residuals by the sliding parameters, element by element, shape (q, 7 e).

@@ -14,7 +14,7 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import SLIDING, VISCOUS_EXPONENT, ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.records import BagSource, JointRecord, check_joints
 from rx90_emulator.identification.sliding.plateaus import BagUse, Blocks, find_blocks
-from rx90_emulator.identification.sliding.quality import FitQuality
+from rx90_emulator.identification.sliding.quality import CurvePoints, FitQuality
 from rx90_emulator.identification.sliding.solver import (
     EXPONENT,
     FITTED,
@@ -49,28 +49,6 @@ sampling, is off by so much even far from a beat (measured on the engine, whose 
 _STRIBECK = ("tau_s_positive", "tau_s_negative", "omega_s", "delta")
 _LINE_POINTS = 100
 _DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"
-
-
-@dataclass(frozen=True, eq=False)
-class CurvePoints:
-    """Measured against fitted friction torque of one element, one point for each of p plateaus.
-
-    Attributes:
-        velocity: rad/s, shape (p,).
-        torque: measured torque less the rigid arm's and the other elements', Nm, shape (p,).
-        deviation: standard deviation of its noise, Nm, shape (p,).
-        fitted: torque by the identified parameters, Nm, shape (p,).
-        time: in the series, s, shape (p,).
-        line: the identified curve over the measured speeds, in either direction: velocity, torque, and the standard
-            deviation of the torque that follows from that of the parameters, shape (3, k).
-    """
-
-    velocity: Array
-    torque: Array
-    deviation: Array
-    fitted: Array
-    time: Array
-    line: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,11 +123,8 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, zero: Array 
             estimates.append(ElementEstimate.unknown(name, SLIDING, lacking[name], sources))
         else:
             estimates.append(_estimate(fit, names, e, usage, sources))
-        curve = _curve(fit, e)
-        curves.append(curve)
-        left = curve.torque - curve.fitted
-        figures = curve.velocity, left, curve.deviation, curve.torque, fit.misfits[e], fit.drifts[e]
-        quality.append(FitQuality.of(*figures) if len(left) else None)
+        curves.append(_curve(fit, e))
+        quality.append(FitQuality.of(curves[e], fit.misfits[e], fit.drifts[e]) if len(curves[e].velocity) else None)
     # The covariance of the inertial errors is that of the prior where nothing is observed.
     scale, directions = arm.inertial_scale(), rows.directions
     seen = directions / scale[:, None]

@@ -191,6 +191,28 @@ def drifts_of(residuals: Residuals, free: Mask) -> list[Drift]:
 
 
 @dataclass(frozen=True, eq=False)
+class CurvePoints:
+    """Measured against fitted friction torque of one element, one point for each of p plateaus.
+
+    Attributes:
+        velocity: rad/s, shape (p,).
+        torque: measured torque less the rigid arm's and the other elements', Nm, shape (p,).
+        deviation: standard deviation of its noise, Nm, shape (p,).
+        fitted: torque by the identified parameters, Nm, shape (p,).
+        time: in the series, s, shape (p,).
+        line: the identified curve over the measured speeds, in either direction: velocity, torque, and the standard
+            deviation of the torque that follows from that of the parameters, shape (3, k).
+    """
+
+    velocity: Array
+    torque: Array
+    deviation: Array
+    fitted: Array
+    time: Array
+    line: Array
+
+
+@dataclass(frozen=True, eq=False)
 class FitQuality:
     """How well one element's curve fits its plateaus.
 
@@ -212,29 +234,16 @@ class FitQuality:
     drift: Drift
 
     @classmethod
-    def of(
-        cls, velocity: Array, residual: Array, noise: Array, torque: Array, misfit: Misfit, drift: Drift
-    ) -> FitQuality:
-        """Return the figures of one element.
-
-        Args:
-            velocity: of its plateaus, rad/s, shape (p,); one or more.
-            residual: measured less fitted torque, Nm, shape (p,).
-            noise: standard deviation of each, by the scatter of blocks, Nm, shape (p,).
-            torque: measured friction torque, Nm, shape (p,).
-            misfit: as the attribute.
-            drift: as the attribute.
-        """
-        free = max(1, len(residual) - len(misfit.widening))
-        rms, friction = (float(np.sqrt(np.mean(values**2))) for values in (residual, torque))
-        chi2 = float(np.sum((residual / np.maximum(noise, 1e-12)) ** 2)) / free
-        speed, along = np.abs(velocity), np.sign(velocity) * residual
-        place = np.log(speed) - np.log(speed.min())
-        width = max(float(np.ptp(place)), 1e-9) / _BANDS
-        number = np.minimum((place / width).astype(np.int64), _BANDS - 1)
+    def of(cls, curve: CurvePoints, misfit: Misfit, drift: Drift) -> FitQuality:
+        """Return the figures of one element with one plateau or more."""
+        residual, speed = curve.torque - curve.fitted, np.abs(curve.velocity)
+        rms, friction = (float(np.sqrt(np.mean(values**2))) for values in (residual, curve.torque))
+        chi2 = float(np.sum((residual / np.maximum(curve.deviation, 1e-12)) ** 2))
+        place, along = np.log(speed) - np.log(speed.min()), np.sign(curve.velocity) * residual
+        number = np.minimum((place / (max(float(np.ptp(place)), 1e-9) / _BANDS)).astype(np.int64), _BANDS - 1)
         inside = [number == k for k in np.unique(number).tolist()]
         bands = np.array([(speed[one].min(), speed[one].max(), along[one].mean()) for one in inside])
-        return cls(rms, friction, chi2, bands, misfit, drift)
+        return cls(rms, friction, chi2 / max(1, len(residual) - len(misfit.widening)), bands, misfit, drift)
 
     @property
     def share(self) -> float:
