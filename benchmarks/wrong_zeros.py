@@ -31,7 +31,7 @@ from rx90_common.base.arrays import Array
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.checks import check_zeros as check_runs
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.zeros import Instants, ZeroCheck, known_joints
+from rx90_emulator.identification.zeros import Instants, ZeroCheck
 from rx90_emulator.identification.zeros import check_zeros as check_sweeps
 
 ERRORS = {"2 hundredths": 0.02, "5 hundredths": 0.05, "a tenth": 0.1, "a quarter turn": 0.5 * np.pi}
@@ -97,8 +97,7 @@ def sweeps(seed: int, arm: SyntheticArm, disturbances: Disturbances) -> Instants
     )
     ripple = disturbances.ripple * np.sin(angle + rng.uniform(0.0, 6.0, n))
     torque = bare + friction @ arm.element_matrix + arm.torque * (noise + ripple)
-    known = known_joints(inputs != 0.0, arm.element_matrix)
-    return Instants(q, v, np.zeros_like(q), torque, known, np.array(block))
+    return Instants(q, v, np.zeros_like(q), torque, inputs != 0.0, np.array(block))
 
 
 def described(arm: SyntheticArm, seed: int) -> RigidArm:

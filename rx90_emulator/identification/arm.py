@@ -89,32 +89,24 @@ class RigidArm:
         Raises:
             IdentificationError: for a URDF that cannot be used, an unknown joint or a wrong shape.
         """
-        return cls.of_model(joint_model(urdf, joints, massless=massless), coupling, rotor_inertia, spring)
-
-    @classmethod
-    def of_model(
-        cls, model: Any, coupling: ArrayLike | None, rotor_inertia: ArrayLike | None, spring: ArrayLike | None
-    ) -> RigidArm:
-        """Return the arm of Pinocchio's model of its joints, all arguments as in `from_urdf`."""
+        model = joint_model(urdf, joints, massless=massless)
         names = tuple(str(name) for name in model.names)[1:]
-        n = len(names)
-
-        def shaped(name: str, given: ArrayLike | None, default: Array) -> Array:
-            values = default if given is None else np.asarray(given, dtype=np.float64)
-            if values.shape != default.shape or not np.isfinite(values).all():
-                said = f"{name} has shape {values.shape}; accepted: finite numbers, shape {default.shape}"
+        n, given = len(names), {"coupling": coupling, "rotor_inertia": rotor_inertia, "spring": spring}
+        values = {"coupling": np.eye(n), "rotor_inertia": np.zeros(n), "spring": np.zeros(n)}
+        for name, value in given.items():
+            shape = values[name].shape
+            if value is not None:
+                values[name] = np.asarray(value, dtype=np.float64)
+            if values[name].shape != shape or not np.isfinite(values[name]).all():
+                said = f"{name} has shape {values[name].shape}; accepted: finite numbers, shape {shape}"
                 raise IdentificationError(said)
-            return values
-
-        turns = shaped("coupling", coupling, np.eye(n))
-        inertia = shaped("rotor_inertia", rotor_inertia, np.zeros(n))
-        amplitude = shaped("spring", spring, np.zeros(n))
+        turns = values["coupling"]
         if abs(np.linalg.det(turns)) < 1e-9:
             raise IdentificationError(f"coupling: {turns.tolist()}; accepted: an invertible matrix")
         together = [row for row in turns if np.count_nonzero(row) > 1]
         elements = (*names, *(_label(names, row) for row in together))
-        matrix = np.vstack([np.eye(n), *together])
-        return cls(names, elements, matrix, model, turns.T @ np.diag(inertia) @ turns, amplitude, turns)
+        rotor = turns.T @ np.diag(values["rotor_inertia"]) @ turns
+        return cls(names, elements, np.vstack([np.eye(n), *together]), model, rotor, values["spring"], turns)
 
     def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return what the drives give at the joints without friction, Nm, all arrays of shape (m, n)."""
@@ -201,7 +193,7 @@ def joint_model(urdf: Path, joints: Sequence[str] | None, *, massless: bool = Fa
         IdentificationError: for a file that cannot be read, and for joints that are not there, do not turn, follow
             another joint, or move no mass.
     """
-    model, root = _whole(urdf)
+    model, root = _read_urdf(urdf)
     there = [str(name) for name in model.names][1:]
     wanted = there if joints is None else list(joints)
     for name in wanted:
@@ -212,12 +204,13 @@ def joint_model(urdf: Path, joints: Sequence[str] | None, *, massless: bool = Fa
         raise IdentificationError(f"{urdf}: joints {listed(wanted)}; accepted: from base to tip, {listed(in_order)}")
     if not wanted:
         raise IdentificationError(f"{urdf}: no movable joint; accepted: one or more")
-    elements = {str(joint.get("name")): joint for joint in root.findall("joint")}
     bad = {}
-    for name in there:
-        mimic, kind = elements[name].find("mimic"), elements[name].get("type")
-        if kind not in _TURNING or mimic is not None:
-            bad[name] = f"is {kind}" if mimic is None or kind not in _TURNING else f"mimics {mimic.get('joint')}"
+    for joint in root.findall("joint"):
+        mimic, kind = joint.find("mimic"), joint.get("type")
+        if kind not in _TURNING:
+            bad[joint.get("name")] = f"is {kind}"
+        elif mimic is not None:
+            bad[joint.get("name")] = f"mimics {mimic.get('joint')}"
     for name in wanted:
         if name in bad:
             good = " ".join(other for other in there if other not in bad) or "(there are none)"
@@ -229,30 +222,28 @@ def joint_model(urdf: Path, joints: Sequence[str] | None, *, massless: bool = Fa
     reduced = pin.buildReducedModel(model, held, pin.neutral(model)) if held else model
     data = reduced.createData()
     pin.computeSubtreeMasses(reduced, data)
-    for joint, name in list(enumerate(reduced.names))[1:]:
-        if not massless and not data.mass[joint] > 0.0:
+    for name, mass in zip(wanted, list(data.mass)[1:], strict=True):
+        if not massless and not mass > 0.0:
             raise IdentificationError(
-                f"{urdf}: joint {quoted(str(name))} moves a mass of {data.mass[joint]:g} kg; "
-                "accepted: links with <inertial>"
+                f"{urdf}: joint {quoted(name)} moves a mass of {mass:g} kg; accepted: links with <inertial>"
             )
     return reduced
 
 
-def _whole(urdf: Path) -> tuple[Any, ET.Element]:
+def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
+    """Return Pinocchio's model of the whole robot, and the root of the file."""
     lines: list[str] = []
     try:
-        text = urdf.read_text(encoding="utf-8")
+        # Written anew: the XML parser of Pinocchio 2 takes no document type, and this one fetches nothing.
+        root = ET.fromstring(urdf.read_text(encoding="utf-8"))
+        with _caught_stderr(lines):
+            return pin.buildModelFromXML(ET.tostring(root, encoding="unicode")), root
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", error)
         raise IdentificationError(f"{plain(urdf)}: cannot be read ({reason}); accepted: a URDF file") from error
-    try:
-        with _caught_stderr(lines):
-            # Written anew: the XML parser of Pinocchio 2 takes no document type, and this one fetches nothing.
-            root = ET.fromstring(text)
-            return pin.buildModelFromXML(ET.tostring(root, encoding="unicode")), root
     except (ValueError, RuntimeError, ET.ParseError) as error:
-        said = [line.removeprefix("Error:") for line in lines if line.startswith("Error:")]
-        reason = " ".join((said[0] if said else str(error)).split()) or type(error).__name__
+        said = next((line.removeprefix("Error:") for line in lines if line.startswith("Error:")), str(error))
+        reason = " ".join(said.split()) or type(error).__name__
         raise IdentificationError(f"{urdf}: no URDF that Pinocchio can read ({reason})") from error
 
 

@@ -5,7 +5,7 @@ Records -> sliding regime -> presliding regime -> kinds of bristles by predictio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -104,9 +104,9 @@ class FrictionIdentification:
     @property
     def scope(self) -> str:
         """Return what a verdict is about, " for joint_3, with 54 of 63 values assumed"; "" where none is assumed."""
-        estimates = [each for one in self.elements for each in one.estimates.values()]
-        assumed = sum(not each.identifiable for each in estimates)
-        return f" for {', '.join(self.told)}, with {assumed} of {len(estimates)} values assumed" if assumed else ""
+        identifiable = [each.identifiable for one in self.elements for each in one.estimates.values()]
+        assumed = identifiable.count(False)
+        return f" for {', '.join(self.told)}, with {assumed} of {len(identifiable)} values assumed" if assumed else ""
 
     @property
     def unidentifiable(self) -> dict[str, dict[str, list[str]]]:
@@ -118,8 +118,8 @@ class FrictionIdentification:
                     lacking.setdefault(estimate.reason, {}).setdefault(name, []).append(parameter)
         return lacking
 
-    def _named(self) -> list[tuple[str, IdentifiedElement]]:
-        return list(zip(self.arm.element_names, self.elements, strict=True))
+    def _named(self) -> Iterator[tuple[str, IdentifiedElement]]:
+        return zip(self.arm.element_names, self.elements, strict=True)
 
 
 def shown_parameters(result: FrictionIdentification) -> tuple[str, ...]:
@@ -155,11 +155,11 @@ def identify_friction(
         ConfigError: for a file of the robot that cannot be used.
     """
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(Path(bags))
+    by_use = {use: getattr(chosen, use) for use in ("sliding", "presliding", "validation")}
     if not chosen.sliding:
         raise IdentificationError("no bag with sweeps at constant velocity; accepted: a folder, or --sliding BAG ...")
     if bristle_kinds and not chosen.presliding:
         raise IdentificationError("--bristle-kinds without micro-oscillations; accepted: with --presliding BAG ...")
-    by_use = {use: getattr(chosen, use) for use in ("sliding", "presliding", "validation")}
     check_given_once(by_use)
     source = RecordedRobot.load(robot, [path for paths in by_use.values() for path in paths])
     truth = read_emulated([*chosen.sliding, *chosen.presliding])
@@ -170,7 +170,7 @@ def identify_friction(
         )
     records = read_records(by_use, source, progress)
     result = identify_records(records["sliding"], records["presliding"], source, progress, bristle_kinds=bristle_kinds)
-    checks = _validations(source, result.lugre, result.sliding, records, tolerances, progress)
+    checks = _validations(source, result.lugre, result.sliding, records["validation"], tolerances, progress)
     used = tuple((use, record.bag) for use, some in records.items() for record in some)
     return replace(result, bags=used, validations=checks, truth=truth)
 
@@ -202,7 +202,7 @@ def check_friction(
         ConfigError: for a file that cannot be used.
     """
     by_use = {"validation": [Path(bag) for bag in bags]}
-    if not by_use["validation"]:
+    if not bags:
         raise IdentificationError("no bag to hold the friction against; accepted: --validation BAG ...")
     check_given_once(by_use)
     file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
@@ -214,19 +214,20 @@ def check_friction(
             said = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
             raise IdentificationError(f"{where}: {said}")
     refuse_parts(file.elements, "a validation by recorded torques", f"{where}: elements.", held=("bristles",))
-    return _validations(source, lugre, None, read_records(by_use, source, progress), tolerances, progress)
+    records = read_records(by_use, source, progress)["validation"]
+    return _validations(source, lugre, None, records, tolerances, progress)
 
 
 def _validations(
     robot: RecordedRobot,
     lugre: tuple[FrictionElement, ...],
     sliding: SlidingFit | None,
-    records: Mapping[str, Sequence[JointRecord]],
+    records: Sequence[JointRecord],
     tolerances: ValidationTolerances,
     progress: Callable[[str], None],
 ) -> tuple[Validation, ...]:
     checks = []
-    for record in records["validation"]:
+    for record in records:
         progress(record.source.name)
         checks.append(validate(robot, lugre, sliding, record, tolerances))
     return tuple(checks)
@@ -239,9 +240,8 @@ def check_given_once(bags: Mapping[str, Sequence[Path]]) -> None:
         IdentificationError: naming bag and option.
     """
     for use, paths in bags.items():
-        places = [bag.resolve() for bag in paths]
-        for bag, place in zip(paths, places, strict=True):
-            if places.count(place) > 1:
+        for bag in paths:
+            if sum(other.resolve() == bag.resolve() for other in paths) > 1:
                 raise IdentificationError(f"{bag}: given twice for --{use}; accepted: each bag once")
 
 
@@ -319,16 +319,19 @@ def identify_records(
         cycles = identify_presliding(presliding, arm, known, robot.torque_delay, covariances, robot.plant_period)
     else:
         reason = "no bag with micro-oscillations was given"
-        cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names), (), 0)
+        cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names))
     kinds = choose_kinds(cycles, arm, progress) if bristle_kinds else ()
     elements = []
-    for e, (first, second, other) in enumerate(zip(slides.estimates, cycles.estimates, fallback, strict=True)):
-        own, bags, kind = second.parameters, second.sources, kinds[e] if kinds else None
-        if kind is not None and kind.trial is not None:
-            # c0 and c1 belong to the bristles: a stiffness that goes with LuGre's is not that of others.
-            own, bags = kind.trial.estimates, kind.sources
+    for first, second, other, kind in zip(
+        slides.estimates, cycles.estimates, fallback, kinds or (None,) * len(fallback), strict=True
+    ):
+        # c0 and c1 belong to the bristles: a stiffness that goes with LuGre's is not that of others.
+        chosen = None if kind is None else kind.trial
+        own, bags = second.parameters, second.sources
+        if kind is not None and chosen is not None:
+            own, bags = chosen.estimates, kind.sources
         sources = dict.fromkeys(own, bags) | dict.fromkeys(first.parameters, first.sources)
-        element = replace(_element(first, own, other), bristles=None if kind is None else kind.bristles)
+        element = replace(_element(first, own, other), bristles=None if chosen is None else chosen.bristles)
         given = None if kind is not None and kind.decided else other
         elements.append(IdentifiedElement.of(element, {**first.parameters, **own}, sources, given))
     return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name, kinds=kinds)
@@ -339,7 +342,7 @@ def _element(
 ) -> FrictionElement:
     """Return the element; parameters that are not identifiable come from the fallback."""
     estimates = {VISCOUS_EXPONENT: ParameterEstimate(1.0, 0.0), **sliding.parameters, **presliding}
-    values: dict[str, Any] = {}
+    values: dict[str, Any] = {} if fallback is None else {"omega_d": fallback.omega_d}
     for name in PARAMETERS:
         estimate = estimates[name]
         if not estimate.identifiable and fallback is None:
@@ -351,6 +354,4 @@ def _element(
     for sign in SIGNS:
         # A fallback's static torque may lie below an identified Coulomb torque.
         values[f"tau_s_{sign}"] = max(values[f"tau_s_{sign}"], values[f"tau_c_{sign}"])
-    if fallback is not None:
-        values["omega_d"] = fallback.omega_d
     return FrictionElement(**values)

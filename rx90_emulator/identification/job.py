@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime, timezone
 from pathlib import Path
@@ -62,7 +62,7 @@ def steps(total: int) -> Iterator[Callable[[str], None]]:
         yield step
 
 
-def check_targets(files: Iterable[Path], *, force: bool) -> None:
+def check_targets(*files: Path | None, force: bool) -> None:
     """Refuse files that could not be written in the end, before anything long begins.
 
     Raises:
@@ -70,53 +70,15 @@ def check_targets(files: Iterable[Path], *, force: bool) -> None:
             is missing.
         Rx90Error: for a folder that takes no file, as `check_place` says.
     """
-    for file in files:
-        folder = file.absolute().parent
-        try:
-            file.lstat()
-        except FileNotFoundError:
-            pass
-        except OSError as error:
-            raise write_error(file, error) from error
+    for file in filter(None, files):
+        check_place(file)
         if file.exists() and not file.is_file():
             kind = "a folder" if file.is_dir() else "no regular file"
             raise IdentificationError(f"{file} is {kind}; accepted: the name of a file")
         check_replaced(file, force=force, kind=IdentificationError)
+        folder = file.absolute().parent
         if not folder.is_dir():
             raise IdentificationError(f"{file}: the folder {folder} does not exist; accepted: a file in one that does")
-        check_place(file)
-
-
-def check_folder(folder: Path, *, force: bool) -> None:
-    """Refuse a folder that the robot's files could not be written into in the end, as `check_targets` does for files.
-
-    The folder need not exist, the one above it must. What else is in it stays.
-
-    Raises:
-        IdentificationError: for what is no folder, a file that exists without `force`, or a place that takes none.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise IdentificationError(f"{folder} is no folder; accepted: the name of a folder")
-    check_targets([folder / name for name in _FILES] if folder.is_dir() else [folder], force=force)
-
-
-def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write all files into a folder or none; a folder that is not there is made.
-
-    Raises:
-        Rx90Error: if that fails; every file that existed is as it was.
-    """
-    made = not folder.is_dir()
-    try:
-        folder.mkdir(exist_ok=True)
-        write_all({folder / name: text.encode() for name, text in texts.items()})
-    except BaseException as error:
-        if made:
-            with suppress(OSError):
-                folder.rmdir()
-        if isinstance(error, OSError):
-            raise write_error(folder, error) from error
-        raise
 
 
 def write_identification(
@@ -143,7 +105,7 @@ def _checked_targets(output: Path, report: Path | str | None, *, force: bool) ->
     page = output.with_suffix(".html") if report is None else Path(report)
     if output.resolve() == page.resolve():
         raise IdentificationError(f"--output and --report are both {output}; accepted: two files")
-    check_targets((output, page), force=force)
+    check_targets(output, page, force=force)
     return output, page
 
 
@@ -192,7 +154,7 @@ def run_check(
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
-    check_targets(() if report is None else (report,), force=force)
+    check_targets(report, force=force)
     with steps(2 * len(bags)) as step:
         checks = check_friction(friction, bags, robot, tolerances, step)
     if report is not None:
@@ -201,6 +163,13 @@ def run_check(
     if report is not None:
         print(f"report: {report}")
     return all(check.passed for check in checks)
+
+
+def _check_folder(folder: Path, *, force: bool) -> None:
+    """Refuse a folder, not necessarily there, that the robot's files could not be written into in the end."""
+    if folder.exists() and not folder.is_dir():
+        raise IdentificationError(f"{folder} is no folder; accepted: the name of a folder")
+    check_targets(*([folder / name for name in _FILES] if folder.is_dir() else [folder]), force=force)
 
 
 def write_excitation(result: ExcitationIdentification, folder: Path | str, *, force: bool = False) -> Path:
@@ -218,11 +187,22 @@ def write_excitation(result: ExcitationIdentification, folder: Path | str, *, fo
         OutputError: for files that cannot be written.
     """
     folder, date = Path(folder), datetime.now(timezone.utc)
-    check_folder(folder, force=force)
+    _check_folder(folder, force=force)
     robot, note = robot_files(result, date)
     page = excitation_page(result, date, versions(), (*robot, note))
-    check_folder(folder, force=force)  # again: another identification may have written there meanwhile
-    write_folder(folder, {**robot, REPORT: page, PARAMETERS: parameters_text(result, date, versions())})
+    texts = {**robot, REPORT: page, PARAMETERS: parameters_text(result, date, versions())}
+    _check_folder(folder, force=force)  # again: another identification may have written there meanwhile
+    new = not folder.is_dir()
+    try:
+        folder.mkdir(exist_ok=True)
+        write_all({folder / name: text.encode() for name, text in texts.items()})
+    except BaseException as error:
+        if new:
+            with suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, OSError):
+            raise write_error(folder, error) from error
+        raise
     return folder
 
 
@@ -245,12 +225,11 @@ def run_excitation(
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
-    check_folder(output, force=force)
-    payloads = {} if payload is None else read_payloads(payload)
-    with steps(count_steps(len(bags), len(validation), bristles=bristles, payloads=bool(payloads))) as step:
-        result = identify_excitation(
-            bags, robot, validation, tolerances, bristles=bristles, payloads=payloads, progress=step, **how
-        )
+    _check_folder(output, force=force)
+    how |= {"bristles": bristles, "payloads": {} if payload is None else read_payloads(payload)}
+    total = count_steps(len(bags), len(validation), bristles=bristles, payloads=bool(how["payloads"]))
+    with steps(total) as step:
+        result = identify_excitation(bags, robot, validation, tolerances, progress=step, **how)
     folder = write_excitation(result, output, force=force)
     print(f"{excitation_summary(result)}\n{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
     return result.confirmed
@@ -270,7 +249,7 @@ def write_measured(result: MeasuredComparison, setup: Setup, page: Path | str, *
         OutputError: for a file that cannot be written.
     """
     page = Path(page)
-    check_targets((page,), force=force)
+    check_targets(page, force=force)
     files = () if setup.files is None else tuple(setup.files.text(role) for role in MODEL_FILES)
     write_text(page, measured_page(result, files, datetime.now(timezone.utc)))
     return page
@@ -293,7 +272,7 @@ def run_comparison(
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
-    check_targets(() if page is None else (page,), force=force)
+    check_targets(page, force=force)
     setup = simulated_setup(files)
     with steps(_MEASURED_STEPS) as step:
         result = compare_measured(bag, setup, layout, tolerances, bandwidth=bandwidth, progress=step)

@@ -60,20 +60,11 @@ class RobotOptions:
 
 @dataclass(frozen=True)
 class MeasuredLayout:
-    """What the JointState messages of a measured bag hold; by default `motor_states`, else `joint_states`, as here.
+    """What the JointState messages of a measured bag of this project's arm hold, n = 6 joints.
 
-    Attributes:
-        topic: JointState topic; by default motor_states where the bag has it, else joint_states.
-        names: of the joints, or of their motors with `gear`, in the messages; by default this project's.
-        gear: motor turns per joint turn, shape (6,), if the messages hold the motors' states; for motor_states by
-            default the robot's.
-        coupling: turns of each motor per joint turn without the gears, row by row, shape (36,); by default the robot's
-            wrist: motor 6 turns with joints 5 and 6.
-        torque_constant: torque per unit of effort, shape (6,), if effort is a current, Nm/A.
-        zero: recorded angle of each joint where that of the URDF is 0, which is subtracted, rad, shape (6,).
-        record_time: whether the times of recording replace the stamps in the headers.
-        signals: signal map that says all this in their place, and what the columns of a table hold; by default the
-            file beside a table.
+    Attributes are those of the same names of `RobotOptions`, with other defaults: motor_states as the topic where the
+    bag has it, else joint_states; this project's names; for motor_states the robot's gears, and the coupling of its
+    wrist, where motor 6 turns with joints 5 and 6.
     """
 
     topic: str | None = None

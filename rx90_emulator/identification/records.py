@@ -165,73 +165,57 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         path, layout.topic, layout.messages, record_time=layout.record_time, mapping=layout.mapping
     )
     where = f"{path}: {series.topic}"
-    _check_content(where, series, layout)
-    kept = _good_rows(where, series)
-    time = series.stamp_ns[kept] / NANOSECONDS
-    position, velocity, effort = (
-        None if values is None else values[kept] for values in (series.position, series.velocity, series.effort)
-    )
-    assert position is not None
-    assert effort is not None
-    for name, values in (("position", position), ("velocity", velocity), ("effort", effort)):
-        # Numbers that no joint reaches, and efforts so small that their squares are none.
-        most = 0.0 if values is None else float(np.abs(values).max(initial=0.0))
-        if most > _MAX_VALUE or (name == "effort" and 0.0 < most < 1.0 / _MAX_VALUE):
-            least = f"{1.0 / _MAX_VALUE:g} to " if name == "effort" else "up to "
-            raise IdentificationError(f"{where}: the largest {name} is {most:.3g}; accepted: {least}{_MAX_VALUE:g}")
-    if velocity is None:
-        velocity = _differentiated(time, position)
-    else:
-        fewest = min(_MIN_DISTINCT_VELOCITIES, len(time) / 4)
-        poor = [k for k, column in enumerate(velocity.T) if len(np.unique(column)) < fewest]
-        velocity[:, poor] = _differentiated(time, position[:, poor])
-        _check_velocity(where, layout, time, position, velocity)
-    joints = layout.joint_side({"position": position, "velocity": velocity, "effort": effort})
-    columns = time, joints["position"], joints["velocity"], joints["effort"]
-    size = 1 if rate is None or len(time) < 2 else round((len(time) - 1) / (time[-1] - time[0]) / rate)
-    if size > 1:
-        count = len(time) // size
-        whole = slice(count * size)
-        columns = tuple(values[whole].reshape(count, size, *values.shape[1:]).mean(axis=1) for values in columns)
-    outliers = len(series.stamp_ns) - len(kept)
-    return JointRecord(layout.names, *columns, path, digest(path), _missing(series.time), outliers)
-
-
-def _check_content(where: str, series: JointSeries, layout: BagLayout) -> None:
-    for field in ("position", "effort"):
-        values: Array | None = getattr(series, field)
+    for name in ("position", "effort"):
+        values = series.fields.get(name)
         if values is None or np.isnan(values).all():
-            raise IdentificationError(f"{where} carries no {field}; accepted: position and effort")
-        if field == "effort" and not np.nan_to_num(values).any():
-            raise IdentificationError(f"{where} carries effort 0 throughout; accepted: measured efforts")
+            raise IdentificationError(f"{where} carries no {name}; accepted: position and effort")
+    if not np.nan_to_num(series.fields["effort"]).any():
+        raise IdentificationError(f"{where} carries effort 0 throughout; accepted: measured efforts")
     unit = series.units["effort"]
     if unit != "Nm" and (unit != "A" or layout.torque_constant is None):
         raise IdentificationError(
             f"{where}: its efforts are in {plain(unit)}; accepted: Nm, or A with --torque-constant"
         )
+    kept = _good_rows(where, series)
+    time, fields = series.stamp_ns[kept] / NANOSECONDS, {name: each[kept] for name, each in series.fields.items()}
+    for name, values in fields.items():
+        # Numbers that no joint reaches, and efforts so small that their squares are none.
+        most, least = float(np.abs(values).max(initial=0.0)), 1.0 / _MAX_VALUE if name == "effort" else 0.0
+        if most > _MAX_VALUE or 0.0 < most < least:
+            accepted = f"{least:g} to {_MAX_VALUE:g}" if least else f"up to {_MAX_VALUE:g}"
+            raise IdentificationError(f"{where}: the largest {name} is {most:.3g}; accepted: {accepted}")
+    if "velocity" not in fields:
+        fields["velocity"] = _differentiated(time, fields["position"])
+    else:
+        velocity, fewest = fields["velocity"], min(_MIN_DISTINCT_VELOCITIES, len(time) / 4)
+        poor = [k for k, column in enumerate(velocity.T) if len(np.unique(column)) < fewest]
+        velocity[:, poor] = _differentiated(time, fields["position"][:, poor])
+        _check_velocity(where, layout, time, fields["position"], velocity)
+    joints = layout.joint_side(fields)
+    columns = time, joints["position"], joints["velocity"], joints["effort"]
+    size = 1 if rate is None or len(time) < 2 else round((len(time) - 1) / (time[-1] - time[0]) / rate)
+    if size > 1:
+        count = len(time) // size
+        columns = tuple(v[: count * size].reshape(count, size, *v.shape[1:]).mean(axis=1) for v in columns)
+    outliers = len(series.stamp_ns) - len(kept)
+    return JointRecord(layout.names, *columns, path, digest(path), _missing(series.time), outliers)
 
 
 def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
     """Return the rows without NaN, spike or repeated stamp; refuse stamps that go back."""
     stamp, steps = series.stamp_ns / NANOSECONDS, np.diff(series.stamp_ns)
-    wrong = ""
+    wrong, back = "", np.flatnonzero(steps < 0)
     if len(steps) and not steps.any():
         wrong = f"every stamp is {stamp[0]:.9f} s"
-    elif (steps < 0).any():
-        k = int(np.argmax(steps < 0))
-        wrong = f"the stamp goes back from {stamp[k]:.9f} s to {stamp[k + 1]:.9f} s"
+    elif len(back):
+        wrong = f"the stamp goes back from {stamp[back[0]]:.9f} s to {stamp[back[0] + 1]:.9f} s"
     if wrong:
         raise IdentificationError(f"{where}: {wrong}; accepted: increasing stamps, or --record-time")
-    good = np.append(True, steps > 0)
-    for values in (series.position, series.velocity, series.effort):
-        if values is not None:
-            good &= np.isfinite(values).all(axis=1)
-    rows = np.flatnonzero(good)
+    finite = [np.isfinite(values).all(axis=1) for values in series.fields.values()]
+    rows = np.flatnonzero(np.append(True, steps > 0) & np.all(finite, axis=0))
     if len(rows) == 0:
         raise IdentificationError(f"{where} carries no message with finite numbers alone")
-    assert series.position is not None
-    assert series.effort is not None
-    return np.asarray(rows[~(spikes(series.position[rows]) | spikes(series.effort[rows]))])
+    return np.asarray(rows[~(spikes(series.fields["position"][rows]) | spikes(series.fields["effort"][rows]))])
 
 
 def _missing(time: Array) -> int:

@@ -27,7 +27,7 @@ from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
-from rx90_emulator.identification.arm import RigidArm, joint_model
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.options import MeasuredLayout, RobotOptions
 from rx90_emulator.loop.setup import Setup
 
@@ -112,24 +112,22 @@ def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMa
     said = maps[0].messages if maps else {}
     for key in said:
         if getattr(options, key) not in (None, False):
-            raise ConfigError(f"--{key.replace('_', '-')} beside {key} in {plain(maps[0].file)}; accepted: one of them")
+            raise ConfigError(f"{_option(key)} beside {key} in {plain(maps[0].file)}; accepted: one of them")
     return replace(options, **said), given
 
 
-def check_sizes(options: MessageOptions, n: int) -> None:
-    """Refuse options of another size than that for n joints, and numbers that are not finite.
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
-    Raises:
-        IdentificationError: naming the option.
-    """
+
+def _check_sizes(options: MessageOptions, n: int) -> None:
+    """Refuse options of another size than that for n joints, and numbers that are not finite."""
     for name in (*_ONE_EACH, "coupling"):
         values, size = getattr(options, name, None), n * n if name == "coupling" else n
         if values is not None and len(values) != size:
-            raise IdentificationError(
-                f"--{name.replace('_', '-')}: {len(values)} values; accepted: {size} for {n} joints"
-            )
+            raise IdentificationError(f"{_option(name)}: {len(values)} values; accepted: {size} for {n} joints")
         if values is not None and name != "names" and not np.isfinite(values).all():
-            raise IdentificationError(f"--{name.replace('_', '-')}: {list(values)}; accepted: finite numbers")
+            raise IdentificationError(f"{_option(name)}: {list(values)}; accepted: finite numbers")
 
 
 def arm_layout(
@@ -153,7 +151,7 @@ def arm_layout(
         IdentificationError: for options of another size, and a coupling of this project's robot without gears.
     """
     n, own = len(joints), own_gear is not None
-    check_sizes(options, n)
+    _check_sizes(options, n)
     motors = own and topic.rpartition("/")[2] == MOTOR_STATES
     gear = own_gear() if own_gear is not None and motors and options.gear is None else _array(options.gear)
     if own and gear is None and options.coupling is not None:
@@ -250,34 +248,32 @@ class RecordedRobot:
         own = options.urdf is None
         for name in ("joints", "rotor_inertia", "spring") if own else ("robot", "tool", "drives"):
             if getattr(options, name) is not None:
-                what = "without --urdf; accepted: with --urdf of another robot"
-                what = what if own else "with --urdf; accepted: for this project's robot alone"
-                raise IdentificationError(f"--{name.replace('_', '-')} {what}")
+                with_urdf = "without --urdf; accepted: with --urdf of another robot"
+                what = with_urdf if own else "with --urdf; accepted: for this project's robot alone"
+                raise IdentificationError(f"{_option(name)} {what}")
         if options.urdf is None:
             files = RobotFiles.of_options(options)
             setup = Setup.load(files)
-            arm, name = RigidArm.from_setup(setup), options.fallback or files.text("friction")
-            check_sizes(options, len(arm.names))
+            arm, fallback_name = RigidArm.from_setup(setup), options.fallback or files.text("friction")
+            _check_sizes(options, len(arm.names))
         else:
-            setup, name = None, options.fallback or "none"
-            model = joint_model(Path(options.urdf), options.joints, massless=massless)
-            n = model.njoints - 1
-            check_sizes(options, n)
-            coupling = None if options.coupling is None else np.reshape(options.coupling, (n, n))
-            arm = RigidArm.of_model(model, coupling, options.rotor_inertia, options.spring)
+            setup, fallback_name, file = None, options.fallback or "none", Path(options.urdf)
+            arm = RigidArm.from_urdf(file, options.joints, massless=massless)
             arm_layout(options.topic or JOINT_STATES, arm.names, options)  # refused before any bag is read
-        fallback = None
-        if name != "none":
-            fallback = FrictionFile.read(resolve_config(name)).select(arm.element_names)
-            named = dict(zip(arm.element_names, fallback, strict=True))
-            what = "an identification with it as --fallback"
-            refuse_parts(named, what, f"{name}: elements.", held=("bristles",))
-        return cls(arm, setup, options, fallback, None if fallback is None else name, mapping)
+            coupling = None if options.coupling is None else np.reshape(options.coupling, arm.coupling.shape)
+            more = coupling, options.rotor_inertia, options.spring
+            arm = RigidArm.from_urdf(file, options.joints, *more, massless=massless)
+        if fallback_name == "none":
+            return cls(arm, setup, options, mapping=mapping)
+        fallback = FrictionFile.read(resolve_config(fallback_name)).select(arm.element_names)
+        named, what = dict(zip(arm.element_names, fallback, strict=True)), "an identification with it as --fallback"
+        refuse_parts(named, what, f"{fallback_name}: elements.", held=("bristles",))
+        return cls(arm, setup, options, fallback, fallback_name, mapping)
 
     @property
     def zero(self) -> Array | None:
         """Return the recorded angle of each joint where that of its URDF is 0, rad, shape (n,); None for 0."""
-        return None if self.options.zero is None else np.array(self.options.zero, dtype=np.float64)
+        return _array(self.options.zero)
 
     @property
     def torque_delay(self) -> float:

@@ -14,9 +14,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
+from functools import lru_cache
 from itertools import pairwise, product
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,7 @@ _SIGNIFICANT_SD = 5.0  # standard deviations from which a small error is one
 _MAX_SMALL_ERROR = 0.4  # rad: up to which the derivative is good for the torque
 _ZERO_PRIOR_SD = 1.0  # rad, standard deviation of a zero of which nothing is known
 _UNINFORMATIVE_SHARE = 0.5  # of it, from which the torques tell nothing of a zero
+_PRIORS = (1e-6, 1.0, 1.0 / _ZERO_PRIOR_SD)  # of columns of friction, of errors of inertials in their units, of zeros
 _ROUNDS = 3  # of weights, and of Gauss and Newton
 _MAX_INSTANTS, _SCREENING_STRIDE = 400, 5  # instants that are looked at, and which of them rule out most turns
 _MEAN_S, _CLUSTER_S = 0.05, 1.0  # s over which a run is averaged, and within which its errors are taken as one
@@ -115,49 +117,37 @@ class Instants:
 
     Attributes:
         position: rad, velocity: rad/s, acceleration: rad/s^2, and torque of the drives: Nm, each of shape (m, n).
-        known: joints on which no element acts that sticks or may stick, shape (m, n).
-        block: number of the stretch whose errors hang together, shape (m,).
+        sliding: whether each friction element slides and does not stick, shape (m, n_el).
+        plateau: number of the stretch whose errors hang together, shape (m,).
     """
 
     position: Array
     velocity: Array
     acceleration: Array
     torque: Array
-    known: Mask
-    block: NDArray[np.int64]
+    sliding: Mask
+    plateau: NDArray[np.int64]
 
 
 def record_instants(record: JointRecord, arm: RigidArm) -> Instants:
-    """Return means over short times of a run of any motion.
-
-    Args:
-        record: the run.
-        arm: of the same joints.
-    """
+    """Return means over short times of a run of any motion, by the arm of the same joints."""
     size = max(1, round(_MEAN_S / float(np.median(np.diff(record.time)))))
     count = len(record.time) // size
 
-    def parts(values: Array) -> Array:
-        return values[: count * size].reshape(count, size, -1)
+    def mean(values: NDArray[Any]) -> Array:
+        return np.asarray(values[: count * size].reshape(count, size, -1).mean(axis=1))
 
-    time = parts(record.time)[:, :, 0].mean(axis=1)
-    velocity = parts(record.velocity).mean(axis=1)
-    inputs = parts(record.velocity @ arm.element_matrix.T)
-    slides = np.abs(inputs).min(axis=1) > _SLIDING_SPEED
-    slides &= np.abs(np.sign(inputs).sum(axis=1)) == size
+    time, velocity, inputs = mean(record.time)[:, 0], mean(record.velocity), record.velocity @ arm.element_matrix.T
+    # Each sample of a mean has to slide, and all of them in one direction.
+    slides = (mean(1.0 * (np.abs(inputs) > _SLIDING_SPEED)) == 1.0) & (np.abs(mean(np.sign(inputs))) == 1.0)
     return Instants(
-        position=parts(record.position).mean(axis=1),
+        position=mean(record.position),
         velocity=velocity,
         acceleration=np.gradient(velocity, time, axis=0),
-        torque=parts(record.torque).mean(axis=1),
-        known=known_joints(slides, arm.element_matrix),
-        block=np.floor((time - time[0]) / _CLUSTER_S).astype(np.int64),
+        torque=mean(record.torque),
+        sliding=slides,
+        plateau=np.floor((time - time[0]) / _CLUSTER_S).astype(np.int64),
     )
-
-
-def known_joints(sliding: Mask, elements: Array) -> Mask:
-    """Return the joints on which only elements act that slide, shape (m, n), of which elements slide, (m, n_el)."""
-    return np.asarray(~(~sliding @ (elements != 0.0)))
 
 
 def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) -> ZeroCheck:
@@ -168,31 +158,37 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
         arm: rigid-body model with the inertials of the URDF.
         zero: recorded angles where those of the URDF are 0, rad, shape (n,); by default 0.
     """
-    n = len(arm.names)
+    none = np.zeros(len(arm.names))
     stride = max(1, math.ceil(len(instants.torque) / _MAX_INSTANTS))
-    search = _Search(replace(instants, **{name: values[::stride] for name, values in vars(instants).items()}), arm)
-    shift = np.zeros(n)
-    for _ in range(n):
-        found = search.quarter_turned(shift)
+    search = _Search(Instants(**{one.name: getattr(instants, one.name)[::stride] for one in fields(Instants)}), arm)
+    turned = none
+    for _ in arm.names:
+        # By the scatter that the better angles leave: with wrong ones all of it passes for noise.
+        better = (
+            best
+            for best in (search.best(trials, turned) for trials in quarter_turns(turned, range(len(none))) if trials)
+            if search.fit(turned, search.weight(best)).squares - search.fit(best, search.weight(best)).squares
+            > _CHI2_DROP
+        )
+        found = next(better, None)
         if found is None:
             break
-        shift = found
-    small, deviation = search.small(shift)
+        turned = found
+    small, deviation = search.small(turned)
     sure = (np.abs(small) > np.maximum(SMALLEST, _SIGNIFICANT_SD * deviation)) & (np.abs(small) < _MAX_SMALL_ERROR)
-    better = shift + np.where(sure, small, 0.0)
-    usual = math.sqrt(max(search.power, 1e-300))
-    before, after = search.left(np.zeros(n)), search.left(better)
+    shift = turned + np.where(sure, small, 0.0)
+    before, after = search.left(none), search.left(shift)
     if after >= before:  # the zeros only spare the inertials an error, as that of a heavy payload
-        better, after = np.zeros(n), before
-    return ZeroCheck(
-        arm.names,
-        np.zeros(n) if zero is None else zero,
-        encoder_error(better),
-        deviation,
-        deviation < _UNINFORMATIVE_SHARE * _ZERO_PRIOR_SD,
-        before / usual,
-        after / usual,
-    )
+        shift, after = none, before
+    told = deviation < _UNINFORMATIVE_SHARE * _ZERO_PRIOR_SD
+    return ZeroCheck(arm.names, none if zero is None else zero, encoder_error(shift), deviation, told, before, after)
+
+
+class _Fit(NamedTuple):
+    values: Array
+    residual: Array  # Nm
+    squares: float  # chi squared, the prior's included
+    covariance: Array
 
 
 class _Search:
@@ -200,126 +196,96 @@ class _Search:
 
     def __init__(self, instants: Instants, arm: RigidArm) -> None:
         self._at, self._arm = instants, arm
-        self._seen: dict[tuple[bytes, int], tuple[Array, Array]] = {}
-        self._weights: dict[bytes, Array] = {}
-        self._rows = np.nonzero(instants.known)
-        self._joint = self._rows[1]
-        self._cluster = np.unique(instants.block[self._rows[0]] * len(arm.names) + self._joint, return_inverse=True)[1]
-        self._friction = _friction(instants.velocity, arm.element_matrix)[self._rows]
+        self._usable = ~(~instants.sliding @ (arm.element_matrix != 0.0))  # joints on which no element sticks, (m, n)
+        self._row, self._joint = np.nonzero(self._usable)
+        self._cluster = np.unique(instants.plateau[self._row] * len(arm.names) + self._joint, return_inverse=True)[1]
+        self._friction = _friction(instants.velocity, arm.element_matrix)[self._usable]
         self._inertial, self._known = arm.inertial, _uncertainty(arm)
-        torque = instants.torque[self._rows]
-        self.power = float(np.mean(torque**2)) if len(torque) else 0.0
+        self._power = max(float(np.mean(instants.torque[self._usable] ** 2)) if len(self._row) else 0.0, 1e-300)
+        self._cached_rigid, self._cached_weight = lru_cache(None)(self._rigid), lru_cache(None)(self._found_weight)
 
     def left(self, shift: Array) -> float:
-        """Return the RMS of the torque that friction and inertials do not explain, Nm."""
-        residual = self._fit(shift, self._weight(shift))[1]
-        return float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0
+        """Return the torque that friction and inertials do not explain over the torque, RMS."""
+        residual = self.fit(shift, self.weight(shift)).residual
+        return math.sqrt(float(np.mean(residual**2)) / self._power) if len(residual) else 0.0
 
-    def quarter_turned(self, start: Array) -> Array | None:
-        """Return the angles with the quarter turn of a joint that explains the torques clearly better; None without."""
-        weight = self._weight(start)
-        for trials in quarter_turns(start, range(len(start))):
-            best = self._best(trials, weight) if trials else start
-            # By the scatter that the better one leaves: with wrong angles all of it passes for noise.
-            sharp = self._weight(best)
-            if self._fit(start, sharp)[2] - self._fit(best, sharp)[2] > _CHI2_DROP:
-                return best
-        return None
+    def best(self, trials: list[Array], start: Array) -> Array:
+        """Return the angles with the least chi squared by the weights of others.
 
-    def _best(self, trials: list[Array], weight: Array) -> Array:
-        """Return the angles with the least chi squared.
-
-        Fitted to all instants are only those that some of them do not rule out: the least squares of some equations are
-        never more than those of all.
+        Only those are fitted to all instants that some of them do not rule out: fewer equations leave fewer squares.
         """
-        at_least = [self._fit(shift, weight, every=_SCREENING_STRIDE)[2] for shift in trials]
-        best, least = trials[0], math.inf
+        weight, best, least = self.weight(start), start, math.inf
+        at_least = [self.fit(shift, weight, every=_SCREENING_STRIDE).squares for shift in trials]
         for k in np.argsort(at_least).tolist():
-            if at_least[k] >= least:
-                break
-            squares = self._fit(trials[k], weight)[2]
-            if squares < least:
+            if at_least[k] < least and (squares := self.fit(trials[k], weight).squares) < least:
                 best, least = trials[k], squares
         return best
 
     def small(self, start: Array) -> tuple[Array, Array]:
         """Return small errors beside quarter turns and their standard deviations, rad, each shape (n,)."""
-        shift, weight = np.zeros(len(start)), self._weight(start)
-        deviation = np.full(len(start), _ZERO_PRIOR_SD)
+        shift, weight, count = np.zeros(len(start)), self.weight(start), len(start)
         for _ in range(_ROUNDS):
             # The torque's derivatives by the angles, with the inertials that fit.
             first = self._friction.shape[1]
-            inertial = self._inertial + self._known * self._fit(start + shift, weight)[0][first:]
+            inertial = self._inertial + self._known * self.fit(start + shift, weight).values[first:]
             motion = self._at.position + start + shift, self._at.velocity, self._at.acceleration
-            slopes = self._arm.stiffness_of(inertial, *motion)[self._rows]
-            values, residual, _, covariance = self._fit(start + shift, weight, slopes, shift)
-            shift = np.clip(shift + values[-len(start) :], -1.0, 1.0)
-            deviation = np.sqrt(np.diag(covariance)[-len(start) :])
-            weight = self._weight_of(residual)
-        return shift, deviation
+            slopes = self._arm.stiffness_of(inertial, *motion)[self._usable]
+            found = self.fit(start + shift, weight, slopes, shift)
+            shift = np.clip(shift + found.values[-count:], -1.0, 1.0)
+            weight = self._weight_of(found.residual)
+        return shift, np.sqrt(np.diag(found.covariance)[-count:])
 
-    def _weight(self, shift: Array) -> Array:
+    def weight(self, shift: Array) -> Array:
         """Return the weight of each row with these angles, by the residuals of a fit and these by the weights."""
-        key = (shift + 0.0).tobytes()
-        if key not in self._weights:
-            weight = np.ones(len(self._joint))
-            for _ in range(_ROUNDS):
-                weight = self._weight_of(self._fit(shift, weight)[1])
-            self._weights[key] = weight
-        return self._weights[key]
+        return self._cached_weight(tuple(shift.tolist()))
+
+    def _found_weight(self, shift: tuple[float, ...]) -> Array:
+        weight = np.ones(len(self._joint))
+        for _ in range(_ROUNDS):
+            weight = self._weight_of(self.fit(np.array(shift), weight).residual)
+        return weight
 
     def _weight_of(self, left: Array) -> Array:
         """Return the weight of each row by the residuals' scatter and Kish's factor for stretches that err together."""
         sums, joints = np.bincount(self._cluster, left), len(self._arm.names)
         owner = np.zeros(len(sums), dtype=np.int64)
         owner[self._cluster] = self._joint
-        squares = np.bincount(self._joint, left**2, joints)
-        together = np.bincount(owner, sums**2, joints)
-        count = np.bincount(self._joint, minlength=joints)
-        power = np.maximum(squares, together) / np.maximum(count, 1)
-        return np.asarray(1.0 / np.sqrt(np.maximum(power, _MIN_TORQUE_SD**2 * self.power + 1e-18))[self._joint])
+        squares, together = np.bincount(self._joint, left**2, joints), np.bincount(owner, sums**2, joints)
+        power = np.maximum(squares, together) / np.maximum(np.bincount(self._joint, minlength=joints), 1)
+        return np.asarray(1.0 / np.sqrt(np.maximum(power, _MIN_TORQUE_SD**2 * self._power + 1e-18))[self._joint])
 
-    def _fit(
+    def fit(
         self, shift: Array, weight: Array, slopes: Array | None = None, error: Array | None = None, every: int = 1
-    ) -> tuple[Array, Array, float, Array]:
-        """Return values, residual in Nm, chi squared with the prior's, and covariance; from all instants or fewer."""
-        kept = self._rows[0] % every == 0
-        target, regressor = self._rigid(shift, every)
-        zeros = np.zeros((len(target), 0)) if slopes is None else slopes
-        columns = np.hstack([self._friction[kept], regressor, zeros])
-        first, size = self._friction.shape[1], columns.shape[1]
-        prior = np.r_[np.full(first, 1e-6), np.ones(regressor.shape[1]), np.full(zeros.shape[1], 1.0 / _ZERO_PRIOR_SD)]
-        wanted = np.zeros(size)
+    ) -> _Fit:
+        """Fit friction, inertials and, with the torque's slopes by them, zeros with such errors to (some) instants."""
+        kept = self._row % every == 0
+        target, regressor = self._cached_rigid(tuple(shift.tolist()), every)
+        parts = [self._friction[kept], regressor] if slopes is None else [self._friction[kept], regressor, slopes]
+        columns, prior = np.hstack(parts), np.repeat(_PRIORS[: len(parts)], [part.shape[1] for part in parts])
+        wanted = np.zeros(columns.shape[1])
         if error is not None:
             wanted[-len(error) :] = -error / _ZERO_PRIOR_SD
         matrix = np.vstack([columns * weight[kept][:, None], np.diag(prior)])
         right = np.concatenate([target * weight[kept], wanted])
-        covariance = _inverse(matrix.T @ matrix)
+        # In sweeps of one joint many columns are 0, and their prior stands alone.
+        normal = matrix.T @ matrix
+        scale, joined = 1.0 / np.sqrt(np.diag(normal)), np.flatnonzero(np.count_nonzero(normal, axis=1) > 1)
+        covariance, some = np.eye(len(normal)), np.ix_(joined, joined)
+        if len(joined):
+            covariance[some] = pinvh((scale[:, None] * normal * scale)[some], rtol=1e-13)
+        covariance = scale[:, None] * covariance * scale
         values = covariance @ (matrix.T @ right)
         left = right - matrix @ values
-        return values, target - columns @ values, float(left @ left), covariance
+        return _Fit(values, target - columns @ values, float(left @ left), covariance)
 
-    def _rigid(self, shift: Array, every: int) -> tuple[Array, Array]:
+    def _rigid(self, shift: tuple[float, ...], every: int) -> tuple[Array, Array]:
         """Return the torque less the rigid arm's, Nm, and its derivatives by errors of the inertials in their units."""
-        key = (shift + 0.0).tobytes(), every
-        if key not in self._seen:
-            known = self._at.known[::every]
-            motion = self._at.position + shift, self._at.velocity, self._at.acceleration
-            position, velocity, acceleration = (values[::every] for values in motion)
-            regressor = self._arm.regressor(position, velocity, acceleration)
-            torque = self._arm.torque_of(regressor, self._inertial, position, acceleration)
-            self._seen[key] = (self._at.torque[::every] - torque)[known], regressor[known] * self._known
-        return self._seen[key]
-
-
-def _inverse(normal: Array) -> Array:
-    """Return the pseudo-inverse; in sweeps of one joint many columns are 0, and their prior stands alone."""
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    inverse, scaled = np.eye(len(normal)), scale[:, None] * normal * scale
-    joined = np.flatnonzero(np.count_nonzero(normal, axis=1) > 1)
-    if len(joined):
-        inverse[np.ix_(joined, joined)] = pinvh(scaled[np.ix_(joined, joined)], rtol=1e-13)
-    return np.asarray(scale[:, None] * inverse * scale)
+        at, known = self._at, self._usable[::every]
+        motion = at.position + np.array(shift), at.velocity, at.acceleration
+        position, velocity, acceleration = (values[::every] for values in motion)
+        regressor = self._arm.regressor(position, velocity, acceleration)
+        torque = self._arm.torque_of(regressor, self._inertial, position, acceleration)
+        return (at.torque[::every] - torque)[known], regressor[known] * self._known
 
 
 def _friction(velocity: Array, elements: Array) -> Array:
@@ -337,5 +303,5 @@ def _uncertainty(arm: RigidArm) -> Array:
     for body in list(arm.model.inertias)[1:]:
         lever = math.hypot(float(np.linalg.norm(body.lever)), _MIN_LEVER)
         inertia = float(np.trace(np.asarray(body.inertia))) + body.mass * lever**2
-        parts.append(_INERTIAL_PRIOR_SD * np.r_[body.mass, np.full(3, body.mass * lever), np.full(6, inertia)])
+        parts.append(_INERTIAL_PRIOR_SD * np.repeat([body.mass, body.mass * lever, inertia], [1, 3, 6]))
     return np.concatenate(parts)

@@ -32,7 +32,7 @@ from rx90_emulator.identification.output import summary
 from rx90_emulator.identification.output.robot_files import torque_constants
 from rx90_emulator.identification.presliding.bristle_motion import MOST_MOTIONS, MOST_OF_BAG
 from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE, decisions
-from rx90_emulator.identification.sliding.fit import CurvePoints
+from rx90_emulator.identification.sliding.quality import CurvePoints
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 

@@ -9,13 +9,16 @@ were motion.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.sparse.csgraph import connected_components
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
@@ -27,7 +30,6 @@ from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE, follow_bristles
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMotion, band_spectrum, block_means
-from rx90_emulator.identification.records import BagSource
 
 MAX_COMPARED_S: Final = 2.0
 """s of a micro-motion that are compared: they hold some six of its slowest waves."""
@@ -37,9 +39,12 @@ MOST_OF_BAG: Final = 3
 """The same of joints that share elements, of each bag."""
 ATTRACTION: Final = "attraction"
 """The number of Maxwell slip that presliding does not show."""
+INERTIA_SD: Final = 0.05
+"""Prior standard deviation of the errors of the mass matrix in parts of sqrt(M_jj M_ii)."""
 _CACHED_SPECTRA = 16  # spectra of a motion: those of a difference quotient begin at the same deflection
 _MAX_STEP_S = 5.1e-4  # s, of a step: at 33 Hz the mean over it is 0.1 % off
 _ATTRACTION_RATE = 200.0  # 1/s: the sliding curve hardly shows in presliding, and its attraction not at all
+_PARAMETER_STEP = 1e-4  # step of difference quotients, of parameters of the order of 1
 
 
 @dataclass(frozen=True)
@@ -133,18 +138,10 @@ class ElementTrace:
     viscous: Array
     step: float
     steps: int
-    _known: dict[tuple[BristlesPart | None, float, float], Array] = field(default_factory=dict, init=False)
 
     @classmethod
     def of(cls, element: FrictionElement, speed: Array, step: float, steps: int = BLOCK) -> ElementTrace:
-        """Return the trace of an element by its sliding regime.
-
-        Args:
-            element: c0 and c1 are not used.
-            speed: input velocities in steps of a record, rad/s, shape (m,).
-            step: of the record, s.
-            steps: of the trace in a block.
-        """
+        """Return the trace of an element, c0 and c1 of which are not used, at input velocities in a record's steps."""
         plain = replace(element.without_parts(), c1=1.0, c2=0.0)
         held = speed[: len(speed) // BLOCK * BLOCK].reshape(-1, BLOCK // steps).mean(axis=1)
         return cls(plain, held, block_means(element.viscous_torque(speed)), step * BLOCK / steps, steps)
@@ -152,16 +149,12 @@ class ElementTrace:
     @property
     def position(self) -> Array:
         """Return the position from where the motion begins, rad, block means, shape (b,)."""
-        return self._blocks(np.cumsum(self.speed) * self.step)
+        return np.asarray((np.cumsum(self.speed) * self.step).reshape(-1, self.steps).mean(axis=1))
 
-    def spectra(self, kind: BristlesPart | None, c0: float, start: float) -> Array:
-        """Return spectra of what `bristles` returns, shape (r, 2); some are kept."""
-        key = (kind, c0, start)
-        if key not in self._known:
-            if len(self._known) >= _CACHED_SPECTRA:
-                del self._known[next(iter(self._known))]
-            self._known[key] = self.spectrum(self.bristles(*key))
-        return self._known[key]
+    @cached_property
+    def spectra(self) -> Callable[[BristlesPart | None, float, float], Array]:
+        """Return what gives the spectra of what `bristles` returns, shape (r, 2); some are kept."""
+        return lru_cache(_CACHED_SPECTRA)(lambda *bristle: self.spectrum(self.bristles(*bristle)))
 
     def spectrum(self, means: Array) -> Array:
         """Return the spectrum of block means, shape (b, c) to (r, c)."""
@@ -191,10 +184,7 @@ class ElementTrace:
             follow_bristles(element, constants, state, self.speed, steps, torque, deflection)
             found[:, 0], found[:, 1] = torque, np.diff(deflection, prepend=first) / self.step
         found[:, 1] *= self._fading
-        return self._blocks(found)
-
-    def _blocks(self, values: Array) -> Array:
-        return np.asarray(values.reshape(-1, self.steps, *values.shape[1:]).mean(axis=1))
+        return np.asarray(found.reshape(-1, self.steps, 2).mean(axis=1))
 
     @cached_property
     def _constants(self) -> NDArray[Any]:
@@ -245,28 +235,150 @@ class KindMotion:
         """
         steps = BLOCK if whole or 2.0 * motion.step > _MAX_STEP_S else BLOCK // 2
         used = slice(None if whole else round(MAX_COMPARED_S / motion.step))
-        speed, acceleration = motion.velocity[used] @ inputs.T, motion.acceleration[used]
+        speed, acceleration = motion.velocity[used] @ inputs.T, motion.acceleration[used][:, list(motion.joints)]
         traces = tuple(ElementTrace.of(one, speed[:, n], motion.step, steps) for n, one in enumerate(sliding))
-        torques = [motion.friction[used]]
-        for j, i in zip(*np.triu_indices(len(motion.joints)), strict=True):
-            first, second = motion.joints[j], motion.joints[i]
+        torques, scale = [motion.friction[used]], motion.inertia_scale
+        for j, i in zip(*np.triu_indices(len(scale)), strict=True):
             torques.append(np.zeros_like(torques[0]))
-            scale = np.sqrt(motion.inertia[first] * motion.inertia[second])
-            torques[-1][:, j] = scale * acceleration[:, second]
-            torques[-1][:, i] = scale * acceleration[:, first]
+            torques[-1][:, j] = scale[j, i] * acceleration[:, i]
+            torques[-1][:, i] = scale[j, i] * acceleration[:, j]
         measured = block_means(np.stack(torques, axis=2))
         measured[:, :, 0] -= np.column_stack([trace.viscous for trace in traces]) @ inputs
         spectrum, frequency = band_spectrum(measured.reshape(len(measured), -1), motion.step)
         spectrum = spectrum.reshape(-1, *measured.shape[1:])
         return cls(inputs, traces, measured, spectrum[:, :, 0], spectrum[:, :, 1:], np.round(frequency))
 
-    def with_trace(self, n: int, trace: ElementTrace) -> KindMotion:
-        """Return the motion with another sliding regime, or other velocities, of element n."""
-        more = np.outer(trace.viscous - self.traces[n].viscous, self.inputs[n])
+    def changed(self, n: int, element: FrictionElement, speed: Array | None = None) -> KindMotion:
+        """Return a whole motion with another sliding regime, and other velocities if given, of element n."""
+        before = self.traces[n]
+        trace = ElementTrace.of(element, before.speed if speed is None else speed, before.step)
+        more = np.outer(trace.viscous - before.viscous, self.inputs[n])
         measured = self.measured.copy()
         measured[:, :, 0] -= more
         traces = (*self.traces[:n], trace, *self.traces[n + 1 :])
         return replace(self, traces=traces, measured=measured, target=self.target - trace.spectrum(more))
+
+
+@dataclass(frozen=True, eq=False)
+class GroupModel:
+    """What bristles of given kinds of the e elements of a group leave over of M motions, as a function of parameters x.
+
+    x holds ln c0, the damping, and the kind's own numbers, element by element; then the errors of the inertia, in parts
+    of sqrt(M_jj M_ii); then the start deflections in parts of those of steady sliding, motion by motion. All micro-
+    oscillations are made at one pose, so what the description of the links lacks is a constant error of the inertia.
+
+    Attributes:
+        families: of the elements.
+        motions: M of them.
+        scale: torque to which residuals are compared, Nm, shape (k,).
+        unit: of c1 among the parameters, Nm s/rad, shape (e,); None where ln c1 stands there.
+        start_sd: prior standard deviation of a start deflection over that of steady sliding.
+        max_start: of it, at most.
+    """
+
+    families: tuple[KindFamily, ...]
+    motions: tuple[KindMotion, ...]
+    scale: Array
+    unit: Array | None = None
+    start_sd: float = 1.0
+    max_start: float = 1.2
+
+    @cached_property
+    def places(self) -> list[slice]:
+        """Return where the parameters of each element stand."""
+        ends = np.cumsum([0, *(2 + family.count for family in self.families)]).tolist()
+        return [slice(a, b) for a, b in pairwise(ends)]
+
+    @property
+    def inertial(self) -> slice:
+        """Return where the errors of the inertia stand: behind the elements', before the start deflections."""
+        first = self.places[-1].stop
+        return slice(first, first + int(self.motions[0].inertial.shape[2]))
+
+    def starts(self, x: Array) -> Array:
+        """Return the start deflections of the motions, in parts of those of steady sliding, shape (M, e)."""
+        return x[self.inertial.stop :].reshape(-1, len(self.families))
+
+    def values(self, x: Array) -> Array:
+        """Return c0, Nm/rad, and c1, Nm s/rad, shape (e, 2)."""
+        return np.array([(_exp(x[place][0]), self._c1(x[place], n)) for n, place in enumerate(self.places)])
+
+    def of_motion(self, x: Array, index: int) -> Array:
+        """Return the residual spectrum of a motion in parts of the scale, shape (r, k)."""
+        motion = self.motions[index]
+        left = motion.target - motion.inertial @ x[self.inertial]
+        for n, (place, start) in enumerate(zip(self.places, self.starts(x)[index], strict=True)):
+            torque = self._spectra(x[place], n, index, start) @ (1.0, self._c1(x[place], n))
+            left = left - np.outer(torque, motion.inputs[n])
+        return np.asarray(left / self.scale)
+
+    def of_all(self, x: Array) -> Array:
+        """Return the residual spectra of all motions in parts of the scale, shape (sum of r, k)."""
+        return np.vstack([self.of_motion(x, index) for index in range(len(self.motions))])
+
+    def residual(self, x: Array) -> Array:
+        """Return the residuals of all motions, then those of the prior."""
+        return np.concatenate([self.of_all(x).ravel(), x[self.inertial.start :] / self._prior_sd(x)])
+
+    def jacobian(self, x: Array) -> Array:
+        """Return the derivatives of `residual`."""
+        rows = [-(self._slopes(x, i) / self.scale[:, None]).reshape(-1, x.size) for i in range(len(self.motions))]
+        prior_sd = self._prior_sd(x)
+        return np.vstack([*rows, np.eye(len(prior_sd), x.size, self.inertial.start) / prior_sd[:, None]])
+
+    def minimised(self, x: Array, most: int, xtol: float, ftol: float) -> OptimizeResult:
+        """Return the least squares that begin at such parameters, with so many evaluations of the residuals at most."""
+        return least_squares(self.residual, x, self.jacobian, method="lm", max_nfev=most, xtol=xtol, ftol=ftol)
+
+    def torque(self, x: Array, index: int, n: int) -> Array:
+        """Return block means of the torque, Nm, and of its part that c0 gives, of the bristles of element n; (b, 2)."""
+        own, start = x[self.places[n]], np.clip(self.starts(x)[index, n], -self.max_start, self.max_start)
+        both = self.motions[index].traces[n].bristles(self.kind(own, n), _exp(own[0]), float(start))
+        return np.column_stack([both @ (1.0, self._c1(own, n)), both[:, 0]])
+
+    def friction(self, x: Array, index: int) -> Array:
+        """Return block means of the friction torque at the joints along a motion, Nm, shape (b, k)."""
+        motion = self.motions[index]
+        total = [self.torque(x, index, n)[:, 0] + trace.viscous for n, trace in enumerate(motion.traces)]
+        return np.column_stack(total) @ motion.inputs
+
+    def kind(self, own: Array, n: int) -> BristlesPart | None:
+        """Return the bristles of element n by its parameters; None is LuGre's."""
+        return self.families[n].bristles(own[2:], self.motions[0].traces[n].element.tau_c_positive)
+
+    def _prior_sd(self, x: Array) -> Array:
+        place = self.inertial
+        return np.repeat([INERTIA_SD, self.start_sd], [place.stop - place.start, x.size - place.stop])
+
+    def _c1(self, own: Array, n: int) -> float:
+        return _exp(own[1]) if self.unit is None else float(own[1] * self.unit[n])
+
+    def _spectra(self, own: Array, n: int, index: int, start: float) -> Array:
+        clipped = float(np.clip(start, -self.max_start, self.max_start))
+        return self.motions[index].traces[n].spectra(self.kind(own, n), _exp(own[0]), clipped)
+
+    def _slopes(self, x: Array, index: int) -> Array:
+        """Return the derivatives of a motion's torques by the parameters, Nm, shape (r, k, parameters)."""
+        motion, found = self.motions[index], np.zeros((*self.motions[index].target.shape, x.size))
+        stiffer = np.log1p(_PARAMETER_STEP) if self.unit is None else _PARAMETER_STEP
+        for n, (place, start) in enumerate(zip(self.places, self.starts(x)[index], strict=True)):
+            own = x[place]
+            c1, row, here = self._c1(own, n), motion.inputs[n], self._spectra(own, n, index, start)
+            steps = np.diag(np.r_[stiffer, 0.0, np.full(own.size - 2, _PARAMETER_STEP)])
+            changed = [(own + step, start) for k, step in enumerate(steps) if k != 1]
+            by_stiffness, *by_shape, by_start = (
+                (self._spectra(each, n, index, at) - here) @ (1.0, c1) / _PARAMETER_STEP
+                for each, at in [*changed, (own, start + _PARAMETER_STEP)]
+            )
+            by_damping = here[:, 1] * (c1 if self.unit is None else self.unit[n])
+            found[:, :, place] = np.column_stack([by_stiffness, by_damping, *by_shape])[:, None, :] * row[:, None]
+            found[:, :, self.inertial.stop + index * len(self.families) + n] = np.outer(by_start, row)
+        found[:, :, self.inertial] = motion.inertial
+        return found
+
+
+def _exp(logarithm: float) -> float:
+    return float(np.exp(np.clip(logarithm, -20.0, 25.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,56 +402,12 @@ class JointGroup:
 
 def joint_groups(arm: RigidArm) -> list[JointGroup]:
     """Return the groups of an arm's joints, from base to tip."""
-    groups = [{j} for j in range(len(arm.names))]
-    for row in arm.element_matrix:
-        joined: set[int] = set(np.flatnonzero(row).tolist())
-        touched = [group for group in groups if group & joined]
-        groups = [group for group in groups if not group & joined] + [set().union(*touched)]
+    matrix = arm.element_matrix
+    shared = np.abs(matrix).T @ np.abs(matrix)
+    _, group = connected_components(shared, directed=False)
     found = []
-    for joints in sorted(tuple(sorted(group)) for group in groups):
-        elements = np.flatnonzero(arm.element_matrix[:, list(joints)].any(axis=1))
-        found.append(JointGroup(joints, tuple(elements.tolist()), arm.element_matrix[elements][:, list(joints)]))
+    for number in dict.fromkeys(group.tolist()):
+        joints = np.flatnonzero(group == number)
+        elements = np.flatnonzero(matrix[:, joints].any(axis=1))
+        found.append(JointGroup(tuple(joints.tolist()), tuple(elements.tolist()), matrix[np.ix_(elements, joints)]))
     return found
-
-
-@dataclass(frozen=True, eq=False)
-class MovedGroup:
-    """The largest micro-motions of joints that share their friction elements with no other joint.
-
-    Attributes:
-        elements: indices of its e elements.
-        motions: the largest first; MOST_MOTIONS at most of a single element, else MOST_OF_BAG of each bag.
-        c0: of LuGre's bristles, Nm/rad, shape (e,).
-        sources: their bags.
-    """
-
-    elements: tuple[int, ...]
-    motions: tuple[KindMotion, ...]
-    c0: Array
-    sources: tuple[BagSource, ...]
-
-    @classmethod
-    def of(
-        cls, group: JointGroup, motions: Sequence[MicroMotion], sliding: Sequence[FrictionElement], c0: Array
-    ) -> MovedGroup:
-        """Return the largest of the micro-motions of a group, those shorter than MAX_COMPARED_S at the end.
-
-        Args:
-            group: the joints.
-            motions: of them, one or more.
-            sliding: the elements' sliding regime.
-            c0: as the attribute.
-        """
-        break_away = group.break_away(sliding)
-        bags: dict[str, list[MicroMotion]] = {}
-        for motion in motions:
-            # One direction of motion moves some elements only, and each is recorded in a bag of its own.
-            bags.setdefault(motion.record.sha256 if len(group.elements) > 1 else "", []).append(motion)
-
-        def rank(motion: MicroMotion) -> tuple[bool, float]:
-            return len(motion.velocity) * motion.step < MAX_COMPARED_S, -motion.load(break_away)
-
-        most = MOST_MOTIONS if len(group.elements) == 1 else MOST_OF_BAG
-        largest = [motion for bag in bags.values() for motion in sorted(bag, key=rank)[:most]]
-        compared = tuple(KindMotion.of(motion, group.inputs, sliding) for motion in largest)
-        return cls(group.elements, compared, c0, tuple(dict.fromkeys(motion.record.bag for motion in largest)))

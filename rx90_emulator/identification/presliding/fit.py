@@ -22,14 +22,16 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
 )
 from rx90_emulator.identification.presliding.bristle_motion import (
-    ElementTrace,
+    INERTIA_SD,
+    MAX_COMPARED_S,
+    MOST_MOTIONS,
+    MOST_OF_BAG,
+    GroupModel,
     JointGroup,
     KindFamily,
     KindMotion,
-    MovedGroup,
     joint_groups,
 )
-from rx90_emulator.identification.presliding.group_fit import INERTIA_SD, GroupModel
 from rx90_emulator.identification.presliding.micro_motion import (
     BLOCK,
     MicroMotion,
@@ -38,7 +40,7 @@ from rx90_emulator.identification.presliding.micro_motion import (
     find_micro_motions,
     most_informative,
 )
-from rx90_emulator.identification.records import JointRecord, check_joints
+from rx90_emulator.identification.records import BagSource, JointRecord, check_joints
 
 _START_SD = 0.3  # prior standard deviation of a start deflection, in parts of that of steady sliding
 _PASSES, _MAX_EVALUATIONS = 3, 30  # of the fit, each with the noise that the one before shows; of the residuals in one
@@ -76,6 +78,42 @@ class HysteresisLoop:
 
 
 @dataclass(frozen=True, eq=False)
+class MovedGroup:
+    """The largest micro-motions of joints that share their friction elements with no other joint.
+
+    Attributes:
+        elements: indices of its e elements.
+        motions: the largest first; MOST_MOTIONS at most of a single element, else MOST_OF_BAG of each bag.
+        c0: of LuGre's bristles, Nm/rad, shape (e,).
+        sources: their bags.
+    """
+
+    elements: tuple[int, ...]
+    motions: tuple[KindMotion, ...]
+    c0: Array
+    sources: tuple[BagSource, ...]
+
+    @classmethod
+    def of(
+        cls, group: JointGroup, motions: Sequence[MicroMotion], sliding: Sequence[FrictionElement], c0: Array
+    ) -> MovedGroup:
+        """Return the largest of a group's micro-motions, those shorter than MAX_COMPARED_S at the end."""
+        break_away, alone = group.break_away(sliding), len(group.elements) == 1
+        bags: dict[str, list[MicroMotion]] = {}
+        for motion in motions:
+            # One direction of motion moves some elements only, and each is recorded in a bag of its own.
+            bags.setdefault("" if alone else motion.record.sha256, []).append(motion)
+
+        def rank(motion: MicroMotion) -> tuple[bool, float]:
+            return len(motion.velocity) * motion.step < MAX_COMPARED_S, -motion.load(break_away)
+
+        most = MOST_MOTIONS if alone else MOST_OF_BAG
+        largest = [motion for bag in bags.values() for motion in sorted(bag, key=rank)[:most]]
+        compared = tuple(KindMotion.of(motion, group.inputs, sliding) for motion in largest)
+        return cls(group.elements, compared, c0, tuple(dict.fromkeys(motion.record.bag for motion in largest)))
+
+
+@dataclass(frozen=True, eq=False)
 class PreslidingFit:
     """The presliding regime of all elements.
 
@@ -87,8 +125,8 @@ class PreslidingFit:
     """
 
     estimates: tuple[ElementEstimate, ...]
-    loops: tuple[HysteresisLoop, ...]
-    motions: int
+    loops: tuple[HysteresisLoop, ...] = ()
+    motions: int = 0
     groups: tuple[MovedGroup, ...] = ()
 
 
@@ -134,44 +172,37 @@ def identify_presliding(
         own = [motion for motion in seen if motion.driven]
         if not own:
             reason = _MOVED_BY_REACTIONS if seen else "no micro-oscillation of its joints in the bags"
-            names = {e: arm.element_names[e] for e in group.elements}
-            estimates |= {e: ElementEstimate.unknown(name, PRESLIDING, reason) for e, name in names.items()}
+            for e in group.elements:
+                estimates[e] = ElementEstimate.unknown(arm.element_names[e], PRESLIDING, reason)
             continue
         elements = [sliding[e] for e in group.elements]
         chosen = most_informative(own, group.break_away(elements))
+        fit = _GroupFit(chosen, group, elements, plant_period)
         if len(elements) > 1:
             # An element of several joints may nearly slide although the torque of each is far from break-away.
-            loads = GroupSolution(chosen, group, elements, plant_period).loads.max(axis=1)
+            loads = fit.loads.max(axis=1)
             far = [motion for motion, load in zip(chosen, loads, strict=True) if load < _NEARLY_SLIDING_LOAD]
-            chosen = far or chosen
-        solution = GroupSolution(chosen, group, elements, plant_period)
+            if 0 < len(far) < len(chosen):
+                chosen, fit = far, _GroupFit(far, group, elements, plant_period)
         used += len(chosen)
         spread = None
         if sliding_covariances is not None:
             spread = block_diag(*(sliding_covariances[e] for e in group.elements))
-        covariance = solution.covariance(spread)
-        for place, e in enumerate(group.elements):
-            estimates[e] = _estimate(arm, group, place, solution, covariance)
-        loops += _loops(arm, chosen, solution)
-        moved.append(MovedGroup.of(group, own, elements, solution.values[:, 0]))
+        estimates |= zip(group.elements, fit.estimates(arm, spread), strict=True)
+        for place, joint in enumerate(group.joints):
+            index = int(np.argmax([motion.position[:, place].std() for motion in chosen]))
+            position, measured = (block_means(of)[:, place] for of in (chosen[index].position, chosen[index].friction))
+            simulated = fit.model.friction(fit.x, index)[:, place]
+            loops.append(HysteresisLoop(arm.names[joint], position - position.mean(), measured, simulated))
+        moved.append(MovedGroup.of(group, own, elements, fit.values[:, 0]))
     ordered = tuple(estimates[e] for e in range(len(arm.element_names)))
     return PreslidingFit(ordered, tuple(loops), used, tuple(moved))
 
 
-class GroupSolution:
-    """The fit of the e elements of a group of k joints, with LuGre's bristles, to micro-motions of it.
+class _GroupFit:
+    """The fit of LuGre's bristles of the e elements of a group of k joints to M micro-motions of it.
 
-    Args:
-        motions: of the group, one or more.
-        group: the joints.
-        sliding: the elements with their sliding regime; c0 and c1 are not used.
-        plant_period: as in `identify_presliding`.
-
-    Attributes:
-        motions: as the argument.
-        model: of the residuals, with c0 and c1 as logarithms and noise of standard deviation 1.
-        x: its parameters.
-        values: c0, Nm/rad, and c1, Nm s/rad, of the elements, shape (e, 2).
+    Its model has c0 and c1 as logarithms, and noise of standard deviation 1.
     """
 
     def __init__(
@@ -181,12 +212,12 @@ class GroupSolution:
         sliding: Sequence[FrictionElement],
         plant_period: float | None,
     ) -> None:
-        self.motions, self._sliding = motions, sliding
-        scale = 0.1 * np.abs(group.inputs).T @ np.array([one.tau_c_positive for one in sliding])  # a guess of the noise
+        self._motions, self._group, self._sliding = motions, group, sliding
+        scale = 0.1 * group.break_away(sliding)  # a guess of the noise
         compared = tuple(KindMotion.of(motion, group.inputs, sliding, whole=True) for motion in motions)
         model = GroupModel((KindFamily(),) * len(sliding), compared, scale, start_sd=_START_SD, max_start=np.inf)
         self._pairs = tuple(np.triu_indices(len(group.joints)))
-        x = np.log(first_guess(motions, group.inputs, sliding)).ravel()
+        x = np.log(_first_guess(motions, group.inputs, sliding)).ravel()
         x = np.concatenate([x, np.zeros(len(self._pairs[0]) + len(motions) * len(sliding))])
         for _ in range(_PASSES):
             x = model.minimised(x, _MAX_EVALUATIONS, _ROUGH, _ROUGH**1.5).x
@@ -199,8 +230,7 @@ class GroupSolution:
 
     def _symmetric(self, pairs: Array) -> Array:
         """Return what is known of each pair of k joints, shape (k (k + 1) / 2,), as a matrix, shape (k, k)."""
-        size = int(self._pairs[0].max()) + 1
-        matrix = np.zeros((size, size))
+        matrix = np.zeros((len(self._group.joints),) * 2)
         matrix[self._pairs] = matrix[self._pairs[::-1]] = pairs
         return matrix
 
@@ -211,55 +241,30 @@ class GroupSolution:
         squared times the rate of the friction over the mass: 1 % of the stiffness of a light joint.
         """
         changed, errors = [], self._symmetric(x[model.inertial])
-        for index, motion in enumerate(self.motions):
-            joints = list(motion.joints)
-            scale = np.sqrt(np.outer(motion.inertia[joints], motion.inertia[joints]))
+        for index, motion in enumerate(self._motions):
+            mass = motion.mass[:, list(motion.joints)] + errors * motion.inertia_scale
             rate = np.gradient(model.friction(x, index), BLOCK * motion.step, axis=0)
-            coarse = 0.5 * period**2 * np.linalg.solve(motion.mass[:, joints] + errors * scale, rate.T).T
+            coarse = 0.5 * period**2 * np.linalg.solve(mass, rate.T).T
             place = (np.arange(len(motion.velocity)) + 0.5) / BLOCK - 0.5
             ahead = np.column_stack([np.interp(place, np.arange(len(coarse)), column) for column in coarse.T])
             one = model.motions[index]
             speed = (motion.velocity + ahead) @ one.inputs.T
             for n, element in enumerate(self._sliding):
-                one = one.with_trace(n, ElementTrace.of(element, speed[:, n], motion.step))
+                one = one.changed(n, element, speed[:, n])
             changed.append(one)
         return replace(model, motions=tuple(changed))
 
     @property
-    def torque(self) -> list[Array]:
-        """Return block means of the friction torque at the joints, Nm, of each micro-motion, shape (b, k)."""
-        return [self.model.friction(self.x, index) for index in range(len(self.motions))]
-
-    @property
     def loads(self) -> Array:
-        """Return the amplitude of each bristle's torque over its Coulomb torque, shape (motions, e)."""
-        found = np.empty((len(self.motions), len(self._sliding)))
+        """Return the amplitude of each bristle's torque over its Coulomb torque, shape (M, e)."""
+        found = np.empty((len(self._motions), len(self._sliding)))
         for (index, n), _ in np.ndenumerate(found):
             low, high = np.percentile(self.model.torque(self.x, index, n)[:, 1], (1.0, 99.0))
             found[index, n] = 0.5 * (high - low) / self._sliding[n].tau_c_positive
         return found
 
-    @property
-    def inertia(self) -> Array:
-        """Return the errors of the joints' mass matrix, in parts of sqrt(M_jj M_ii), shape (k, k)."""
-        return self._symmetric(self.x[self.model.inertial])
-
-    @property
-    def misfit(self) -> Array:
-        """Return the RMS of each joint's torque residuals beyond noise over that of its friction, shape (k,)."""
-        left = self.model.of_all(self.x)
-        beyond = np.sum(left**2, axis=0) - len(left) - _NOISE_POWER_SD * np.sqrt(2.0 * len(left))
-        traces = [motion.traces[0] for motion in self.model.motions]
-        friction = np.vstack([trace.spectrum(torque) for trace, torque in zip(traces, self.torque, strict=True)])
-        return np.asarray(np.sqrt(np.maximum(beyond, 0.0) / np.sum((friction / self.model.scale) ** 2, axis=0)))
-
-    def covariance(self, sliding: Array | None) -> Array:
-        """Return the covariance of the parameters, shape (p, p).
-
-        Args:
-            sliding: covariance of the sliding regime, element by element in the order of SLIDING, shape (7 e, 7 e);
-                None if it is known.
-        """
+    def estimates(self, arm: RigidArm, sliding: Array | None) -> list[ElementEstimate]:
+        """Return those of the elements, by the covariance of the sliding regime, shape (7 e, 7 e), if it has any."""
         values, jacobian = self.model.residual(self.x), self.model.jacobian(self.x)
         covariance = _cluster_robust(jacobian, values, self._clusters())
         if sliding is not None:
@@ -267,20 +272,63 @@ class GroupSolution:
             covariance = covariance + slopes @ sliding @ slopes.T
         floor = np.zeros(self.x.size)
         floor[: self.model.inertial.start] = np.tile(_MIN_RELATIVE_SD, len(self._sliding))
-        return np.asarray(covariance + np.diag(floor) ** 2)
+        covariance += np.diag(floor) ** 2
+        doubts, found = self._doubts(arm, jacobian, covariance), []
+        sources = tuple(dict.fromkeys(motion.record.bag for motion in self._motions))
+        for place, (e, doubt) in enumerate(zip(self._group.elements, doubts, strict=True)):
+            block = covariance[2 * place : 2 * place + 2, 2 * place : 2 * place + 2]
+            parameters = {}
+            relative = np.sqrt(np.maximum(np.diag(block), 0.0))
+            for name, value, sd in zip(PRESLIDING, self.values[place].tolist(), relative.tolist(), strict=True):
+                reason = doubt
+                if not reason and not sd < LARGEST_DEVIATION:
+                    reason = f"relative standard deviation {sd:.2g} at a value of {value:.3g}"
+                known = ParameterEstimate(value, value * sd)
+                parameters[name] = ParameterEstimate.unknown(reason) if reason else known
+            found.append(ElementEstimate.of(arm.element_names[e], parameters, block, sources))
+        return found
 
-    def inertia_score(self, covariance: Array) -> Array:
-        """Return the errors of the mass matrix over the deviations that they would have if the prior held, (k, k).
-
-        The prior shrinks the errors towards zero: where it holds, their variance is the prior's less the posterior's.
-        What the covariance has beyond noise may be errors of the model instead of the inertia, and is added.
-        """
-        own, jacobian = self.model.inertial, self.model.jacobian(self.x)
+    def _doubts(self, arm: RigidArm, jacobian: Array, covariance: Array) -> list[str]:
+        """Return why the model does not hold for each element; empty if it does."""
+        # The prior shrinks the errors of the inertia towards zero: where it holds, their variance is the prior's less
+        # the posterior's. What the covariance has beyond noise may be errors of the model instead, and is added.
+        own = self.model.inertial
         posterior = np.diag(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True))[own]
         beyond = np.maximum(np.diag(covariance)[own] - posterior, 0.0)
         least = (_MIN_INFORMATION * INERTIA_SD) ** 2
         score = self.x[own] / np.sqrt(np.maximum(INERTIA_SD**2 - posterior, least) + beyond)
-        return self._symmetric(score)
+        # A wrong inertia of one joint also biases the elements that it shares with its neighbours.
+        scores, inertia = np.abs(self._symmetric(score)).max(axis=1), self._symmetric(self.x[own])
+        names, worst = [arm.names[joint] for joint in self._group.joints], int(np.argmax(scores))
+        error = 100.0 * float(np.abs(inertia[worst]).max())
+        # The torque residuals beyond noise over the friction, RMS, of each joint.
+        left = self.model.of_all(self.x)
+        power = np.sum(left**2, axis=0) - len(left) - _NOISE_POWER_SD * np.sqrt(2.0 * len(left))
+        friction = np.vstack(
+            [
+                motion.traces[0].spectrum(self.model.friction(self.x, index))
+                for index, motion in enumerate(self.model.motions)
+            ]
+        )
+        misfit = np.sqrt(np.maximum(power, 0.0) / np.sum((friction / self.model.scale) ** 2, axis=0))
+        doubts = []
+        for place, load in enumerate(self.loads.min(axis=0).tolist()):
+            missed = [joint for joint in np.flatnonzero(self._group.inputs[place]) if misfit[joint] > _MAX_MISFIT]
+            doubt = ""
+            if load > _SLIDING_LOAD:
+                doubt = f"its bristles slide in every micro-oscillation: {load:.2g} of the Coulomb torque or more"
+            elif scores[worst] > _MAX_INERTIA_SCORE:
+                doubt = (
+                    f"the inertia at {names[worst]} would be {error:.0f} % off the description's: a payload, a rotor "
+                    "or the torque's delay may be missing"
+                )
+            elif missed:
+                doubt = (
+                    f"the model misses {100.0 * misfit[missed[0]]:.0f} % of the friction torque of "
+                    f"{names[missed[0]]}: another delay of the torque, another inertia, or no bristles"
+                )
+            doubts.append(doubt)
+        return doubts
 
     def _clusters(self) -> list[NDArray[np.int64]]:
         """Return the numbers of the spectral line of a motion, and of the motion, that each residual belongs to.
@@ -288,17 +336,13 @@ class GroupSolution:
         Errors may be correlated over the line of a tone, 1 Hz widened by its fade. The prior of a start deflection goes
         with its motion, that of the inertia with the first motion.
         """
-        by_line, by_motion, first = [], [], 0
-        for index, motion in enumerate(self.model.motions):
-            line = motion.line.astype(np.int64)
-            line -= line.min()
-            by_line.append(np.repeat(first + line, len(self.model.scale)))
-            by_motion.append(np.full(by_line[-1].size, index))
-            first += int(line.max()) + 1
-        starts = np.repeat(np.arange(len(self.motions)), len(self._sliding))
-        own = np.append(np.zeros(len(self._pairs[0]), np.int64), starts)
-        found = [np.concatenate([*by_line, first + np.arange(len(own))]), np.concatenate([*by_motion, own])]
-        return found[: 1 if len(self.motions) < _MIN_MOTION_CLUSTERS else 2]
+        motions, width = self.model.motions, len(self.model.scale)
+        index = np.repeat(np.arange(len(motions)), [width * len(motion.line) for motion in motions])
+        line = np.concatenate([np.repeat(motion.line, width) for motion in motions])
+        number = np.unique(np.column_stack([index, line]), axis=0, return_inverse=True)[1].ravel()
+        own = np.append(np.zeros(len(self._pairs[0])), np.repeat(np.arange(len(motions)), len(self._sliding)))
+        found = [np.r_[number, number.max() + 1 + np.arange(len(own))], np.r_[index, own.astype(np.int64)]]
+        return found[: 1 if len(motions) < _MIN_MOTION_CLUSTERS else 2]
 
     def _by_sliding(self, here: Array) -> Array:
         """Return the derivatives of the residuals by the sliding parameters, element by element, shape (q, 7 e).
@@ -311,11 +355,7 @@ class GroupSolution:
                 # The Coulomb torque goes down, which keeps it below the static one.
                 step = getattr(element, name) * (-_RELATIVE_STEP if name.startswith("tau_c") else _RELATIVE_STEP)
                 moved = replace(element, **{name: getattr(element, name) + step})
-                motions = tuple(
-                    motion.with_trace(n, ElementTrace.of(moved, motion.traces[n].speed, motion.traces[n].step))
-                    for motion in self.model.motions
-                )
-                changed = replace(self.model, motions=motions)
+                changed = replace(self.model, motions=tuple(one.changed(n, moved) for one in self.model.motions))
                 columns.append((changed.residual(self.x) - here) / step if step else np.zeros_like(here))
         return np.column_stack(columns)
 
@@ -326,12 +366,7 @@ def _cluster_robust(jacobian: Array, residual: Array, groupings: Sequence[NDArra
     The noise is white in the band, and it is what lies between the spectral lines of the motions. Errors of the model
     lie on the lines and grow with the amplitude; cluster-robust (sandwich) estimates show them. These are the
     bias-reduced linearisation of Bell and McCaffrey (CR2; Survey Methodology 28, 2002), which is unbiased where there
-    is only noise, also with few clusters of unequal leverage.
-
-    Args:
-        jacobian: shape (q, p).
-        residual: shape (q,).
-        groupings: number of the cluster of each residual, each shape (q,); the one that shows most counts.
+    is only noise, also with few clusters of unequal leverage. Of several groupings the one that shows most counts.
     """
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
     inverse_root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) @ vectors.T
@@ -349,81 +384,20 @@ def _cluster_robust(jacobian: Array, residual: Array, groupings: Sequence[NDArra
     return np.asarray(noise * np.outer(wide, wide))
 
 
-def first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[FrictionElement]) -> Array:
+def _first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[FrictionElement]) -> Array:
     """Return c0 and c1 by linear regression of the torque on deflection and velocity, shape (e, 2).
 
     A bristle's stiffness falls with its deflection, so this c0 is low; it is where the fit begins.
-
-    Args:
-        motions: of the group.
-        inputs: joint velocities to input velocities of the elements, shape (e, k).
-        sliding: the elements.
     """
-    elements, k = inputs.shape
     matrix, torque = [], []
     for motion in motions:
         deflection = np.cumsum(motion.velocity, axis=0) * motion.step @ inputs.T
         rest = band_spectrum(block_means(motion.friction), motion.step)[0]
         columns = band_spectrum(block_means(np.hstack([deflection, motion.velocity @ inputs.T])), motion.step)[0]
-        for i in range(k):
-            matrix.append(columns * np.tile(inputs[:, i], 2))
-            torque.append(rest[:, i])
-    solution = np.linalg.lstsq(np.vstack(matrix), np.concatenate(torque), rcond=1e-6)[0]
+        for own, column in zip(inputs.T, rest.T, strict=True):
+            matrix.append(columns * np.tile(own, 2))
+            torque.append(column)
+    stiffness, damping = np.split(np.linalg.lstsq(np.vstack(matrix), np.concatenate(torque), rcond=1e-6)[0], 2)
     viscous = np.array([e.c2 * LINEAR_SPEED ** (e.alpha - 1.0) for e in sliding])
-    weakest = np.array([e.tau_c_positive for e in sliding]) / 2e-3
-    c0 = np.maximum(1.2 * solution[:elements], weakest)
-    return np.column_stack([c0, np.maximum(solution[elements:] - viscous, 2e-4 * c0)])
-
-
-def _estimate(
-    arm: RigidArm, group: JointGroup, place: int, solution: GroupSolution, covariance: Array
-) -> ElementEstimate:
-    """Return the estimates of the element at a place in its group, by the covariance of the group's parameters."""
-    block = covariance[2 * place : 2 * place + 2, 2 * place : 2 * place + 2]
-    relative = np.sqrt(np.maximum(np.diag(block), 0.0))
-    doubt = _doubt(arm, group, place, solution, covariance)
-    parameters = {}
-    for name, value, deviation in zip(PRESLIDING, solution.values[place].tolist(), relative.tolist(), strict=True):
-        reason = doubt
-        if not reason and not deviation < LARGEST_DEVIATION:
-            reason = f"relative standard deviation {deviation:.2g} at a value of {value:.3g}"
-        known = ParameterEstimate(value, value * deviation)
-        parameters[name] = ParameterEstimate.unknown(reason) if reason else known
-    sources = tuple(dict.fromkeys(motion.record.bag for motion in solution.motions))
-    return ElementEstimate.of(arm.element_names[group.elements[place]], parameters, block, sources)
-
-
-def _doubt(arm: RigidArm, group: JointGroup, place: int, solution: GroupSolution, covariance: Array) -> str:
-    """Return why the model does not hold for an element; empty if it does."""
-    load = float(solution.loads[:, place].min())
-    if load > _SLIDING_LOAD:
-        return f"its bristles slide in every micro-oscillation: {load:.2g} of the Coulomb torque or more"
-    # A wrong inertia of one joint also biases the elements that it shares with its neighbours.
-    scores = np.abs(solution.inertia_score(covariance)).max(axis=1)
-    names = [arm.names[joint] for joint in group.joints]
-    worst = int(np.argmax(scores))
-    if scores[worst] > _MAX_INERTIA_SCORE:
-        error = 100.0 * float(np.abs(solution.inertia[worst]).max())
-        return (
-            f"the inertia at {names[worst]} would be {error:.0f} % off the description's: a payload, a rotor or the "
-            "torque's delay may be missing"
-        )
-    misfit = solution.misfit
-    for joint in np.flatnonzero(group.inputs[place]).tolist():
-        if misfit[joint] > _MAX_MISFIT:
-            return (
-                f"the model misses {100.0 * misfit[joint]:.0f} % of the friction torque of {names[joint]}: "
-                "another delay of the torque, another inertia, or no bristles"
-            )
-    return ""
-
-
-def _loops(arm: RigidArm, motions: Sequence[MicroMotion], solution: GroupSolution) -> list[HysteresisLoop]:
-    loops = []
-    for place, joint in enumerate(motions[0].joints):
-        largest = int(np.argmax([motion.position[:, place].std() for motion in motions]))
-        position = block_means(motions[largest].position[:, place])
-        measured = block_means(motions[largest].friction)[:, place]
-        simulated = solution.model.friction(solution.x, largest)[:, place]
-        loops.append(HysteresisLoop(arm.names[joint], position - position.mean(), measured, simulated))
-    return loops
+    c0 = np.maximum(1.2 * stiffness, np.array([e.tau_c_positive for e in sliding]) / 2e-3)
+    return np.column_stack([c0, np.maximum(damping - viscous, 2e-4 * c0)])

@@ -16,27 +16,28 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from scipy import stats
+from scipy.optimize import least_squares
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.quoting import listed
 from rx90_common.friction.held_out import HeldOutErrors, leave_out
-from rx90_common.friction.parts.bristles import BristlesPart
+from rx90_common.friction.parts.bristles import BristlesPart, MaxwellSlip
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import LARGEST_DEVIATION, PRESLIDING, ParameterEstimate
 from rx90_emulator.identification.presliding.bristle_motion import (
     ATTRACTION,
     FAMILIES,
+    GroupModel,
     KindFamily,
     KindMotion,
     joint_groups,
 )
 from rx90_emulator.identification.presliding.fit import PreslidingFit
-from rx90_emulator.identification.presliding.group_fit import GroupFit
 from rx90_emulator.identification.records import BagSource
 
 MIN_MOTIONS: Final = 3
@@ -51,6 +52,108 @@ _MIN_SD_OF_PARTS = 0.02  # of numbers in parts: errors of the sliding regime are
 _MAX_MISSED = 0.5  # of the friction torque, by the kind that predicts best, noise included
 _MAX_INERTIA_ERROR = 0.1  # relative error of the joint's inertia
 _MAX_REACH = 2.0  # of a block, in parts of the travel: there and back, a block with half of it slips
+_STARTS = (-0.8, -0.4, 0.0, 0.4, 0.8)  # deflections that fits begin at, over those of steady sliding
+_DAMPING_RATIO_S = 1e-3  # s, c1 over c0 where a fit begins
+_MAX_EVALUATIONS, _MAX_REFINEMENTS = 15, 6  # of the residuals, Jacobian apart: from a guess, and from a solution nearby
+_SHARED_EFFORT = 0.6  # of them, where elements share joints: a fit is long, and there are many
+_TOLERANCE = 1e-4  # relative, of the parameters and of the residual power
+
+
+@dataclass(frozen=True, eq=False)
+class GroupFit:
+    """Bristles of given kinds of all e elements of a group, fitted to its motions by Levenberg-Marquardt.
+
+    Attributes:
+        model: the kinds, and the motions.
+        x: its parameters.
+        cost: residual power, the prior's included, over that of the scale.
+    """
+
+    model: GroupModel
+    x: Array
+    cost: float
+
+    @classmethod
+    def of(cls, families: Sequence[KindFamily], motions: Sequence[KindMotion], c0: Array) -> GroupFit:
+        """Fit kinds of the elements to a group's motions from the kinds' guesses and a c0, Nm/rad, shape (e,)."""
+        scale = np.median(np.abs(np.concatenate([motion.target for motion in motions])), axis=0) + 1e-12
+        model = GroupModel(tuple(families), tuple(motions), scale, _DAMPING_RATIO_S * c0)
+        every = [family.guesses() for family in families]
+        if len(families) > 1:  # of elements that share joints each kind's guess in the middle: there are enough fits
+            every = [[np.mean(guesses, axis=0)] for guesses in every]
+        place, found = model.inertial, []
+        rest = np.zeros(place.stop - place.start + len(motions) * len(families))
+        for shapes in itertools.product(*every):
+            own = [np.concatenate([[np.log(c), 1.0], shape]) for c, shape in zip(c0, shapes, strict=True)]
+            x = np.concatenate([*own, rest])
+            # Start deflections that fit best of a few, one element after the other.
+            for index, column in itertools.product(range(len(motions)), range(len(families))):
+                own_start = np.arange(x.size) == place.stop + index * len(families) + column
+                tried = [np.where(own_start, start, x) for start in _STARTS]
+                x = tried[int(np.argmin([np.sum(model.of_motion(each, index) ** 2) for each in tried]))]
+            found.append(cls._solved(model, x, _MAX_EVALUATIONS))
+        return min(found, key=lambda fit: fit.cost)
+
+    @classmethod
+    def _solved(cls, model: GroupModel, x: Array, most: int) -> GroupFit:
+        effort = 1.0 if len(model.families) == 1 else _SHARED_EFFORT
+        result = model.minimised(x, round(effort * most), _TOLERANCE, _TOLERANCE)
+        return cls(model, result.x, 2.0 * float(result.cost))
+
+    def without(self, index: int) -> GroupFit:
+        """Return the fit to all motions but one."""
+        motions, place = self.model.motions, self.model.inertial.stop
+        starts = np.delete(self.model.starts(self.x), index, axis=0)
+        model = replace(self.model, motions=(*motions[:index], *motions[index + 1 :]))
+        return self._solved(model, np.concatenate([self.x[:place], starts.ravel()]), _MAX_REFINEMENTS)
+
+    def left_over(self, motion: KindMotion, starts: Array) -> Array:
+        """Return the residual spectrum of another motion in parts of the scale, shape (r, k).
+
+        It begins at the start deflections that fit it best; the search for them begins at `starts`, shape (e,).
+        """
+        model, fixed = replace(self.model, motions=(motion,)), self.x[: self.model.inertial.stop]
+
+        def residual(x: Array) -> Array:
+            return model.residual(np.concatenate([fixed, x]))
+
+        def slopes(x: Array) -> Array:
+            return model.jacobian(np.concatenate([fixed, x]))[:, len(fixed) :]
+
+        guesses = [starts, *(np.full(len(starts), each) for each in _STARTS)]
+        first = guesses[int(np.argmin([np.sum(residual(x) ** 2) for x in guesses]))]
+        best = least_squares(residual, first, slopes, method="lm", max_nfev=_MAX_EVALUATIONS, xtol=_TOLERANCE).x
+        return model.of_motion(np.concatenate([fixed, best]), 0)
+
+    def bristles(self, place: int) -> BristlesPart | None:
+        """Return the bristles of the element at a place in the group; None is LuGre's."""
+        return self.model.kind(self.x[self.model.places[place]], place)
+
+    def numbers(self, place: int) -> dict[str, float]:
+        """Return what was fitted of an element by its names: c0, Nm/rad, c1, Nm s/rad, bristles.share[0]."""
+        c0, c1 = self.model.values(self.x)[place].tolist()
+        part = self.bristles(place)
+        own = {} if part is None else {f"bristles.{name}": value for name, value in part.numbers().items()}
+        return {"c0": c0, "c1": c1, **own}
+
+    def reach(self, place: int) -> float:
+        """Return the largest deflection at which a block of an element slips, rad; 0 without blocks."""
+        part = self.bristles(place)
+        if not isinstance(part, MaxwellSlip):
+            return 0.0
+        coulomb = self.model.motions[0].traces[place].element.tau_c_positive
+        return float(np.max(np.divide(part.share, part.stiffness))) * coulomb / self.numbers(place)["c0"]
+
+    def seen(self, place: int, index: int) -> tuple[Array, Array]:
+        """Return the measured torque of an element along a motion less all others', and its own, Nm, each (b,)."""
+        motion = self.model.motions[index]
+        left = motion.measured @ np.concatenate([[1.0], -self.x[self.model.inertial]])
+        torques = [self.model.torque(self.x, index, n)[:, 0] for n in range(len(motion.traces))]
+        for n, torque in enumerate(torques):
+            if n != place:
+                left = left - np.outer(torque, motion.inputs[n])
+        row = motion.inputs[place]
+        return np.asarray(left @ row / (row @ row)), torques[place]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +224,7 @@ class KindChoice:
     @property
     def doubt(self) -> str:
         """Return why no kind is told; "" if one is."""
-        best = self.best
+        best, travel = self.best, float(np.ptp(self.position))
         if best.missed > _MAX_MISSED:
             return f"even the best kind, {best.family.name}, misses {100.0 * best.missed:.0f} % of the friction torque"
         if self.kind is None:
@@ -129,7 +232,6 @@ class KindChoice:
         if best.inertia > _MAX_INERTIA_ERROR:
             error = f"{100.0 * best.inertia:.0f} % off the description's"
             return f"the joint's inertia would be {error}: a payload or a rotor may be missing"
-        travel = float(np.ptp(self.position))
         if best.reach > _MAX_REACH * travel:
             return (
                 f"Maxwell slip predicts best, but a block would slip only after {1e3 * best.reach:.2g} mrad, and "
@@ -155,6 +257,11 @@ class ElementKind:
     sources: tuple[BagSource, ...] = ()
 
     @property
+    def decided(self) -> bool:
+        """Return whether the data tell it, LuGre's too."""
+        return self.choice is not None and not self.reason
+
+    @property
     def decision(self) -> str:
         """Return "LuGre", "elasto-plastic", "Maxwell slip", "cannot tell", or "not compared"."""
         if self.choice is None:
@@ -162,20 +269,10 @@ class ElementKind:
         return self.choice.best.family.kind if self.decided else "cannot tell"
 
     @property
-    def decided(self) -> bool:
-        """Return whether the data tell it, LuGre's too."""
-        return self.choice is not None and not self.reason
-
-    @property
     def trial(self) -> KindTrial | None:
         """Return the trial whose bristles take the place of LuGre's; None where LuGre's stay."""
         best = self.choice.best if self.choice is not None and self.decided else None
         return None if best is None or best.bristles is None else best
-
-    @property
-    def bristles(self) -> BristlesPart | None:
-        """Return the bristles that the element gets; None is LuGre's."""
-        return None if self.trial is None else self.trial.bristles
 
     @property
     def text(self) -> str:
@@ -194,8 +291,7 @@ class ElementKind:
         shown: dict[str, KindTrial] = {}
         for trial in sorted(self.choice.trials, key=lambda trial: trial.behind):
             shown.setdefault(trial.family.kind, trial)
-        torques = {"measured": self.choice.best.seen[0]}
-        torques |= {trial.family.name: trial.seen[1] for trial in shown.values()}
+        torques = {"measured": self.choice.best.seen[0]} | {one.family.name: one.seen[1] for one in shown.values()}
         position = self.choice.position
         return position - position.mean(), {name: torque - torque.mean() for name, torque in torques.items()}
 
@@ -219,7 +315,7 @@ def choose_kinds(
         progress: called `kind_steps(arm)` times, with what is done next.
     """
     groups = {moved.elements: moved for moved in fit.groups}
-    found: dict[str, ElementKind] = {}
+    found: dict[int, ElementKind] = {}
     for elements in (group.elements for group in joint_groups(arm)):
         names, moved = [arm.element_names[e] for e in elements], groups.get(elements)
         least, count = max(MIN_MOTIONS, 2 * len(names)), 0 if moved is None else len(moved.motions)
@@ -230,16 +326,16 @@ def choose_kinds(
                 FAMILIES,
                 lambda place, kind, names=names: progress(f"{names[place]}: {kind}"),  # type: ignore[misc]
             )
-            for name, one in zip(names, choices, strict=True):
-                found[name] = ElementKind(name, one.doubt, one, moved.sources)
+            for e, name, one in zip(elements, names, choices, strict=True):
+                found[e] = ElementKind(name, one.doubt, one, moved.sources)
             continue
         for _ in range(steps_of(len(names), FAMILIES)):
             progress(f"{listed(names)}: bristles")
         reason = f"{count} micro-oscillations; {least} or more tell kinds apart"
         if len(names) > MAX_ELEMENTS:
             reason = f"{len(names)} elements share joints; accepted: {MAX_ELEMENTS} at most"
-        found |= {name: ElementKind(name, reason) for name in names}
-    return tuple(found[name] for name in arm.element_names)
+        found |= {e: ElementKind(name, reason) for e, name in zip(elements, names, strict=True)}
+    return tuple(found[e] for e in sorted(found))
 
 
 def kind_steps(arm: RigidArm) -> int:
@@ -255,10 +351,8 @@ def steps_of(elements: int, families: Sequence[KindFamily]) -> int:
 
 def _middle(families: Sequence[KindFamily]) -> dict[str, KindFamily]:
     """Return a family for each kind, that in the middle."""
-    kinds: dict[str, list[KindFamily]] = {}
-    for family in families:
-        kinds.setdefault(family.kind, []).append(family)
-    return {kind: some[(len(some) - 1) // 2] for kind, some in kinds.items()}
+    kinds = itertools.groupby(families, key=lambda family: family.kind)
+    return {kind: some[(len(some) - 1) // 2] for kind, some in ((kind, list(some)) for kind, some in kinds)}
 
 
 def choose_kinds_of(
@@ -272,49 +366,52 @@ def choose_kinds_of(
     Args:
         motions: micro-motions of the group of e elements, 2 e or more, and at least MIN_MOTIONS.
         c0: a first guess, Nm/rad, such as that of the fit with LuGre's bristles, shape (e,).
-        families: what is tried.
+        families: what is tried, those of one kind one after the other.
         progress: called `steps_of(e, families)` times, with the place of an element and the name of a kind before the
             kind is tried.
     """
-    count = len(c0)
-    middle = _middle(families)
+    places, middle = range(len(c0)), _middle(families)
     fits: dict[tuple[KindFamily, ...], GroupFit] = {}
-    if count > 1:
-        for tried in itertools.product(middle.values(), repeat=count):
+    if len(c0) > 1:
+        for tried in itertools.product(middle.values(), repeat=len(c0)):
             progress(0, ", ".join(family.name for family in tried))
             fits[tried] = GroupFit.of(tried, motions, c0)
     searched = list(fits)
-    sets: list[list[tuple[KindFamily, ...]]] = [[] for _ in range(count)]  # of each element, one for each family
     without: dict[tuple[KindFamily, ...], list[GroupFit]] = {}
     power: dict[tuple[KindFamily, ...], Array] = {}
-    for place, family in itertools.product(range(count), families):
+    for place, family in itertools.product(places, families):
         progress(place, family.name)
         own = middle[family.kind]
         # The set that fits best of those with the family at the place.
         best = min((some for some in searched if some[place] is own), key=lambda some: fits[some].cost, default=(own,))
         chosen = (*best[:place], family, *best[place + 1 :])
-        sets[place].append(chosen)
-        if chosen not in fits:
-            fits[chosen] = GroupFit.of(chosen, motions, c0)
         if chosen not in power:
-            without[chosen], power[chosen] = _held_out(fits[chosen])
+            whole = fits[chosen] = fits.get(chosen) or GroupFit.of(chosen, motions, c0)
+            starts = whole.model.starts(whole.x)
+
+            def squares(fit: GroupFit, index: int, starts: Array = starts) -> Array:
+                """Return what a fit misses in each spectral line of a motion, shape (lines,)."""
+                lines = np.unique(motions[index].line, return_inverse=True)[1]
+                left = fit.left_over(motions[index], starts[index])
+                return np.bincount(lines, np.sum(left**2, axis=1)).astype(np.float64)
+
+            without[chosen], power[chosen] = leave_out(range(len(motions)), whole.without, squares)
     errors = HeldOutErrors(power)
     best = errors.best()
     model = fits[best].model
     friction = sum(float(np.sum((motion.target / model.scale) ** 2)) for motion in model.motions)
-    floor = _MIN_RELATIVE_SD if len(sets) == 1 else _MIN_RELATIVE_SD_SHARED
-    found = []
-    for place, tried_here in enumerate(sets):
+    floor, found = _MIN_RELATIVE_SD if len(c0) == 1 else _MIN_RELATIVE_SD_SHARED, []
+    for place in places:
         positions = [motion.traces[place].position for motion in model.motions]
         largest = int(np.argmax([np.ptp(position) for position in positions]))
         trials = []
-        for some in tried_here:
+        for family in families:
             # Of sets with the same kind here, which differ elsewhere, that which predicts best.
-            chosen = errors.best(each for each in power if each[place] == some[place])
+            chosen = errors.best(each for each in power if each[place] == family)
             whole, rows = fits[chosen], [fit.numbers(place) for fit in without[chosen]]
             trials.append(
                 KindTrial(
-                    some[place],
+                    family,
                     whole.bristles(place),
                     whole.seen(place, largest),
                     jackknife_estimates(whole.numbers(place), rows, floor),
@@ -326,18 +423,6 @@ def choose_kinds_of(
             )
         found.append(KindChoice(tuple(trials), positions[largest]))
     return found
-
-
-def _held_out(whole: GroupFit) -> tuple[list[GroupFit], Array]:
-    """Return the fits to all motions but one, and what they miss in each spectral line of that one, shape (lines,)."""
-
-    def squares(fit: GroupFit, index: int) -> Array:
-        motion = whole.model.motions[index]
-        lines = np.unique(motion.line, return_inverse=True)[1]
-        left = fit.left_over(motion, whole.model.starts(whole.x)[index])
-        return np.bincount(lines, np.sum(left**2, axis=1)).astype(np.float64)
-
-    return leave_out(range(len(whole.model.motions)), whole.without, squares)
 
 
 def jackknife_estimates(

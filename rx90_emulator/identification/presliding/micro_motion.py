@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import rfft, rfftfreq
+from scipy.fft import next_fast_len, rfft, rfftfreq
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
 from scipy.signal.windows import tukey
@@ -38,6 +37,7 @@ _LOW_PASS_HZ = 200.0  # Hz, above which positions hold little but the encoder's 
 _MAX_GAP_S, _MAX_GAP_SAMPLES = 3e-3, 2.5  # s, or sample periods where these are longer, that are interpolated
 _TRANSIENT_S = 0.01  # s beside a gap that its transient reaches through the low-pass
 _SPIKE_BLOCK_S = 1.0  # s, over which spikes are compared with the range: that of a small motion shows smaller ones
+_POSE_STEP = 1e-4  # rad, of differences of the weight
 
 
 def block_means(values: Array) -> Array:
@@ -46,18 +46,13 @@ def block_means(values: Array) -> Array:
     return np.asarray(values[:length].reshape(-1, BLOCK, *values.shape[1:]).mean(axis=1))
 
 
-def fast_length(longest: int) -> int:
-    """Return the largest length up to `longest` >= 1 whose real Fourier transform is fast: 2^i 3^j 5^k.
-
-    scipy.fft.prev_fast_len(longest, real=True) is the same, from SciPy 1.14 on.
-    """
-    odd: list[int] = [3**j * 5**k for j in range(longest.bit_length()) for k in range(longest.bit_length())]
-    return max(n << (longest // n).bit_length() - 1 for n in odd if n <= longest)
-
-
 @lru_cache(maxsize=16)
-def _window(length: int, step: float) -> tuple[Array, Array, Mask]:
-    """Return the window over block means, the frequencies of its transform, Hz, and which are in the band."""
+def _window(longest: int, step: float) -> tuple[Array, Array, Mask]:
+    """Return a window over block means, the frequencies of its transform, Hz, and which of them are in the band.
+
+    Its length is the largest one up to `longest` whose transform is fast (scipy.fft.prev_fast_len from SciPy 1.14 on).
+    """
+    length = next(n for n in range(longest, 0, -1) if next_fast_len(n, real=True) == n)
     frequency = rfftfreq(length, BLOCK * step)
     return tukey(length, _TAPER_SHARE), frequency, (frequency >= _BAND_HZ[0]) & (frequency <= _BAND_HZ[1])
 
@@ -73,9 +68,8 @@ def band_spectrum(torque: Array, step: float) -> tuple[Array, Array]:
         Real parts above imaginary parts, shape (r, k), scaled so that white noise keeps the standard deviation that
         it has in a single step; frequencies, Hz, shape (r,).
     """
-    length = fast_length(len(torque))
-    window, frequency, band = _window(length, step)
-    parts = rfft((torque - torque.mean(axis=0))[:length] * window[:, None], axis=0)[band]
+    window, frequency, band = _window(len(torque), step)
+    parts = rfft((torque - torque.mean(axis=0))[: len(window)] * window[:, None], axis=0)[band]
     parts = parts * np.sqrt(2.0 * BLOCK / (window @ window))
     return np.concatenate([parts.real, parts.imag]), np.tile(frequency[band], 2)
 
@@ -92,7 +86,6 @@ class MicroMotion:
         acceleration: the same of all n joints, rad/s^2, shape (m, n).
         drive: drive torque less weight, held over each step, Nm, shape (m, k).
         mass: the group's rows of the mass matrix, kg m^2, shape (k, n).
-        inertia: its diagonal, kg m^2, shape (n,).
         record: the bag's record.
         interval: s, of the record's time.
         driven: whether the joints are moved by their motors, and not only by the reactions of other joints.
@@ -105,7 +98,6 @@ class MicroMotion:
     acceleration: Array
     drive: Array
     mass: Array
-    inertia: Array
     record: JointRecord
     interval: tuple[float, float]
     driven: bool = True
@@ -122,21 +114,17 @@ class MicroMotion:
         """Return the friction torque, drive less weight and inertia, Nm, shape (m, k)."""
         return np.asarray(self.drive - self.acceleration @ self.mass.T)
 
+    @property
+    def inertia_scale(self) -> Array:
+        """Return sqrt(M_jj M_ii) of the group's joints, kg m^2, shape (k, k), by which errors of M are counted."""
+        inertia = np.diag(self.mass[:, list(self.joints)])
+        return np.asarray(np.sqrt(np.outer(inertia, inertia)))
+
     def load(self, break_away: Array) -> float:
         """Return the amplitude of friction over the torques of break-away, Nm, shape (k,), of the joint with most."""
         friction = sosfiltfilt(butter(2, _DETECTION_HZ[1], fs=1.0 / self.step, output="sos"), self.friction, axis=0)
         low, high = np.percentile(friction, (1.0, 99.0), axis=0)
         return float(np.max(0.5 * (high - low) / break_away))
-
-
-class _Grid(NamedTuple):
-    """A record on m equal steps, s, and which of them lie neither in a gap nor beside one."""
-
-    step: float
-    time: Array
-    position: Array
-    torque: Array
-    known: Mask
 
 
 def find_micro_motions(
@@ -153,26 +141,44 @@ def find_micro_motions(
     Raises:
         IdentificationError: if the record is too slow.
     """
-    grid = _on_grid(record, torque_delay)
+    step, time, position, torque, known = _on_grid(record, torque_delay)
     # Central differences of fourth order; of second order they are 0.5 % low at 40 Hz and 0.5 ms.
-    position, step = grid.position, grid.step
     velocity = np.gradient(position, step, axis=0)
     velocity[2:-2] = (8.0 * (position[3:-1] - position[1:-3]) - (position[4:] - position[:-4])) / (12.0 * step)
-    active = _active(grid) & grid.known[:, None]
-    found = []
-    for group in groups:
-        edges = np.flatnonzero(np.diff(active[:, list(group)].any(axis=1), prepend=False, append=False))
+    active, unit, found = _active(position, step) & known[:, None], np.eye(len(arm.names)), []
+    for joints in map(list, groups):
+        edges = np.flatnonzero(np.diff(active[:, joints].any(axis=1), prepend=False, append=False))
         for first, last in edges.reshape(-1, 2).tolist():
-            if last - first >= round(_MIN_MOTION_S / step):
-                part = slice(first, min(last, first + round(_MAX_MOTION_S / step)))
-                found.append(_motion(record, arm, tuple(group), grid, velocity, part))
-
-    def most_own(motion: MicroMotion) -> float:
-        """Return how much of their own the joints have that have most at the same time."""
+            if last - first < round(_MIN_MOTION_S / step):
+                continue
+            part = slice(first, min(last, first + round(_MAX_MOTION_S / step)))
+            pose = position[part].mean(axis=0)[None]
+            weight = arm.torque(pose, 0.0 * pose, 0.0 * pose)[0]
+            mass = arm.torque(np.repeat(pose, len(unit), axis=0), 0.0 * unit, unit) - weight
+            ahead, behind = (arm.torque(pose + s * unit, 0.0 * unit, 0.0 * unit) for s in (_POSE_STEP, -_POSE_STEP))
+            stiffness = (ahead - behind).T / (2.0 * _POSE_STEP)  # of the weight, Nm/rad
+            middle = 0.5 * (position[part][:-1] + position[part][1:])
+            drive = torque[part][1:, joints] - weight[joints] - (middle - pose) @ stiffness[joints].T
+            mean, acceleration = (np.diff(values[part], axis=0) / step for values in (position, velocity))
+            found.append(
+                MicroMotion(
+                    joints=tuple(joints),
+                    step=step,
+                    position=np.ascontiguousarray(position[part][1:, joints]),
+                    velocity=np.ascontiguousarray(mean[:, joints]),
+                    acceleration=acceleration,
+                    drive=np.ascontiguousarray(drive),
+                    mass=mass[joints],
+                    record=record,
+                    interval=(float(time[part][0]), float(time[part][-1])),
+                )
+            )
+    driven = []
+    for motion in found:
         begin, end = motion.interval
-        return max(other.own for other in found if other.interval[0] < end and begin < other.interval[1])
-
-    return [replace(motion, driven=motion.own >= min(_MIN_OWN_TORQUE, most_own(motion))) for motion in found]
+        together = (other.own for other in found if other.interval[0] < end and begin < other.interval[1])
+        driven.append(motion.own >= min(_MIN_OWN_TORQUE, max(together)))
+    return [replace(motion, driven=own) for motion, own in zip(found, driven, strict=True)]
 
 
 def most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[MicroMotion]:
@@ -195,7 +201,8 @@ def most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[
     return [motion for bag in chosen.values() for motion in bag]
 
 
-def _on_grid(record: JointRecord, torque_delay: float) -> _Grid:
+def _on_grid(record: JointRecord, torque_delay: float) -> tuple[float, Array, Array, Array, Mask]:
+    """Return step, times, positions and torques on equal steps, and which lie neither in a gap nor beside one."""
     step = float(np.median(np.diff(record.time))) if len(record.time) > 1 else np.inf
     if 1.0 / step < LOWEST_RATE:
         raise IdentificationError(
@@ -224,46 +231,17 @@ def _on_grid(record: JointRecord, torque_delay: float) -> _Grid:
     mean[factor:last:factor] = torque[1:last].reshape(count, factor, -1).mean(axis=1)
     whole[factor:last:factor] = known[1:last].reshape(count, factor).all(axis=1)
     chosen = slice(0, last, factor)
-    return _Grid(step * factor, time[chosen], position[chosen], mean[chosen], whole[chosen])
+    return step * factor, time[chosen], position[chosen], mean[chosen], whole[chosen]
 
 
-def _active(grid: _Grid) -> Mask:
+def _active(position: Array, step: float) -> Mask:
     """Return where each joint oscillates without going far, shape (m, n)."""
-    span, rate = max(3, round(_SPAN_S / grid.step)), 1.0 / grid.step
-    excursion = maximum_filter1d(grid.position, span, axis=0) - minimum_filter1d(grid.position, span, axis=0)
+    span, rate = max(3, round(_SPAN_S / step)), 1.0 / step
+    excursion = maximum_filter1d(position, span, axis=0) - minimum_filter1d(position, span, axis=0)
     band = butter(2, _DETECTION_HZ, btype="band", fs=rate, output="sos")
-    centred = grid.position - grid.position.mean(axis=0)
+    centred = position - position.mean(axis=0)
     power = uniform_filter1d(sosfiltfilt(band, centred, axis=0) ** 2, span, axis=0)
     slow = sosfiltfilt(butter(2, _DETECTION_HZ[0], fs=rate, output="sos"), centred, axis=0)
     drift = uniform_filter1d((slow - uniform_filter1d(slow, span, axis=0)) ** 2, span, axis=0)
     quiet = (excursion < _MAX_EXCURSION).all(axis=1, keepdims=True)
     return np.asarray(quiet & (power > _MIN_OSCILLATION**2) & (power > drift))
-
-
-def _motion(
-    record: JointRecord, arm: RigidArm, group: tuple[int, ...], grid: _Grid, velocity: Array, part: slice
-) -> MicroMotion:
-    """Return the motion of a group in a part of the grid, along which the velocities are known, shape (m, n)."""
-    joints, position = list(group), grid.position[part]
-    pose = position.mean(axis=0)[None]
-    nothing, unit = np.zeros_like(pose), np.eye(pose.shape[1])
-    weight = arm.torque(pose, nothing, nothing)[0]
-    mass = arm.torque(np.repeat(pose, len(unit), axis=0), np.zeros_like(unit), unit) - weight
-    # The derivative of the weight by the pose, Nm/rad.
-    ahead, behind = (arm.torque(pose + shift * unit, 0.0 * unit, 0.0 * unit) for shift in (1e-4, -1e-4))
-    stiffness = (ahead - behind).T / 2e-4
-    middle = 0.5 * (position[:-1] + position[1:])
-    drive = grid.torque[part][1:, joints] - weight[joints] - (middle - pose) @ stiffness[joints].T
-    mean, acceleration = (np.diff(values, axis=0) / grid.step for values in (position, velocity[part]))
-    return MicroMotion(
-        joints=group,
-        step=grid.step,
-        position=np.ascontiguousarray(position[1:, joints]),
-        velocity=np.ascontiguousarray(mean[:, joints]),
-        acceleration=acceleration,
-        drive=np.ascontiguousarray(drive),
-        mass=mass[joints],
-        inertia=np.diag(mass),
-        record=record,
-        interval=(float(grid.time[part][0]), float(grid.time[part][-1])),
-    )

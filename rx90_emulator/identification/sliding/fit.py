@@ -12,9 +12,9 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import SLIDING, VISCOUS_EXPONENT, ElementEstimate, ParameterEstimate
-from rx90_emulator.identification.records import JointRecord, check_joints
+from rx90_emulator.identification.records import BagSource, JointRecord, check_joints
 from rx90_emulator.identification.sliding.plateaus import BagUse, Blocks, find_blocks
-from rx90_emulator.identification.sliding.quality import FitQuality
+from rx90_emulator.identification.sliding.quality import CurvePoints, FitQuality
 from rx90_emulator.identification.sliding.solver import (
     EXPONENT,
     FITTED,
@@ -30,7 +30,7 @@ from rx90_emulator.identification.sliding.solver import (
     torque,
     torque_jacobian,
 )
-from rx90_emulator.identification.zeros import Instants, ZeroCheck, check_zeros, known_joints
+from rx90_emulator.identification.zeros import ZeroCheck, check_zeros
 
 LEAST_SPEEDS = 5
 """Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom.
@@ -49,28 +49,6 @@ sampling, is off by so much even far from a beat (measured on the engine, whose 
 _STRIBECK = ("tau_s_positive", "tau_s_negative", "omega_s", "delta")
 _LINE_POINTS = 100
 _DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"
-
-
-@dataclass(frozen=True, eq=False)
-class CurvePoints:
-    """Measured against fitted friction torque of one element, one point for each of p plateaus.
-
-    Attributes:
-        velocity: rad/s, shape (p,).
-        torque: measured torque less the rigid arm's and the other elements', Nm, shape (p,).
-        deviation: standard deviation of its noise, Nm, shape (p,).
-        fitted: torque by the identified parameters, Nm, shape (p,).
-        time: in the series, s, shape (p,).
-        line: the identified curve over the measured speeds, in either direction: velocity, torque, and the standard
-            deviation of the torque that follows from that of the parameters, shape (3, k).
-    """
-
-    velocity: Array
-    torque: Array
-    deviation: Array
-    fitted: Array
-    time: Array
-    line: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +102,7 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, zero: Array 
         # What an element lacks that moves says more than that another one rests.
         name = min(lacking, key=lambda name: lacking[name] == _DOES_NOT_SLIDE)
         raise IdentificationError(f"{where}: {name} {lacking[name]}")
-    known = known_joints(blocks.sliding, arm.element_matrix)
-    motion = blocks.position, blocks.velocity, blocks.acceleration
-    zeros = check_zeros(Instants(*motion, blocks.torque, known, blocks.plateau), arm, zero)
+    zeros = check_zeros(blocks, arm, zero)
     rows = sliding_rows(blocks, arm)
     free = np.zeros((len(names), SIZE), dtype=np.bool_)
     free[[name not in lacking for name in names], :EXPONENT] = True
@@ -146,27 +122,17 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, zero: Array 
         if name in lacking:
             estimates.append(ElementEstimate.unknown(name, SLIDING, lacking[name], sources))
         else:
-            parameters, covariance = _estimates(fit, names, e, usage)
-            estimates.append(ElementEstimate.of(name, parameters, covariance, sources))
-        curve = _curve(fit, e)
-        curves.append(curve)
-        left = curve.torque - curve.fitted
-        figures = curve.velocity, left, curve.deviation, curve.torque, fit.misfits[e], fit.drifts[e]
-        quality.append(FitQuality.of(*figures) if len(curve.velocity) else None)
+            estimates.append(_estimate(fit, names, e, usage, sources))
+        curves.append(_curve(fit, e))
+        quality.append(FitQuality.of(curves[e], fit.misfits[e], fit.drifts[e]) if len(curves[e].velocity) else None)
     # The covariance of the inertial errors is that of the prior where nothing is observed.
-    scale = arm.inertial_scale()
-    seen = rows.directions / scale[:, None]
-    unseen = scale[:, None] * (np.eye(len(scale)) - seen @ seen.T) * scale
-    return SlidingFit(
-        tuple(estimates),
-        tuple(curves),
-        rows.directions @ fit.nuisance,
-        rows.directions @ fit.nuisance_covariance @ rows.directions.T + unseen,
-        len(np.unique(rows.plateau)),
-        usage,
-        tuple(quality),
-        zeros,
-    )
+    scale, directions = arm.inertial_scale(), rows.directions
+    seen = directions / scale[:, None]
+    covariance = directions @ fit.nuisance_covariance @ directions.T
+    covariance += scale[:, None] * (np.eye(len(scale)) - seen @ seen.T) * scale
+    inertial = directions @ fit.nuisance
+    count = len(np.unique(rows.plateau))
+    return SlidingFit(tuple(estimates), tuple(curves), inertial, covariance, count, usage, tuple(quality), zeros)
 
 
 def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
@@ -267,10 +233,10 @@ def _natural_covariance(fit: CurveFit, element: int) -> Array:
     return np.asarray(covariance + np.diag(unseen**2))
 
 
-def _estimates(
-    fit: CurveFit, names: Sequence[str], element: int, usage: Sequence[BagUse]
-) -> tuple[dict[str, ParameterEstimate], Array]:
-    """Return the estimates of one element that was fitted, and their covariance."""
+def _estimate(
+    fit: CurveFit, names: Sequence[str], element: int, usage: Sequence[BagUse], sources: tuple[BagSource, ...]
+) -> ElementEstimate:
+    """Return the estimates of one element that was fitted."""
     chosen = (*SLIDING, VISCOUS_EXPONENT) if fit.free[element, EXPONENT] else SLIDING
     covariance = _natural_covariance(fit, element)[: len(chosen), : len(chosen)]
     values, estimates = natural(fit.parameters[element]), {}
@@ -278,7 +244,7 @@ def _estimates(
         estimate = ParameterEstimate(values[name], deviation)
         reason = _reason(fit, names, element, name, estimate, usage)
         estimates[name] = ParameterEstimate.unknown(reason) if reason else estimate
-    return estimates, covariance
+    return ElementEstimate.of(names[element], estimates, covariance, sources)
 
 
 def _reason(
@@ -315,33 +281,19 @@ def _curve(fit: CurveFit, element: int) -> CurvePoints:
     mine = np.flatnonzero(rows.gain[:, element])
     gain, along = rows.gain[mine, element], rows.velocity[mine, element]
     left = fit.residual[mine] + gain * torque(along, parameters)
-    plateau, number = np.unique(rows.plateau[mine], return_inverse=True)
-
-    def mean(values: Array, weight: Array) -> Array:
-        return np.bincount(number, weight * values, len(plateau)) / np.bincount(number, weight, len(plateau))
-
-    power = np.bincount(number, gain**2, len(plateau))
-    velocity = mean(along, gain**2)
-    noise = np.bincount(number, (gain * fit.noise[mine]) ** 2, len(plateau))
-    return CurvePoints(
-        velocity=velocity,
-        torque=np.bincount(number, gain * left, len(plateau)) / power,
-        deviation=np.sqrt(noise) / power,
-        fitted=torque(velocity, parameters),
-        time=mean(rows.time[mine], np.ones(len(mine))),
-        line=_line(fit, element, velocity),
+    number = np.unique(rows.plateau[mine], return_inverse=True)[1]
+    power, weighted, pull, noise, time = (
+        np.bincount(number, values)
+        for values in (gain**2, gain**2 * along, gain * left, (gain * fit.noise[mine]) ** 2, rows.time[mine])
     )
-
-
-def _line(fit: CurveFit, element: int, measured: Array) -> Array:
-    """Return velocity, torque and standard deviation of the identified curve, shape (3, k)."""
-    if len(measured) == 0:
-        return np.zeros((3, 0))
-    sides = [(sign, sign * measured[sign * measured > 0.0]) for sign in (-1.0, 1.0)]
-    grids = [sign * np.geomspace(speed.min(), speed.max(), _LINE_POINTS) for sign, speed in sides if len(speed)]
-    velocity = np.sort(np.concatenate(grids))
-    parameters = fit.parameters[element]
-    # By the parameters that `natural` returns.
-    slope = np.linalg.solve(natural_jacobian(parameters).T, torque_jacobian(velocity, parameters).T).T
-    deviation = np.sqrt(np.einsum("ki,ij,kj->k", slope, _natural_covariance(fit, element), slope))
-    return np.stack([velocity, torque(velocity, parameters), deviation])
+    velocity = weighted / power
+    line = np.zeros((3, 0))
+    if len(mine):  # velocity, torque and standard deviation of the identified curve
+        sides = [(sign, sign * velocity[sign * velocity > 0.0]) for sign in (-1.0, 1.0)]
+        grids = [sign * np.geomspace(speed.min(), speed.max(), _LINE_POINTS) for sign, speed in sides if len(speed)]
+        grid = np.sort(np.concatenate(grids))
+        slope = np.linalg.solve(natural_jacobian(parameters).T, torque_jacobian(grid, parameters).T).T
+        deviation = np.sqrt(np.einsum("ki,ij,kj->k", slope, _natural_covariance(fit, element), slope))
+        line = np.stack([grid, torque(grid, parameters), deviation])
+    seconds = time / np.bincount(number)
+    return CurvePoints(velocity, pull / power, np.sqrt(noise) / power, torque(velocity, parameters), seconds, line)

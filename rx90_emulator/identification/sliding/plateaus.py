@@ -7,8 +7,9 @@ bristles need to settle is left out at its beginning; the rest is cut into block
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.records import BagSource, JointRecord
+from rx90_emulator.identification.zeros import Instants
 
 USED = "used"
 RESTS = "at rest"
@@ -86,15 +88,14 @@ class BagUse:
 
     def text(self, names: Sequence[str]) -> str:
         """Return it as a line, with the elements by these names."""
-        ranges = [
-            f"{name} {low:.3g}" + (f" to {high:.3g}" if f"{low:.3g}" != f"{high:.3g}" else "")
-            for name, (low, high) in zip(names, self.speeds.tolist(), strict=True)
-            if high
-        ]
-        used = "NOTHING"
+        used, rest = "NOTHING", self.reasons
         if self.stretches:
+            ranges = [
+                f"{name} {low:.3g}" + (f" to {high:.3g}" if f"{low:.3g}" != f"{high:.3g}" else "")
+                for name, (low, high) in zip(names, self.speeds.tolist(), strict=True)
+                if high
+            ]
             used = f"{self.seconds:.3g} s in {self.stretches} stretches, {', '.join(ranges)} rad/s"
-        rest = self.reasons
         return f"used {used}" + (f"; left out {rest}" if rest else "")
 
     @property
@@ -104,29 +105,19 @@ class BagUse:
 
 
 @dataclass(frozen=True, eq=False)
-class Blocks:
-    """Block means of plateaus: b blocks of n joints with n_el friction elements.
+class Blocks(Instants):
+    """Block means of m blocks of plateaus, of n joints with n_el friction elements.
 
     Attributes:
-        position: rad, shape (b, n).
-        velocity: of the straight line fitted to the plateau's velocity, rad/s, shape (b, n).
-        acceleration: slope of that line, rad/s^2, shape (b, n).
-        torque: drive torque, Nm, shape (b, n).
-        count: samples in each mean, shape (b,).
-        sliding: whether an element slides steadily, shape (b, n_el).
-        plateau: number of the plateau, shape (b,).
-        source: number of the record, shape (b,).
-        time: in the series, s, shape (b,).
+        velocity: of the straight line fitted to the plateau's velocity, rad/s, shape (m, n).
+        acceleration: slope of that line, rad/s^2, shape (m, n).
+        count: samples in each mean, shape (m,).
+        source: number of the record, shape (m,).
+        time: in the series, s, shape (m,).
         noise: covariance of the torque's samples, Nm^2, shape (n, n).
     """
 
-    position: Array
-    velocity: Array
-    acceleration: Array
-    torque: Array
     count: Array
-    sliding: Mask
-    plateau: NDArray[np.int64]
     source: NDArray[np.int64]
     time: Array
     noise: Array
@@ -142,33 +133,34 @@ def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks
     Raises:
         IdentificationError: if no record holds a plateau in which an element slides.
     """
-    parts: list[Blocks] = []
-    usage = []
-    for source, (record, begin) in enumerate(zip(records, _beginnings(records), strict=True)):
+    parts: list[dict[str, Array]] = []
+    usage, covariances = [], []
+    # A record begins by its stamps, or one behind the other where these overlap.
+    order = sorted(records, key=lambda record: float(record.time[0]))
+    apart = all(a.time[-1] <= b.time[0] for a, b in pairwise(order))
+    begin = 0.0
+    for source, record in enumerate(records):
         state, cut = _plateaus(record, elements)
-        own: list[Blocks] = []
+        shift = 0.0 if apart else begin - float(record.time[0])
+        velocities = []
         for rows, sliding in cut:
-            own.append(_block_means(record, rows, sliding, (len(parts) + len(own), source), begin))
-        parts += own
-        usage.append(_account(record, elements, state, [part.velocity @ elements.T * part.sliding for part in own]))
+            part, covariance = _block_means(record, rows)
+            velocities.append(part["velocity"] @ elements.T * sliding)
+            numbers = {"sliding": sliding, "plateau": len(parts), "source": source}
+            part |= {name: np.repeat([value], len(rows), axis=0) for name, value in numbers.items()}
+            parts.append(part | {"time": part["time"] + shift})
+            covariances.append(covariance)
+        begin += float(record.time[-1] - record.time[0])
+        usage.append(_account(record, elements, state, velocities))
     if not parts:
         each = "; ".join(f"{record.source}: {use.reasons}" for record, use in zip(records, usage, strict=True))
         raise IdentificationError(
             f"{each or 'no bag'}: no stretch of constant velocity; accepted: sweeps at constant velocity"
         )
-    joined = {field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Blocks)}
-    weights = np.array([part.count.sum() for part in parts])
-    joined["noise"] = np.einsum("p,pij->ij", weights / weights.sum(), np.array([part.noise for part in parts]))
-    return Blocks(**joined), tuple(usage)
-
-
-def _beginnings(records: Sequence[JointRecord]) -> list[float]:
-    """Return when each record begins in the series, s: by its stamps, or one behind the other where these overlap."""
-    order = sorted(records, key=lambda record: float(record.time[0]))
-    if all(a.time[-1] <= b.time[0] for a, b in pairwise(order)):
-        return [float(record.time[0]) for record in records]
-    lasting = [float(record.time[-1] - record.time[0]) for record in records]
-    return [sum(lasting[:k]) for k in range(len(records))]
+    joined: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    weights = np.array([part["count"].sum() for part in parts])
+    noise = np.einsum("p,pij->ij", weights / weights.sum(), np.array(covariances))
+    return Blocks(**joined, noise=noise), tuple(usage)
 
 
 def _plateaus(record: JointRecord, elements: Array) -> tuple[Array, list[tuple[NDArray[np.int64], Mask]]]:
@@ -181,12 +173,9 @@ def _plateaus(record: JointRecord, elements: Array) -> tuple[Array, list[tuple[N
     top = np.percentile(np.abs(record.velocity), 99.0, axis=0)
     for seconds, fastest in _SCALES:
         size = max(_BIN_SAMPLES, round(seconds / period))
-        edges = np.flatnonzero(np.diff(state != REASONS.index(USED), prepend=False, append=False))
-        for begin, end in edges.reshape(-1, 2).tolist():
+        for begin, end in _runs(state != REASONS.index(USED)):
             for rows in _steady_stretches(record, slice(begin, end), period, size, top):
-                duration = float(record.time[rows.stop - 1] - record.time[rows.start])
-                # Travel over time is more precise than the mean of the drive's velocities.
-                travel = np.abs(elements @ (record.position[rows.stop - 1] - record.position[rows.start]))
+                duration, travel = _travel(record, elements, rows)
                 if travel.max() > fastest * duration:
                     continue
                 sliding = travel * _SETTLE_SHARE >= SETTLE_DISTANCE
@@ -195,17 +184,28 @@ def _plateaus(record: JointRecord, elements: Array) -> tuple[Array, list[tuple[N
                     continue
                 state[rows] = REASONS.index(SETTLES)
                 kept, reason = _settled_part(record, elements, rows, size, sliding)
-                if not reason:
-                    blocks, reason = _blocks(record, elements, kept, sliding), SHORT
-                    if blocks is not None:
-                        state[kept], state[blocks[0]] = REASONS.index(SHORT), REASONS.index(UNSTEADY)
-                        used = blocks[0][blocks[1]]
-                        state[used] = REASONS.index(USED)
-                        if len(used):
-                            cut.append((used, sliding))
-                        continue
-                state[kept] = REASONS.index(reason)
+                if reason:
+                    state[kept] = REASONS.index(reason)
+                    continue
+                state[kept] = REASONS.index(SHORT)
+                blocks, steady = _blocks(record, elements, kept, sliding)
+                state[blocks], state[blocks[steady]] = REASONS.index(UNSTEADY), REASONS.index(USED)
+                if steady.any():
+                    cut.append((blocks[steady], sliding))
     return state, cut
+
+
+def _runs(held: Mask) -> list[list[int]]:
+    """Return the first sample of each run in which something holds, and the one behind its last."""
+    return np.flatnonzero(np.diff(held, prepend=False, append=False)).reshape(-1, 2).tolist()
+
+
+def _travel(record: JointRecord, elements: Array, rows: slice) -> tuple[float, Array]:
+    """Return duration, s, and the elements' travel, rad: over time more precise than the drives' mean velocities."""
+    first, last = rows.start, rows.stop - 1
+    return float(record.time[last] - record.time[first]), np.abs(
+        elements @ (record.position[last] - record.position[first])
+    )
 
 
 def _steady_stretches(record: JointRecord, rows: slice, period: float, size: int, fastest: Array) -> list[slice]:
@@ -338,35 +338,31 @@ def _with_context(record: JointRecord, elements: Array, kept: slice, size: int) 
     return slice(kept.start - bins[0] * size, kept.stop + bins[1] * size)
 
 
-def _blocks(record: JointRecord, elements: Array, kept: slice, sliding: Mask) -> tuple[NDArray[np.int64], Mask] | None:
+def _blocks(record: JointRecord, elements: Array, kept: slice, sliding: Mask) -> tuple[NDArray[np.int64], Mask]:
     """Return the samples of each block (b, m), and which blocks have a velocity of their own near that of all.
 
     Either the mean velocity or the travel over time may say so: the one is noisy, the other counts encoder steps.
     """
-    count = kept.stop - kept.start
+    count, time, position = kept.stop - kept.start, record.time, record.position
     if count < _BLOCK_SAMPLES:
-        return None
-    time, position = record.time, record.position
-    duration = float(time[kept.stop - 1] - time[kept.start])
-    speed = np.abs(elements @ (position[kept.stop - 1] - position[kept.start])) / duration
-    length = min(_BLOCK_S, _BLOCK_TRAVEL / max(float(speed.max()), 1e-9))
+        return np.zeros((0, 1), dtype=np.int64), np.zeros(0, dtype=np.bool_)
+    duration, travel = _travel(record, elements, kept)
+    length = min(_BLOCK_S, _BLOCK_TRAVEL / max(float(travel.max()) / duration, 1e-9))
     size = min(max(_BLOCK_SAMPLES, int(length * (count - 1) / duration)), count)
-    rows = kept.start + np.arange(count // size * size).reshape(-1, size)
-    inputs = elements[sliding].T
-    travel = (position[rows[:, -1]] - position[rows[:, 0]]) @ inputs / (time[rows[:, -1]] - time[rows[:, 0]])[:, None]
-    usual = (position[rows[-1, -1]] - position[rows[0, 0]]) @ inputs / (time[rows[-1, -1]] - time[rows[0, 0]])
-    steady = np.zeros(len(rows), dtype=np.bool_)
-    for own in (travel, record.velocity[rows].mean(axis=1) @ inputs):
+    rows, inputs = kept.start + np.arange(count // size * size).reshape(-1, size), elements[sliding].T
+
+    def speed(first: NDArray[np.int64], last: NDArray[np.int64]) -> Array:
+        return np.asarray((position[last] - position[first]) @ inputs / (time[last] - time[first])[:, None])
+
+    usual, steady = speed(rows[:1, 0], rows[-1:, -1]), np.zeros(len(rows), dtype=np.bool_)
+    for own in (speed(rows[:, 0], rows[:, -1]), record.velocity[rows].mean(axis=1) @ inputs):
         steady |= (np.abs(own - usual) <= _BLOCK_CHANGE * np.abs(usual)).all(axis=1)
     return rows, steady
 
 
-def _block_means(
-    record: JointRecord, rows: NDArray[np.int64], sliding: Mask, place: tuple[int, int], begin: float
-) -> Blocks:
-    """Return the blocks of a plateau, of its samples (b, m); `place` is its number and that of the record."""
-    count, flat = len(rows), rows.ravel()
-    mean_time = record.time[rows].mean(axis=1)
+def _block_means(record: JointRecord, rows: NDArray[np.int64]) -> tuple[dict[str, Array], Array]:
+    """Return means over the blocks of a plateau, of its samples (b, m), and the covariance of the torque's samples."""
+    flat, mean_time = rows.ravel(), record.time[rows].mean(axis=1)
     centre = record.time[flat].mean()
     spread = record.time[flat] - centre
     slope = spread @ record.velocity[flat] / (spread @ spread)
@@ -377,18 +373,15 @@ def _block_means(
     steps = np.diff(torque, axis=1).reshape(-1, torque.shape[2])
     usual = (np.abs(steps) <= _OUTLIER_SD * 1.4826 * np.median(np.abs(steps), axis=0) + 1e-12).all(axis=1)
     steps = steps[usual] if usual.any() else steps
-    return Blocks(
-        position=record.position[rows].mean(axis=1),
-        velocity=record.velocity[flat].mean(axis=0) + (mean_time[:, None] - centre) * slope,
-        acceleration=np.tile(slope, (count, 1)),
-        torque=np.where(good, torque, 0.0).sum(axis=1) / used,
-        count=used.min(axis=1).astype(np.float64),
-        sliding=np.tile(sliding, (count, 1)),
-        plateau=np.full(count, place[0]),
-        source=np.full(count, place[1]),
-        time=mean_time - record.time[0] + begin,
-        noise=steps.T @ steps / len(steps) / 2.0,
-    )
+    means = {
+        "position": record.position[rows].mean(axis=1),
+        "velocity": record.velocity[flat].mean(axis=0) + (mean_time[:, None] - centre) * slope,
+        "acceleration": np.tile(slope, (len(rows), 1)),
+        "torque": np.where(good, torque, 0.0).sum(axis=1) / used,
+        "count": used.min(axis=1).astype(np.float64),
+        "time": mean_time,
+    }
+    return means, steps.T @ steps / len(steps) / 2.0
 
 
 def _account(record: JointRecord, elements: Array, state: Array, velocities: Sequence[Array]) -> BagUse:
@@ -402,11 +395,9 @@ def _account(record: JointRecord, elements: Array, state: Array, velocities: Seq
     seconds = {why: float(np.sum(state == k)) * period for k, why in enumerate(REASONS)}
     used = seconds.pop(USED)
     listed = sorted(((why, s) for why, s in seconds.items() if s >= _LISTED_S), key=lambda pair: -pair[1])
-    lacking = ~np.isin(state, [REASONS.index(why) for why in (USED, RESTS, SETTLES)])
-    unused = np.zeros((0, len(elements)))
-    for begin, end in np.flatnonzero(np.diff(lacking, prepend=False, append=False)).reshape(-1, 2).tolist():
-        lasted = float(record.time[end - 1] - record.time[begin])
-        travel = np.abs(elements @ (record.position[end - 1] - record.position[begin]))
+    unused = [np.zeros((0, len(elements)))]
+    for begin, end in _runs(~np.isin(state, [REASONS.index(why) for why in (USED, RESTS, SETTLES)])):
+        lasted, travel = _travel(record, elements, slice(begin, end))
         if lasted >= _UNUSED_S and travel.max() > _REST_TRAVEL:
-            unused = np.vstack([unused, np.where(travel > _REST_TRAVEL, travel / lasted, 0.0)])
-    return BagUse(record.bag, len(velocities), used, speeds, dict(listed), unused)
+            unused.append(np.where(travel > _REST_TRAVEL, travel / lasted, 0.0)[None])
+    return BagUse(record.bag, len(velocities), used, speeds, dict(listed), np.concatenate(unused))

@@ -84,14 +84,16 @@ def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> list[Misf
     column = np.cumsum(free.ravel()).reshape(free.shape) - 1
     for e, own in enumerate(free):
         agreement, widening = 0.0, np.ones(len(own))
-        if own.any():
-            velocity = residuals.velocity[:, e]
-            mine = np.flatnonzero(velocity)
-            speed = np.log(np.abs(velocity[mine]))
-            along = residuals.along[mine, e]
-            agreement = _agreement(along / _scatter(along, np.argsort(speed)), np.abs(speed[:, None] - speed))
+        mine = np.flatnonzero(residuals.velocity[:, e]) if own.any() else np.zeros(0, dtype=np.int64)
+        if len(mine):
+            speed = np.log(np.abs(residuals.velocity[mine, e]))
+            along, distance = residuals.along[mine, e], np.abs(speed[:, None] - speed)
+            along = along / _scatter(along, np.argsort(speed))
+            kernel = np.triu(np.maximum(0.0, 1.0 - distance / _CORRELATION_LENGTH) * (distance > _SAME_SPEED), 1)
+            spread = float(np.sqrt(along**2 @ kernel**2 @ along**2))
+            agreement = float(along @ kernel @ along) / spread if spread > 0.0 else 0.0
             if agreement > _MISFIT_SD:
-                band = np.full(len(velocity), -1)
+                band = np.full(len(residuals.velocity), -1)
                 band[mine] = np.floor((speed - speed.min()) / _BAND_WIDTH)
                 variance = _jackknife(residuals.slope, residuals.left, band[residuals.plateau], covariance)
                 chosen = column[e, own]
@@ -108,9 +110,7 @@ def _jackknife(slope: Array, left: Array, band: NDArray[np.int64], covariance: A
     """
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    scaled = slope @ root
-    numbers = np.unique(band[band >= 0])
-    total = np.zeros(len(covariance))
+    scaled, numbers, total = slope @ root, np.unique(band[band >= 0]), np.zeros(len(covariance))
     for number in numbers.tolist():
         part = scaled[band == number]
         leverage, directions = np.linalg.eigh(part.T @ part)
@@ -131,13 +131,6 @@ def _scatter(residual: Array, order: NDArray[np.intp]) -> Array:
     local = np.empty(len(residual))
     local[order] = np.sqrt(np.maximum(np.append(usual, usual[-1]), 1e-6 * squares.mean() + 1e-300))
     return local
-
-
-def _agreement(residual: Array, distance: Array) -> float:
-    """Return how many standard deviations neighbouring residuals agree more than independent ones."""
-    kernel = np.triu(np.maximum(0.0, 1.0 - distance / _CORRELATION_LENGTH) * (distance > _SAME_SPEED), 1)
-    spread = float(np.sqrt(residual**2 @ kernel**2 @ residual**2))
-    return float(residual @ kernel @ residual) / spread if spread > 0.0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -166,38 +159,57 @@ def drifts_of(residuals: Residuals, free: Mask) -> list[Drift]:
     """
     # Of the derivatives by all parameters, of which those of coupled elements may be dependent.
     size = np.linalg.norm(residuals.slope, axis=0)
-    left, values, _ = np.linalg.svd(residuals.slope / np.where(size > 0.0, size, 1.0), full_matrices=False)
-    basis = left[:, values > _RANK_CUTOFF * values.max(initial=0.0)]
+    basis, values, _ = np.linalg.svd(residuals.slope / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    basis = basis[:, values > _RANK_CUTOFF * values.max(initial=0.0)]
     quantile = 1.0 - 0.5 * FALSE_ALARMS / max(1, int(free.any(axis=1).sum()))
-    return [_drift(residuals, e, fitted, basis, quantile) for e, fitted in enumerate(free.sum(axis=1).tolist())]
+    found = []
+    for e, fitted in enumerate(free.sum(axis=1).tolist()):
+        mine = np.flatnonzero(residuals.velocity[:, e])
+        time, gain, plateau = residuals.time[mine], residuals.gain[:, e], residuals.plateau
+        count, span = len(mine), float(np.ptp(time)) if len(mine) else 0.0
+        power = 0.0
+        if fitted and count >= max(_MIN_PLATEAUS, 2 * fitted) and span > 0.0:
+            trend = gain * ((residuals.time - time.mean()) / span)[plateau]
+            trend -= basis @ (basis.T @ trend)
+            power = float(trend @ trend)
+        if power < 1e-9:
+            found.append(Drift())
+            continue
+        change = float(trend @ residuals.left) / power
+        left = residuals.left - change * trend
+        pull, weight = (np.bincount(plateau, values, len(residuals.time)) for values in (gain * left, gain**2))
+        along = (pull / np.sqrt(np.maximum(weight, 1e-300)))[mine[np.argsort(time, kind="stable")]]
+        # What a fitted level and trend take from the first autocorrelation is given back (Kendall 1954).
+        squares = float(along @ along)
+        correlation = float(along[1:] @ along[:-1]) / max(squares, 1e-300)
+        correlation = min(max((count * correlation + 2.0) / (count - 4), 0.0), 0.95)
+        effective = count * (1.0 - correlation) / (1.0 + correlation)
+        freedom = max(1.0, effective - 1.0 - fitted / 2.0)
+        deviation = math.sqrt(max(squares / count, 1.0) * count / freedom / power)
+        found.append(Drift(change, deviation, span, abs(change) > float(stdtrit(freedom, quantile)) * deviation))
+    return found
 
 
-def _drift(residuals: Residuals, e: int, fitted: int, basis: Array, quantile: float) -> Drift:
-    """Return the drift of element e, of which so many parameters were fitted, beside an orthonormal basis of all."""
-    mine = np.flatnonzero(residuals.velocity[:, e])
-    time = residuals.time[mine]
-    count, span = len(mine), float(np.ptp(time)) if len(mine) else 0.0
-    if not fitted or count < max(_MIN_PLATEAUS, 2 * fitted) or span == 0.0:
-        return Drift()
-    gain = residuals.gain[:, e]
-    trend = gain * ((residuals.time - time.mean()) / span)[residuals.plateau]
-    trend = trend - basis @ (basis.T @ trend)
-    power = float(trend @ trend)
-    if power < 1e-9:
-        return Drift()
-    size = float(trend @ residuals.left) / power
-    left = residuals.left - size * trend
-    pull, weight = (np.bincount(residuals.plateau, values, len(residuals.time)) for values in (gain * left, gain**2))
-    along: Array = pull / np.sqrt(np.maximum(weight, 1e-300))
-    ordered = along[mine[np.argsort(time, kind="stable")]]
-    # What a fitted level and trend take from the first autocorrelation is given back (Kendall 1954).
-    found = float(ordered[1:] @ ordered[:-1]) / max(float(ordered @ ordered), 1e-300)
-    correlation = min(max((count * found + 2.0) / (count - 4), 0.0), 0.95)
-    effective = count * (1.0 - correlation) / (1.0 + correlation)
-    freedom = max(1.0, effective - 1.0 - fitted / 2.0)
-    variance = float(np.sum(along[mine] ** 2)) / count
-    deviation = math.sqrt(max(variance, 1.0) * count / freedom / power)
-    return Drift(size, deviation, span, abs(size) > float(stdtrit(freedom, quantile)) * deviation)
+@dataclass(frozen=True, eq=False)
+class CurvePoints:
+    """Measured against fitted friction torque of one element, one point for each of p plateaus.
+
+    Attributes:
+        velocity: rad/s, shape (p,).
+        torque: measured torque less the rigid arm's and the other elements', Nm, shape (p,).
+        deviation: standard deviation of its noise, Nm, shape (p,).
+        fitted: torque by the identified parameters, Nm, shape (p,).
+        time: in the series, s, shape (p,).
+        line: the identified curve over the measured speeds, in either direction: velocity, torque, and the standard
+            deviation of the torque that follows from that of the parameters, shape (3, k).
+    """
+
+    velocity: Array
+    torque: Array
+    deviation: Array
+    fitted: Array
+    time: Array
+    line: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,29 +234,16 @@ class FitQuality:
     drift: Drift
 
     @classmethod
-    def of(
-        cls, velocity: Array, residual: Array, noise: Array, torque: Array, misfit: Misfit, drift: Drift
-    ) -> FitQuality:
-        """Return the figures of one element.
-
-        Args:
-            velocity: of its plateaus, rad/s, shape (p,); one or more.
-            residual: measured less fitted torque, Nm, shape (p,).
-            noise: standard deviation of each, by the scatter of blocks, Nm, shape (p,).
-            torque: measured friction torque, Nm, shape (p,).
-            misfit: as the attribute.
-            drift: as the attribute.
-        """
-        free = max(1, len(residual) - len(misfit.widening))
-        rms, friction = (float(np.sqrt(np.mean(values**2))) for values in (residual, torque))
-        chi2 = float(np.sum((residual / np.maximum(noise, 1e-12)) ** 2)) / free
-        speed, along = np.abs(velocity), np.sign(velocity) * residual
-        place = np.log(speed) - np.log(speed.min())
-        width = max(float(np.ptp(place)), 1e-9) / _BANDS
-        number = np.minimum((place / width).astype(np.int64), _BANDS - 1)
+    def of(cls, curve: CurvePoints, misfit: Misfit, drift: Drift) -> FitQuality:
+        """Return the figures of one element with one plateau or more."""
+        residual, speed = curve.torque - curve.fitted, np.abs(curve.velocity)
+        rms, friction = (float(np.sqrt(np.mean(values**2))) for values in (residual, curve.torque))
+        chi2 = float(np.sum((residual / np.maximum(curve.deviation, 1e-12)) ** 2))
+        place, along = np.log(speed) - np.log(speed.min()), np.sign(curve.velocity) * residual
+        number = np.minimum((place / (max(float(np.ptp(place)), 1e-9) / _BANDS)).astype(np.int64), _BANDS - 1)
         inside = [number == k for k in np.unique(number).tolist()]
         bands = np.array([(speed[one].min(), speed[one].max(), along[one].mean()) for one in inside])
-        return cls(rms, friction, chi2, bands, misfit, drift)
+        return cls(rms, friction, chi2 / max(1, len(residual) - len(misfit.widening)), bands, misfit, drift)
 
     @property
     def share(self) -> float:
@@ -266,37 +265,32 @@ class FitQuality:
         return [text, *([f"drift of {name}: {self.drift_text}"] if self.drift.significant else [])]
 
     @property
+    def drift_text(self) -> str:
+        """Return how large the drift is."""
+        drift, share = self.drift, self.drift.size / self.friction if self.friction > 0.0 else math.nan
+        if math.isnan(drift.size):
+            return "unknown: too few stretches"
+        return (
+            f"{drift.size:+.3g} +- {drift.deviation:.2g} Nm ({share:+.1%} of its friction) in {drift.seconds:.4g} s, "
+            f"{'' if drift.significant else 'not '}significant (false alarms: {FALSE_ALARMS:.0%} of series; bags by "
+            "their stamps or, where these overlap, as they are given)"
+        )
+
+    @property
     def content(self) -> dict[str, Any]:
         """Return the figures as plain data, to four digits."""
         found: dict[str, Any] = {
-            "rms": self.rms,
-            "share": self.share,
-            "chi2_per_degree_of_freedom": self.chi2,
+            "rms": _four_digits(self.rms),
+            "share": _four_digits(self.share),
+            "chi2_per_degree_of_freedom": _four_digits(self.chi2),
             "misfit": self.misfit.significant,
-            "residual_by_speed": self.bands.tolist(),
+            "residual_by_speed": [[_four_digits(value) for value in band] for band in self.bands.tolist()],
         }
         if not math.isnan(self.drift.size):
-            found["drift"] = dict(vars(self.drift))
-        return {name: _four_digits(one) for name, one in found.items()}
-
-    @property
-    def drift_text(self) -> str:
-        """Return how large the drift is."""
-        drift = self.drift
-        if math.isnan(drift.size):
-            return "unknown: too few stretches"
-        share = drift.size / self.friction if self.friction > 0.0 else math.nan
-        said = "significant" if drift.significant else "not significant"
-        return (
-            f"{drift.size:+.3g} +- {drift.deviation:.2g} Nm ({share:+.1%} of its friction) in "
-            f"{drift.seconds:.4g} s, {said} (false alarms: {FALSE_ALARMS:.0%} of series; bags by their stamps or, "
-            "where these overlap, as they are given)"
-        )
+            drift = vars(self.drift)
+            found["drift"] = {k: v if k == "significant" else _four_digits(v) for k, v in drift.items()}
+        return found
 
 
-def _four_digits(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _four_digits(one) for name, one in value.items()}
-    if isinstance(value, list):
-        return [_four_digits(one) for one in value]
-    return float(f"{value:.4g}") if isinstance(value, float) else value
+def _four_digits(value: float) -> float:
+    return float(f"{value:.4g}")

@@ -17,7 +17,7 @@ tau_s >= tau_c > 0 and omega_s, delta > 0 are plain, and five of the eight param
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 from scipy.optimize import least_squares, lsq_linear
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, diags
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay_slopes, viscous_torque
@@ -88,9 +88,6 @@ class SlidingRows:
     source: NDArray[np.int64]
     time: Array
 
-    def __len__(self) -> int:
-        return len(self.value)
-
 
 def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
     """Return the observation equations of all blocks, whitened by the covariance of the torques' noise."""
@@ -98,10 +95,9 @@ def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
     friction = blocks.torque - arm.torque(*motion)
     regressor = arm.regressor(*motion) * arm.inertial_scale()
     elements = arm.element_matrix
-    size = np.bincount(blocks.plateau)
-    mean = np.zeros((len(size), len(elements)))
+    mean = np.zeros((int(blocks.plateau.max()) + 1, len(elements)))
     np.add.at(mean, blocks.plateau, blocks.velocity @ elements.T)
-    velocity = (mean / np.maximum(size, 1)[:, None])[blocks.plateau]
+    velocity = mean[blocks.plateau] / np.bincount(blocks.plateau)[blocks.plateau, None]
     # The floor keeps the scaling finite for data without noise.
     noise = blocks.noise + np.diag((1e-6 * np.abs(blocks.torque).max(axis=0)) ** 2 + 1e-18)
     parts = []
@@ -114,29 +110,24 @@ def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
         white = solve_triangular(factor, combination.T, lower=True)  # (rows of a block, n)
         gain = white @ elements.T
         gain[:, ~pattern] = 0.0
-        weight = np.sqrt(blocks.count[rows])
-        height, width = len(rows), len(white)
+        width, weight = len(white), np.sqrt(blocks.count[rows])
         parts.append(
-            SlidingRows(
-                value=(weight[:, None] * (friction[rows] @ white.T)).ravel(),
-                gain=(weight[:, None, None] * gain).reshape(height * width, -1),
-                velocity=np.repeat(velocity[rows], width, axis=0),
-                nuisance=(weight[:, None, None] * (white @ regressor[rows])).reshape(height * width, -1),
-                directions=np.zeros((0, 0)),
-                scale=np.repeat(weight, width),
-                group=np.tile(np.abs(combination).argmax(axis=0), height),
-                plateau=np.repeat(blocks.plateau[rows], width),
-                source=np.repeat(blocks.source[rows], width),
-                time=np.repeat(blocks.time[rows], width),
-            )
+            {
+                "value": (weight[:, None] * (friction[rows] @ white.T)).ravel(),
+                "gain": (weight[:, None, None] * gain).reshape(len(rows) * width, -1),
+                "velocity": np.repeat(velocity[rows], width, axis=0),
+                "nuisance": (weight[:, None, None] * (white @ regressor[rows])).reshape(len(rows) * width, -1),
+                "scale": np.repeat(weight, width),
+                "group": np.tile(np.abs(combination).argmax(axis=0), len(rows)),
+                **{name: np.repeat(getattr(blocks, name)[rows], width) for name in ("plateau", "source", "time")},
+            }
         )
-    joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(SlidingRows)}
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     # The directions of the inertial parameters that the equations observe.
     _, effect, basis = np.linalg.svd(joined["nuisance"].T @ joined["nuisance"])
     directions = basis[np.sqrt(effect) > _MIN_EFFECT_SD].T
     joined["nuisance"] = joined["nuisance"] @ directions
-    joined["directions"] = arm.inertial_scale()[:, None] * directions
-    return SlidingRows(**joined)
+    return SlidingRows(**joined, directions=arm.inertial_scale()[:, None] * directions)
 
 
 def _unloaded(stuck: Array) -> Array:
@@ -175,7 +166,7 @@ class _Weights:
         )
         self.cluster = np.asarray(number.ravel(), dtype=np.int64)  # of plateau and joint, shape (r,)
         self.share = np.zeros(len(self.count))  # of its mean that is subtracted from each cluster
-        self.factor = np.ones(len(rows))  # of each row, 1 / s and Huber's weight
+        self.factor = np.ones(len(rows.value))  # of each row, 1 / s and Huber's weight
 
     def update(self, residual: Array, leverage: Array) -> None:
         """Find the weights by the variance components of residuals (r,), with the leverage of the clusters' means."""
@@ -229,7 +220,7 @@ class _Weights:
         along = np.sign(velocity) * self.means(residual[:, None])[:, 0]
         with np.errstate(divide="ignore"):
             level = np.round(np.log(np.abs(velocity)) / _SPEED_CLASS_WIDTH)
-        factor = np.ones(len(rows))
+        factor = np.ones(len(residual))
         for g in np.unique(group):
             mine = np.flatnonzero((group == g) & (velocity != 0.0))
             number = np.unique(np.column_stack([source[mine], level[mine]]), axis=0, return_inverse=True)[1].ravel()
@@ -241,9 +232,7 @@ class _Weights:
 
 
 def _diagonal(values: Array) -> csr_array:
-    """Return a diagonal matrix; scipy.sparse.diags_array and eye_array are younger than SciPy 1.11."""
-    place = np.arange(len(values))
-    return csr_array((values, (place, place)), shape=(len(values), len(values)))
+    return csr_array(diags(values))
 
 
 def _robust_sd(values: Array) -> float:
@@ -274,19 +263,16 @@ def torque_jacobian(velocity: Array, parameters: Array) -> Array:
 
 def natural(parameters: Array) -> dict[str, float]:
     """Return the parameters by the names in SLIDING, and the viscous exponent by its own."""
-    coulomb_up, coulomb_down, rise_up, rise_down, viscous = (float(value) for value in parameters[LINEAR])
-    omega_s, delta, alpha = (float(value) for value in np.exp(parameters[SHAPE.start :]))
-    values = (coulomb_up, coulomb_down, coulomb_up + rise_up, coulomb_down + rise_down, omega_s, delta, viscous)
-    return dict(zip(SLIDING, values, strict=True)) | {VISCOUS_EXPONENT: alpha}
+    coulomb, rise, (omega_s, delta, alpha) = parameters[:2], parameters[RISE], np.exp(parameters[SHAPE.start :])
+    values = np.array([*coulomb, *(coulomb + rise), omega_s, delta, parameters[VISCOUS], alpha])
+    return dict(zip((*SLIDING, VISCOUS_EXPONENT), values.tolist(), strict=True))
 
 
 def natural_jacobian(parameters: Array) -> Array:
     """Return the derivatives of what `natural` returns by the parameters of the fit, shape (8, 8)."""
     matrix = np.zeros((SIZE, SIZE))
-    matrix[0, 0] = matrix[1, 1] = matrix[2, 0] = matrix[2, 2] = matrix[3, 1] = matrix[3, 3] = 1.0
-    matrix[4, 5], matrix[5, 6] = np.exp(parameters[SHAPE])
-    matrix[6, VISCOUS] = 1.0
-    matrix[7, EXPONENT] = np.exp(parameters[EXPONENT])
+    matrix[0, 0] = matrix[1, 1] = matrix[2, 0] = matrix[2, 2] = matrix[3, 1] = matrix[3, 3] = matrix[6, VISCOUS] = 1.0
+    matrix[4, 5], matrix[5, 6], matrix[7, EXPONENT] = np.exp(parameters[SHAPE.start :])
     return matrix
 
 
@@ -321,7 +307,7 @@ class CurveFit:
         keys, number = np.unique(rows.plateau[at] * len(free) + element, return_inverse=True)
         self._velocity = np.bincount(number, rows.velocity[at, element]) / np.bincount(number)
         self._columns = [np.flatnonzero(keys % len(free) == e) for e in range(len(free))]
-        self._design = csr_array((rows.gain[at, element], (at, number)), shape=(len(rows), len(keys)))
+        self._design = csr_array((rows.gain[at, element], (at, number)), shape=(len(rows.value), len(keys)))
         self._lower, self._upper = self._bounds()
         weights = _Weights(rows)
         self._eliminate_nuisance(weights.operator())
@@ -334,9 +320,15 @@ class CurveFit:
             self.parameters = self._solved(self.parameters)[0]
         inside = np.minimum(self.parameters - self._lower, self._upper - self.parameters)
         self.at_bound = free & (inside < _BOUND_MARGIN)
-        self.residual = self._left()
-        self.nuisance = self._nuisance(self._torques(self.parameters))
-        slope, own = self._slope(self.parameters), self._own_covariance()
+        self.residual, self.nuisance = self._left(), self._nuisance(self._torques(self.parameters))
+        slope = self._slope(self.parameters)
+        # The covariance of the free parameters is huge for what is not identifiable.
+        jacobian = np.vstack([self._root @ slope, self._ties()])
+        scale = np.linalg.norm(jacobian, axis=0)
+        scale[scale == 0.0] = 1.0
+        _, values, directions = np.linalg.svd(jacobian / scale, full_matrices=False)
+        root = directions.T / np.maximum(values, 1e-10 * values[0])
+        own = (root @ root.T) / np.outer(scale, scale)
         follows = self._back[:, 1:] @ slope
         self.nuisance_covariance = self._spread @ self._spread.T + follows @ own @ follows.T
         self.covariance = np.zeros((free.size, free.size))
@@ -355,11 +347,9 @@ class CurveFit:
         their covariance at given torques is spread @ spread^T.
         """
         value, friction = operator @ self.rows.value[:, None], operator @ self._design
-        nuisance = operator @ self.rows.nuisance
         # By an orthogonal basis (QR): normal equations in nuisance parameters as badly scaled as these would lose all
         # digits.
-        basis, upper = np.linalg.qr(np.vstack([nuisance, np.eye(nuisance.shape[1])]))
-        basis = basis[: len(value)]
+        basis, upper = _basis(operator @ self.rows.nuisance)
         along = np.hstack([basis.T @ value, basis.T @ friction])
         form = (friction.T @ friction).toarray() - along[:, 1:].T @ along[:, 1:]
         pull = (friction.T @ value)[:, 0] - along[:, 1:].T @ along[:, 0]
@@ -376,13 +366,11 @@ class CurveFit:
         """Return what the fit leaves, by the derivatives of the equations by the free parameters, shape (r, q)."""
         rows, left = self.rows, np.asarray(operator @ self.residual)
         number = np.asarray(np.unique(rows.plateau, return_inverse=True)[1], dtype=np.int64)
-        count = int(number.max()) + 1
-        gather = csr_array((np.ones(len(rows)), (number, np.arange(len(rows)))), shape=(count, len(rows)))
+        gather = csr_array((np.ones(len(left)), (number, np.arange(len(left)))))
         slides = rows.gain != 0.0
         shared = np.maximum(np.asarray(gather @ slides.astype(np.float64)), 1.0)
         gain = np.asarray(operator @ (np.sign(rows.velocity) * rows.gain))
-        nuisance = operator @ rows.nuisance
-        basis = np.linalg.qr(np.vstack([nuisance, np.eye(nuisance.shape[1])]))[0][: len(left)]
+        basis = _basis(operator @ rows.nuisance)[0]
         both = np.hstack([np.asarray(operator @ slope), gain])
         both = both - basis @ (basis.T @ both)
         return Residuals(
@@ -439,15 +427,6 @@ class CurveFit:
     def _left(self) -> Array:
         friction = self._torques(self.parameters)
         return np.asarray(self.rows.value - self._design @ friction - self.rows.nuisance @ self._nuisance(friction))
-
-    def _own_covariance(self) -> Array:
-        """Return the covariance of the free parameters; huge for what is not identifiable."""
-        jacobian = np.vstack([self._root @ self._slope(self.parameters), self._ties()])
-        scale = np.linalg.norm(jacobian, axis=0)
-        scale[scale == 0.0] = 1.0
-        _, values, directions = np.linalg.svd(jacobian / scale, full_matrices=False)
-        root = directions.T / np.maximum(values, 1e-10 * values[0])
-        return np.asarray((root @ root.T) / np.outer(scale, scale))
 
     def _solved(self, start: Array) -> tuple[Array, float]:
         """Return the solution from a start, and its cost."""
@@ -507,6 +486,12 @@ class CurveFit:
             scale = _TIE_WEIGHT * float(np.linalg.norm(self._root[:, self._columns[e]]))
             row[column[e, 0]], row[column[e, 1]] = scale, -scale
         return ties
+
+
+def _basis(nuisance: Array) -> tuple[Array, Array]:
+    """Return Q and R of the nuisance columns with the rows of their prior, of Q only the rows of the equations."""
+    basis, upper = np.linalg.qr(np.vstack([nuisance, np.eye(nuisance.shape[1])]))
+    return basis[: len(nuisance)], upper
 
 
 def _leverage(slope: Array, nuisance: Array) -> Array:

@@ -59,9 +59,9 @@ def test_a_joint_without_micro_oscillations_takes_c0_and_bristles(
     assert "With c0 the bristles of hinge are those of that file" in file.with_suffix(".html").read_text("utf-8")
 
 
-LUGRE = SimpleNamespace(decided=True, trial=None, bristles=None)
-OPEN = SimpleNamespace(decided=False, trial=None, bristles=None)
-TOLD = SimpleNamespace(decided=True, bristles=PARTS[1], sources=())
+LUGRE = SimpleNamespace(decided=True, trial=None)
+OPEN = SimpleNamespace(decided=False, trial=None)
+TOLD = SimpleNamespace(decided=True, sources=())
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_bristles_go_with_c0_unless_they_are_told(
     slides = ElementEstimate("hinge", dict.fromkeys(SLIDING, ParameterEstimate(1.0, 0.1)), np.eye(7), ())
     if kind is TOLD:
         kind.trial = SimpleNamespace(
-            estimates={"c0": c0, "c1": c0, "bristles.break_away": ParameterEstimate(0.45, 0.1)}
+            bristles=PARTS[1], estimates={"c0": c0, "c1": c0, "bristles.break_away": ParameterEstimate(0.45, 0.1)}
         )
     monkeypatch.setattr(identification, "identify_sliding", lambda *_, **__: SimpleNamespace(estimates=[slides]))
     monkeypatch.setattr(identification, "identify_presliding", lambda *_: SimpleNamespace(estimates=[cycles]))

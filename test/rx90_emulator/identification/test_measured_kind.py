@@ -199,7 +199,7 @@ def test_absurd_numbers_are_never_written(hinge: RigidArm, value: float) -> None
         FrictionElement(1.0, 1.0, 1.0, 1.0, 0.1, 1.0, 1e4, 1.0, 1.0), estimates, dict.fromkeys(PARAMETERS, ())
     )
     nothing = SlidingFit((), (), np.zeros(0), np.zeros((0, 0)), 0, quality=(None,))
-    result = FrictionIdentification(hinge, (element,), nothing, PreslidingFit((), (), 0))
+    result = FrictionIdentification(hinge, (element,), nothing, PreslidingFit(()))
     with pytest.raises(Rx90Error, match=r"hinge: c2 came out as 1 \+- (nan|inf)|hinge.c2.deviation is 1e\+48"):
         friction_text(result)
     assert ConfigError.exit_code == 2

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len
 
 from benchmarks.synthetic_sweeps import Noise, outcomes, random_bristles, recorded, run_presliding, sliding_covariance
 from rx90_common.base.errors import IdentificationError
@@ -21,7 +20,6 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import PlanOptions
 from rx90_emulator.identification.presliding.bristle_motion import joint_groups
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
-from rx90_emulator.identification.presliding.micro_motion import fast_length
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.setup import Setup
 
@@ -29,14 +27,6 @@ Array = NDArray[np.float64]
 
 WRIST = ["joint_5", "joint_6", "joints_5_6_against"]
 FOURTH = 3  # joint 4: its index, and its element's
-
-
-def test_the_transform_s_length_is_the_next_fast_one_below() -> None:
-    """SciPy calls each length fast that is used, and none between it and the number of block means."""
-    lengths = [*range(1, 200), 12345, 65537]
-    for longest in lengths:
-        length = fast_length(longest)
-        assert next_fast_len(length, real=True) == length <= longest < next_fast_len(length + 1, real=True)
 
 
 def oscillated(setup: Setup, groups: Sequence[str]) -> list[Any]:

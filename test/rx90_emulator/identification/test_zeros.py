@@ -48,8 +48,7 @@ def recorded(arm: RigidArm, error: Array, seed: int, spread: float = 0.1) -> Ins
     torque = np.array([pin.rnea(model, data, q, v, np.zeros(3)) for q, v in zip(position, speed, strict=True)])
     torque += np.sign(speed) * (3.0 + np.exp(-np.abs(speed) / 0.05)) + 2.0 * speed
     torque += 0.05 * rng.normal(size=torque.shape) + np.repeat(0.05 * rng.normal(size=(STRETCHES, 3)), EACH, axis=0)
-    known = np.ones(torque.shape, dtype=np.bool_)
-    return Instants(position + error, speed, 0.0 * speed, torque, known, np.repeat(np.arange(STRETCHES), EACH))
+    return Instants(position + error, speed, 0.0 * speed, torque, speed != 0.0, np.repeat(np.arange(STRETCHES), EACH))
 
 
 @pytest.mark.parametrize(
