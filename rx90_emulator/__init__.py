@@ -78,6 +78,7 @@ if TYPE_CHECKING:
     from rx90_emulator.identification.options import (
         ExcitationTolerances,
         MeasuredLayout,
+        MeasuredTolerances,
         RobotOptions,
         ValidationTolerances,
     )
@@ -87,7 +88,6 @@ if TYPE_CHECKING:
         measured_summary,
     )
     from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured
-    from rx90_emulator.identification.validation.options import MeasuredTolerances
     from rx90_emulator.identification.validation.prediction import Validation
     from rx90_emulator.loop.closed_loop import simulate
     from rx90_emulator.loop.line import LineRun, PathAccuracy, path_accuracy, plan_line, run_line
@@ -227,10 +227,11 @@ _HOMES = {
     "rx90_emulator.identification.experiments.series": "record_on_engine",
     "rx90_emulator.identification.identify": "check_friction identify_friction FrictionIdentification",
     "rx90_emulator.identification.job": "write_excitation write_identification write_measured",
-    "rx90_emulator.identification.options": ("ExcitationTolerances MeasuredLayout RobotOptions ValidationTolerances"),
+    "rx90_emulator.identification.options": (
+        "ExcitationTolerances MeasuredLayout MeasuredTolerances RobotOptions ValidationTolerances"
+    ),
     "rx90_emulator.identification.output.summary": "excitation_summary identification_summary measured_summary",
     "rx90_emulator.identification.validation.measured": "compare_measured MeasuredComparison",
-    "rx90_emulator.identification.validation.options": "MeasuredTolerances",
     "rx90_emulator.identification.validation.prediction": "Validation",
     "rx90_emulator.loop.parameters": "parameters with_parameters",
     "rx90_emulator.loop.closed_loop": "simulate",

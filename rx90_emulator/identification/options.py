@@ -120,6 +120,24 @@ class ExcitationTolerances:
         _check_positive(vars(self))
 
 
+@dataclass(frozen=True)
+class MeasuredTolerances:
+    """What counts as agreement of a simulated run with a measured one.
+
+    Attributes:
+        torque: RMS difference of a joint's torque over its RMS measured torque.
+        total_torque: the same of all joints together.
+        position: largest difference of a joint's position, rad.
+    """
+
+    torque: float = 0.25
+    total_torque: float = 0.1
+    position: float = 5e-3
+
+    def __post_init__(self) -> None:
+        _check_positive(vars(self))
+
+
 def _check_positive(values: Mapping[str, float]) -> None:
     for name, value in values.items():
         if not 0.0 < value < math.inf:

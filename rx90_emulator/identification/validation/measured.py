@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from rx90_common.bags.mapping import LogMapping, is_table, mapping_of
+from rx90_common.bags.mapping import is_table, mapping_of
 from rx90_common.bags.reading import BagReader
 from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
@@ -19,7 +21,7 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError, IdentificationError, check_type
 from rx90_common.base.quoting import listed
 from rx90_common.description.drives import coupling_matrix, element_matrix
-from rx90_common.description.robot_files import FILES, RobotFiles
+from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import element_names
@@ -31,10 +33,9 @@ from rx90_emulator.identification.excitation.filtering import (
     low_pass_taps,
 )
 from rx90_emulator.identification.excitation.problem import SlidingState, element_states
-from rx90_emulator.identification.options import MeasuredLayout
+from rx90_emulator.identification.options import MeasuredLayout, MeasuredTolerances
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import JOINT_STATES, BagLayout, arm_layout, recorded_topic, with_signals
-from rx90_emulator.identification.validation.options import MeasuredTolerances
 from rx90_emulator.identification.validation.setpoints import SetPoints, path_setpoints, recorded_setpoints, run_along
 from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
 from rx90_emulator.loop.setup import Setup
@@ -53,19 +54,16 @@ def simulated_setup(files: RobotFiles) -> Setup:
     Raises:
         ConfigError: naming file and what is accepted.
     """
-    for role in ("drives", "controller"):
-        path: Path = getattr(files, role)
+    for path in (files.drives, files.controller):
         if not path.is_file():
-            raise ConfigError(f"{path.parent}: no {FILES[role]}; {_OTHER_ARMS}")
-    try:
+            raise ConfigError(f"{path.parent}: no {path.name}; {_OTHER_ARMS}")
+    with suppress(ET.ParseError, OSError):  # Setup.load names the fault
         joints = [one.get("name", "") for one in ET.parse(files.urdf).iter("joint") if one.get("type") in _MOVABLE]
-    except (ET.ParseError, OSError):
-        return Setup.load(files)  # which names the fault
-    if len(joints) != _JOINTS:
-        raise ConfigError(f"{files.urdf}: {len(joints)} movable joints; {_OTHER_ARMS}")
-    there = FrictionFile.read(files.friction).elements
-    if missing := [name for name in element_names(joints) if name not in there]:
-        raise ConfigError(f"{files.friction}: no friction element {listed(missing)}; {_OTHER_ARMS}")
+        if len(joints) != _JOINTS:
+            raise ConfigError(f"{files.urdf}: {len(joints)} movable joints; {_OTHER_ARMS}")
+        there = FrictionFile.read(files.friction).elements
+        if missing := [name for name in element_names(joints) if name not in there]:
+            raise ConfigError(f"{files.friction}: no friction element {listed(missing)}; {_OTHER_ARMS}")
     return Setup.load(files)
 
 
@@ -75,21 +73,21 @@ def _bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
     joints = setup.robot.joint_names
     options, mapping = with_signals(options, [bag])
     topic = options.topic or recorded_topic(bag, (MOTOR_STATES, JOINT_STATES), mapping)
-    names = () if options.names is not None else _first_names(bag, topic, mapping)
+    names: Sequence[str] = ()
+    if options.names is not None:
+        pass
+    elif is_table(bag):
+        names = next((t.names for one, t in mapping_of(bag, mapping).topics.items() if absolute(one) == topic), ())
+    else:
+        with BagReader(bag) as reader:
+            there = [one for one in reader.topics if one.name == absolute(topic) and one.is_joint_state]
+            if there and (first := next(reader.messages(there), None)):
+                names = [str(name) for name in reader.deserialize(first[0], first[2]).name]
     if names and not {*names} & {*joints, *MOTOR_NAMES}:
         raise IdentificationError(
             f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or --names; {_OTHER_ARMS}"
         )
     return arm_layout(topic, joints, options, lambda: setup.drives.gear, mapping)
-
-
-def _first_names(bag: Path, topic: str, mapping: LogMapping | None) -> Sequence[str]:
-    if is_table(bag):
-        return next((t.names for name, t in mapping_of(bag, mapping).topics.items() if absolute(name) == topic), ())
-    with BagReader(bag) as reader:
-        there = [one for one in reader.topics if one.name == absolute(topic) and one.is_joint_state]
-        first = next(reader.messages(there), None) if there else None
-        return [str(name) for name in reader.deserialize(first[0], first[2]).name] if first else []
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,35 +134,16 @@ class MeasuredComparison:
         """Return the torques, as a validation of friction compares them."""
         return TorquePrediction(self.time, self.torque, self.simulated_torque, self.compared)
 
-    @property
-    def torque_rms(self) -> Array:
-        """Return the RMS torque difference where a joint moves, Nm, shape (6,); NaN for a joint at rest."""
-        return self.agreement.rms
-
-    @property
-    def torque_worst(self) -> Array:
-        """Return the largest torque difference where a joint moves, Nm, shape (6,); NaN for a joint at rest."""
-        return self.agreement.worst
-
-    @property
-    def torque_share(self) -> Array:
-        """Return the RMS difference over the RMS measured torque, shape (6,)."""
-        return self.agreement.rms_share
-
-    @property
-    def worst_share(self) -> Array:
-        """Return the largest difference over the largest measured torque, shape (6,)."""
-        return self.agreement.worst_share
+    torque_rms = property(attrgetter("agreement.rms"), doc="RMS torque difference, Nm, shape (6,); NaN at rest.")
+    torque_worst = property(attrgetter("agreement.worst"), doc="Largest torque difference, Nm, shape (6,); or NaN.")
+    torque_share = property(attrgetter("agreement.rms_share"), doc="RMS difference over RMS torque, shape (6,).")
+    worst_share = property(attrgetter("agreement.worst_share"), doc="Largest difference over largest torque, (6,).")
+    total_share = property(attrgetter("agreement.total_share"), doc="RMS difference of all joints over RMS torque.")
 
     @property
     def compared_share(self) -> Array:
         """Return the share of the time in which a joint's torque is compared, shape (6,)."""
         return np.asarray(self.compared.mean(axis=0))
-
-    @property
-    def total_share(self) -> float:
-        """Return the RMS difference of all joints over their RMS measured torque."""
-        return self.agreement.total_share
 
     @property
     def position_rms(self) -> Array:
@@ -235,10 +214,12 @@ def compare_measured(
     what = _bag_layout(path, setup, layout)
     progress(path.name)
     record = read_record(path, what)
-    bandwidths = _bandwidths(record, setup, bandwidth)
-    pieces = filter_record(record, bandwidths)
+    pieces = filter_record(record, _bandwidths(record, setup, bandwidth))
     run = max(pieces, key=lambda piece: len(piece.time))
-    moves = _moves(run)
+    # A joint moves where every motor and friction element moves that it turns.
+    matrix = element_matrix()
+    rests = (element_states(run, matrix) == SlidingState.RESTS) @ (matrix != 0.0)
+    moves = np.asarray(~rests & (np.ptp(run.position, axis=0) > _MIN_TRAVEL))
     nothing = IdentificationError(
         f"{path}: no joint moves, and torques at rest are not compared; accepted: a joint that slides over "
         f"{1e3 * _MIN_TRAVEL:g} mrad or more"
@@ -246,17 +227,24 @@ def compare_measured(
     if not moves.any():
         raise nothing
     setpoints = recorded_setpoints(run, record.position[0], setup, what) or path_setpoints(run, setup)
-    beyond = setpoints.beyond(path, setup.controller.limits(setup.robot), setup.rates.position_period)
+    beyond = setpoints.beyond(path, setup)
     progress("closed loop")
-    simulated = _Simulated(setup, setpoints, run)
+    simulated, begin, end, saturated = _simulated(setup, setpoints, run)
     progress("comparison")
-    rows = simulated.covered
+    time = run.time[run.rows]
+    rows = (time >= begin + _MAX_LAG_S) & (time <= end - _MAX_LAG_S)  # covered, however late the simulated arm is
+    if not rows.any():
+        raise IdentificationError("measured and simulated run have no time in common; accepted: a longer bag")
     if not moves[rows].any():
         raise nothing
-    time = run.time[run.rows][rows]
+    time, velocity = time[rows], run.velocity[run.rows][rows]
     measured = run.parallel(np.stack([run.position, run.torque], axis=1))[rows]
-    lag = simulated.lag(time, measured[:, 0], run.velocity[run.rows][rows])
-    follows = simulated.at(time + lag)
+    lag = 0.0
+    for _ in range(_LAG_ROUNDS):  # least squares of the positions
+        difference = simulated(time + lag - setpoints.start)[:, 0] - measured[:, 0]
+        lag -= float(np.sum(difference * velocity)) / float(np.sum(velocity**2))
+        lag = float(np.clip(lag, -_MAX_LAG_S, _MAX_LAG_S))
+    follows = np.asarray(simulated(time + lag - setpoints.start))
     return MeasuredComparison(
         names=run.names,
         robot=setup.robot.model.name,
@@ -268,9 +256,9 @@ def compare_measured(
         simulated_position=follows[:, 0],
         compared=moves[rows],
         lag=lag,
-        bandwidths=bandwidths,
+        bandwidths=run.bandwidths,
         setpoints=setpoints.source,
-        saturated=simulated.saturated,
+        saturated=saturated,
         remarks=(*beyond, *_remarks(record, pieces, run)),
         tolerances=tolerances,
     )
@@ -290,66 +278,41 @@ def _bandwidths(record: JointRecord, setup: Setup, bandwidth: float | None) -> B
     return Bandwidths(bandwidth, bandwidth / 3.0)
 
 
-class _Simulated:
-    """The simulated run, through the low-pass of the measured one, at any time."""
+def _simulated(setup: Setup, setpoints: SetPoints, run: FilteredRun) -> tuple[BSpline, float, float, Array]:
+    """Return the simulated run through the low-pass of the measured one.
 
-    def __init__(self, setup: Setup, setpoints: SetPoints, run: FilteredRun) -> None:
-        rates = setup.rates
-        # As often as it was measured: what a slow sampling folds into the band is then the same on both sides.
-        often = run.rate > 1.5 * rates.position_hz
-        fast, slow, self.saturated = run_along(setup, setpoints.values, setpoints.initial_position, record_fast=often)
-        if often:
-            turns = setup.drives.gear[:, None] * coupling_matrix()
-            position = fast.motor_states[:, 0] @ np.linalg.inv(turns).T
-            values = np.stack([position, fast.motor_states[:, 2] @ turns], axis=1)
-        else:
-            values = slow.joint_states[:, ::2]
-        rate = float(rates.base_hz if often else rates.position_hz)
-        taps = low_pass_taps(rate, run.bandwidths.torque)
-        filtered = low_pass(values, taps)
-        if len(filtered) < 4:
-            raise IdentificationError(f"{run.source.path}: too short for a low-pass of {run.bandwidths.torque:.3g} Hz")
-        since = (len(taps) // 2 + np.arange(len(filtered))) / rate
-        self._start = setpoints.start
-        self._curve: BSpline = make_interp_spline(since, filtered, k=3)
-        first, last = max(self._start + float(since[0]), setpoints.begin), self._start + float(since[-1])
-        time = run.time[run.rows]
-        self.covered: Mask = (time >= first + _MAX_LAG_S) & (time <= last - _MAX_LAG_S)
-        """Which of the run's rows it covers, however late it is."""
-        if not self.covered.any():
-            raise IdentificationError("measured and simulated run have no time in common; accepted: a longer bag")
-
-    def at(self, time: Array) -> Array:
-        """Return position rad and torque Nm at times, shape (k, 2, 6)."""
-        return np.asarray(self._curve(time - self._start))
-
-    def lag(self, time: Array, position: Array, velocity: Array) -> float:
-        """Return by how much it is later than the measured motion, s: least squares of the positions."""
-        lag, power = 0.0, float(np.sum(velocity**2))
-        for _ in range(_LAG_ROUNDS):
-            difference = self.at(time + lag)[:, 0] - position
-            lag = float(np.clip(lag - np.sum(difference * velocity) / power, -_MAX_LAG_S, _MAX_LAG_S))
-        return lag
-
-
-def _moves(run: FilteredRun) -> Mask:
-    """Return where each joint moves, and with it every motor and friction element that it turns, shape (k, 6)."""
-    matrix = element_matrix()
-    rests = (element_states(run, matrix) == SlidingState.RESTS) @ (matrix != 0.0)
-    return np.asarray(~rests & (np.ptp(run.position, axis=0) > _MIN_TRAVEL))
+    Returns:
+        Position rad and torque Nm by the time since the first set-point, shape (k, 2, 6), first and last time that it
+        covers, by the bag's stamps, and the share of the time in which each motor was at its limit, shape (6,).
+    """
+    # As often as it was measured: what a slow sampling folds into the band is then the same on both sides.
+    rates, often = setup.rates, run.rate > 1.5 * setup.rates.position_hz
+    fast, slow, saturated = run_along(setup, setpoints.values, setpoints.initial_position, record_fast=often)
+    values, rate = slow.joint_states[:, ::2], float(rates.base_hz if often else rates.position_hz)
+    if often:
+        turns = setup.drives.gear[:, None] * coupling_matrix()
+        position = fast.motor_states[:, 0] @ np.linalg.inv(turns).T
+        values = np.stack([position, fast.motor_states[:, 2] @ turns], axis=1)
+    taps = low_pass_taps(rate, run.bandwidths.torque)
+    filtered = low_pass(values, taps)
+    if len(filtered) < 4:
+        raise IdentificationError(f"{run.source.path}: too short for a low-pass of {run.bandwidths.torque:.3g} Hz")
+    since = (len(taps) // 2 + np.arange(len(filtered))) / rate
+    begin, end = (setpoints.start + float(since[k]) for k in (0, -1))
+    return make_interp_spline(since, filtered, k=3), max(begin, setpoints.begin), end, saturated
 
 
 def _remarks(record: JointRecord, pieces: tuple[FilteredRun, ...], run: FilteredRun) -> tuple[str, ...]:
     """Return what of the bag is not compared, and why."""
-    said = []
+    found = []
     cut = 2.0 * (1.5 / run.bandwidths.position + 12.0 / run.rate)  # what the filters take at both ends
     if len(pieces) > 1 or record.time[-1] - record.time[0] - (run.time[-1] - run.time[0]) > 1.5 * cut:
-        said.append(
+        found.append(
             f"there are gaps in the record: only {run.time[0]:.3f} to {run.time[-1]:.3f} s of {record.time[0]:.3f} to "
             f"{record.time[-1]:.3f} s is compared, the longest part without one"
         )
     if record.outliers:
-        said.append(f"{record.outliers} samples were left out: NaN, single spikes or repeated stamps")
+        found.append(f"{record.outliers} samples were left out: NaN, single spikes or repeated stamps")
     if record.missing:
-        said.append(f"{record.missing} messages are missing from the stream")
-    return tuple(said)
+        found.append(f"{record.missing} messages are missing from the stream")
+    return tuple(found)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import BPoly, make_interp_spline
@@ -16,7 +17,6 @@ from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
-from rx90_controller.trajectory import JointLimits
 from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.robot import BagLayout, topic_names
 from rx90_emulator.loop.closed_loop import run_setpoints
@@ -49,20 +49,15 @@ class SetPoints:
     initial_position: Array
     source: str
 
-    def beyond(self, bag: Path, limits: JointLimits, period: float) -> tuple[str, ...]:
+    def beyond(self, bag: Path, setup: Setup) -> tuple[str, ...]:
         """Return a sentence for velocities, and one for accelerations, that the controller would refuse.
 
         A measured arm did move so: they are simulated all the same, up to what the controller's supervision stops.
 
-        Args:
-            bag: that they come from.
-            limits: of the controller.
-            period: of the position loop, s.
-
         Raises:
             TrajectoryError: for positions beyond the joints' range, naming joint, value, time in the bag and range.
         """
-        said = []
+        limits, found = setup.controller.limits(setup.robot), []
         for k, (what, unit, low, high) in enumerate((
             ("position", "rad", limits.lower, limits.upper),
             ("velocity", "rad/s", -limits.velocity, limits.velocity),
@@ -73,21 +68,21 @@ class SetPoints:
             row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
             if beyond[row, joint] <= _RANGE_SLACK:
                 continue
-            time = self.start + row * period
+            time = self.start + row * setup.rates.position_period
             where = f"{time:.3f} s" if time >= self.begin else "the lead-in, before the bag begins"
-            found = (
+            fault = (
                 f"{limits.names[joint]} needs the {what} {values[row, joint]:.4g} {unit} at {where}; accepted by the "
                 f"robot's files: [{low[joint]:.4g}, {high[joint]:.4g}] {unit}"
             )
             if k == 0:
-                raise TrajectoryError(f"{bag}: {found}; set-points are {self.source}")
-            said.append(f"{found}; the simulation goes on nevertheless")
-        return tuple(said)
+                raise TrajectoryError(f"{bag}: {fault}; set-points are {self.source}")
+            found.append(f"{fault}; the simulation goes on nevertheless")
+        return tuple(found)
 
 
 def read_setpoints(
     bag: Path, names: Sequence[str], zero: Array | None, mapping: LogMapping | None = None
-) -> JointSeries | None:
+) -> tuple[JointSeries, Array, Array] | None:
     """Return the set-points of this project's controller that a bag holds; None where it holds none.
 
     Args:
@@ -95,13 +90,16 @@ def read_setpoints(
         names: of the joints.
         zero: recorded angles where those of the URDF are 0, rad, shape (6,); they are taken off the positions.
         mapping: what the columns of a table hold, where that is not in the file beside it.
+
+    Returns:
+        The series as it is in the bag, positions rad and velocities rad/s, shape (m, 6).
     """
     if absolute(REFERENCE) not in topic_names(bag, mapping):
         return None
     series = read_joint_states(bag, REFERENCE, names, mapping=mapping)
     if series.position is None or series.velocity is None:
         return None
-    return series if zero is None else replace(series, position=series.position - zero)
+    return series, series.position if zero is None else series.position - zero, series.velocity
 
 
 def setpoint_rows(position: Array, velocity: Array, setup: Setup) -> Array:
@@ -142,30 +140,24 @@ def recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, layout: Bag
     Raises:
         IdentificationError: for a series with gaps, or one that ends before the measured motion begins.
     """
-    bag, rates = run.source.path, setup.rates
-    series = read_setpoints(bag, run.names, layout.zero, layout.mapping)
-    if series is None:
+    bag, period = run.source.path, setup.rates.position_period
+    found = read_setpoints(bag, run.names, layout.zero, layout.mapping)
+    if found is None:
         return None
-    assert series.position is not None
-    assert series.velocity is not None
-    position, velocity = series.position, series.velocity
-    steps = np.diff(series.stamp_ns)
-    period_ns = rates.period_ns * rates.ratio
+    series, position, velocity = found
+    steps, time = np.diff(series.stamp_ns), series.time
     if len(steps) < 2 or not (steps > 0).all() or steps.max() > _MAX_GAP_PERIODS * np.median(steps):
         raise IdentificationError(f"{bag}: the set-points of {series.topic} have gaps; accepted: a steady stream")
-    time = series.time
     if time[0] > run.time[-1] or time[-1] < run.time[0]:
         raise IdentificationError(f"{bag}: {series.topic} and the measured states are of different times")
-    if (steps != period_ns).any():
+    if (steps != setup.rates.period_ns * setup.rates.ratio).any():
         since = (series.stamp_ns - series.stamp_ns[0]) / NANOSECONDS
         curve = BPoly.from_derivatives(since, np.stack([position, velocity], axis=1))
-        even = np.arange(int(since[-1] / rates.position_period + 1e-6) + 1) * rates.position_period
+        even = np.arange(int(since[-1] / period + 1e-6) + 1) * period
         position, velocity = curve(even), curve(even, 1)
-    values = setpoint_rows(position, velocity, setup)
-    source = f"{REFERENCE} in the bag"
+    values, source = setpoint_rows(position, velocity, setup), f"{REFERENCE} in the bag"
     if series.stamp_ns[0] == 0 and np.abs(velocity[0]).max() < _REST_SPEED:
-        limits = setup.robot
-        return SetPoints(0.0, values, 0.0, np.clip(first, limits.lower, limits.upper), source)
+        return SetPoints(0.0, values, 0.0, np.clip(first, setup.robot.lower, setup.robot.upper), source)
     return _with_lead_in(float(time[0]), values, setup, source)
 
 
@@ -174,10 +166,8 @@ def path_setpoints(run: FilteredRun, setup: Setup) -> SetPoints:
     period = setup.rates.position_period
     # From 0 on: stamps of the wall clock are rounded too much for accelerations.
     samples = np.arange(len(run.time)) / run.rate
-    curve = make_interp_spline(samples, run.position, k=5)
     count = int(samples[-1] / period + 1e-6) + 1
-    time = np.minimum(np.arange(count) * period, samples[-1])
-    values = np.ascontiguousarray(np.stack([curve(time, nu) for nu in range(3)], axis=1))
+    values = _at(make_interp_spline(samples, run.position, k=5), np.minimum(np.arange(count) * period, samples[-1]))
     source = f"the measured path below {run.bandwidths.position:.3g} Hz"
     return _with_lead_in(float(run.time[0]), values, setup, source)
 
@@ -185,16 +175,17 @@ def path_setpoints(run: FilteredRun, setup: Setup) -> SetPoints:
 def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> SetPoints:
     """Put a rest before set-points, and a motion from there to the velocity that they begin with."""
     period, limits = setup.rates.position_period, setup.controller.limits(setup.robot)
-    position, velocity, acceleration = values[0]
+    position, velocity, _ = values[0]
     lasting = max(_MIN_LEAD_S, float(np.max(2.0 * np.abs(velocity) / limits.acceleration)))
     lead, hold = round(lasting / period), round(_HOLD_S / period)
     rest = np.clip(position - 0.5 * lead * period * velocity, limits.lower, limits.upper)
     rest = np.where(np.abs(velocity) < _REST_SPEED, position, rest)
-    ends = [np.stack([rest, np.zeros(6), np.zeros(6)]), np.stack([position, velocity, acceleration])]
-    curve = BPoly.from_derivatives([0.0, lead * period], np.stack(ends))
-    time = np.arange(lead) * period
-    moving = np.stack([curve(time, nu) for nu in range(3)], axis=1)
-    held = np.zeros((hold, 3, 6))
-    held[:, 0] = rest
-    whole = np.ascontiguousarray(np.concatenate([held, moving, values]))
+    still = np.stack([rest, np.zeros(6), np.zeros(6)])
+    moving = _at(BPoly.from_derivatives([0.0, lead * period], np.stack([still, values[0]])), np.arange(lead) * period)
+    whole = np.ascontiguousarray(np.concatenate([np.broadcast_to(still, (hold, 3, 6)), moving, values]))
     return SetPoints(begin - (hold + lead) * period, whole, begin, rest, source)
+
+
+def _at(curve: Any, time: Array) -> Array:
+    """Return a curve and its first two derivatives, shape (m, 3, 6)."""
+    return np.ascontiguousarray(np.stack([curve(time, nu) for nu in range(3)], axis=1))

@@ -42,7 +42,7 @@ def test_the_plan_keeps_every_limit(shipped: Setup, default_plan: tuple[Experime
     They can be run in any order, because each begins and ends at the home pose.
     """
     for experiment in default_plan:
-        assert np.allclose(experiment.points.position[[0, -1]], Poses.shipped().home, atol=1e-12)
+        assert np.allclose(experiment.points.position[[0, -1]], Poses.of(shipped).home, atol=1e-12)
         shares, _ = check_experiment(experiment, shipped)
         assert all(share.max() <= 1.0 for share in shares.values())
 
