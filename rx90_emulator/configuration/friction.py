@@ -107,7 +107,8 @@ def replace_elements(base: FrictionChoice, rules: Iterable[str]) -> FrictionFile
     Raises:
         ConfigError: naming the rule and what is accepted.
     """
-    elements, about = dict(base.file.elements), dict(base.file.about)
+    elements = dict(base.file.elements)
+    about: dict[str, dict[str, Any]] = {name: dict(stated) for name, stated in base.file.about.items()}
     replaced = set()
     for rule in rules:
         own, sign, text = rule.partition("=")

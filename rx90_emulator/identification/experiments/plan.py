@@ -184,7 +184,7 @@ def plan_experiments(
         ConfigError: if the robot has no poses.
     """
     poses = Poses.of(setup)
-    how = {} if speeds is None else {"speeds": speeds}
+    how: dict[str, Any] = {} if speeds is None else {"speeds": speeds}
     if quick:
         poses, how = replace(poses, sweeps=poses.sweeps[:1]), _QUICK | how
     return make_plan(setup.robot, setup.drives, PlanOptions(poses=poses, groups=tuple(groups), **how))

@@ -109,8 +109,9 @@ def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:
     if one.element.bristles is not None and not one.given_bristles:
         numbers: dict[str, Any] = {}
         for key, value in vars(one.element.bristles).items():
-            numbers[key] = six_digits(value) if isinstance(value, float) else value
-            if isinstance(value, tuple):  # numbers of a list still sum to 1
+            if not isinstance(value, tuple):
+                numbers[key] = six_digits(value)
+            else:  # numbers of a list still sum to 1
                 digits = [six_digits(each) for each in value]
                 largest = digits.index(max(digits))  # a small one could be less than what rounding the others leaves
                 digits[largest] = round(1.0 - math.fsum(digits[:largest] + digits[largest + 1 :]), 12)

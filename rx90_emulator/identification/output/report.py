@@ -372,7 +372,8 @@ def _time_plot(runs: Sequence[RunTorques], block: float) -> Plot:
                 count = np.bincount(place)
                 used = np.flatnonzero(count)
                 means = np.bincount(place, joint.residual * np.sign(joint.velocity))[used] / count[used]
-                own.append(Curve((used + 0.5) * block, means, label, colour, 0.8, dots=True))
+                middle: Array = np.asarray((used + 0.5) * block, dtype=np.float64)
+                own.append(Curve(middle, means, label, colour, 0.8, dots=True))
     return _grid(marks, _TIME)
 
 
@@ -392,13 +393,14 @@ def _friction_plot(result: ExcitationIdentification) -> Plot:
         points = []
         for sign in (-1.0, 1.0):
             side = sign * curve.velocity > 0.0
-            own.append(Band(curve.velocity[side], *(bound[side] for bound in curve.band), "95 %", COLOURS[5]))
+            low_side, high_side = (bound[side] for bound in curve.band)
+            own.append(Band(curve.velocity[side], low_side, high_side, "95 %", COLOURS[5]))
             own.append(Curve(curve.velocity[side], curve.torque[side], "identified", COLOURS[0], 1.2))
             mine = np.flatnonzero(sign * velocity > 0.0)
             for part in np.array_split(mine[np.argsort(velocity[mine])], _SPEED_BINS // 2):
                 if len(part) >= _MIN_BIN_SAMPLES and low <= (speed := velocity[part].mean()) <= high:
                     points.append((speed, np.interp(speed, curve.velocity, curve.torque) + left[part].mean()))
         if points:
-            own.append(Dots(*np.array(points).T, "measured", COLOURS[1]))
+            own.append(Dots(*np.array(points).T, label="measured", colour=COLOURS[1]))
         marks[curve.element] = own
     return _grid(marks, _SPEED, height=2.3)

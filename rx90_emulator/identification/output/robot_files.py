@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 from xml.parsers import expat
 
@@ -29,15 +29,13 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.friction.friction_set import element_names
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.estimates import LARGEST, ParameterEstimate
 from rx90_emulator.identification.excitation.bodies import central
-from rx90_emulator.identification.excitation.consistency import ConsistentInertias
 from rx90_emulator.identification.excitation.friction.cross_validation import CrossValidation
 from rx90_emulator.identification.excitation.result import ASSUMED_BRISTLES, ExcitationIdentification
 from rx90_emulator.identification.excitation.torques import RunTorques, misfits
 from rx90_emulator.identification.output.friction_file import elements_text, six_digits
 from rx90_emulator.identification.output.summary import gain_warnings
-from rx90_emulator.identification.records import BagSource
 
 
 class Identified(NamedTuple):
@@ -153,29 +151,6 @@ _SECOND_SPEED_SHARE = 0.25
 """Of the nominal speed: where the compensation of two viscous parts meets their sum a second time."""
 
 
-@dataclass(frozen=True, eq=False)
-class IdentifiedRobot:
-    """What runs told of a robot, as far as its files hold it.
-
-    Attributes:
-        arm: n joints and the friction elements.
-        inertias: of links, rotors and springs.
-        standard: names of the P standard parameters of `inertias`, as `StandardColumns.names` has them.
-        elements: of the friction, in the arm's order.
-        fallback_name: file of the values that the runs do not identify, if any.
-        sources: the bags that inertias and drives rest on.
-        drives: other values for the drives file, by block and key, such as ("motor", "torque_constant").
-    """
-
-    arm: RigidArm
-    inertias: ConsistentInertias
-    standard: tuple[str, ...]
-    elements: tuple[IdentifiedElement, ...]
-    fallback_name: str | None
-    sources: tuple[BagSource, ...]
-    drives: Mapping[tuple[str, str], Identified] = field(default_factory=dict)
-
-
 def viscous_sum(elements: Sequence[FrictionElement], speed: float) -> tuple[float, float]:
     """Return c2 and alpha of one viscous part that has the sum of several at the speed and at a share of it."""
     if len({one.alpha for one in elements}) == 1:
@@ -204,28 +179,35 @@ def folder_base(arm: RigidArm, urdf: Path) -> tuple[RobotFiles | None, str]:
 
 
 def robot_texts(
-    robot: IdentifiedRobot, urdf: Path, base: RobotFiles | None, now: datetime | None = None
+    result: ExcitationIdentification,
+    urdf: Path,
+    base: RobotFiles | None,
+    given: Mapping[tuple[str, str], Identified] = MappingProxyType({}),
+    now: datetime | None = None,
 ) -> dict[str, str]:
     """Return the text of each file by its name.
 
     Args:
-        robot: what was identified.
+        result: what was identified.
         urdf: the description that is given other inertials.
         base: files of the robot that a whole folder is made from; None for URDF and friction file alone.
+        given: other values for the drives file, by block and key, such as ("motor", "torque_constant").
         now: date of the identification; by default the present.
 
     Raises:
         IdentificationError: for a body that no link can be, and a value that no file may hold.
         ConfigError: for a file of the base that cannot be used.
     """
-    inertias, names = robot.inertias, robot.arm.names
+    arm, inertias, standard = result.problem.arm, result.consistency.inertias, result.problem.columns.names
+    names = arm.names
     if not np.isfinite(inertias.parameters).all():
         raise IdentificationError("inertial parameters that are not finite; nothing is written")
-    origin = "identified from " + listed(f"{bag.path.name} (recorded {bag.recorded})" for bag in robot.sources)
+    sources = (bag for use, bag in result.bags if use == "excitation")
+    origin = "identified from " + listed(f"{bag.path.name} (recorded {bag.recorded})" for bag in sources)
     new: dict[tuple[str, str], Identified] = {}
     for kind, block, key in (("Ia", "transmission", "rotor_inertia"), ("k", "spring", "torque")):
         columns = {name: f"{kind}_{joint}" for joint, name in enumerate(names, 1)}
-        there = {name: robot.standard.index(one) for name, one in columns.items() if one in robot.standard}
+        there = {name: standard.index(one) for name, one in columns.items() if one in standard}
         if there:
             amounts = [float(inertias.parameters[there[name]]) if name in there else 0.0 for name in names]
             shared = listed(name for name, k in there.items() if not inertias.alone[k])
@@ -236,7 +218,7 @@ def robot_texts(
                 raise IdentificationError(
                     f"the spring of {worst} was identified as {min(amounts):.3g} Nm; accepted: >= 0"
                 )
-    new |= robot.drives
+    new |= given
     bodies: dict[str, Array | None] = dict.fromkeys(inertias.prior.dropped)
     for body, pseudo in zip(inertias.prior.bodies, inertias.pseudo, strict=True):
         inverse = np.linalg.inv(body.frame)
@@ -244,10 +226,12 @@ def robot_texts(
     rotors = ", ".join(f"{value:.6g}" for value in inertias.rotors)
     remark = f" The inertials of {listed(bodies, 100)} are {origin}; other comments on masses are older. "
     remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. " if rotors else ""
-    elements = robot.arm.element_names if base is None else element_names(names)
+    elements = arm.element_names if base is None else element_names(names)
     texts = {
         FILES["urdf"]: with_inertials(urdf.read_text(encoding="utf-8"), bodies, remark),
-        FILES["friction"]: elements_text(elements, robot.elements, robot.fallback_name, now),
+        FILES["friction"]: elements_text(
+            elements, result.elements, result.robot.fallback_name or ASSUMED_BRISTLES, now
+        ),
     }
     if base is None:
         return texts
@@ -257,8 +241,8 @@ def robot_texts(
     # Its model, for the feed-forward by one, is the folder's own arm: not the one that the base names.
     controller = {key: value for key, value in load_yaml(base.controller).content.items() if key != "model"}
     # The friction that each motor turns against, at speeds up to the nominal ones.
-    turned = [[one.element] for one in robot.elements[:6]]
-    turned[5].append(robot.elements[6].element)
+    turned = [[one.element] for one in result.elements[:6]]
+    turned[5].append(result.elements[6].element)
     speed = load_robot(base.urdf, base.tool).max_velocity.tolist()
     viscous, exponent = zip(*(viscous_sum(some, top) for some, top in zip(turned, speed, strict=True)), strict=True)
     coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in turned]
@@ -300,16 +284,7 @@ def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[
                 drives[block, key] = Identified([float(value) for value in values], "assumed", said)
     if (constants := torque_constants(result)) is not None:
         drives["motor", "torque_constant"] = constants
-    robot = IdentifiedRobot(
-        problem.arm,
-        result.consistency.inertias,
-        problem.columns.names,
-        result.elements,
-        result.robot.fallback_name or ASSUMED_BRISTLES,
-        tuple(bag for use, bag in result.bags if use == "excitation"),
-        drives,
-    )
-    return robot_texts(robot, urdf, base, date), note
+    return robot_texts(result, urdf, base, drives, date), note
 
 
 def torque_constants(result: ExcitationIdentification) -> Identified | None:

@@ -20,7 +20,7 @@ from rx90_emulator.identification.options import ValidationTolerances
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.sliding.fit import SlidingFit
-from rx90_emulator.identification.validation.setpoints import read_setpoints, run_along, setpoint_rows
+from rx90_emulator.identification.validation.measured import read_setpoints, run_along, setpoint_rows
 from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
 from rx90_emulator.identification.zeros import ZeroCheck, check_zeros, record_instants
 

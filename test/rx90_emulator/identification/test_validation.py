@@ -22,8 +22,8 @@ from rx90_emulator.identification.excitation.filtering import Bandwidths, filter
 from rx90_emulator.identification.output.report import check_page
 from rx90_emulator.identification.output.summary import check_summary
 from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.validation.measured import path_setpoints
 from rx90_emulator.identification.validation.prediction import Validation
-from rx90_emulator.identification.validation.setpoints import path_setpoints
 from rx90_emulator.identification.validation.verdict import TorquePrediction
 from rx90_emulator.loop.setup import Setup
 
