@@ -18,7 +18,6 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Mark, Panel, Plot, Scale
-from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.excitation.instruments import remark
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.excitation.torques import JointTorque, RunTorques, misfits
@@ -262,6 +261,8 @@ def excitation_page(
     correlation = friction.fit.covariance[np.ix_(known, known)] / np.outer(deviation[known], deviation[known])
     close = [(names[i], names[j], float(correlation[i, j]))
              for i, j in np.argwhere(np.triu(np.abs(correlation) > _MAX_CORRELATION, 1))]  # fmt: skip
+    gains, identified = summary.gain_texts(result), torque_constants(result)
+    constants = [] if identified is None else [f"{value:.4g}" for value in identified.value]
     return _render(
         "excitation.html.j2",
         date,
@@ -279,23 +280,12 @@ def excitation_page(
         misfits=misfits(result.speeds),
         closed_loop=remark(result.instruments),
         other="least squares" if result.instruments.biased else "instruments",
-        gains=_gain_rows(result),
+        gains=list(zip(gains, gains.values(), constants or [""] * len(gains), strict=True)),
         by_time=_time_plot(result.torques, friction.blocks.length),
         correlation=Plot([Heat(names, correlation)], height=7.0),
         close=sorted(close, key=lambda pair: -abs(pair[2]))[:20],
         runs_named=[run.source.path.name for run in checked or result.torques],
     )
-
-
-def _gain_rows(result: ExcitationIdentification) -> list[tuple[str, tuple[str, str] | None, str]]:
-    """Return for each motor its name, gain with deviation if it was identified, and the torque constant if it has."""
-    if result.gains is None:
-        return []
-    constants, names, gains = torque_constants(result), result.problem.arm.names, result.gains
-    written = [""] * len(names) if constants is None else [f"{value:.4g}" for value in constants.value]
-    pairs = zip(gains.factor.tolist(), gains.deviation.tolist(), strict=True)
-    found = [ParameterEstimate(*pair).texts() if math.isfinite(pair[1]) else None for pair in pairs]
-    return list(zip(names, found, written, strict=True))
 
 
 def _start(run: RunTorques) -> float:

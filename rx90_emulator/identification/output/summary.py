@@ -173,15 +173,10 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     lines += [result.zeros.text] if result.zeros.text else []
     lines.append(f"model: {kept_parts(result)}; last step of the choice: {result.model.reason}")
     lines.append(f"closed loop: {remark(result.instruments)}")
-    if result.gains is not None:
-        gains = zip(joints, result.gains.factor.tolist(), result.gains.deviation.tolist(), strict=True)
-        factors = ", ".join(
-            f"{name} {' +- '.join(ParameterEstimate(value, deviation).texts())}" if math.isfinite(deviation)
-            else f"{name} 1 (the payload does not tell it)" for name, value, deviation in gains
-        )  # fmt: skip
-        lines.append(
-            f"drive gains, true over recorded torque: {factors}; all values are for torques multiplied by them"
-        )
+    if gains := gain_texts(result):
+        factors = (f"{name} {' +- '.join(text) or '1 (the payload does not tell it)'}" for name, text in gains.items())
+        text = f"drive gains, true over recorded torque: {', '.join(factors)}"
+        lines.append(f"{text}; all values are for torques multiplied by them")
     lines += [f"warning: {warning}" for warning in gain_warnings(result)]
     lines += [] if result.loads is None else [result.loads.remark(names)]
     lines += [f"misfit: {text}" for text in misfits(result.speeds)]
@@ -202,6 +197,15 @@ def kept_parts(result: ExcitationIdentification) -> str:
         if having:
             texts.append(f"{part.value}: {'all' if len(having) == len(names) else ', '.join(having)}")
     return " + ".join(texts)
+
+
+def gain_texts(result: ExcitationIdentification) -> dict[str, tuple[str, ...]]:
+    """Return gain and deviation of each motor, nothing for one that the payload does not tell; empty without any."""
+    if result.gains is None:
+        return {}
+    pairs = zip(result.gains.factor.tolist(), result.gains.deviation.tolist(), strict=True)
+    texts = (ParameterEstimate(*pair).texts() if math.isfinite(pair[1]) else () for pair in pairs)
+    return dict(zip(result.problem.arm.names, texts, strict=True))
 
 
 def gain_warnings(result: ExcitationIdentification) -> list[str]:

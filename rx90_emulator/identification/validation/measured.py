@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import BPoly, BSpline, make_interp_spline
@@ -339,7 +339,8 @@ def path_setpoints(run: FilteredRun, setup: Setup) -> _SetPoints:
     # From 0 on: stamps of the wall clock are rounded too much for accelerations.
     samples = np.arange(len(run.time)) / run.rate
     count = int(samples[-1] / period + 1e-6) + 1
-    values = _at(make_interp_spline(samples, run.position, k=5), np.minimum(np.arange(count) * period, samples[-1]))
+    curve, time = make_interp_spline(samples, run.position, k=5), np.minimum(np.arange(count) * period, samples[-1])
+    values = np.ascontiguousarray(np.stack([curve(time, nu) for nu in range(3)], axis=1))
     source = f"the measured path below {run.bandwidths.position:.3g} Hz"
     return _with_lead_in(float(run.time[0]), values, setup, source)
 
@@ -353,17 +354,10 @@ def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> _Se
     rest = np.clip(position - 0.5 * lead * period * velocity, limits.lower, limits.upper)
     rest = np.where(np.abs(velocity) < _REST_SPEED, position, rest)
     still = np.stack([rest, np.zeros(6), np.zeros(6)])
-    moving = _at(
-        BPoly.from_derivatives([0.0, lead * period], np.stack([still, values[0]])),
-        period * np.arange(lead, dtype=np.float64),
-    )
+    curve, time = BPoly.from_derivatives([0.0, lead * period], np.stack([still, values[0]])), np.arange(lead) * period
+    moving = np.stack([curve(time, nu) for nu in range(3)], axis=1)
     whole = np.ascontiguousarray(np.concatenate([np.broadcast_to(still, (hold, 3, 6)), moving, values]))
     return _SetPoints(begin - (hold + lead) * period, whole, begin, rest, source)
-
-
-def _at(curve: Any, time: Array) -> Array:
-    """Return a curve and its first two derivatives, shape (m, 3, 6)."""
-    return np.ascontiguousarray(np.stack([curve(time, nu) for nu in range(3)], axis=1))
 
 
 def _beyond(setpoints: _SetPoints, bag: Path, setup: Setup) -> tuple[str, ...]:
