@@ -391,6 +391,7 @@ def _friction_plot(result: ExcitationIdentification) -> Plot:
                 if len(part) >= _MIN_BIN_SAMPLES and low <= (speed := velocity[part].mean()) <= high:
                     points.append((speed, np.interp(speed, curve.velocity, curve.torque) + left[part].mean()))
         if points:
-            own.append(Dots(*np.array(points).T, label="measured", colour=COLOURS[1]))
+            x, y = np.array(points).T
+            own.append(Dots(x, y, "measured", COLOURS[1]))
         marks[curve.element] = own
     return _grid(marks, _SPEED, height=2.3)
