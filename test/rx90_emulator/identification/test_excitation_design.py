@@ -121,22 +121,24 @@ def _outline(link: ET.Element) -> Array:
     found = [np.zeros((0, 3))]
     turn, height = (grid.ravel() for grid in np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 49), np.linspace(-1.0, 1.0, 61)))
     circle = np.column_stack([np.cos(turn), np.sin(turn)])
+
+    def numbers(text: str) -> Array:
+        return np.array(text.split(), dtype=np.float64)
+
     for shape in link.findall("collision"):
         origin = shape.find("origin")
         places = {} if origin is None else origin.attrib
-        xyz, rpy = (np.array(places.get(key, "0 0 0").split(), dtype=np.float64) for key in ("xyz", "rpy"))
-        box, cylinder, ball = (shape.find(f"geometry/{kind}") for kind in ("box", "cylinder", "sphere"))
-        if ball is not None:
-            points = np.column_stack([circle * np.sqrt(1.0 - height**2)[:, None], height]) * float(
-                ball.get("radius", "")
-            )
-        elif box is not None:
+        xyz, rpy = (numbers(places.get(key, "0 0 0")) for key in ("xyz", "rpy"))
+        (kind,) = shape.findall("geometry/*")
+        if kind.tag == "sphere":
+            ball = np.column_stack([circle * np.sqrt(1.0 - height**2)[:, None], height])
+            points = ball * numbers(kind.get("radius", ""))
+        elif kind.tag == "box":
             signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-            points = 0.5 * signs * np.array(box.get("size", "").split(), dtype=np.float64)
+            points = 0.5 * signs * numbers(kind.get("size", ""))
         else:
-            assert cylinder is not None
-            rim = circle * float(cylinder.get("radius", ""))
-            points = np.column_stack([rim, 0.5 * np.sign(height) * float(cylinder.get("length", ""))])
+            rim = circle * numbers(kind.get("radius", ""))
+            points = np.column_stack([rim, 0.5 * np.sign(height) * numbers(kind.get("length", ""))])
         found.append(points @ pin.rpy.rpyToMatrix(rpy).T + xyz)
     return np.vstack(found)
 
@@ -206,10 +208,8 @@ def test_the_search_goes_by_the_right_derivative(shipped: Setup, kind: str, monk
 def test_the_same_seed_gives_the_same_plan_and_another_one_another(tx40: Setup) -> None:
     """A run has the same points in a plan of two and alone; the other run of the plan and another seed's do not."""
     options = ExcitationOptions(runs=1, harmonics=3, period=3.0, periods=1, steps=2, validation=False)
-    (first, second), (again,), (other,) = (
-        [one.points.position for one in plan_excitation(tx40, chosen).experiments]
-        for chosen in (replace(options, runs=2), options, replace(options, seed=1))
-    )
+    plans = (plan_excitation(tx40, chosen) for chosen in (replace(options, runs=2), options, replace(options, seed=1)))
+    (first, second), (again,), (other,) = ([one.points.position for one in plan.experiments] for plan in plans)
     assert np.array_equal(first, again)
     assert not any(first.shape == one.shape and np.allclose(first, one) for one in (second, other))
 
