@@ -313,25 +313,6 @@ def test_the_arm_does_not_touch_itself(shipped: Setup) -> None:
     assert np.sum(slope * move) == pytest.approx(0.5 * (after - before), rel=0.1)
 
 
-def test_the_wrist_is_taken_apart(plan: ExcitationPlan) -> None:
-    """Friction of elements 5, 6 and 5+6 and both rotors are told apart; by joint 5 alone they are not."""
-    time = np.arange(0.0, OPTIONS.period, 0.02)
-    position, velocity, acceleration = plan.basis(time) @ plan.coefficients[0].T
-    names = list(plan.names)
-    wrist = [names.index(f"joint_{one}.{part}") for one in ("5", "6", "5_6") for part in ("tau_c", "c2")]
-    wrist += [names.index("Ia_5"), names.index("Ia_6")]
-
-    def singular(speed: Array, change: Array) -> Array:
-        standard = plan.standard.torque(position, speed, change)
-        rows = plan.rows(standard, speed).reshape(6 * len(time), -1)[:, wrist]
-        values = np.linalg.svd(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-12), compute_uv=False)
-        return np.asarray(values)
-
-    assert singular(velocity, acceleration)[-1] > 0.2
-    alone = np.eye(6)[4]
-    assert singular(velocity * alone, acceleration * alone)[-1] < 1e-6
-
-
 @pytest.mark.parametrize(
     ("words", "text"),
     [
