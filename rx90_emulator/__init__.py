@@ -91,6 +91,7 @@ if TYPE_CHECKING:
     from rx90_emulator.identification.options import (
         ExcitationTolerances as ExcitationTolerances,
         MeasuredLayout as MeasuredLayout,
+        MeasuredTolerances as MeasuredTolerances,
         RobotOptions as RobotOptions,
         ValidationTolerances as ValidationTolerances,
     )
@@ -103,7 +104,6 @@ if TYPE_CHECKING:
         MeasuredComparison as MeasuredComparison,
         compare_measured as compare_measured,
     )
-    from rx90_emulator.identification.validation.options import MeasuredTolerances as MeasuredTolerances
     from rx90_emulator.identification.validation.prediction import Validation as Validation
     from rx90_emulator.loop.closed_loop import simulate as simulate
     from rx90_emulator.loop.line import (

@@ -9,8 +9,7 @@ from pathlib import Path
 from rx90_common.base.errors import DONE, VERDICT_NO
 from rx90_common.base.quoting import one_line
 from rx90_emulator.cli.options import POSITIVE, add_message_arguments, add_record_arguments, add_robot_arguments, place
-from rx90_emulator.identification.options import MeasuredLayout
-from rx90_emulator.identification.validation.options import MeasuredTolerances
+from rx90_emulator.identification.options import MeasuredLayout, MeasuredTolerances
 
 _EPILOG = """\
 set-points are those of the bag (rx90_controller/reference), else its measured path, smoothed without delay. Arms of

@@ -113,7 +113,7 @@ def main(options: argparse.Namespace) -> None:
         print(series.describe(plan, setup), flush=True)
     else:
         runs = series.plan_with_progress(setup, excitation)
-        plan = runs.experiments
+        plan = tuple(runs.experiments)
         print(series.describe_excitation(runs), flush=True)
     if options.verb == "plan":
         return

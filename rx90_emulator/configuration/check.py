@@ -67,20 +67,19 @@ def kind_of(path: Path, content: Mapping[str, Any]) -> FileKind:
     """
     if _has_node_parameters(content):
         return kind_named(NODE_PARAMETERS)
-    shares = {}
-    for kind in KINDS:
-        known, total = _count_keys(kind.entry, content)
-        shares[kind.name] = known / total if total else 0.0
-    best = max(shares, key=lambda name: shares[name])
-    if not shares[best]:
+    counts = [(kind, *_count_keys(kind.entry, content)) for kind in KINDS]
+    shares = [(kind, known / max(total, 1)) for kind, known, total in counts]
+    highest = max(share for _, share in shares)
+    best = [kind for kind, share in shares if share == highest]
+    if not highest:
         raise ConfigError(
             f"{plain(path)}: of no kind that is checked, as MoveIt's own files; accepted: {listed(_NAMES)}"
         )
-    if shares[best] <= _LEAST_KNOWN_SHARE or list(shares.values()).count(shares[best]) > 1:
+    if highest <= _LEAST_KNOWN_SHARE or len(best) > 1:
         raise ConfigError(
             f"{plain(path)}: its kind cannot be told from its keys; accepted: --kind with one of {listed(_NAMES)}"
         )
-    return kind_named(best)
+    return best[0]
 
 
 def _has_node_parameters(content: Any) -> bool:
@@ -96,13 +95,9 @@ def _count_keys(entry: object, content: Any) -> tuple[int, int]:
         if key in ABOUT:
             continue
         inner = entry.keys.get(key) if isinstance(entry, Group) else entry.of if isinstance(entry, Entries) else None
-        if isinstance(entry, Group):
-            known += inner is not None
-            total += 1
-        if isinstance(inner, Group | Entries):
-            inner_known, inner_total = _count_keys(inner, value)
-            known += inner_known
-            total += inner_total
+        counts = _count_keys(inner, value) if isinstance(inner, Group | Entries) else (0, 0)
+        known += counts[0] + (isinstance(entry, Group) and inner is not None)
+        total += counts[1] + isinstance(entry, Group)
     return known, total
 
 
@@ -153,49 +148,43 @@ def _with_line(path: Path, error: Rx90Error, lines: Mapping[str, int]) -> str:
     """Return a refusal with the line of the key that it begins with, or that it names."""
     text = str(error).removeprefix(f"{plain(path)}: ")
     places = [place for place in lines if re.match(rf"{re.escape(plain(place))}(?![\w*])", text)]
-    line: int | str | None = lines[max(places, key=len)] if places else None
-    if line is None and (named := _LINE.search(text)):
-        line = named[1]
-    return one_line(f"{plain(path)}:{'' if line is None else f'{line}:'} {text}")
+    named = _LINE.search(text)
+    line = f"{lines[max(places, key=len)]}:" if places else f"{named[1]}:" if named else ""
+    return one_line(f"{plain(path)}:{line} {text}")
 
 
 def _check_robot(folder: Path) -> list[CheckedFile]:
-    """Check the files of a robot folder one by one and, if there is nothing wrong in them, together."""
-    files = RobotFiles.named(str(folder))
-    roles = [(role, path) for role in FILES if role != "urdf" and (path := getattr(files, role)) is not None]
+    """Check the files of a robot folder one by one and, if there is nothing wrong in them, together.
+
+    Together: names of joints in all files, poses and limits, missing files.
+    """
+    files, limits = RobotFiles.named(str(folder)), folder / "moveit/joint_limits.yaml"
+    roles = {path: role for role in FILES if role != "urdf" and (path := getattr(files, role)) is not None}
     found = [
         check_file(path, kind_named(role))
         if path.is_file()
         else CheckedFile(path, role, (f"{plain(path)}: is missing; accepted: a {role} file",))
-        for role, path in roles
+        for path, role in roles.items()
     ]
-    limits = folder / "moveit/joint_limits.yaml"
     if limits.is_file():
         found.append(check_file(limits, kind_named("moveit_limits")))
     urdf = tuple(_with_line(files.urdf, error, {}) for error in _faults_of(lambda: load_robot(files.urdf)))
     found.append(CheckedFile(files.urdf, "URDF", urdf))
-    if not any(each.problems for each in found):
-        together = []
-        for error in _faults_together(files, limits):
-            of = next((path for _, path in roles if str(error).startswith(f"{plain(path)}: ")), None)
-            together.append(str(error) if of is None else _with_line(of, error, yaml_lines(of)))
-        found.append(CheckedFile(folder, "robot folder", tuple(together)))
-    return found
-
-
-def _faults_together(files: RobotFiles, limits: Path) -> list[Rx90Error]:
-    """Return what does not fit together: names of joints in all files, poses and limits, missing files."""
+    if any(each.problems for each in found):
+        return found
     faults = _faults_of(lambda: Setup.load(files).plant())
-    if faults:
-        return faults
-    robot, poses = load_robot(files.urdf, files.tool), files.poses
-    if poses is not None:
-        refused = _faults_of(lambda: Poses.load(poses).check(robot))
-        faults += [ConfigError(f"{plain(poses)}: {error}") for error in refused]
-    if limits.is_file():
-        section = load_yaml(limits).section("joint_limits")
-        wrong = [(name, "is missing") for name in robot.joint_names if name not in section]
-        wrong += [(name, "is no joint") for name in section if name not in robot.joint_names]
-        accepted = listed(robot.joint_names)
-        faults += [ConfigError(f"{section.where(name)} {what}; accepted: {accepted}") for name, what in wrong]
-    return faults
+    if not faults:
+        robot, poses = load_robot(files.urdf, files.tool), files.poses
+        if poses is not None:
+            refused = _faults_of(lambda: Poses.load(poses).check(robot))
+            faults += [ConfigError(f"{plain(poses)}: {error}") for error in refused]
+        if limits.is_file():
+            section, names = load_yaml(limits).section("joint_limits"), robot.joint_names
+            wrong = [(name, "is missing") for name in names if name not in section]
+            wrong += [(name, "is no joint") for name in section if name not in names]
+            faults += [ConfigError(f"{section.where(name)} {what}; accepted: {listed(names)}") for name, what in wrong]
+    together = []
+    for error in faults:
+        of = next((path for path in roles if str(error).startswith(f"{plain(path)}: ")), None)
+        together.append(str(error) if of is None else _with_line(of, error, yaml_lines(of)))
+    return [*found, CheckedFile(folder, "robot folder", tuple(together))]

@@ -18,7 +18,7 @@ from rx90_common.description.robot_files import FILES, ROBOTS, shipped_robots
 from rx90_common.friction.element import FRICTION_PARAMETERS, FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.report.plot import COLOURS, Curve, Dash, Panel, Plot
-from rx90_emulator.configuration.origins import ASSUMED, OF_CODE, OTHERS, ShownValue, file_values, place_of
+from rx90_emulator.configuration.origins import ASSUMED, OF_CODE, OTHERS, ShownValue, aligned, file_values, place_of
 
 PUBLISHED = "friction"
 """The folder below config/ with published friction of other machines."""
@@ -33,7 +33,6 @@ _LEGEND = (
     "* assumed; a/b: for positive/negative velocity; at v rad/s: the torque at constant velocity, without load, "
     "at the reference temperature"
 )
-_UNKNOWN = "of unknown provenance"
 
 
 @dataclass(frozen=True)
@@ -43,14 +42,16 @@ class FrictionChoice:
     Attributes:
         name: as the user wrote it, without the element.
         file: its content.
-        elements: the names of those that are meant.
+        values: of the elements that are meant, by the path of the parameter in the element.
         single: whether the user named one.
+        place: the file's path in short.
     """
 
     name: str
     file: FrictionFile
-    elements: tuple[str, ...]
+    values: Mapping[str, Mapping[str, ShownValue]]
     single: bool
+    place: str
 
     @classmethod
     def named(cls, text: str) -> FrictionChoice:
@@ -70,27 +71,12 @@ class FrictionChoice:
         file = FrictionFile.read(path)
         if sign and element not in file.elements:
             raise ConfigError(f"friction {quoted(text)}: no such element; accepted: {listed(file.elements)}")
-        return cls(name, file, (element,) if sign else tuple(file.elements), bool(sign))
-
-    @property
-    def place(self) -> str:
-        """Return the file's path in short."""
-        assert self.file.path is not None
-        return place_of(self.file.path)
-
-    def laws(self) -> list[tuple[str, str, FrictionElement]]:
-        """Return name, label and law of each element that is meant."""
-        return [(name, f"{self.name}:{name}", self.file.elements[name]) for name in self.elements]
-
-    def values(self) -> list[tuple[str, str, ShownValue]]:
-        """Return each value of the elements that are meant, with the element and the path of the parameter in it."""
-        assert self.file.path is not None
-        found = []
-        for one in file_values("friction", self.file.path):
+        values: dict[str, dict[str, ShownValue]] = {one: {} for one in ([element] if sign else file.elements)}
+        for one in file_values("friction", path):
             _, block, *names = one.name.split(".")
-            if block == "elements" and names[0] in self.elements:
-                found.append((names[0], ".".join(names[1:]), one))
-        return found
+            if block == "elements" and names[0] in values:
+                values[names[0]][".".join(names[1:])] = one
+        return cls(name, file, values, bool(sign), place_of(path))
 
 
 def shipped_friction() -> tuple[str, ...]:
@@ -121,51 +107,38 @@ def replace_elements(base: FrictionChoice, rules: Iterable[str]) -> FrictionFile
     Raises:
         ConfigError: naming the rule and what is accepted.
     """
-    substitutes: dict[str, FrictionChoice] = {}
+    elements = dict(base.file.elements)
+    about: dict[str, dict[str, Any]] = {name: dict(stated) for name, stated in base.file.about.items()}
+    replaced = set()
     for rule in rules:
-        substitutes.update(_substitutes(base, rule))
+        own, sign, text = rule.partition("=")
+        choice = FrictionChoice.named(text if sign else rule)
+        names = [own] if sign else list(choice.values if choice.single else base.file.elements)
+        if unknown := [name for name in names if name not in base.file.elements]:
+            fault = f"{quoted(unknown[0])} is no element of {plain(base.name)}"
+            raise ConfigError(f"--take {quoted(rule)}: {fault}; accepted: {listed(base.file.elements)}, before =")
+        originals = {name: name for name in names if name in choice.values}
+        if choice.single:
+            originals = {names[0]: next(iter(choice.values))}
+        if not originals:
+            fault = f"{plain(choice.name)} has no element of that name"
+            raise ConfigError(f"--take {quoted(rule)}: {fault}; accepted: one of {listed(choice.values)}, behind :")
+        for name, original in originals.items():
+            elements[name] = choice.file.elements[original]
+            about[name], given = {}, {p: one for p, one in choice.values[original].items() if one.origin != OF_CODE}
+            for word in ("provenance", "source"):
+                stated = {path.partition(".")[0]: getattr(one, word) for path, one in given.items()}
+                (usual, count), *_ = Counter(stated.values()).most_common(1) or [("", 0)]
+                if count < len(stated):  # the most frequent stands under `others`
+                    about[name][word] = {key: said for key, said in stated.items() if said != usual} | {OTHERS: usual}
+                elif usual:
+                    about[name][word] = usual
+            about[name]["note"] = f"taken from {choice.place}, {original}"
+        replaced |= {*originals}
     kept = base.file.identification
     if kept is not None and "parameters" in kept:
-        own = {name: one for name, one in kept["parameters"].items() if name not in substitutes}
-        kept = {**kept, "parameters": own}
-    elements, about = dict(base.file.elements), dict(base.file.about)
-    for name, one in substitutes.items():
-        ((original, _, elements[name]),) = one.laws()
-        given = [(path.partition(".")[0], value) for _, path, value in one.values() if value.origin != OF_CODE]
-        stated = {word: _by_parameter({key: getattr(v, word) for key, v in given}) for word in ("provenance", "source")}
-        note = f"taken from {one.place}, {original}"
-        about[name] = {**{word: text for word, text in stated.items() if text}, "note": note}
+        kept = {**kept, "parameters": {n: one for n, one in kept["parameters"].items() if n not in replaced}}
     return replace(base.file, elements=elements, identification=kept, about=about)
-
-
-def _substitutes(base: FrictionChoice, rule: str) -> dict[str, FrictionChoice]:
-    """Return by the name of each element that a rule replaces the single element that replaces it."""
-    own, sign, text = rule.partition("=")
-    choice = FrictionChoice.named(text if sign else rule)
-    names = [own] if sign else list(choice.elements) if choice.single else list(base.file.elements)
-    unknown = [name for name in names if name not in base.file.elements]
-    if unknown:
-        fault = f"{quoted(unknown[0])} is no element of {plain(base.name)}"
-        accepted = f"{listed(base.file.elements)}, before ="
-        raise ConfigError(f"--take {quoted(rule)}: {fault}; accepted: {accepted}")
-    if choice.single:
-        return {names[0]: choice}
-    common = [name for name in names if name in choice.elements]
-    if not common:
-        fault = f"{plain(choice.name)} has no element of that name"
-        accepted = f"one of {listed(choice.elements)}, behind :"
-        raise ConfigError(f"--take {quoted(rule)}: {fault}; accepted: {accepted}")
-    return {name: replace(choice, elements=(name,)) for name in common}
-
-
-def _by_parameter(stated: Mapping[str, str]) -> Any:
-    """Return what is stated by parameter, the most frequent under `others`; one text where all are the same."""
-    if not stated:
-        return ""
-    ((usual, count),) = Counter(stated.values()).most_common(1)
-    if count == len(stated):
-        return usual
-    return {**{name: text for name, text in stated.items() if text != usual}, OTHERS: usual}
 
 
 def comparison_table(choices: Sequence[FrictionChoice], speed: float) -> str:
@@ -179,43 +152,42 @@ def comparison_table(choices: Sequence[FrictionChoice], speed: float) -> str:
     rows = [("element", *(one.name for one in FRICTION_PARAMETERS), *(f"at {v:.3g}" for v in speeds), "parts")]
     rows.append(("", *(one.unit for one in FRICTION_PARAMETERS), *("Nm" for _ in speeds), ""))
     for choice in choices:
-        assumed = {(name, path.partition(".")[0]) for name, path, one in choice.values() if one.provenance == ASSUMED}
-        for name, label, law in choice.laws():
-            parts = [
-                _both(*(getattr(law, each) for each in one.attributes)) + "*" * ((name, one.name) in assumed)
+        for name, values in choice.values.items():
+            law = choice.file.elements[name]
+            assumed = {path.partition(".")[0] for path, one in values.items() if one.provenance == ASSUMED}
+            numbers = [
+                _both(*(getattr(law, each) for each in one.attributes)) + "*" * (one.name in assumed)
                 for one in FRICTION_PARAMETERS
             ]
             torques = [_both(*_torques(law, v)) for v in speeds]
-            rows.append((label, *parts, *torques, ", ".join(law.parts) or "-"))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ["  ".join((row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:]))).rstrip() for row in rows]
+            rows.append((f"{choice.name}:{name}", *numbers, *torques, ", ".join(law.parts) or "-"))
+    lines = aligned(rows, right=range(1, len(rows[0])))
     return "\n".join(map(one_line, [*lines, "", _LEGEND, *_sources(choices)]))
 
 
 def _sources(choices: Sequence[FrictionChoice]) -> list[str]:
     """Return for each file which parameters of which elements have which source."""
-    shown: dict[str, dict[str, tuple[str, str, ShownValue]]] = {}
+    shown: dict[str, dict[str, Mapping[str, ShownValue]]] = {}
     for choice in choices:
-        given = {each[2].name: each for each in choice.values() if each[2].origin != OF_CODE}
-        shown.setdefault(f"{choice.name} ({choice.place})", {}).update(given)
+        shown.setdefault(f"{choice.name} ({choice.place})", {}).update(choice.values)
     lines: list[str] = []
-    for heading, values in shown.items():
+    for heading, elements in shown.items():
         lines.append(heading)
         # By what is stated: the parameters of each element, in the order of the file.
-        groups: dict[tuple[str, str], dict[str, dict[str, None]]] = {}
-        for element, path, one in values.values():
-            parameters = groups.setdefault((one.provenance, one.source), {}).setdefault(element, {})
-            parameters[path.partition(".")[0]] = None
-        count = len({element for element, _, _ in values.values()})
-        for (provenance, source), by_element in groups.items():
+        groups: dict[str, dict[str, dict[str, None]]] = {}
+        for element, values in elements.items():
+            for path, one in values.items():
+                if one.origin != OF_CODE:
+                    words = one.provenance or "of unknown provenance", " ".join(one.source.split())
+                    parameters = groups.setdefault("; ".join(filter(None, words)), {}).setdefault(element, {})
+                    parameters[path.partition(".")[0]] = None
+        for stated, by_element in groups.items():
             alike: dict[str, list[str]] = {}
             for element, names in by_element.items():
                 alike.setdefault(", ".join(names), []).append(element)
-            whose = "; ".join(
-                names if len(of) == count else f"{names} of {', '.join(of)}" for names, of in alike.items()
-            )
-            stated = "; ".join(filter(None, (provenance or _UNKNOWN, " ".join(source.split()))))
-            lines.append(f"  {whose}: {stated}")
+            every = len(elements)
+            whose = [f"{names} of {', '.join(of)}" if len(of) < every else names for names, of in alike.items()]
+            lines.append(f"  {'; '.join(whose)}: {stated}")
     return lines
 
 
@@ -230,24 +202,22 @@ def _both(*values: float) -> str:
 
 def comparison_json(choices: Sequence[FrictionChoice], speed: float) -> str:
     """Return a list of objects, one for each element: parameters with provenance and source, and the torque."""
-    content = []
+    content: list[dict[str, Any]] = []
     for choice in choices:
-        values = choice.values()
-        for name, label, law in choice.laws():
+        for name, values in choice.values.items():
+            parameters = {}
+            for path, one in values.items():
+                value = None if one.value == np.inf else one.value
+                stated = {"unit": one.unit, "provenance": one.provenance, "source": one.source}
+                parameters[path] = {"value": value, **stated, "assumed": one.provenance == ASSUMED}
+            speeds = [share * speed for share in _SPEEDS]
+            torques = [_torques(choice.file.elements[name], v) for v in speeds]
             content.append({
-                "element": label,
+                "element": f"{choice.name}:{name}",
                 "file": choice.place,
-                "parameters": {
-                    path: {
-                        "value": None if one.value == np.inf else one.value, "unit": one.unit,
-                        "provenance": one.provenance, "source": one.source, "assumed": one.provenance == ASSUMED,
-                    }
-                    for element, path, one in values if element == name
-                },
-                "torque": [
-                    {"speed": v, **dict(zip(("positive", "negative"), _torques(law, v), strict=True))}
-                    for v in (share * speed for share in _SPEEDS)
-                ],
+                "parameters": parameters,
+                "torque": [{"speed": v, "positive": up, "negative": down}
+                           for v, (up, down) in zip(speeds, torques, strict=True)],
             })  # fmt: skip
     return json.dumps(content, indent=1, ensure_ascii=False)
 
@@ -265,13 +235,11 @@ def comparison_plot(choices: Sequence[FrictionChoice], speed: float) -> Plot:
     velocity = np.concatenate([-up[::-1], [np.nan], up])
     shown: dict[str, list[Curve]] = {}
     together = len(choices) == 1 or all(choice.single for choice in choices)
-    every = [(k, choice, *law) for k, choice in enumerate(choices) for law in choice.laws()]
-    for count, (number, choice, name, label, law) in enumerate(every):
-        k = count if together else number
-        torque, colour = law.steady_torque(velocity), COLOURS[k % len(COLOURS)]
-        curve = Curve(
-            velocity, torque, label if together else choice.name, colour, dash=_DASHES[k // len(COLOURS) % len(_DASHES)]
-        )
+    every = [(number, choice, name) for number, choice in enumerate(choices) for name in choice.values]
+    for count, (number, choice, name) in enumerate(every):
+        row, k = divmod(count if together else number, len(COLOURS))
+        torque, label = choice.file.elements[name].steady_torque(velocity), choice.name + f":{name}" * together
+        curve = Curve(velocity, torque, label, COLOURS[k], dash=_DASHES[row % len(_DASHES)])
         shown.setdefault("" if together else f"{name}: ", []).append(curve)
     panels = [
         Panel(one, "", "velocity, rad/s", f"{element}torque, Nm", x_scale="symlog", smallest=smallest)

@@ -82,35 +82,25 @@ class DeclaredParameters:
 
     def declare_parameter(self, name: str, default: Any, descriptor: Any) -> SimpleNamespace:
         """Declare a parameter; a given value that it cannot have is refused."""
-        entry = self.entries[name] = _entry(default, descriptor)
+        about, kind = f"{descriptor.description[:1].upper()}{descriptor.description[1:]}.", type(default)
+        (span,) = (*descriptor.integer_range, *descriptor.floating_point_range)[:1] or (None,)
+        bounds = {} if span is None else {"low": span.from_value, "high": span.to_value}
+        if kind is list:
+            self.entries[name] = Numbers(about, count=len(default), default=tuple(default))
+        elif kind is int:
+            limits = {"low": -_LARGEST_INTEGER, "high": _LARGEST_INTEGER, **bounds}
+            self.entries[name] = Integer(about, **limits, default=default)
+        else:
+            self.entries[name] = {bool: Switch, float: Number, str: Text}[kind](about, **bounds, default=default)
         value = default
         if name in self._parameter_overrides:
-            given = self._parameter_overrides[name].value
+            section = Section({name: self._parameter_overrides[name].value}, Path("parameter"))
             try:
-                value = entry.take(Section({name: given}, Path("parameter")), name)
+                value = self.entries[name].take(section, name)
             except ConfigError as error:
                 raise ConfigError(str(error).replace("parameter: ", "parameter ", 1)) from error
-        self.values[name] = value = list(value) if isinstance(value, tuple) else value
-        return SimpleNamespace(value=value)
-
-
-def _entry(default: Any, descriptor: Any) -> Entry:
-    about = f"{descriptor.description[:1].upper()}{descriptor.description[1:]}."
-    if isinstance(default, bool):
-        return Switch(about, default=default)
-    if isinstance(default, int):
-        low, high = _range(descriptor.integer_range, -_LARGEST_INTEGER, _LARGEST_INTEGER)
-        return Integer(about, low=int(low), high=int(high), default=default)
-    if isinstance(default, float):
-        low, high = _range(descriptor.floating_point_range, -float("inf"), float("inf"))
-        return Number(about, low=low, high=high, default=default)
-    if isinstance(default, str):
-        return Text(about, default=default)
-    return Numbers(about, count=len(default), default=tuple(default))
-
-
-def _range(ranges: Any, low: float, high: float) -> tuple[float, float]:
-    return (ranges[0].from_value, ranges[0].to_value) if ranges else (low, high)
+        self.values[name] = list(value) if isinstance(value, tuple) else value
+        return self.get_parameter(name)
 
 
 def _declare_simulation(node: Any) -> None:
@@ -205,24 +195,25 @@ def _check_section(node: str, section: Section) -> None:
     chosen = {name: given[name] for name in _OF_ROBOT if name in given and name in entries}
     if chosen:
         section.attempt(lambda: entries.update(declared(node, chosen).entries))
-    names = Section(dict(given), section.file, section.path, [])
-    fine = True
+    faults: list[ConfigError] = []
+    names = Section(given, section.file, section.path, faults)
+
+    def check(name: str) -> None:
+        if name not in entries:
+            names.fault(name, f" is unknown to {node}; accepted: {listed(entries)}")
+        entries[name].take(names, name)
+
     for name in given:
-        if name in OF_ROS or name.startswith(PREFIX) or (node == "rx90_controller" and has_no_use(name)):
-            continue
-        try:
-            if name not in entries:
-                names.fault(name, f" is unknown to {node}; accepted: {listed(entries)}")
-            entries[name].take(names, name)
-        except ConfigError as error:
-            fine = False
-            section.attempt(_refuse, error)
-    if fine:
+        if not (name in OF_ROS or name.startswith(PREFIX) or (node == "rx90_controller" and has_no_use(name))):
+            names.attempt(check, name)
+    if not faults:
         try:
             declared(node, given)
         except Rx90Error as error:
             text = str(error).removeprefix("parameter ").removeprefix("parameter: ")
-            section.attempt(_refuse, ConfigError(f"{section.file}: {section.path}.{text}"))
+            faults.append(ConfigError(f"{section.file}: {section.path}.{text}"))
+    for fault in faults:
+        section.attempt(_refuse, fault)
 
 
 def _refuse(error: ConfigError) -> None:
@@ -230,16 +221,11 @@ def _refuse(error: ConfigError) -> None:
 
 
 def _node_schema(node: str) -> JsonSchema:
-    entries = _declared_by_default(node).entries
-    parameters = _names_schema({name: entry.schema() for name, entry in entries.items()})
+    parameters = _names_schema({name: entry.schema() for name, entry in _declared_by_default(node).entries.items()})
     parameters["properties"] |= {name: {"description": "Of every ROS node."} for name in OF_ROS}
     parameters["patternProperties"] = {f"^({PREFIX[:-1]}|{_CONSTRAINTS})(\\.|$)": {}}
-    return {
-        "description": f"Parameters of the node {node}.",
-        "type": "object",
-        "properties": {_PARAMETERS: parameters},
-        **_SECTION,
-    }
+    about = f"Parameters of the node {node}."
+    return {"description": about, "type": "object", "properties": {_PARAMETERS: parameters}, **_SECTION}
 
 
 def _names_schema(schemas: Mapping[str, JsonSchema]) -> JsonSchema:
@@ -268,17 +254,21 @@ def given_parameters(files: Iterable[Path], rules: Iterable[str]) -> Given:
         ConfigError: naming file or rule, value and what is accepted.
     """
     given: Given = {node: {} for node in NODES}
+
+    def give(nodes: Iterable[str], name: str, value: Any, origin: str) -> None:
+        for node in nodes:
+            given[node][name] = value, origin
+            if value == "" and name in FILES:  # an empty file name is none
+                del given[node][name]
+
     for path in files:
         NODE_FILE.read(path)
         lines = yaml_lines(path)
         for node, section in _sections_of(load_yaml(path)):
+            nodes = ARM_NODES if node == _EVERY_NODE else [node] if node in given else []
             for name, value in _flat(section.content).items():
-                if value == {}:  # a name's beginning with nothing behind it
-                    continue
-                origin = f"{path}:{lines.get(f'{section.path}.{name}', 0)}"
-                for each in ARM_NODES if node == _EVERY_NODE else (node,):
-                    if each in given:
-                        _give(given[each], name, value, origin)
+                if value != {}:  # a name's beginning with nothing behind it
+                    give(nodes, name, value, f"{path}:{lines.get(f'{section.path}.{name}', 0)}")
     for rule in rules:
         left, sign, text = rule.partition(":=")
         node, _, name = left.rpartition(":")
@@ -290,16 +280,8 @@ def given_parameters(files: Iterable[Path], rules: Iterable[str]) -> Given:
             raise ConfigError(
                 f"-p {quoted(rule)}: no parameter of {' or '.join(ARM_NODES)}; accepted: those in rx90_config show"
             )
-        for each in nodes:
-            _give(given[each], name, yaml_value(text), COMMAND_LINE)
+        give(nodes, name, yaml_value(text), COMMAND_LINE)
     return given
-
-
-def _give(given: dict[str, tuple[Any, str]], name: str, value: Any, origin: str) -> None:
-    if value == "" and name in FILES:  # an empty file name is none
-        given.pop(name, None)
-    else:
-        given[name] = value, origin
 
 
 def node_setup(given: Given) -> list[ShownValue]:
@@ -308,41 +290,38 @@ def node_setup(given: Given) -> list[ShownValue]:
     Raises:
         ConfigError: for what a node would refuse, and for nodes that do not fit each other.
     """
+
+    def values_of(node: str) -> dict[str, tuple[Any, str]]:
+        values = declared(node, {name: value for name, (value, _) in given[node].items()}).values
+        return {name: (value, given[node].get(name, (value, OF_CODE))[1]) for name, value in values.items()}
+
     found: list[ShownValue] = []
-    files: dict[str, str] = {}
     shared: dict[str, Any] = {}
-    chosen: dict[str, str] = {}
+    files: dict[str, tuple[str, str]] = {}
     law: dict[str, tuple[Any, str]] = {}
     substeps: int | None = None
     for node in ARM_NODES:
-        parameters = _values_of(node, given)
-        substeps = substeps or parameters.get("substeps")
-        for name, value in parameters.items():
-            _, origin = given[node].get(name, (value, OF_CODE))
+        parameters = values_of(node)
+        substeps = substeps or parameters.get("substeps", (None, ""))[0]
+        for name, (value, stated) in parameters.items():
+            origin = stated
             if name in _SHARED and shared.setdefault(name, value) != value:
                 raise ConfigError(f"{name}: {shared[name]} and {value}; accepted: the same for both nodes")
             if name in FILES:
-                origin = f"robot {parameters['robot']}" if origin == OF_CODE else origin
-                files[name] = value
-                chosen.setdefault(name, origin)
+                origin = f"robot {parameters['robot'][0]}" if origin == OF_CODE else origin
+                files[name] = value, files.get(name, (value, origin))[1]
             if not name.startswith(OF_LAW):
                 found.append(ShownValue(f"{node}.{name}", value, "", origin))
             elif origin != OF_CODE:
                 law[f"controller.{name}"] = value, origin
-    robot = RobotFiles.named(shared["robot"], **files)
-    for one in setup_values(robot, chosen):
+    robot = RobotFiles.named(shared["robot"], **{name: value for name, (value, _) in files.items()})
+    for one in setup_values(robot, {name: origin for name, (_, origin) in files.items()}):
         value, origin = law.get(one.name, (one.value, ""))
         found.append(one._replace(value=value, origin=origin, provenance="", source="") if origin else one)
-    setup = Setup.load(robot, Rates(shared["base_rate"], shared["position_rate"]))
-    found.append(steps_value(setup, substeps or None))
-    of_rig = _values_of(RIG_NODE, given)
-    rig = str(of_rig["rig"])
-    origins = {name: given[RIG_NODE].get(name, (value, OF_CODE))[1] for name, value in of_rig.items()}
-    if "baud" not in given[RIG_NODE]:  # what the node takes where it is given none
-        origins["baud"] = f"rig {rig}"
-    found += [ShownValue(f"{RIG_NODE}.{name}", value, "", origins[name]) for name, value in of_rig.items()]
-    return found + rig_values(rig, origins["rig"])
-
-
-def _values_of(node: str, given: Given) -> dict[str, Any]:
-    return declared(node, {name: value for name, (value, _) in given[node].items()}).values
+    found.append(steps_value(Setup.load(robot, Rates(shared["base_rate"], shared["position_rate"])), substeps or None))
+    of_rig = values_of(RIG_NODE)
+    rig, chosen = of_rig["rig"]
+    if of_rig["baud"][1] == OF_CODE:  # what the node takes where it is given none
+        of_rig["baud"] = of_rig["baud"][0], f"rig {rig}"
+    found += [ShownValue(f"{RIG_NODE}.{name}", value, "", origin) for name, (value, origin) in of_rig.items()]
+    return found + rig_values(str(rig), chosen)

@@ -71,12 +71,10 @@ def file_values(role: str, path: Path) -> list[ShownValue]:
     identified = root.content.get("identification", {}).get("parameters", {}) if role == "friction" else {}
     found = []
     for place, entry, value, around in _leaves(kind.entry, root.content, "", ()):
-        if place not in lines:
-            origin, provenance, source = OF_CODE, "", ""
-        else:
-            origin = f"{name}:{lines[place]}"
-            provenance, source = (_stated(word, around) for word in ("provenance", "source"))
-        one = ShownValue(f"{role}.{place}", value, entry.unit, origin, provenance, source)
+        one = ShownValue(f"{role}.{place}", value, entry.unit, OF_CODE)
+        if place in lines:
+            stated = [_stated(word, around) for word in ("provenance", "source")]
+            one = ShownValue(one.name, value, entry.unit, f"{name}:{lines[place]}", *stated)
         found.append(_as_identified(one, identified))
     return found
 
@@ -144,26 +142,20 @@ def setup_values(files: RobotFiles, chosen: Mapping[str, str]) -> list[ShownValu
         ConfigError: for a file that cannot be used.
     """
     found = [ShownValue(f"file.{role}", files.text(role), "", chosen[role]) for role in FILES if role in chosen]
-    path: Path | None
     for role in FILES:
-        path = getattr(files, role)
-        if role != "urdf" and path is not None:
+        if role != "urdf" and (path := getattr(files, role)) is not None:
             found += file_values(role, path)
     model, origin = ModelFiles.of(load_yaml(files.controller)), f"beside {place_of(files.controller)}"
     named = {one.name for one in found}
     for role in ROLES:
-        name, path = f"controller.model.{role}", getattr(model, role)
-        if name not in named and (path is None or path.is_file()):
-            found.append(ShownValue(name, NO_TOOL if path is None else place_of(path), "", origin))
+        name, own = f"controller.model.{role}", getattr(model, role)
+        if name not in named and (own is None or own.is_file()):
+            found.append(ShownValue(name, NO_TOOL if own is None else place_of(own), "", origin))
     return found
 
 
 def steps_value(setup: Setup, substeps: int | None = None) -> ShownValue:
-    """Return the steps that the plant of a setup takes in a tick.
-
-    Raises:
-        ConfigError: if those asked for are too few, or it needs more than it takes unasked.
-    """
+    """Return the steps that the plant of a setup takes in a tick; a ConfigError for too few, or too many unasked."""
     return ShownValue("plant steps in a tick", setup.plant(substeps).substeps, "1", "by friction, mass and gears")
 
 
@@ -180,6 +172,14 @@ def rig_values(rig: str, chosen: str) -> list[ShownValue]:
     return [ShownValue("file.rig", rig, "", chosen), *file_values("rig", resolve_config(rig))]
 
 
+def aligned(rows: Sequence[Sequence[str]], right: Sequence[int] = (), widest: float = math.inf) -> list[str]:
+    """Return the rows of a table as lines; columns in `right` end together, cells above a width move what follows."""
+    columns = zip(*(map(len, row) for row in rows), strict=True)
+    widths = [max((size for size in column if size <= widest), default=0) for column in columns]
+    sides = [str.rjust if k in right else str.ljust for k in range(len(widths))]
+    return ["  ".join(side(cell, n) for side, cell, n in zip(sides, row, widths, strict=True)).rstrip() for row in rows]
+
+
 def values_table(values: Sequence[ShownValue]) -> str:
     """Return a line for each value, and below them the sources by their numbers."""
     sources: dict[str, int] = {}
@@ -189,10 +189,8 @@ def values_table(values: Sequence[ShownValue]) -> str:
         if one.source:
             mark += f" [{sources.setdefault(one.source, len(sources) + 1)}]"
         rows.append((one.name, _text(one.value), one.unit, one.origin, mark.strip()))
-    widths = [max(len(row[k]) for row in rows if len(row[k]) <= _MAX_ALIGNED_WIDTH) for k in range(4)]
-    lines = ["  ".join((*map(str.ljust, row[:4], widths), row[4])).rstrip() for row in rows]
     assumed = sum(one.provenance == ASSUMED for one in values)
-    lines += ["", f"{assumed} of {len(values)} values are assumed"]
+    lines = [*aligned(rows, widest=_MAX_ALIGNED_WIDTH), "", f"{assumed} of {len(values)} values are assumed"]
     lines += [f"[{number}] {' '.join(source.split())}" for source, number in sources.items()]
     return "\n".join(map(one_line, lines))
 

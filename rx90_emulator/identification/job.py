@@ -23,6 +23,7 @@ from rx90_emulator.identification.identify import FrictionIdentification, check_
 from rx90_emulator.identification.options import (
     ExcitationTolerances,
     MeasuredLayout,
+    MeasuredTolerances,
     RobotOptions,
     ValidationTolerances,
 )
@@ -38,7 +39,6 @@ from rx90_emulator.identification.output.summary import (
 from rx90_emulator.identification.presliding.kinds import kind_steps
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured, simulated_setup
-from rx90_emulator.identification.validation.options import MeasuredTolerances
 from rx90_emulator.loop.setup import Setup
 
 REPORT, PARAMETERS = "report.html", "parameters.yaml"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -77,8 +77,17 @@ class MeasuredLayout:
     signals: Path | str | None = None
 
 
+class _Tolerances:
+    """What counts as agreement: positive numbers."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0.0 < value < math.inf:
+                raise ConfigError(f"{name} is {value}; accepted: a positive number")
+
+
 @dataclass(frozen=True)
-class ValidationTolerances:
+class ValidationTolerances(_Tolerances):
     """What counts as agreement in a validation.
 
     Attributes:
@@ -91,12 +100,9 @@ class ValidationTolerances:
     worst_torque: float = 0.15
     tip: float = 1e-4
 
-    def __post_init__(self) -> None:
-        _check_positive(vars(self))
-
 
 @dataclass(frozen=True)
-class ExcitationTolerances:
+class ExcitationTolerances(_Tolerances):
     """What counts as agreement of an excitation run that was not used.
 
     Attributes:
@@ -107,11 +113,17 @@ class ExcitationTolerances:
     total: float = 0.1
     joint: float = 0.3
 
-    def __post_init__(self) -> None:
-        _check_positive(vars(self))
 
+@dataclass(frozen=True)
+class MeasuredTolerances(_Tolerances):
+    """What counts as agreement of a simulated run with a measured one.
 
-def _check_positive(values: Mapping[str, float]) -> None:
-    for name, value in values.items():
-        if not 0.0 < value < math.inf:
-            raise ConfigError(f"{name} is {value}; accepted: a positive number")
+    Attributes:
+        torque: RMS difference of a joint's torque over its RMS measured torque.
+        total_torque: the same of all joints together.
+        position: largest difference of a joint's position, rad.
+    """
+
+    torque: float = 0.25
+    total_torque: float = 0.1
+    position: float = 5e-3

@@ -31,17 +31,21 @@ def motor_torque_limit(setup: Setup) -> Array:
     return np.asarray(np.abs(setup.drives.gear) * setup.drives.peak_torque)
 
 
+def whose(setup: Setup, limit: str) -> tuple[str, ...]:
+    """Return the names of the joints or the motors that a limit of `limit_shares` is of."""
+    return MOTOR_NAMES if limit.startswith("motor_") else setup.robot.joint_names
+
+
 def limit_shares(
-    setup: Setup, motion: tuple[Array, Array, Array], torque: Array, share: float = 1.0, speed: float = 1.0,
-    margin: float = 0.0,
-) -> dict[str, Array]:  # fmt: skip
+    setup: Setup, motion: Array, torque: Array, share: float = 1.0, speed: float = 1.0, margin: float = 0.0
+) -> dict[str, Array]:
     """Return signed shares of what is allowed, by name, each of the shape of what it is a share of.
 
     No file says how fast a motor may turn: it is taken to be as fast as its joint alone may be.
 
     Args:
         setup: ranges, speeds, efforts of the joints, accelerations of the controller, peak torques of the drives.
-        motion: position rad, velocity rad/s and acceleration rad/s² of the joints, shape (m, 6) each.
+        motion: position rad, velocity rad/s and acceleration rad/s² of the joints, shape (3, m, 6).
         torque: with friction, Nm, shape (k, 6).
         share: of accelerations and torques that counts as all of them.
         speed: the same of the speeds.
@@ -104,25 +108,20 @@ def check_experiment(experiment: Experiment, setup: Setup) -> tuple[dict[str, Ar
     except TrajectoryError as error:
         raise IdentificationError(f"{experiment.name}: {error}") from error
     setpoints = generator.setpoints(0, round(experiment.duration / _PERIOD) + 1)
-    position, velocity, acceleration = motion = setpoints.transpose(1, 0, 2)
-    some = slice(None, None, _TORQUE_STRIDE)
-    rigid = rigid_torque(robot.model, setup.drives.rotor_matrix, setup.drives.spring_torque,
-                         position[some], velocity[some], acceleration[some])  # fmt: skip
-    torque = rigid + friction_torque(setup, velocity[some])[0]
-    shares = {
-        name: np.abs(share).max(axis=0)
-        for name, share in limit_shares(setup, (motion[0], motion[1], motion[2]), torque).items()
-    }
-    for name, names, most, unit in (
-        ("motor_speed", MOTOR_NAMES, robot.max_velocity, "rad/s, through its gear"),
-        ("torque", robot.joint_names, robot.max_effort, "Nm"),
-        ("motor_torque", MOTOR_NAMES, motor_torque_limit(setup), "Nm, through its gear"),
+    motion = setpoints.transpose(1, 0, 2)
+    some = motion[:, ::_TORQUE_STRIDE]
+    rigid = rigid_torque(robot.model, setup.drives.rotor_matrix, setup.drives.spring_torque, *some)
+    signed = limit_shares(setup, motion, rigid + friction_torque(setup, some[1])[0])
+    shares = {name: np.abs(share).max(axis=0) for name, share in signed.items()}
+    for name, most, unit in (
+        ("motor_speed", robot.max_velocity, "rad/s, through its gear"),
+        ("torque", robot.max_effort, "Nm"),
+        ("motor_torque", motor_torque_limit(setup), "Nm, through its gear"),
     ):
-        share = shares[name]
-        k = int(np.argmax(share))
+        share, k = shares[name], int(np.argmax(shares[name]))
         if share[k] > 1.0:
             raise IdentificationError(
-                f"{experiment.name}: {names[k]} would need {share[k] * most[k]:.3g} {unit}; accepted: up to "
-                f"{most[k]:.3g}; choose other poses or less speed or acceleration"
+                f"{experiment.name}: {whose(setup, name)[k]} would need {share[k] * most[k]:.3g} {unit}; accepted: up "
+                f"to {most[k]:.3g}; choose other poses or less speed or acceleration"
             )
     return shares, setpoints

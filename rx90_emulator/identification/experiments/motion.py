@@ -73,15 +73,23 @@ class Motion:
             tones: their frequencies, Hz.
             duration: s.
         """
-        fastest = 2.0 * math.pi * max(tones)
-        period = math.floor(1e3 * min(_LONGEST_KNOT_PERIOD, _KNOT_ANGLE / fastest)) / 1e3
-        count = math.ceil(duration / period)
-        time: Array = np.arange(1, count + 1, dtype=np.float64) * period
-        s, s_dot, s_ddot = (
-            values[:, None] * direction for values in _faded_sines(time, count * period, amplitudes, tones)
-        )
-        s[-1] = 0.0
-        self.follow(time, self.pose + s, s_dot, s_ddot)
+        omega, amplitude = 2.0 * np.pi * np.asarray(tones), np.asarray(amplitudes)
+        period = math.floor(1e3 * min(_LONGEST_KNOT_PERIOD, _KNOT_ANGLE / (2.0 * math.pi * max(tones)))) / 1e3
+        time: Array = np.arange(1, math.ceil(duration / period) + 1, dtype=np.float64) * period
+        phase, whole = np.outer(time, omega), len(time) * period
+        s = np.sin(phase) @ amplitude
+        s_dot = np.cos(phase) @ (amplitude * omega)
+        s_ddot = -np.sin(phase) @ (amplitude * omega**2)
+        quarter = whole / 4.0
+        x = np.clip(np.minimum(time, whole - time) / quarter, 0.0, 1.0)
+        sign, inside = np.where(time < whole / 2.0, 1.0, -1.0) / quarter, x < 1.0
+        w = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+        w_dot = np.where(inside, 30.0 * x**2 * (1.0 - x) ** 2, 0.0) * sign
+        w_ddot = np.where(inside, 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x), 0.0) * sign**2
+        faded = (w * s, w_dot * s + w * s_dot, w_ddot * s + 2.0 * w_dot * s_dot + w * s_ddot)
+        way, velocity, acceleration = (values[:, None] * direction for values in faded)
+        way[-1] = 0.0
+        self.follow(time, self.pose + way, velocity, acceleration)
 
     def follow(self, time: Array, position: Array, velocity: Array, acceleration: Array) -> None:
         """Run through k knots that are known, the last of them at rest.
@@ -112,23 +120,3 @@ class Motion:
 def _on_tick(duration: float) -> float:
     """Round up to whole milliseconds: knots then lie on set-points."""
     return math.ceil(round(duration * 1e3, 6)) / 1e3
-
-
-def _faded_sines(
-    time: Array, duration: float, amplitudes: Sequence[float], tones: Sequence[float]
-) -> tuple[Array, Array, Array]:
-    """Return the sum of sines times its fade, and both derivatives, each shape (m,)."""
-    omega = 2.0 * np.pi * np.asarray(tones)
-    phase = np.outer(time, omega)
-    amplitude = np.asarray(amplitudes)
-    s = np.sin(phase) @ amplitude
-    s_dot = np.cos(phase) @ (amplitude * omega)
-    s_ddot = -np.sin(phase) @ (amplitude * omega**2)
-    quarter = duration / 4.0
-    x = np.clip(np.minimum(time, duration - time) / quarter, 0.0, 1.0)
-    sign = np.where(time < duration / 2.0, 1.0, -1.0) / quarter
-    inside = x < 1.0
-    w = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
-    w_dot = np.where(inside, 30.0 * x**2 * (1.0 - x) ** 2, 0.0) * sign
-    w_ddot = np.where(inside, 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x), 0.0) * sign**2
-    return w * s, w_dot * s + w * s_dot, w_ddot * s + 2.0 * w_dot * s_dot + w * s_ddot

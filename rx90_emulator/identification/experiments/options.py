@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, get_type_hints
 
 from rx90_common.base.entries import Entry, Integer, Number, Text
 from rx90_common.base.errors import IdentificationError
@@ -53,26 +54,12 @@ class Wall:
         return cls((x, y, z), distance, name)
 
 
-DECLARED: dict[str, Entry] = {
-    "criterion": Text("condition: condition number of the weighted columns; d: determinant of the information",
-                      choices=("condition", "d")),
-    "runs": Integer("to identify from, of different speeds; one more is for the validation", low=1, high=20),
-    "harmonics": Integer("of the base frequency in each joint's series", low=3, high=50),
-    "period": Number("s, of the base frequency", "s", low=1.0, high=_LONGEST_S),
-    "periods": Integer("of each run", low=1, high=100),
-    "share": Number("of the limits of speed, acceleration and torque that may be used", low=0.05, high=1.0),
-    "seed": Integer("of the random motions that the search begins with; the same seed gives the same plan",
-                    low=0, high=2**31),
-    "clearance": Number("m, least distance to the planes", "m", low=0.0, high=10.0),
-    "steps": Integer("of the search, for each run", low=2, high=10_000),
-}  # fmt: skip
-"""What each of these options means and may be."""
 _NOISE = Number("standard deviation of a joint's torque", "Nm", low=1e-6, high=1e6)
 
 
 @dataclass(frozen=True)
 class ExcitationOptions:
-    """What can be chosen for a plan; `DECLARED` says what the other fields mean and may be.
+    """What can be chosen for a plan; the other fields declare what they mean and may be.
 
     Attributes:
         walls: planes that links and tool keep away from.
@@ -84,24 +71,34 @@ class ExcitationOptions:
         ConfigError: naming option, value and what is accepted.
     """
 
-    criterion: str = "d"
-    runs: int = 3
-    harmonics: int = 10
-    period: float = 12.0
-    periods: int = 3
-    share: float = 0.8
-    seed: int = 0
+    criterion: Annotated[str, Text("condition: condition number of the weighted columns; d: determinant of the "
+                                   "information", choices=("condition", "d"))] = "d"  # fmt: skip
+    runs: Annotated[int, Integer("to identify from, of different speeds; one more is for the validation",
+                                 low=1, high=20)] = 3  # fmt: skip
+    harmonics: Annotated[int, Integer("of the base frequency in each joint's series", low=3, high=50)] = 10
+    period: Annotated[float, Number("s, of the base frequency", "s", low=1.0, high=_LONGEST_S)] = 12.0
+    periods: Annotated[int, Integer("of each run", low=1, high=100)] = 3
+    share: Annotated[float, Number("of the limits of speed, acceleration and torque that may be used",
+                                   low=0.05, high=1.0)] = 0.8  # fmt: skip
+    seed: Annotated[int, Integer("of the random motions that the search begins with; the same seed gives the same "
+                                 "plan", low=0, high=2**31)] = 0  # fmt: skip
+    clearance: Annotated[float, Number("m, least distance to the planes", "m", low=0.0, high=10.0)] = 0.02
+    steps: Annotated[int, Integer("of the search, for each run", low=2, high=10_000)] = 60
     walls: tuple[Wall, ...] = ()
-    clearance: float = 0.02
     torque_noise: tuple[float, ...] | None = None
-    steps: int = 60
     validation: bool = True
 
     def __post_init__(self) -> None:
-        place = Path("--excitation")
-        given = Section({**vars(self), "period times periods": self.period * self.periods}, place)
-        for name, entry in DECLARED.items():
+        place, whole = Path("--excitation"), "period times periods"
+        given = Section({**vars(self), whole: self.period * self.periods}, place)
+        for name, entry in {**DECLARED, whole: DECLARED["period"]}.items():
             entry.take(given, name)
-        DECLARED["period"].take(given, "period times periods")
         for value in self.torque_noise or ():
             _NOISE.take(Section({"torque-noise": value}, place), "torque-noise")
+
+
+_hints = get_type_hints(ExcitationOptions, include_extras=True)
+DECLARED: dict[str, Entry] = {
+    name: hint.__metadata__[0] for name, hint in _hints.items() if hasattr(hint, "__metadata__")
+}
+"""What each of the options means and may be."""

@@ -102,11 +102,6 @@ class Poses:
         return cls(content["home"]["position"], content["sweeps"]["positions"], content["validation"]["positions"])
 
     @classmethod
-    def shipped(cls) -> Poses:
-        """Return those of the RX90B."""
-        return cls.load(RobotFiles().required("poses"))
-
-    @classmethod
     def of(cls, setup: Setup) -> Poses:
         """Return the poses of a robot, which reaches them.
 
@@ -157,7 +152,7 @@ class PlanOptions:
 
     speeds: int = 28
     travel: float = 0.6
-    poses: Poses = field(default_factory=Poses.shipped)
+    poses: Poses = field(default_factory=lambda: Poses.load(RobotFiles().required("poses")))
     groups: tuple[str, ...] = ()
     presliding_cycles: tuple[float, ...] = (4e-3, 3e-3, 2e-3, 1e-3, 5e-4)
     tone_amplitudes: tuple[float, ...] = (2.4e-4, 1.2e-4, 5e-5, 1.6e-5, 6e-6)
@@ -189,10 +184,10 @@ def plan_experiments(
         ConfigError: if the robot has no poses.
     """
     poses = Poses.of(setup)
+    how: dict[str, Any] = {} if speeds is None else {"speeds": speeds}
     if quick:
-        poses = replace(poses, sweeps=poses.sweeps[:1])
-    options = PlanOptions(poses=poses, groups=tuple(groups), **(_QUICK if quick else {}))
-    return make_plan(setup.robot, setup.drives, options if speeds is None else replace(options, speeds=speeds))
+        poses, how = replace(poses, sweeps=poses.sweeps[:1]), _QUICK | how
+    return make_plan(setup.robot, setup.drives, PlanOptions(poses=poses, groups=tuple(groups), **how))
 
 
 def directions(names: Sequence[str]) -> dict[str, Array]:
@@ -243,6 +238,14 @@ def sweep_speeds(direction: Array, lowest: float, highest: float, count: int, dr
     return np.array(quietest)
 
 
+_LOWEST_SPEED, _HIGHEST_SHARE = 0.004, 0.4  # rad/s of the slowest sweep; of the joint's speed limit of the fastest
+_ACCELERATION = 5.0  # rad/s², of sweeps and moves
+_TONES = (3.0, 9.0, 19.0, 33.0)  # Hz, of a micro-oscillation
+_MIN_HOLD_S, _MAX_HOLD_S = 0.7, 4.0  # s at a speed: the servo loops need 0.25 s to settle
+_VALIDATION_SPEED_SHARES = (0.3, 0.12, 0.04)  # of the joints' speeds, in turn
+_LIMIT_MARGIN = 0.02  # rad, from a sweep to the joints' limits
+
+
 def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions | None = None) -> tuple[Experiment, ...]:
     """Plan all experiments for an arm.
 
@@ -255,102 +258,78 @@ def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions |
     for name in chosen.groups:
         if name not in known:
             raise IdentificationError(f"unknown group {quoted(name)}; accepted: {', '.join(known)}")
-    picked = {name: vector for name, vector in known.items() if not chosen.groups or name in chosen.groups}
-    planner = _Planner(robot, drives, chosen)
-    plan = [planner.sliding(name, vector) for name, vector in picked.items()]
-    plan += [planner.presliding(name, vector) for name, vector in picked.items() if "together" not in name]
-    return (*plan, planner.validation())
+    picked = {name: known[name] for name in known if not chosen.groups or name in chosen.groups}
+    planned = [_sweeps(robot, drives, chosen, name, vector) for name, vector in picked.items()]
+    planned += [_oscillations(robot, chosen, name, one) for name, one in picked.items() if "together" not in name]
+    planned.append(_validation(robot, chosen))
+    for *_, motion, _ in planned:
+        _approach(robot, motion, chosen.poses.home)
+    return tuple(Experiment(name, kind, motion.points(robot.joint_names), n) for name, kind, motion, n in planned)
 
 
-_LOWEST_SPEED, _HIGHEST_SHARE = 0.004, 0.4  # rad/s of the slowest sweep; of the joint's speed limit of the fastest
-_ACCELERATION = 5.0  # rad/s², of sweeps and moves
-_TONES = (3.0, 9.0, 19.0, 33.0)  # Hz, of a micro-oscillation
-_MIN_HOLD_S, _MAX_HOLD_S = 0.7, 4.0  # s at a speed: the servo loops need 0.25 s to settle
-_VALIDATION_SPEED_SHARES = (0.3, 0.12, 0.04)  # of the joints' speeds, in turn
-_LIMIT_MARGIN = 0.02  # rad, from a sweep to the joints' limits
+_Planned = tuple[str, Kind, Motion, int]
 
 
-@dataclass(frozen=True, eq=False)
-class _Planner:
-    """Builds the motions of one arm."""
+def _sweeps(robot: RobotModel, drives: DriveParameters, options: PlanOptions, name: str, direction: Array) -> _Planned:
+    """Return the sweeps of a direction: many speeds, each in one direction at one pose, rather than few everywhere.
 
-    robot: RobotModel
-    drives: DriveParameters
-    options: PlanOptions
+    The error by ripple in step with the sampling differs between speeds, not between poses, and changes its sign with
+    the direction.
+    """
+    motion, poses = Motion(options.poses.home), options.poses.sweeps
 
-    def sliding(self, name: str, direction: Array) -> Experiment:
-        """Return the sweeps of a direction: many speeds, each in one direction at one pose, rather than few everywhere.
+    def sweep(motion: Motion, speed: float) -> Motion:
+        held = float(np.clip(options.travel / abs(speed), _MIN_HOLD_S, _MAX_HOLD_S))
+        motion.sweep(direction, speed, held, _ACCELERATION)
+        return motion
 
-        The error by ripple in step with the sampling differs between speeds, not between poses, and changes its sign
-        with the direction.
-        """
-        options, motion = self.options, Motion(self.options.poses.home)
-        highest, count = self._fastest(direction), 2 * options.speeds
-        speeds = sweep_speeds(direction, _LOWEST_SPEED, highest, count, self.drives)
-        there_and_back = speeds.reshape(-1, 2) * (1.0, -1.0)
-        for number, pose in enumerate(options.poses.sweeps):
-            for speed in there_and_back[number :: len(options.poses.sweeps)].ravel():
-                self._approach(motion, self._start(direction, pose, float(speed)))
-                motion.rest(0.1)
-                motion.sweep(direction, float(speed), self._held(speed), _ACCELERATION)
-        return self._from_home(f"sliding_{name}", Kind.SLIDING, motion, len(speeds))
+    def travel(speed: float) -> Array:
+        return sweep(Motion(np.zeros(direction.size)), speed).pose
 
-    def presliding(self, name: str, direction: Array) -> Experiment:
-        """Return cycles and micro-oscillations of a direction."""
-        options, motion = self.options, Motion(self.options.poses.home)
-        self._approach(motion, np.asarray(options.poses.sweeps[0]) - 0.03 * direction)
-        motion.rest(0.2)
-        # Sliding first: the deflection of the bristles then does not depend on what was before.
-        motion.sweep(direction, 0.05, 0.6, _ACCELERATION)
-        for amplitude, tone_amplitude in zip(options.presliding_cycles, options.tone_amplitudes, strict=True):
-            # Each one fades out, which leaves the bristles near zero. Bristles under load would creep, by vibrations
-            # that are below the resolution of the encoders.
-            motion.oscillate(direction, [amplitude], [1.0], 2.0)
-            amplitudes = [tone_amplitude / len(_TONES)] * len(_TONES)
-            motion.oscillate(direction, amplitudes, _TONES, options.burst)
-        motion.rest(0.2)
-        count = 2 * len(options.tone_amplitudes)
-        return self._from_home(f"presliding_{name}", Kind.PRESLIDING, motion, count)
+    fastest = _HIGHEST_SHARE * float(robot.max_velocity[direction != 0.0].min())
+    low, high = robot.lower + _LIMIT_MARGIN, robot.upper - _LIMIT_MARGIN
+    while np.any(np.abs(travel(fastest)) > robot.upper - robot.lower - 2.0 * _LIMIT_MARGIN):
+        fastest *= 0.98
+    speeds = sweep_speeds(direction, _LOWEST_SPEED, fastest, 2 * options.speeds, drives)
+    there_and_back = speeds.reshape(-1, 2) * (1.0, -1.0)
+    for number, pose in enumerate(poses):
+        for speed in there_and_back[number :: len(poses)].ravel().tolist():
+            # The travel is centred on the pose; near a limit it moves away from it.
+            way = travel(speed)
+            start = np.clip(np.asarray(pose) - way / 2.0, low + np.maximum(0.0, -way), high - np.maximum(0.0, way))
+            _approach(robot, motion, start)
+            motion.rest(0.1)
+            sweep(motion, speed)
+    return f"sliding_{name}", Kind.SLIDING, motion, len(speeds)
 
-    def validation(self) -> Experiment:
-        """Return moves of all joints at once that no other experiment has: fast, slow, with reversals."""
-        options, motion = self.options, Motion(self.options.poses.home)
-        for number, pose in enumerate(options.poses.validation):
-            share = _VALIDATION_SPEED_SHARES[number % len(_VALIDATION_SPEED_SHARES)]
-            motion.move(pose, self.robot.max_velocity * share, _ACCELERATION)
-            motion.rest(0.15)
-        motion.oscillate(np.array([0.02, -0.015, 0.02, -0.03, 0.03, -0.02]), [1.0], [0.5], 6.0)
-        motion.rest(0.2)
-        return self._from_home("validation", Kind.VALIDATION, motion, len(options.poses.validation) + 1)
 
-    def _from_home(self, name: str, kind: Kind, motion: Motion, count: int) -> Experiment:
-        self._approach(motion, self.options.poses.home)
-        return Experiment(name, kind, motion.points(self.robot.joint_names), count)
+def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction: Array) -> _Planned:
+    """Return presliding cycles and micro-oscillations of a direction."""
+    motion = Motion(options.poses.home)
+    _approach(robot, motion, np.asarray(options.poses.sweeps[0]) - 0.03 * direction)
+    motion.rest(0.2)
+    # Sliding first: the deflection of the bristles then does not depend on what was before.
+    motion.sweep(direction, 0.05, 0.6, _ACCELERATION)
+    for amplitude, tone_amplitude in zip(options.presliding_cycles, options.tone_amplitudes, strict=True):
+        # Each one fades out, which leaves the bristles near zero. Bristles under load would creep, by vibrations that
+        # are below the resolution of the encoders.
+        motion.oscillate(direction, [amplitude], [1.0], 2.0)
+        motion.oscillate(direction, [tone_amplitude / len(_TONES)] * len(_TONES), _TONES, options.burst)
+    motion.rest(0.2)
+    return f"presliding_{name}", Kind.PRESLIDING, motion, 2 * len(options.tone_amplitudes)
 
-    def _approach(self, motion: Motion, pose: ArrayLike) -> None:
-        motion.move(pose, 0.3 * self.robot.max_velocity, _ACCELERATION)
 
-    def _held(self, speed: float) -> float:
-        """Return for how long a speed is held, s."""
-        return float(np.clip(self.options.travel / abs(speed), _MIN_HOLD_S, _MAX_HOLD_S))
+def _validation(robot: RobotModel, options: PlanOptions) -> _Planned:
+    """Return moves of all joints at once that no other experiment has: fast, slow, with reversals."""
+    motion, poses = Motion(options.poses.home), options.poses.validation
+    for number, pose in enumerate(poses):
+        share = _VALIDATION_SPEED_SHARES[number % len(_VALIDATION_SPEED_SHARES)]
+        motion.move(pose, robot.max_velocity * share, _ACCELERATION)
+        motion.rest(0.15)
+    motion.oscillate(np.array([0.02, -0.015, 0.02, -0.03, 0.03, -0.02]), [1.0], [0.5], 6.0)
+    motion.rest(0.2)
+    return "validation", Kind.VALIDATION, motion, len(poses) + 1
 
-    def _fastest(self, direction: Array) -> float:
-        """Return the fastest sweep, rad/s: less than the share of the speed limit where the ranges ask for it."""
-        speed = _HIGHEST_SHARE * float(self.robot.max_velocity[direction != 0.0].min())
-        room = self.robot.upper - self.robot.lower - 2.0 * _LIMIT_MARGIN
-        while np.any(np.abs(self._travel(direction, speed)) > room):
-            speed *= 0.98
-        return speed
 
-    def _travel(self, direction: Array, speed: float) -> Array:
-        """Return how far a sweep at a signed speed moves the joints, its ramps included, rad."""
-        probe = Motion(np.zeros(direction.size))
-        probe.sweep(direction, speed, self._held(speed), _ACCELERATION)
-        return probe.pose
-
-    def _start(self, direction: Array, pose: Sequence[float], speed: float) -> Array:
-        """Return where a sweep at a signed speed begins, so that its travel is centred on the pose."""
-        travel = self._travel(direction, speed)
-        # Near a limit the travel moves away from it.
-        low, high = self.robot.lower + _LIMIT_MARGIN, self.robot.upper - _LIMIT_MARGIN
-        return np.clip(np.asarray(pose) - travel / 2.0, low + np.maximum(0.0, -travel), high - np.maximum(0.0, travel))
+def _approach(robot: RobotModel, motion: Motion, pose: ArrayLike) -> None:
+    motion.move(pose, 0.3 * robot.max_velocity, _ACCELERATION)

@@ -31,21 +31,21 @@ def describe(plan: Sequence[Experiment], setup: Setup) -> str:
     """
     lines = [f"{'experiment':<30}{'runs':>6}{'time s':>9}   most of the speed limit   most of the torque limit"]
     names = (*setup.robot.joint_names, *MOTOR_NAMES)
-    for experiment in plan:
-        shares, _ = check_experiment(experiment, setup)
-        speed, torque = (np.append(shares[name], shares[f"motor_{name}"]) for name in ("speed", "torque"))
-        fast, strong = int(np.argmax(speed)), int(np.argmax(torque))
-        lines.append(
-            f"{experiment.name:<30}{experiment.sweeps:>6}{experiment.duration:>9.1f}"
-            f"   {speed[fast]:>6.0%} ({names[fast]})          {torque[strong]:>6.0%} ({names[strong]})"
-        )
-    runs = sum(experiment.sweeps for experiment in plan)
-    return "\n".join([*lines, f"{len(plan)} experiments, {runs} runs, {_whole_time(plan)}"])
+    for one in plan:
+        shares, _ = check_experiment(one, setup)
+        used = [np.append(shares[name], shares[f"motor_{name}"]) for name in ("speed", "torque")]
+        speed, torque = (f"{share.max():>6.0%} ({names[int(np.argmax(share))]})" for share in used)
+        lines.append(f"{one.name:<30}{one.sweeps:>6}{one.duration:>9.1f}   {speed}          {torque}")
+    return "\n".join([*lines, f"{len(plan)} experiments, {sum(one.sweeps for one in plan)} runs, {_whole_time(plan)}"])
 
 
 def _whole_time(plan: Sequence[Experiment]) -> str:
     total = sum(experiment.duration for experiment in plan)
     return f"{total:.0f} s of motion ({total / 60.0:.1f} min)"
+
+
+_PER_LINE = 3
+_SMALL = 1e-3  # of the largest parameter of its kind: an expected value below it is as good as zero
 
 
 def describe_excitation(plan: ExcitationPlan) -> str:
@@ -54,76 +54,62 @@ def describe_excitation(plan: ExcitationPlan) -> str:
     Raises:
         IdentificationError: if a run leaves a limit.
     """
-    search, information = plan.search, plan.search.before
+    information, workspace = plan.information, plan.workspace
     lines = [f"{'run':<16}{'time s':>7}  {'share of the limits: position, speed, acceleration, torque'}"]
     for experiment in plan.experiments:
         lines += _run_lines(plan, experiment)
     size = np.sqrt(np.diag(information))
-    condition = np.sqrt(np.linalg.cond(information / np.outer(size, size))) if size.all() else np.inf
-    noise = "as given" if search.options.torque_noise else "1 % of the URDF's effort, assumed"
+    scaled = information / np.outer(size, size)
+    condition = np.sqrt(np.linalg.cond(scaled)) if size.all() else np.inf
+    noise = "as given" if plan.options.torque_noise else "1 % of the URDF's effort, assumed"
     lines += [
         f"{', '.join(MOTOR_NAMES[number] for number in COUPLED_MOTORS)}: through their gears; accepted are the speed "
         "of their joint alone (assumed) and the drive's peak torque",
         f"condition number {condition:.3g}, log det of the information {np.linalg.slogdet(information)[1]:.4g} "
         f"({len(information)} parameters; without the validation)",
-        f"expected deviations at a torque noise ({noise}) of "
-        f"{', '.join(f'{value:.3g}' for value in search.columns.noise)} Nm in {ROWS:g} independent samples per second; "
-        "in % of the value in the robot's files, else in SI units:",
-        *_parameter_lines(plan),
+        f"expected deviations at a torque noise ({noise}) of {', '.join(f'{value:.3g}' for value in plan.noise)} Nm in "
+        f"{ROWS:g} independent samples per second; in % of the value in the robot's files, else in SI units:",
     ]
-    if search.workspace.meshes:
-        lines.append(f"meshes do not count for collisions: those of {', '.join(search.workspace.meshes)}")
-    if search.workspace.uncounted:
-        lines.append(f"too near to each other at home to count: {', '.join(search.workspace.uncounted)}")
+    elements = plan.setup.friction.elements
+    base = plan.base.combination @ plan.standard.values()
+    coulomb = [0.5 * (one.tau_c_positive + one.tau_c_negative) for one in elements]
+    expected = np.abs([*base.tolist(), *coulomb, *(one.c2 for one in elements)])
+    kinds = np.array([name.split(".")[-1][:1] for name in plan.names])
+    known = expected > _SMALL * np.array([expected[kinds == kind].max() for kind in kinds])
+    deviations = np.sqrt(np.diag(np.linalg.pinv(scaled, hermitian=True))) / size
+    cells = [
+        f"{name:<17}{f'{deviation / value:.2%}' if sure else f'{deviation:.2g}':>10}"
+        for name, value, sure, deviation in zip(plan.names, expected, known, deviations, strict=True)
+    ]
+    lines += ["  " + "   ".join(cells[first : first + _PER_LINE]) for first in range(0, len(cells), _PER_LINE)]
+    if workspace.meshes:
+        lines.append(f"meshes do not count for collisions: those of {', '.join(workspace.meshes)}")
+    if workspace.uncounted:
+        lines.append(f"too near to each other at home to count: {', '.join(workspace.uncounted)}")
     return "\n".join([*lines, f"{len(plan.experiments)} runs, {_whole_time(plan.experiments)}"])
 
 
 def _run_lines(plan: ExcitationPlan, experiment: Experiment) -> Iterator[str]:
-    setup, workspace = plan.search.setup, plan.search.workspace
-    shares, setpoints = check_experiment(experiment, setup)
-    shown = [shares[name] for name in ("position", "speed", "acceleration", "torque")]
-    for number, name in enumerate(setup.robot.joint_names):
-        head = f"{experiment.name:<16}{experiment.duration:>7.1f}" if number == 0 else f"{'':<23}"
-        cells = "".join(f"{share[number]:>6.0%}" for share in shown)
-        yield f"{head}  {name:<10}{cells}   {_speeds(setpoints[:, 1, number])}"
+    """Yield what joints, coupled motors and walls say of a run; speeds are those of nine tenths of the moving time."""
+    shares, setpoints = check_experiment(experiment, plan.setup)
+
+    def speeds(velocity: Array) -> str:
+        parts = []
+        for sign, moving in (("+", velocity[velocity > 0.0]), ("-", velocity[velocity < 0.0])):
+            low, high = np.percentile(np.abs(moving), (5.0, 95.0)) if len(moving) else (0.0, 0.0)
+            parts.append(f"{sign}{low:.2g} to {high:.2g}")
+        return f"{', '.join(parts)} rad/s"
+
+    head = f"{experiment.name:<16}{experiment.duration:>7.1f}"
+    for number, name in enumerate(plan.setup.robot.joint_names):
+        cells = "".join(f"{shares[key][number]:>6.0%}" for key in ("position", "speed", "acceleration", "torque"))
+        yield f"{head:<23}  {name:<10}{cells}   {speeds(setpoints[:, 1, number])}"
+        head = ""
     for number in COUPLED_MOTORS:
         used = f"{shares['motor_speed'][number]:>12.0%}{shares['motor_torque'][number]:>12.0%}"
-        yield f"{'':<25}{MOTOR_NAMES[number]:<10}{used}   {_speeds(setpoints[:, 1] @ TURNS[number])}"
-    for wall, (distance, name) in zip(workspace.walls, workspace.lowest(setpoints[::5, 0]), strict=True):
+        yield f"{'':<25}{MOTOR_NAMES[number]:<10}{used}   {speeds(setpoints[:, 1] @ TURNS[number])}"
+    for wall, (distance, name) in zip(plan.workspace.walls, plan.workspace.lowest(setpoints[::5, 0]), strict=True):
         yield f"{'':<25}{wall.name}: {name} comes as near as {distance:.3f} m"
-
-
-def _speeds(velocity: Array) -> str:
-    """Return the speeds of nine tenths of the moving time in each direction."""
-    parts = []
-    for sign in (1.0, -1.0):
-        speed = np.abs(velocity[sign * velocity > 0.0])
-        low, high = np.percentile(speed, (5.0, 95.0)) if len(speed) else (0.0, 0.0)
-        parts.append(f"{'+' if sign > 0.0 else '-'}{low:.2g} to {high:.2g}")
-    return f"{', '.join(parts)} rad/s"
-
-
-_PER_LINE = 3
-_SMALL = 1e-3  # of the largest parameter of its kind: an expected value below it is as good as zero
-
-
-def _parameter_lines(plan: ExcitationPlan) -> Iterator[str]:
-    """Yield the expected deviations, in parts of the values that the robot's files have."""
-    columns, information = plan.search.columns, plan.search.before
-    elements = plan.search.setup.friction.elements
-    base = columns.base.combination @ columns.standard.values()
-    coulomb = [0.5 * (one.tau_c_positive + one.tau_c_negative) for one in elements]
-    expected = [*base.tolist(), *coulomb, *(one.c2 for one in elements)]
-    size = np.sqrt(np.diag(information))
-    deviations = np.sqrt(np.diag(np.linalg.pinv(information / np.outer(size, size), hermitian=True))) / size
-    kinds = [name.split(".")[-1][:1] for name in columns.names]
-    largest = {kind: max(abs(v) for v, k in zip(expected, kinds, strict=True) if k == kind) for kind in kinds}
-    cells = []
-    for name, kind, value, deviation in zip(columns.names, kinds, expected, deviations, strict=True):
-        known = abs(value) > _SMALL * largest[kind]
-        cells.append(f"{name:<17}{f'{deviation / abs(value):.2%}' if known else f'{deviation:.2g}':>10}")
-    for first in range(0, len(cells), _PER_LINE):
-        yield "  " + "   ".join(cells[first : first + _PER_LINE])
 
 
 _BAR = "{desc:<16}{bar}| {n_fmt}/{total_fmt} steps [{elapsed}<{remaining}]"
@@ -164,8 +150,7 @@ def run_on_engine(setup: Setup, experiment: Experiment, bag: Path, storage: str 
     result = simulate(
         setup, experiment.points, duration=experiment.duration + _SETTLING_S, record_fast="motor_states" in topics
     )
-    wanted = [absolute(topic) for topic in topics]
-    series = [one for one in result.series.values() if one.topic in wanted]
+    series = [one for one in result.series.values() if one.topic in map(absolute, topics)]
     description = string_message("/robot_description", setup.robot.urdf)
     write_joint_states(bag, series, storage=storage, messages=[description])
 

@@ -31,19 +31,6 @@ _WALL_SCALE = 0.1  # m too near to a wall that cost as much as a limit exceeded 
 _DISTANCE_MARGIN = 0.01  # m that a search leaves for what lies between its samples
 
 
-def _without_meshes(robot: RobotModel) -> tuple[str, tuple[str, ...]]:
-    """Return the URDF without meshes, and the links that had some, but for those that do not move."""
-    root, names = ET.fromstring(robot.urdf), []
-    for link in root.findall("link"):
-        for collision in link.findall("collision"):
-            if collision.find("geometry/mesh") is not None:
-                link.remove(collision)
-                name = str(link.get("name"))
-                if _joint_of(robot.model.frames[robot.model.getFrameId(name, pin.BODY)]) > 0:
-                    names.append(name)
-    return ET.tostring(root, encoding="unicode"), tuple(dict.fromkeys(names))
-
-
 def _joint_of(frame: Any) -> int:
     """Return the number of the joint that moves a frame, 0 for the base; Pinocchio 2 calls it `parent`."""
     return int(frame.parentJoint if hasattr(frame, "parentJoint") else frame.parent)
@@ -65,16 +52,23 @@ class Workspace:
 
     def __init__(self, robot: RobotModel, walls: Sequence[Wall], home: ArrayLike) -> None:
         self.walls = tuple(walls)
-        urdf, self.meshes = _without_meshes(robot)
-        self._robot, self._model = robot, robot.model
-        self._shapes = pin.buildGeomFromUrdfString(robot.model, urdf, pin.COLLISION)
-        self._set_shapes()
+        self._robot, self._model, frames = robot, robot.model, robot.model.frames
+        root, meshes = ET.fromstring(robot.urdf), []
+        for link in root.findall("link"):
+            for collision in link.findall("collision"):
+                if collision.find("geometry/mesh") is not None:
+                    link.remove(collision)
+                    meshes.append(str(link.get("name")))
+        moved = (name for name in meshes if _joint_of(frames[self._model.getFrameId(name, pin.BODY)]) > 0)
+        self.meshes = tuple(dict.fromkeys(moved))
+        self._shapes = pin.buildGeomFromUrdfString(self._model, ET.tostring(root, encoding="unicode"), pin.COLLISION)
+        self._outline()
         poses = np.random.default_rng(0).uniform(robot.lower, robot.upper, (50, len(robot.joint_names)))
         spread = [np.ptp(self._to_wall(poses, wall)[0], axis=0) for wall in walls]
         # Not what only turns in place, such as a shoulder over a table.
         self._movable = [np.flatnonzero(width > _MIN_APPROACH) for width in spread]
         objects = self._shapes.geometryObjects
-        joint = [_joint_of(self._model.frames[one.parentFrame]) for one in objects]
+        joint = [_joint_of(frames[one.parentFrame]) for one in objects]
         pairs = [(a, b) for a, b in combinations(range(len(objects)), 2) if abs(joint[a] - joint[b]) > 1]
         self._set_pairs(pairs)
         near = self._self_distances(np.asarray(home, dtype=np.float64)[None, :])[0] < SELF_CLEARANCE
@@ -82,36 +76,28 @@ class Workspace:
         self.uncounted = tuple(dict.fromkeys(name for name, one in zip(names, near, strict=True) if one))
         self._set_pairs([pair for pair, one in zip(pairs, near, strict=True) if not one])
 
-    def _set_shapes(self) -> None:
-        """Write down the shapes that move, in frames of the joints that are parallel to the base's at 0.
+    def _outline(self) -> None:
+        """Write down what keeps away from planes, in frames of the joints that are parallel to the base's at 0.
 
         A shape is a box with half-lengths, rounded by a ball, and a disk around its z axis: a cylinder is a disk with a
-        height, a sphere a ball alone, a point neither.
+        height, a sphere a ball alone; joints and tool centre point are points.
         """
-        robot, model, data = self._robot, self._model, self._shapes.createData()
+        chain, model, data = self._robot.chain, self._model, self._shapes.createData()
         pin.updateGeometryPlacements(model, model.createData(), self._shapes, data, pin.neutral(model))
-        centers = np.cumsum(robot.chain.origin, axis=0)
-        names = [*robot.joint_names, robot.tcp_frame]
-        link = [*range(len(centers)), len(centers) - 1]
-        center = [*np.zeros_like(centers), robot.chain.tcp_position]
-        axes, half, disk, ball = ([each] * len(link) for each in (np.eye(3), np.zeros(3), 0.0, 0.0))
+        centers, point = np.cumsum(chain.origin, axis=0), (np.eye(3), np.zeros(3), 0.0, 0.0)
+        rows = [(name, joint, np.zeros(3), *point) for joint, name in enumerate(self._robot.joint_names)]
+        rows.append((self._robot.tcp_frame, len(centers) - 1, chain.tcp_position, *point))
         for one, placed in zip(self._shapes.geometryObjects, data.oMg, strict=True):
-            frame, shape = model.frames[one.parentFrame], one.geometry
-            joint = _joint_of(frame) - 1
-            if joint < 0:
-                continue
-            kind = type(shape).__name__
-            names.append(frame.name)
-            link.append(joint)
-            center.append(placed.translation - centers[joint])
-            axes.append(placed.rotation.copy())
-            round_half = np.array([0.0, 0.0, shape.halfLength]) if kind == "Cylinder" else np.zeros(3)
-            half.append(np.array(shape.halfSide) if kind == "Box" else round_half)
-            disk.append(shape.radius if kind == "Cylinder" else 0.0)
-            ball.append(shape.radius if kind == "Sphere" else 0.0)
-        self._names, self._link = names, np.array(link)
-        self._center, self._axes, self._half = np.array(center), np.array(axes), np.array(half)
-        self._disk, self._ball = np.array(disk), np.array(ball)
+            frame, shape, kind = model.frames[one.parentFrame], one.geometry, type(one.geometry).__name__
+            if (joint := _joint_of(frame) - 1) >= 0:
+                half = np.array(shape.halfSide) if kind == "Box" else np.zeros(3)
+                disk, ball = (shape.radius if kind == name else 0.0 for name in ("Cylinder", "Sphere"))
+                if kind == "Cylinder":
+                    half[2] = shape.halfLength
+                rotation = placed.rotation.copy()
+                rows.append((frame.name, joint, placed.translation - centers[joint], rotation, half, disk, ball))
+        self._names, *columns = zip(*rows, strict=True)
+        self._link, self._center, self._axes, self._half, self._disk, self._ball = map(np.array, columns)
 
     def _to_wall(self, position: Array, wall: Wall) -> tuple[Array, Array]:
         """Return each shape's distance to a plane, m, shape (m, s), and its derivative by positions, shape (m, s, n).

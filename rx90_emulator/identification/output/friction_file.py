@@ -14,7 +14,6 @@ from rx90_common.base.quoting import plain
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.friction.parts.bristles import BristlesPart
 from rx90_emulator.identification.estimates import LARGEST, PARAMETERS, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.records import BagSource
@@ -62,55 +61,41 @@ def elements_text(
     """
     date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
     named, kinds = dict(zip(names, elements, strict=True)), () if result is None else result.kinds
-    for name, one in named.items():
-        _check(name, one)
-    labels: dict[BagSource, str] = {}
-    for bags in (*(bags for one in elements for bags in one.sources.values()), *(kind.sources for kind in kinds)):
-        for bag in bags:
-            labels.setdefault(bag, f"bag_{len(labels) + 1}")
+    rounded = {name: _rounded(name, one) for name, one in named.items()}
+    used = [bags for one in elements for bags in one.sources.values()] + [kind.sources for kind in kinds]
+    labels = {bag: f"bag_{k}" for k, bag in enumerate(dict.fromkeys(bag for bags in used for bag in bags), 1)}
     notes = {kind.element: f"bristles: {kind.text}" for kind in kinds}
     for name, one in named.items():
         if one.given_bristles:
-            said = f"{notes[name]}; " if name in notes else "bristles: "
-            notes[name] = f"{said}as its c0 those of {fallback_name}, assumed"
-    identification: dict[str, Any] = {
-        "date": date,
-        "bags": {
-            label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": bag.recorded}
-            for bag, label in labels.items()
-        },
-    }
+            before = f"{notes[name]}; " if name in notes else "bristles: "
+            notes[name] = f"{before}as its c0 those of {fallback_name}, assumed"
+    bags = {label: {"path": str(b.path), "sha256": b.sha256, "recorded": b.recorded} for b, label in labels.items()}
+    identification: dict[str, Any] = {"date": date, "bags": bags}
     if result is not None:
-        fits, usage = zip(names, result.sliding.quality, strict=True), result.sliding.usage
+        usage, fits = result.sliding.usage, zip(names, result.sliding.quality, strict=True)
         identification["sweeps"] = {labels[use.bag]: use.text(names) for use in usage if use.bag in labels}
         identification["fit"] = {name: one.content for name, one in fits if one is not None}
-    if kinds:
-        identification["bristles"] = {}
     for kind in kinds:
         chosen: dict[str, Any] = {"decision": kind.decision} | ({"reason": kind.reason} if kind.reason else {})
-        identification["bristles"][kind.element] = chosen
+        identification.setdefault("bristles", {})[kind.element] = chosen
         if kind.choice is not None:
             chosen["tried"] = {
                 trial.family.name: {"missed": six_digits(trial.missed), "behind": six_digits(trial.behind)}
                 for trial in kind.choice.trials
             }
             chosen["bags"] = [labels[bag] for bag in kind.sources]
-    rounded = {name: _rounded(one) for name, one in named.items()}
     identification["parameters"] = {
         name: _provenance(one, rounded[name], labels, date, fallback_name) for name, one in named.items()
     }
     check_numbers(identification, LARGEST, "identification")
     source = f"{len(labels)} bags, {date}; omega_d is not identified"
-    return FrictionFile(
-        rounded,
-        "identified",
-        source if fallback_name is None else f"{source}, it is that of {fallback_name}",
-        identification,
-        about={name: {"note": text} for name, text in notes.items()},
-    ).text(_REMARKS)
+    source += "" if fallback_name is None else f", it is that of {fallback_name}"
+    about = {name: {"note": text} for name, text in notes.items()}
+    return FrictionFile(rounded, "identified", source, identification, about=about).text(_REMARKS)
 
 
-def _check(name: str, one: IdentifiedElement) -> None:
+def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:
+    """Return an element with six digits of what was identified; refuse values that no arm has."""
     for parameter, unit in FRICTION_UNITS.items():
         value, estimate = getattr(one.element, parameter), one.estimates.get(parameter)
         most = math.inf if parameter == "omega_d" else _LARGEST[unit]
@@ -120,6 +105,19 @@ def _check(name: str, one: IdentifiedElement) -> None:
                 f"{plain(name)}: {parameter} came out as {value:.3g} +- {spread:.2g}; accepted: up to {most:g} {unit}, "
                 "with a finite deviation; nothing is written"
             )
+    values: dict[str, Any] = {each: six_digits(getattr(one.element, each)) for each in FRICTION_UNITS}
+    if one.element.bristles is not None and not one.given_bristles:
+        numbers: dict[str, Any] = {}
+        for key, value in vars(one.element.bristles).items():
+            if not isinstance(value, tuple):
+                numbers[key] = six_digits(value)
+            else:  # numbers of a list still sum to 1
+                digits = [six_digits(each) for each in value]
+                largest = digits.index(max(digits))  # a small one could be less than what rounding the others leaves
+                digits[largest] = round(1.0 - math.fsum(digits[:largest] + digits[largest + 1 :]), 12)
+                numbers[key] = tuple(digits)
+        values["bristles"] = replace(one.element.bristles, **numbers)
+    return replace(one.element, **values)
 
 
 def _provenance(
@@ -135,37 +133,14 @@ def _provenance(
         content = {"provenance": "assumed", "value": values.get(name, 0.0)}
         if not estimate.identifiable:
             # A part that is not known is left out, whatever the fallback has. But bristles go with c0.
-            from_there = "." not in name or (one.given_bristles and name.startswith("bristles."))
+            there = "." not in name or (one.given_bristles and name.startswith("bristles."))
             content |= {
-                "identifiable": False, "reason": estimate.reason, "taken_from": fallback_name if from_there else None
-            }  # fmt: skip
-        elif estimate.deviation:  # else given, not estimated
-            content |= {
-                "provenance": "identified",
-                "deviation": six_digits(estimate.deviation),
-                "interval": [six_digits(bound) for bound in estimate.bounds],
+                "identifiable": False,
+                "reason": estimate.reason,
+                "taken_from": fallback_name if there else None,
             }
+        elif estimate.deviation:  # else given, not estimated
+            interval = [six_digits(bound) for bound in estimate.bounds]
+            content |= {"provenance": "identified", "deviation": six_digits(estimate.deviation), "interval": interval}
         found[name] = content | {"bags": [labels[bag] for bag in one.sources.get(name, ())], "date": date}
     return found
-
-
-def _rounded(one: IdentifiedElement) -> FrictionElement:
-    element = one.element
-    values: dict[str, Any] = {name: six_digits(getattr(element, name)) for name in FRICTION_UNITS}
-    if element.bristles is not None and not one.given_bristles:
-        values["bristles"] = _rounded_bristles(element.bristles)
-    return replace(element, **values)
-
-
-def _rounded_bristles(bristles: BristlesPart) -> BristlesPart:
-    """Return them with six digits; numbers of a list still sum to 1."""
-    values: dict[str, Any] = {}
-    for name, value in vars(bristles).items():
-        if isinstance(value, tuple):
-            digits = [six_digits(each) for each in value]
-            largest = digits.index(max(digits))  # a small one could be less than what rounding the others leaves
-            digits[largest] = round(1.0 - math.fsum(digits[:largest] + digits[largest + 1 :]), 12)
-            values[name] = tuple(digits)
-        else:
-            values[name] = six_digits(value)
-    return replace(bristles, **values)

@@ -17,14 +17,11 @@ from scipy.signal import welch
 from rx90_common.base.arrays import Array
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
-from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Mark, Panel, Plot
-from rx90_emulator.identification.estimates import ParameterEstimate
-from rx90_emulator.identification.excitation.friction import FrictionCurve
+from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Mark, Panel, Plot, Scale
 from rx90_emulator.identification.excitation.result import (
     ExcitationIdentification,
     JointTorque,
     RunTorques,
-    SpeedResiduals,
     misfits,
 )
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
@@ -50,26 +47,31 @@ def _render(template: str, date: datetime | None, **values: Any) -> str:
     return render_page("rx90_emulator.identification.output", template, date=day, summary=summary, zip=zip, **values)
 
 
-def _torque_panels(
-    names: Sequence[str], series: Sequence[tuple[Array, Array, Array, Array]], labels: tuple[str, str], time_label: str
-) -> list[Panel]:
-    """Return a panel for each joint: time, recorded and predicted torque, and their difference, each of shape (k,)."""
-    panels = []
-    for name, (time, recorded, predicted, difference) in zip(names, series, strict=True):
-        curves = [
-            Curve(time, recorded, labels[0], _RECORDED, 1.8),
-            Curve(time, predicted, labels[1], _PREDICTED, 0.8),
-            Curve(time, difference, "difference", _DIFFERENCE, 0.6),
-        ]
-        panels.append(Panel(curves, name, time_label if name == names[-1] else "", "Nm"))
-    return panels
+def _compared(
+    name: str,
+    time: Array,
+    both: Mapping[str, Array],
+    unit: str = "Nm",
+    below: str = "",
+    difference: Array | None = None,
+) -> Panel:
+    """Return a panel of a recorded and a predicted quantity by their labels, and of their difference where given."""
+    pairs = zip(both.items(), (_RECORDED, _PREDICTED), (1.8, 0.8), strict=True)
+    curves = [Curve(time, values, label, colour, width) for (label, values), colour, width in pairs]
+    if difference is not None:
+        curves.append(Curve(time, difference, "difference", _DIFFERENCE, 0.6))
+    return Panel(curves, name, below, unit)
 
 
-def _across(names: Sequence[str], marks: Sequence[Sequence[Mark]], x_label: str, height: float = 1.9) -> Plot:
-    """Return a plot with a panel of Nm for each name, two in a row."""
-    last = len(names) - _ACROSS
-    panels = [Panel(some, name, x_label if k >= last else "", "Nm")
-              for k, (name, some) in enumerate(zip(names, marks, strict=True))]  # fmt: skip
+def _grid(
+    marks: Mapping[str, Sequence[Mark]], x_label: str, y_label: str = "Nm", scale: Scale = "linear", height: float = 1.9
+) -> Plot:
+    """Return a plot with a panel for each name, two in a row."""
+    last = len(marks) - _ACROSS
+    panels = [
+        Panel(some, name, x_label if k >= last else "", y_label, scale, "log" if scale == "log" else "linear")
+        for k, (name, some) in enumerate(marks.items())
+    ]
     return Plot(panels, columns=_ACROSS, height=height)
 
 
@@ -78,10 +80,12 @@ def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, Plot]]:
     found = []
     for check in checks:
         torque, tips = check.torque, len(check.tip_distance) > 0
-        difference = np.where(torque.compared, torque.predicted - torque.recorded, np.nan)
-        columns = zip(torque.recorded.T, torque.predicted.T, difference.T, strict=True)
-        series = [(torque.time, *column) for column in columns]
-        panels = _torque_panels(check.names, series, ("recorded", "predicted"), "" if tips else "time, s")
+        rows = zip(check.names, torque.recorded.T, torque.predicted.T, torque.difference.T, strict=True)
+        panels = [
+            _compared(name, torque.time, {"recorded": recorded, "predicted": predicted}, "Nm",
+                      "" if tips or name != check.names[-1] else "time, s", apart)
+            for name, recorded, predicted, apart in rows
+        ]  # fmt: skip
         if tips:
             far = Curve(check.tip_time, check.tip_distance * 1e6, "", COLOURS[0], 0.8)
             panels.append(Panel([far], "tips", "time, s", "distance, µm"))
@@ -108,29 +112,26 @@ def measured_page(result: MeasuredComparison, files: tuple[str, ...], date: date
         files: that the robot was read from.
         date: of the comparison.
     """
-    time = result.time - result.time[0]
+    time, torque = result.time - result.time[0], result.agreement
     shown = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
-    time, label = time[shown], "time since the comparison began, s"
-    torque = result.agreement
-    difference = np.where(torque.compared, torque.predicted - torque.recorded, np.nan)
-    series = [(time, *(one[shown] for one in columns))
-              for columns in zip(torque.recorded.T, torque.predicted.T, difference.T, strict=True)]  # fmt: skip
-    panels = []
-    for name, measured, simulated in zip(result.names, result.position.T, result.simulated_position.T, strict=True):
-        both = [
-            Curve(time, measured[shown], "measured", _RECORDED, 1.8),
-            Curve(time, simulated[shown], "simulated", _PREDICTED, 0.8),
-        ]
-        apart = Curve(time, 1e3 * (simulated - measured)[shown], "simulated - measured", _DIFFERENCE, 0.7)
-        below = label if name == result.names[-1] else ""
-        panels += [Panel(both, name, below, "rad"), Panel([apart], name, below, "mrad")]
+    torques, positions = [], []
+    for k, name in enumerate(result.names):
+        below = "time since the comparison began, s" if name == result.names[-1] else ""
+        both = {"measured": torque.recorded[shown, k], "simulated": torque.predicted[shown, k]}
+        torques.append(_compared(name, time[shown], both, "Nm", below, torque.difference[shown, k]))
+        both = {"measured": result.position[shown, k], "simulated": result.simulated_position[shown, k]}
+        positions.append(_compared(name, time[shown], both, "rad", below))
+        apart = 1e3 * (both["simulated"] - both["measured"])
+        positions.append(
+            Panel([Curve(time[shown], apart, "simulated - measured", _DIFFERENCE, 0.7)], name, below, "mrad")
+        )
     return _render(
         "measured.html.j2",
         date,
         result=result,
         files=files,
-        torques=Plot(_torque_panels(result.names, series, ("measured", "simulated"), label), height=1.7, share_x=True),
-        positions=Plot(panels, columns=2, height=1.7, share_x=True),
+        torques=Plot(torques, height=1.7, share_x=True),
+        positions=Plot(positions, columns=2, height=1.7, share_x=True),
     )
 
 
@@ -181,13 +182,12 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         distinguishable_se=DISTINGUISHABLE_SE,
         kind_loops=[_loop_plot(one.element, one.largest[0], "torque of the bristles, Nm", one.largest[1])
                     for one in compared],
-        correlations=_correlation_plots(result),
+        correlations=_correlation_plots(result, own_bristles),
     )  # fmt: skip
 
 
 def _curve_plot(name: str, curve: CurvePoints) -> Plot:
     """Show torque against velocity of an element, with the residuals below."""
-    smallest = float(np.abs(curve.velocity).min())
     above: list[Mark] = [Level(0.0, upright=True), Dots(curve.velocity, curve.torque, "measured, one stretch each")]
     below: list[Mark] = [Level(0.0, upright=True), Level(0.0)]
     for side in (curve.line[0] < 0.0, curve.line[0] > 0.0):
@@ -195,9 +195,12 @@ def _curve_plot(name: str, curve: CurvePoints) -> Plot:
         above.append(Curve(velocity, torque, "identified", INK, 0.9))
         far = _INTERVAL * deviation
         below.append(Band(velocity, -far, far, "95 % of the identified curve", GREY))
-    label = "measured - identified, 95 % of the noise"
-    below.append(Dots(curve.velocity, curve.torque - curve.fitted, label, COLOURS[0], _INTERVAL * curve.deviation))
-    speeds = "velocity of the element, rad/s (logarithmic on either side)"
+    label, bars = "measured - identified, 95 % of the noise", _INTERVAL * curve.deviation
+    below.append(Dots(curve.velocity, curve.torque - curve.fitted, label, COLOURS[0], bars))
+    speeds, smallest = (
+        "velocity of the element, rad/s (logarithmic on either side)",
+        float(np.abs(curve.velocity).min()),
+    )
     panels = [
         Panel(above, name, "", "friction torque, Nm", "symlog", smallest=smallest),
         Panel(below, "", speeds, "residual, Nm", "symlog", smallest=smallest),
@@ -217,15 +220,13 @@ def _loop_plot(name: str, position: Array, label: str, torques: Mapping[str, Arr
     return Plot([Panel(curves, name, "position, µrad", label)], height=3.2)
 
 
-def _correlation_plots(result: FrictionIdentification) -> list[Plot]:
-    """Return the correlation of each element's parameters."""
+def _correlation_plots(result: FrictionIdentification, others: Sequence[str]) -> list[Plot]:
+    """Return the correlation of each element's parameters; c0 and c1 of some other elements are not this fit's."""
     plots = []
-    others = [kind.element for kind in result.kinds if kind.trial is not None]  # their c0 and c1 are not this fit's
     pairs = zip(result.arm.element_names, result.sliding.estimates, result.presliding.estimates, strict=True)
     for name, sliding, presliding in pairs:
-        names: Sequence[str] = (*sliding.parameters, *presliding.parameters)
-        size, first = len(names), len(sliding.parameters)
-        matrix = np.full((size, size), np.nan)
+        names = (*sliding.parameters, *presliding.parameters)
+        first, matrix = len(sliding.parameters), np.full((len(names), len(names)), np.nan)
         matrix[:first, :first] = sliding.correlation
         if name not in others:
             matrix[first:, first:] = presliding.correlation
@@ -250,38 +251,39 @@ def excitation_page(
         versions: of interpreter and libraries.
         files: names of the robot's files, and last what is to be said about them.
     """
-    friction, problem = result.friction, result.problem
+    friction = result.friction
     rows = [summary.friction_columns(one.estimates) for one in result.elements]
     shown = dict.fromkeys(name for row in rows for name, one in row.items() if one.identifiable)
     units = {name: FRICTION_UNITS.get(plain) or FRICTION_UNITS.get(f"{plain}_positive", "")
              for name in shown if (plain := name.rstrip("+-"))}  # fmt: skip
     checked = [one.torques for one in result.validations]
     longest = max(result.torques, key=lambda run: run.source.duration)
-    curves = friction.curves()
     deviation = np.sqrt(np.maximum(np.diag(friction.fit.covariance), 0.0))
-    known = np.isfinite(deviation) & (deviation > 0.0)
-    names = [name for name, one in zip(friction.names, known.tolist(), strict=True) if one]
+    known = np.flatnonzero(np.isfinite(deviation) & (deviation > 0.0))
+    names = [friction.names[k] for k in known.tolist()]
     correlation = friction.fit.covariance[np.ix_(known, known)] / np.outer(deviation[known], deviation[known])
     close = [(names[i], names[j], float(correlation[i, j]))
              for i, j in np.argwhere(np.triu(np.abs(correlation) > _MAX_CORRELATION, 1))]  # fmt: skip
+    gains, identified = summary.gain_texts(result), torque_constants(result)
+    constants = [] if identified is None else [f"{value:.4g}" for value in identified.value]
     return _render(
         "excitation.html.j2",
         date,
         result=result,
         files=files,
         versions=", ".join(f"{name} {number}" for name, number in versions.items()),
-        friction=list(zip(problem.arm.element_names, rows, strict=True)),
+        friction=list(zip(result.problem.arm.element_names, rows, strict=True)),
         shown=list(units.items()),
         lacking=summary.lacking(result),
         runs=[*(("fitted", run) for run in result.torques), *(("not used", run) for run in checked)],
         drawn=[(run, _run_plot(run)) for run in (checked[:2] or [longest])],
-        curves=_friction_plot(curves, _measured_points(result, curves)),
+        curves=_friction_plot(result),
         spectra=_spectra_plot(checked or result.torques),
-        by_speed=_speed_plot(result.speeds),
+        by_speed=_speed_plot(result),
         misfits=misfits(result.speeds),
         closed_loop=result.instruments.remark,
         other="least squares" if result.instruments.biased else "instruments",
-        gains=_gain_rows(result),
+        gains=list(zip(gains, gains.values(), constants or [""] * len(gains), strict=True)),
         by_time=_time_plot(result.torques, friction.blocks.length),
         correlation=Plot([Heat(names, correlation)], height=7.0),
         close=sorted(close, key=lambda pair: -abs(pair[2]))[:20],
@@ -289,47 +291,37 @@ def excitation_page(
     )
 
 
-def _gain_rows(result: ExcitationIdentification) -> list[tuple[str, tuple[str, str] | None, str]]:
-    """Return for each motor its name, gain with deviation if it was identified, and the torque constant if it has."""
-    if result.gains is None:
-        return []
-    constants, names, gains = torque_constants(result), result.problem.arm.names, result.gains
-    written = [""] * len(names) if constants is None else [f"{value:.4g}" for value in constants.value]
-    pairs = zip(gains.factor.tolist(), gains.deviation.tolist(), strict=True)
-    found = [ParameterEstimate(*pair).texts() if math.isfinite(pair[1]) else None for pair in pairs]
-    return list(zip(names, found, written, strict=True))
+def _start(run: RunTorques) -> float:
+    return min((float(joint.time[0]) for joint in run.joints if len(joint.time)), default=0.0)
 
 
 def _run_plot(run: RunTorques) -> Plot:
     """Show the torques of the first part of a run, with gaps where a joint stands still."""
-    start = min(float(joint.time[0]) for joint in run.joints if len(joint.time))
-    series = []
-    for joint in run.joints:
-        count = max(1, int(np.searchsorted(joint.time, start + _DRAWN_S)))
+    panels = []
+    for name, joint in zip(run.names, run.joints, strict=True):
+        count = max(1, int(np.searchsorted(joint.time, _start(run) + _DRAWN_S)))
         time, _, recorded, predicted = (values[:count] for values in joint)
         steps = np.diff(time)
         gaps = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1 if len(steps) else np.empty(0, dtype=np.intp)
-        shown = (time - start, recorded, predicted, recorded - predicted)
-        series.append(tuple(np.insert(values, gaps, np.nan) for values in shown))
-    panels = _torque_panels(run.names, series, ("measured", "predicted"), _TIME)  # type: ignore[arg-type]
+        rows = (time - _start(run), recorded, predicted, recorded - predicted)
+        time, recorded, predicted, apart = (np.insert(values, gaps, np.nan) for values in rows)
+        below = _TIME if name == run.names[-1] else ""
+        panels.append(_compared(name, time, {"measured": recorded, "predicted": predicted}, "Nm", below, apart))
     return Plot(panels, height=1.7, share_x=True)
 
 
 def _spectra_plot(runs: Sequence[RunTorques]) -> Plot:
     """Show the amplitude spectra of measured torque and residual, a panel for each joint."""
-    names, panels = runs[0].names, []
-    for number, name in enumerate(names):
+    marks: dict[str, list[Mark]] = {}
+    for number, name in enumerate(runs[0].names):
         joints = [run.joints[number] for run in runs if len(run.joints[number].time) > 1]
-        if not joints:
-            panels.append(Panel([], f"{name}: stands still"))
-            continue
-        curves = [
-            Curve(*_spectrum(joints, [joint.recorded for joint in joints]), "measured", _RECORDED, 1.3),
-            Curve(*_spectrum(joints, [joint.residual for joint in joints]), "difference", _PREDICTED, 0.9),
-        ]
-        below = "frequency, Hz" if number >= len(names) - _ACROSS else ""
-        panels.append(Panel(curves, name, below, "Nm/√Hz", "log", "log"))
-    return Plot(panels, columns=_ACROSS, height=1.9)
+        marks[name if joints else f"{name}: stands still"] = [
+            Curve(*_spectrum(joints, [getattr(joint, of) for joint in joints]), label, colour, width)
+            for of, label, colour, width in (
+                ("recorded", "measured", _RECORDED, 1.3), ("residual", "difference", _PREDICTED, 0.9)
+            ) if joints
+        ]  # fmt: skip
+    return _grid(marks, "frequency, Hz", "Nm/√Hz", "log")
 
 
 def _spectrum(joints: Sequence[JointTorque], values: Sequence[Array]) -> tuple[Array, Array]:
@@ -350,69 +342,59 @@ def _spectrum(joints: Sequence[JointTorque], values: Sequence[Array]) -> tuple[A
     return found[0][0][1:-1], np.sqrt(density[1:-1])
 
 
-def _speed_plot(speeds: Sequence[SpeedResiduals]) -> Plot:
+def _speed_plot(result: ExcitationIdentification) -> Plot:
     """Show the mean residual against the velocity of each element, with 95 % intervals."""
-    marks: list[list[Mark]] = []
-    for one in speeds:
-        marks.append([Level(0.0, colour=_DIFFERENCE)])
+    marks: dict[str, list[Mark]] = {}
+    for one in result.speeds:
+        marks[one.element] = [Level(0.0, colour=_DIFFERENCE)]
         if len(one.velocity):
             bars = _INTERVAL * np.nan_to_num(one.deviation)
-            marks[-1].append(Curve(one.velocity, one.residual, "", COLOURS[0], 0.9))
-            marks[-1].append(Dots(one.velocity, one.residual, "mean of a bin, 95 %", COLOURS[0], bars))
-    return _across([one.element for one in speeds], marks, _SPEED)
+            marks[one.element].append(Curve(one.velocity, one.residual, "", COLOURS[0], 0.9))
+            marks[one.element].append(Dots(one.velocity, one.residual, "mean of a bin, 95 %", COLOURS[0], bars))
+    return _grid(marks, _SPEED)
 
 
 def _time_plot(runs: Sequence[RunTorques], block: float) -> Plot:
     """Show the mean of the residual against the motion over blocks of time, each run with its colour."""
-    names = runs[0].names
-    marks: list[list[Mark]] = [[Level(0.0, colour=_DIFFERENCE)] for _ in names]
+    marks: dict[str, list[Mark]] = {name: [Level(0.0, colour=_DIFFERENCE)] for name in runs[0].names}
     for which, run in enumerate(runs):
-        start = min((float(joint.time[0]) for joint in run.joints if len(joint.time)), default=0.0)
         label, colour = run.source.path.name if 1 < len(runs) <= len(COLOURS) else "", COLOURS[which % len(COLOURS)]
-        for own, joint in zip(marks, run.joints, strict=True):
+        for own, joint in zip(marks.values(), run.joints, strict=True):
             if len(joint.time):
-                place = ((joint.time - start) / block).astype(np.intp)
+                place = ((joint.time - _start(run)) / block).astype(np.intp)
                 count = np.bincount(place)
                 used = np.flatnonzero(count)
                 means = np.bincount(place, joint.residual * np.sign(joint.velocity))[used] / count[used]
                 middle: Array = np.asarray((used + 0.5) * block, dtype=np.float64)
                 own.append(Curve(middle, means, label, colour, 0.8, dots=True))
-    return _across(names, marks, _TIME)
+    return _grid(marks, _TIME)
 
 
-def _friction_plot(curves: Sequence[FrictionCurve], points: Sequence[Array]) -> Plot:
-    """Show the friction torque of each element against its velocity, its band, and means of the measured torque."""
-    marks: list[list[Mark]] = []
-    for curve, measured in zip(curves, points, strict=True):
-        own: list[Mark] = [Level(0.0, colour=_DIFFERENCE), Level(0.0, colour=_DIFFERENCE, upright=True)]
-        for sign in (-1.0, 1.0):
-            side = sign * curve.velocity > 0.0
-            low, high = (bound[side] for bound in curve.band)
-            own.append(Band(curve.velocity[side], low, high, "95 %", COLOURS[5]))
-            own.append(Curve(curve.velocity[side], curve.torque[side], "identified", COLOURS[0], 1.2))
-        if len(measured):
-            own.append(Dots(measured[:, 0], measured[:, 1], "measured", COLOURS[1]))
-        marks.append(own)
-    return _across([curve.element for curve in curves], marks, _SPEED, 2.3)
+def _friction_plot(result: ExcitationIdentification) -> Plot:
+    """Show the friction torque of each element against its velocity, its band, and means of the measured torque.
 
-
-def _measured_points(result: ExcitationIdentification, curves: Sequence[FrictionCurve]) -> list[Array]:
-    """Return points beside the curve of each joint's own element: velocity, and the curve and mean residual of a bin.
-
-    Bins hold about the same number of samples, those of either sign apart.
+    Those stand beside the curve of each joint's own element: the curve and the mean residual of bins that hold about
+    the same number of samples, those of either sign apart.
     """
-    problem = result.problem
+    problem, marks = result.problem, {}
     residual = problem.torque - result.friction.predicted
-    points = []
-    for number, curve in enumerate(curves):
+    for number, curve in enumerate(result.friction.curves()):
+        own: list[Mark] = [Level(0.0, colour=_DIFFERENCE), Level(0.0, colour=_DIFFERENCE, upright=True)]
         rows = np.flatnonzero((problem.joint == number) & ~problem.reversal)
         velocity, left = problem.velocity[rows, number], residual[rows]
         low, high = (curve.velocity.min(), curve.velocity.max()) if len(curve.velocity) else (0.0, 0.0)
-        own = []
+        points = []
         for sign in (-1.0, 1.0):
+            side = sign * curve.velocity > 0.0
+            low_side, high_side = (bound[side] for bound in curve.band)
+            own.append(Band(curve.velocity[side], low_side, high_side, "95 %", COLOURS[5]))
+            own.append(Curve(curve.velocity[side], curve.torque[side], "identified", COLOURS[0], 1.2))
             mine = np.flatnonzero(sign * velocity > 0.0)
             for part in np.array_split(mine[np.argsort(velocity[mine])], _SPEED_BINS // 2):
                 if len(part) >= _MIN_BIN_SAMPLES and low <= (speed := velocity[part].mean()) <= high:
-                    own.append((speed, np.interp(speed, curve.velocity, curve.torque) + left[part].mean()))
-        points.append(np.array(own).reshape(-1, 2))
-    return points
+                    points.append((speed, np.interp(speed, curve.velocity, curve.torque) + left[part].mean()))
+        if points:
+            x, y = np.array(points).T
+            own.append(Dots(x, y, "measured", COLOURS[1]))
+        marks[curve.element] = own
+    return _grid(marks, _SPEED, height=2.3)

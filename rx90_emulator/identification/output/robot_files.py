@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 from xml.parsers import expat
 
@@ -21,6 +21,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.config import check_numbers, load_yaml, without_schema_line, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import listed, plain
+from rx90_common.base.section import ABOUT
 from rx90_common.description.drives import element_matrix
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
@@ -28,9 +29,9 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.friction.friction_set import element_names
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.estimates import LARGEST, ParameterEstimate
 from rx90_emulator.identification.excitation.choice import CrossValidation
-from rx90_emulator.identification.excitation.physical import ConsistentInertias, central
+from rx90_emulator.identification.excitation.physical import central
 from rx90_emulator.identification.excitation.result import (
     ASSUMED_BRISTLES,
     ExcitationIdentification,
@@ -39,7 +40,6 @@ from rx90_emulator.identification.excitation.result import (
 )
 from rx90_emulator.identification.output.friction_file import elements_text, six_digits
 from rx90_emulator.identification.output.summary import gain_warnings
-from rx90_emulator.identification.records import BagSource
 
 
 class Identified(NamedTuple):
@@ -55,23 +55,20 @@ def marked(block: Mapping[str, Any], new: Mapping[str, Identified]) -> dict[str,
 
     What most of several keys have stands under `others`, which is for all that are not named.
     """
-    content = {key: value for key, value in block.items() if key not in ("provenance", "source", "note")}
+    content = {key: value for key, value in block.items() if key not in ABOUT}
     content |= {key: one.value for key, one in new.items()}
     about: dict[str, Any] = {}
     for word in ("provenance", "source"):
         given = block.get(word)
         each = {key: given.get(key, given.get("others")) if isinstance(given, dict) else given for key in content}
         each |= {key: getattr(one, word) for key, one in new.items()}
-        said = {key: value for key, value in each.items() if value is not None}
         (most, count), *rest = Counter(each.values()).most_common()
-        if not rest:
-            about |= {word: most} if said else {}
-        elif most is None or len(said) < len(each) or count == rest[0][1]:
-            about[word] = said
-        else:
-            about[word] = {**{key: value for key, value in said.items() if value != most}, "others": most}
-    note = {"note": block["note"]} if "note" in block else {}
-    return about | note | content
+        stated = {key: value for key, value in each.items() if value is not None}
+        if rest and None not in each.values() and count > rest[0][1]:
+            stated = {key: value for key, value in each.items() if value != most} | {"others": most}
+        if stated:
+            about[word] = stated if rest else most
+    return about | {key: block[key] for key in ("note",) if key in block} | content
 
 
 _MAX_MASS = 1e5  # kg
@@ -90,9 +87,30 @@ def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -
     Raises:
         IdentificationError: for a link that is not there, and for a body that no link can be.
     """
-    data = urdf.encode("utf-8")
-    first, links, inertials = _places(data)
-    edits = [(first, first, f"<!-- {remark.strip().replace('--', '- -')} -->\n  ")]
+    data, parser = urdf.encode("utf-8"), expat.ParserCreate("utf-8")
+    first: list[int] = []  # where elements inside the root begin
+    links: dict[str, int] = {}  # by links: where their end tag begins, or what follows an empty element
+    inertials: dict[str, tuple[int, int]] = {}  # by links: beginning and end of the <inertial>
+    path: list[tuple[str, int, str]] = []  # name, beginning and attribute `name` of the elements around
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        if len(path) == 1:
+            first.append(parser.CurrentByteIndex)
+        path.append((name, parser.CurrentByteIndex, attributes.get("name", "")))
+
+    def end(name: str) -> None:
+        at, names = parser.CurrentByteIndex, [one[0] for one in path[1:]]
+        if names == ["link"]:
+            links[path[1][2]] = at
+        elif names == ["link", "inertial"]:
+            # Expat tells the beginning of an end tag, and the end of an empty element.
+            tag = data[at:].startswith(f"</{name}".encode())
+            inertials[path[1][2]] = path[2][1], data.index(b">", at) + 1 if tag else at
+        path.pop()
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.Parse(data, True)
+    edits = [(first[0], first[0], f"<!-- {remark.strip().replace('--', '- -')} -->\n  ")]
     for link, pseudo in bodies.items():
         if link not in links:
             raise IdentificationError(f"no link {plain(link)} in the URDF; accepted: {', '.join(links)}")
@@ -103,8 +121,8 @@ def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -
             edits.append((at - 2, at, f">\n    {text}\n  </link>"))
         elif text:
             edits.append((at, at, f"  {text}\n  "))
-    for start, end, new in sorted(edits, reverse=True):
-        data = data[:start] + new.encode() + data[end:]
+    for begin, stop, new in sorted(edits, reverse=True):
+        data = data[:begin] + new.encode() + data[stop:]
     return data.decode("utf-8")
 
 
@@ -124,38 +142,6 @@ def _inertial(link: str, pseudo: Array) -> str:
     )
 
 
-def _places(data: bytes) -> tuple[int, dict[str, int], dict[str, tuple[int, int]]]:
-    """Return where in a URDF's bytes the first element inside the root begins, and links and inertials stand.
-
-    A link has the beginning of what follows its content: its end tag, or what follows an empty element; an <inertial>
-    its beginning and end.
-    """
-    first: list[int] = []
-    links: dict[str, int] = {}
-    inertials: dict[str, tuple[int, int]] = {}
-    path: list[tuple[str, int, str]] = []  # name, beginning and attribute `name` of the elements around
-    parser = expat.ParserCreate("utf-8")
-
-    def start(name: str, attributes: dict[str, str]) -> None:
-        if len(path) == 1:
-            first.append(parser.CurrentByteIndex)
-        path.append((name, parser.CurrentByteIndex, attributes.get("name", "")))
-
-    def end(name: str) -> None:
-        at, names = parser.CurrentByteIndex, [one[0] for one in path[1:]]
-        if names == ["link"]:
-            links[path[1][2]] = at
-        elif names == ["link", "inertial"]:
-            # Expat tells the beginning of an end tag, and the end of an empty element.
-            tag = data[at:].startswith(f"</{name}".encode())
-            inertials[path[1][2]] = path[2][1], data.index(b">", at) + 1 if tag else at
-        path.pop()
-
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.Parse(data, True)
-    return first[0], links, inertials
-
-
 _DRIVES_HEAD = """\
 # Drives, with what was identified. "joint side" values are seen through the gear; rotor_inertia, spring, brake and
 # end_stops are joint side, torque_constant and peak_current motor side. SI units and A. `provenance` and `source` hold
@@ -167,54 +153,6 @@ _CONTROLLER_HEAD = """\
 """
 _SECOND_SPEED_SHARE = 0.25
 """Of the nominal speed: where the compensation of two viscous parts meets their sum a second time."""
-
-
-@dataclass(frozen=True, eq=False)
-class IdentifiedRobot:
-    """What runs told of a robot, as far as its files hold it.
-
-    Attributes:
-        arm: n joints and the friction elements.
-        inertias: of links, rotors and springs.
-        standard: names of the P standard parameters of `inertias`, as `StandardColumns.names` has them.
-        elements: of the friction, in the arm's order.
-        fallback_name: file of the values that the runs do not identify, if any.
-        sources: the bags that inertias and drives rest on.
-        drives: other values for the drives file, by block and key, such as ("motor", "torque_constant").
-
-    Raises:
-        IdentificationError: for a value that no file may hold.
-    """
-
-    arm: RigidArm
-    inertias: ConsistentInertias
-    standard: tuple[str, ...]
-    elements: tuple[IdentifiedElement, ...]
-    fallback_name: str | None
-    sources: tuple[BagSource, ...]
-    drives: Mapping[tuple[str, str], Identified] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if not np.isfinite(self.inertias.parameters).all():
-            raise IdentificationError("inertial parameters that are not finite; nothing is written")
-        for name, value in zip(self.arm.names, self.amounts("k")[0], strict=True):
-            if value < 0.0:
-                raise IdentificationError(f"the spring of {name} was identified as {value:.3g} Nm; accepted: >= 0")
-
-    def amounts(self, kind: str) -> tuple[list[float], list[str]]:
-        """Return the parameters of a kind at each joint, 0 where there is none, and the joints where it is in a sum."""
-        amounts, shared = [0.0] * len(self.arm.names), []
-        for joint, name in enumerate(self.arm.names):
-            if (column := f"{kind}_{joint + 1}") in self.standard:
-                k = self.standard.index(column)
-                amounts[joint] = float(self.inertias.parameters[k])
-                shared += [] if self.inertias.alone[k] else [name]
-        return amounts, shared
-
-    @property
-    def origin(self) -> str:
-        """Return the bags with the dates of recording, in words."""
-        return "identified from " + listed(f"{bag.path.name} (recorded {bag.recorded})" for bag in self.sources)
 
 
 def viscous_sum(elements: Sequence[FrictionElement], speed: float) -> tuple[float, float]:
@@ -233,60 +171,89 @@ def _numbers(values: Sequence[float], digits: int = 12) -> list[float]:
 
 def folder_base(arm: RigidArm, urdf: Path) -> tuple[RobotFiles | None, str]:
     """Return the files that another robot's folder begins with, or None, and in one line what follows from that."""
-    if arm.element_matrix.shape != element_matrix().shape or (arm.element_matrix != element_matrix()).any():
-        kind = "arms of six joints whose sixth motor turns with joints 5 and 6"
-        return None, f"URDF and friction file alone, no robot folder: the simulation has {kind}"
+    alone = "URDF and friction file alone, no robot folder: "
+    if not np.array_equal(arm.element_matrix, element_matrix()):
+        return None, f"{alone}the simulation has arms of six joints whose sixth motor turns with joints 5 and 6"
     try:
         load_robot(urdf)
     except ConfigError as error:
-        return None, f"URDF and friction file alone, no robot folder: {error}"
+        return None, f"{alone}{error}"
     files = RobotFiles(urdf=urdf, tool=None, task=None, poses=None)
     return files, f"drives and controller are those of {files.drives.parent.name} but for what was identified or given"
 
 
 def robot_texts(
-    robot: IdentifiedRobot, urdf: Path, base: RobotFiles | None, now: datetime | None = None
+    result: ExcitationIdentification,
+    urdf: Path,
+    base: RobotFiles | None,
+    given: Mapping[tuple[str, str], Identified] = MappingProxyType({}),
+    now: datetime | None = None,
 ) -> dict[str, str]:
     """Return the text of each file by its name.
 
     Args:
-        robot: what was identified.
+        result: what was identified.
         urdf: the description that is given other inertials.
         base: files of the robot that a whole folder is made from; None for URDF and friction file alone.
+        given: other values for the drives file, by block and key, such as ("motor", "torque_constant").
         now: date of the identification; by default the present.
 
     Raises:
-        IdentificationError: for a body that no link can be.
+        IdentificationError: for a body that no link can be, and a value that no file may hold.
         ConfigError: for a file of the base that cannot be used.
     """
-    prior, rotors = robot.inertias.prior, ", ".join(f"{value:.6g}" for value in robot.inertias.rotors)
-    bodies: dict[str, Array | None] = dict.fromkeys(prior.dropped)
-    for body, pseudo in zip(prior.bodies, robot.inertias.pseudo, strict=True):
+    arm, inertias, standard = result.problem.arm, result.consistency.inertias, result.problem.columns.names
+    names = arm.names
+    if not np.isfinite(inertias.parameters).all():
+        raise IdentificationError("inertial parameters that are not finite; nothing is written")
+    sources = (bag for use, bag in result.bags if use == "excitation")
+    origin = "identified from " + listed(f"{bag.path.name} (recorded {bag.recorded})" for bag in sources)
+    new: dict[tuple[str, str], Identified] = {}
+    for kind, block, key in (("Ia", "transmission", "rotor_inertia"), ("k", "spring", "torque")):
+        columns = {name: f"{kind}_{joint}" for joint, name in enumerate(names, 1)}
+        there = {name: standard.index(one) for name, one in columns.items() if one in standard}
+        if there:
+            amounts = [float(inertias.parameters[there[name]]) if name in there else 0.0 for name in names]
+            shared = listed(name for name, k in there.items() if not inertias.alone[k])
+            how = f"; of {shared} only the sum with the links, divided near to what was known" if shared else ""
+            new[block, key] = Identified(_numbers(amounts), "identified", origin + how)
+            if kind == "k" and min(amounts) < 0.0:
+                worst = names[int(np.argmin(amounts))]
+                raise IdentificationError(
+                    f"the spring of {worst} was identified as {min(amounts):.3g} Nm; accepted: >= 0"
+                )
+    new |= given
+    bodies: dict[str, Array | None] = dict.fromkeys(inertias.prior.dropped)
+    for body, pseudo in zip(inertias.prior.bodies, inertias.pseudo, strict=True):
         inverse = np.linalg.inv(body.frame)
         bodies[body.link] = inverse @ pseudo @ inverse.T
-    remark = f" The inertials of {listed(bodies, 100)} are {robot.origin}; other comments on masses are older. "
+    rotors = ", ".join(f"{value:.6g}" for value in inertias.rotors)
+    remark = f" The inertials of {listed(bodies, 100)} are {origin}; other comments on masses are older. "
     remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. " if rotors else ""
-    names = robot.arm.element_names if base is None else element_names(robot.arm.names)
+    elements = arm.element_names if base is None else element_names(names)
     texts = {
         FILES["urdf"]: with_inertials(urdf.read_text(encoding="utf-8"), bodies, remark),
-        FILES["friction"]: elements_text(names, robot.elements, robot.fallback_name, now),
+        FILES["friction"]: elements_text(
+            elements, result.elements, result.robot.fallback_name or ASSUMED_BRISTLES, now
+        ),
     }
     if base is None:
         return texts
-    new: dict[tuple[str, str], Identified] = {}
-    for kind, block, key in (("Ia", "transmission", "rotor_inertia"), ("k", "spring", "torque")):
-        if any(name.startswith(f"{kind}_") for name in robot.standard):
-            amounts, shared = robot.amounts(kind)
-            how = f"; of {listed(shared)} only the sum with the links, divided near to what was known"
-            new[block, key] = Identified(_numbers(amounts), "identified", robot.origin + how * bool(shared))
-    new |= robot.drives
     drives = dict(load_yaml(base.drives).content)
     for block in dict.fromkeys(block for block, _ in new):
         drives[block] = marked(drives[block], {key: one for (there, key), one in new.items() if there == block})
     # Its model, for the feed-forward by one, is the folder's own arm: not the one that the base names.
     controller = {key: value for key, value in load_yaml(base.controller).content.items() if key != "model"}
-    speed = load_robot(base.urdf, base.tool).max_velocity
-    controller["feed_forward"] = marked(controller["feed_forward"], _feed_forward(robot.elements, speed))
+    # The friction that each motor turns against, at speeds up to the nominal ones.
+    turned = [[one.element] for one in result.elements[:6]]
+    turned[5].append(result.elements[6].element)
+    speed = load_robot(base.urdf, base.tool).max_velocity.tolist()
+    viscous, exponent = zip(*(viscous_sum(some, top) for some, top in zip(turned, speed, strict=True)), strict=True)
+    coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in turned]
+    source = "the identified friction of each joint; of joint 6 and of element 7, with which motor 6 turns as well"
+    values = {"coulomb_torque": coulomb, "viscous_friction": viscous, "viscous_exponent": exponent}
+    feed_forward = {key: Identified(_numbers(some), "derived", source) for key, some in values.items()}
+    controller["feed_forward"] = marked(controller["feed_forward"], feed_forward)
     texts[FILES["drives"]] = _DRIVES_HEAD + yaml_text(drives)
     texts[FILES["controller"]] = _CONTROLLER_HEAD + yaml_text(controller)
     for role in ("tool", "task", "poses"):
@@ -294,21 +261,6 @@ def robot_texts(
         if path is not None:
             texts[FILES[role]] = without_schema_line(path.read_text(encoding="utf-8"))
     return texts
-
-
-def _feed_forward(identified: Sequence[IdentifiedElement], speed: Array) -> dict[str, Identified]:
-    """Return the friction that each motor turns against, at speeds up to the nominal ones."""
-    elements = [one.element for one in identified]
-    turned = [[element] for element in elements[:6]]
-    turned[5].append(elements[6])
-    viscous = [viscous_sum(some, float(top)) for some, top in zip(turned, speed, strict=True)]
-    values = {
-        "coulomb_torque": [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in turned],
-        "viscous_friction": [c2 for c2, _ in viscous],
-        "viscous_exponent": [alpha for _, alpha in viscous],
-    }
-    source = "the identified friction of each joint; of joint 6 and of element 7, with which motor 6 turns as well"
-    return {key: Identified(_numbers(some), "derived", source) for key, some in values.items()}
 
 
 def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[str, str], str]:
@@ -322,11 +274,10 @@ def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[
         Rx90Error: for a value that no file may hold.
     """
     problem, options, setup = result.problem, result.options, result.robot.setup
-    drives = {}
-    base: RobotFiles | None
+    drives: dict[tuple[str, str], Identified] = {}
     if setup is not None:
-        base = setup.files or RobotFiles()
-        urdf, note = base.urdf, "a robot folder; what the runs do not tell is as it was"
+        base: RobotFiles | None = setup.files or RobotFiles()
+        urdf, note = (setup.files or RobotFiles()).urdf, "a robot folder; what the runs do not tell is as it was"
     else:
         urdf = Path(str(options.urdf))
         base, note = folder_base(problem.arm, urdf)
@@ -337,16 +288,7 @@ def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[
                 drives[block, key] = Identified([float(value) for value in values], "assumed", said)
     if (constants := torque_constants(result)) is not None:
         drives["motor", "torque_constant"] = constants
-    robot = IdentifiedRobot(
-        problem.arm,
-        result.consistency.inertias,
-        problem.columns.names,
-        result.elements,
-        result.robot.fallback_name or ASSUMED_BRISTLES,
-        tuple(bag for use, bag in result.bags if use == "excitation"),
-        drives,
-    )
-    return robot_texts(robot, urdf, base, date), note
+    return robot_texts(result, urdf, base, drives, date), note
 
 
 def torque_constants(result: ExcitationIdentification) -> Identified | None:
@@ -387,6 +329,13 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
     chosen, other = "instrumental variables", "least squares"
     if not result.instruments.biased:
         chosen, other = other, chosen
+
+    def checked(prefix: str, check: CrossValidation | None) -> dict[str, Any]:
+        if check is None:
+            return {}
+        numbers = {"relative_error": check.relative, "gain": check.gain, "gain_deviation": check.gain_deviation}
+        return {f"cross_validated_by_{prefix}": _rounded(numbers)}
+
     content: dict[str, Any] = {
         "date": date.isoformat(timespec="seconds"),
         "versions": dict(versions),
@@ -394,11 +343,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             {"path": str(bag.path), "use": use, "sha256": bag.sha256, "duration": six_digits(bag.duration)}
             for use, bag in result.bags
         ],
-        "bandwidths": {
-            "position": six_digits(bandwidths.position),
-            "torque": six_digits(bandwidths.torque),
-            "reason": bandwidths.reason,
-        },
+        "bandwidths": _rounded(vars(bandwidths)),
         "base_parameters": {
             one.name: {"unit": one.unit, "group": one.group, **_estimate(one.estimate)}
             | {"consistent": six_digits(one.consistent)}
@@ -410,15 +355,10 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             for name, one in zip(result.problem.arm.element_names, result.elements, strict=True)
         },
         "models": [
-            {
-                "name": row.name,
-                "parameters": row.parameters,
-                "relative_error": six_digits(row.relative_all),
-                "cross_validated_by_blocks": _cross_validation(row.by_blocks),
-                "kept": row.kept,
-                "reason": row.reason,
-            }
-            | ({} if row.by_runs is None else {"cross_validated_by_runs": _cross_validation(row.by_runs)})
+            {"name": row.name, "parameters": row.parameters, "relative_error": six_digits(row.relative_all)}
+            | checked("blocks", row.by_blocks)
+            | {"kept": row.kept, "reason": row.reason}
+            | checked("runs", row.by_runs)
             for row in friction.models
         ],
         "fit": {run.source.path.name: _torques(run) for run in result.torques},
@@ -434,12 +374,12 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         "instrumental_variables": result.instruments.reason,
     }
     if result.gains is not None:
-        factors, deviations = result.gains.factor.tolist(), result.gains.deviation.tolist()
+        pairs = zip(result.gains.factor.tolist(), result.gains.deviation.tolist(), strict=True)
         content["drive_gains"] = {
-            name: {"true_over_recorded": six_digits(factor), "deviation": six_digits(deviation)}
+            name: _rounded({"true_over_recorded": factor, "deviation": deviation})
             if math.isfinite(deviation)
             else {"identifiable": False, "reason": "the payload does not tell it; 1 is taken"}
-            for name, factor, deviation in zip(result.problem.arm.names, factors, deviations, strict=True)
+            for name, (factor, deviation) in zip(result.problem.arm.names, pairs, strict=True)
         }
     variance = friction.fit.covariance.diagonal()
     deviation = np.sqrt(np.where((variance > 0.0) & np.isfinite(variance), variance, np.nan))
@@ -458,22 +398,20 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
     return _PARAMETERS_HEAD + yaml_text(content)
 
 
+def _rounded(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a mapping with its numbers to six digits, without those that are NaN."""
+    rounded = {key: six_digits(value) if isinstance(value, float) else value for key, value in values.items()}
+    return {key: value for key, value in rounded.items() if not (isinstance(value, float) and math.isnan(value))}
+
+
 def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
     if not estimate.identifiable:
         return {"identifiable": False, "reason": estimate.reason}
     return {"value": six_digits(estimate.value), "deviation": six_digits(estimate.deviation)}
 
 
-def _cross_validation(check: CrossValidation) -> dict[str, Any]:
-    return {"relative_error": six_digits(check.relative), "gain": six_digits(check.gain),
-            "gain_deviation": six_digits(check.gain_deviation)}  # fmt: skip
-
-
 def _torques(run: RunTorques) -> dict[str, Any]:
-    joints = {
-        name: {"rms": six_digits(rms), "relative": six_digits(share)}
-        | ({} if math.isnan(chi) else {"chi_square": six_digits(chi)})
-        for name, rms, share, chi in zip(run.names, run.rms, run.share, run.chi_square, strict=True)
-        if math.isfinite(rms)
-    }
+    columns = zip(run.rms.tolist(), run.share.tolist(), run.chi_square.tolist(), strict=True)
+    figures = (_rounded(dict(zip(("rms", "relative", "chi_square"), row, strict=True))) for row in columns)
+    joints = {name: row for name, row in zip(run.names, figures, strict=True) if "rms" in row}
     return {"relative": six_digits(run.total_share), "joints": joints}

@@ -6,12 +6,13 @@ Pages say the same sentences; `report` draws them.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from typing import TypeVar
 
 from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.excitation.known_payload import PLAUSIBLE
 from rx90_emulator.identification.excitation.law import Part
-from rx90_emulator.identification.excitation.result import ExcitationIdentification, TorqueValidation, misfits
+from rx90_emulator.identification.excitation.result import ExcitationIdentification, misfits
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.presliding.kinds import decisions
 from rx90_emulator.identification.validation.measured import MeasuredComparison
@@ -19,6 +20,7 @@ from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import Criterion, largest, verdict
 
 _CONFIRMED = ("confirmed", "NOT CONFIRMED")
+_Value = TypeVar("_Value", bound=Hashable)
 
 
 def _number(value: float, form: str = ".3f") -> str:
@@ -26,10 +28,11 @@ def _number(value: float, form: str = ".3f") -> str:
     return "-" if math.isnan(value) else f"{value:{form}}"
 
 
-def _table(head: Sequence[str], width: int, places: Sequence[int], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return the lines of a table: the first cells to the left in a width, the others to the right in their places."""
+def _table(head: Sequence[str], places: Sequence[int], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return the lines of a table: the first cells to the left, the others to the right in the widths of `places`."""
+    first, *others = places
     return [
-        f"{name:<{width}}" + "".join(f"{cell:>{place}}" for cell, place in zip(cells, places, strict=False))
+        f"{name:<{first}}" + "".join(f"{cell:>{place}}" for cell, place in zip(cells, others, strict=False))
         for name, *cells in (head, *rows)
     ]
 
@@ -38,39 +41,45 @@ def _width(least: int, names: Iterable[str]) -> int:
     return max(least, *(len(name) + 1 for name in names))
 
 
+def _together(values: Iterable[tuple[str, _Value]]) -> list[tuple[str, _Value]]:
+    """Return the values of names, each once, behind all names that have it."""
+    names: dict[_Value, list[str]] = {}
+    for name, value in values:
+        names.setdefault(value, []).append(name)
+    return [(", ".join(of), value) for value, of in names.items()]
+
+
 def identification_summary(result: FrictionIdentification) -> str:
     """Return values with deviations, true ones below, what is not identifiable and why, and the verdicts."""
-    parameters, rows, others = shown_parameters(result), [], []
-    for name, one in zip(result.arm.element_names, result.elements, strict=True):
-        if name not in result.told:
-            others.append(name)
-            continue
-        given = (one.estimates.get(parameter) for parameter in parameters)
-        rows.append([name, *("1" if each is None else _with_deviation(each, "not identifiable") for each in given)])
-        if name in result.truth:
-            rows.append(["  true", *(f"{getattr(result.truth[name], parameter):.6g}" for parameter in parameters)])
-    width = _width(10, result.arm.element_names)
-    lines = _table(["element", *parameters], width, [22] * len(parameters), rows)
-    if others:
-        lines.append(f"{', '.join(others)}: nothing identified")
-    lines += [f"not identifiable: {which(names)}: {reason}" for reason, names in result.unidentifiable.items()]
+    parameters, names, sliding = shown_parameters(result), result.arm.element_names, result.sliding
+    rows = []
+    for name, one in zip(names, result.elements, strict=True):
+        if name in result.told:
+            given = (one.estimates.get(parameter) for parameter in parameters)
+            cells = ("1" if each is None else _with_deviation(each, "not identifiable") for each in given)
+            rows.append([name, *cells])
+            if name in result.truth:
+                rows.append(["  true", *(f"{getattr(result.truth[name], parameter):.6g}" for parameter in parameters)])
+    lines = _table(["element", *parameters], [_width(10, names), *[22] * len(parameters)], rows)
+    if others := ", ".join(name for name in names if name not in result.told):
+        lines.append(f"{others}: nothing identified")
+    lines += [f"not identifiable: {which(lacking)}: {reason}" for reason, lacking in result.unidentifiable.items()]
     if compared := [(kind.element, kind.choice) for kind in result.kinds if kind.choice is not None]:
         lines.append("bristles: missed of the friction torque (standard errors behind the best kind)")
         families = [trial.family.name for trial in compared[0][1].trials]
         rows = [[name, *(f"{t.missed:.1%} ({t.behind:.1f})" for t in choice.trials)] for name, choice in compared]
-        lines += _table(["element", *families], width, [25] * len(families), rows)
-    lines += [f"bristles of {names}: {text}" for names, text in decisions(result.kinds)]
+        lines += _table(["element", *families], [_width(10, names), *[25] * len(families)], rows)
+    lines += [f"bristles of {of}: {text}" for of, text in decisions(result.kinds)]
     if given_bristles := ", ".join(result.with_given_bristles):
         lines.append(f"bristles of {given_bristles}: as c0 those of {result.fallback_name}, assumed")
-    names, sliding = result.arm.element_names, result.sliding
     lines += [line for name, one in zip(names, sliding.quality, strict=True) if one for line in one.lines(name)]
     lines += [sliding.zeros.text] if sliding.zeros is not None and sliding.zeros.text else []
     lines += [f"{use.bag.path}: {use.text(names)}" for use in sliding.usage]
     return "\n".join([*lines, *(_verdict(check, result.scope) for check in result.validations)])
 
 
-def _with_deviation(estimate: ParameterEstimate, unknown: str = "-") -> str:
-    if not estimate.identifiable:
+def _with_deviation(estimate: ParameterEstimate | None, unknown: str = "-") -> str:
+    if estimate is None or not estimate.identifiable:
         return unknown
     value, deviation = estimate.texts()
     return f"{value} +- {deviation}" if estimate.deviation else value
@@ -78,10 +87,8 @@ def _with_deviation(estimate: ParameterEstimate, unknown: str = "-") -> str:
 
 def which(lacking: Mapping[str, Sequence[str]]) -> str:
     """Return parameters with the elements that lack them, elements that lack the same ones together."""
-    together: dict[str, list[str]] = {}
-    for name, parameters in lacking.items():
-        together.setdefault(", ".join(parameters), []).append(name)
-    return "; ".join(f"{parameters} of {', '.join(names)}" for parameters, names in together.items())
+    whose = _together((name, ", ".join(parameters)) for name, parameters in lacking.items())
+    return "; ".join(f"{parameters} of {names}" for names, parameters in whose)
 
 
 def _verdict(check: Validation, scope: str = "") -> str:
@@ -98,7 +105,7 @@ def check_summary(checks: Sequence[Validation]) -> str:
         values = zip(check.names, check.rms, check.rms_share, check.worst, check.worst_share, strict=True)
         rows = ((name, _number(a), _number(b, ".2%"), _number(c), _number(d, ".2%")) for name, a, b, c, d in values)
         head = ("joint", "RMS, Nm", "of torque", "worst, Nm", "of largest")
-        lines += _table(head, _width(8, check.names), (10, 11, 11, 12), rows)
+        lines += _table(head, (_width(8, check.names), 10, 11, 11, 12), rows)
         lines += [check.zeros.text] if check.zeros is not None and check.zeros.text else []
         lines.append(_verdict(check))
     return "\n".join(lines)
@@ -106,17 +113,13 @@ def check_summary(checks: Sequence[Validation]) -> str:
 
 def measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
     """Return what was simulated and how it was compared, a sentence each."""
-    bands = result.bandwidths
+    saturated = zip(result.names, result.saturated, strict=True)
     return (
         f"set-points: {result.setpoints}",
-        f"torques and positions are compared below {bands.torque:.3g} Hz ({bands.reason})",
+        f"torques and positions are compared below {result.bandwidths.torque:.3g} Hz ({result.bandwidths.reason})",
         f"the simulated motion is {abs(result.lag) * 1e3:.3f} ms {'later' if result.lag >= 0.0 else 'earlier'}, which "
         "is taken out",
-        *(
-            f"{name}'s motor is at its limit in {share:.1%} of the simulated time"
-            for name, share in zip(result.names, result.saturated, strict=True)
-            if share > 0.0
-        ),
+        *(f"{name}'s motor is at its limit in {share:.1%} of the simulated time" for name, share in saturated if share),
         *result.remarks,
     )
 
@@ -137,7 +140,7 @@ def measured_summary(result: MeasuredComparison) -> str:
          f"{1e3 * result.position_rms[k]:.3f} mrad", f"{1e3 * result.position_worst[k]:.3f} mrad")
         for k, name in enumerate(result.names)
     ]  # fmt: skip
-    table = _table(head, _width(8, result.names), (12, 13, 11, 12, 10, 15, 12), rows)
+    table = _table(head, (_width(8, result.names), 12, 13, 11, 12, 10, 15, 12), rows)
     return "\n".join([*measured_facts(result), *table, measured_verdict(result)])
 
 
@@ -146,81 +149,68 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     names, joints = result.problem.arm.element_names, result.problem.arm.names
     shown = [friction_columns(one.estimates) for one in result.elements]
     columns = list(dict.fromkeys(name for row in shown for name, one in row.items() if one.identifiable))
-    rows = [
-        [name, *(_with_deviation(row[c]) if c in row else "-" for c in columns)]
-        for name, row in zip(names, shown, strict=True)
-    ]
-    lines = _table(["element", *columns], _width(9, names), [22] * len(columns), rows)
+    rows = [[name, *(_with_deviation(row.get(c)) for c in columns)] for name, row in zip(names, shown, strict=True)]
+    lines = _table(["element", *columns], [_width(9, names), *[22] * len(columns)], rows)
     # Where elements have different reasons, the report gives them.
     lines += [
         f"not identified: {parameters} of {elements}: {reasons[0] if len(reasons) == 1 else 'reasons in the report'}"
         for parameters, elements, reasons in lacking(result)
     ]
-    if result.undetermined:
-        unknown = ", ".join(result.undetermined)
+    if unknown := ", ".join(result.undetermined):
         lines.append(f"not determined by these runs: {unknown}; the files take them from the description")
     runs = [*(("fitted", run) for run in result.torques), *(("unseen", one.torques) for one in result.validations)]
     fits = []
     for use, run in runs:
-        shares = [_number(v, ".1%") for v in (*run.share, run.total_share)]
-        fits.append([f"{use} {run.source.path.name}", *shares])
+        fits.append([f"{use} {run.source.path.name}", *(_number(v, ".1%") for v in (*run.share, run.total_share))])
         chi = (">1e4" if k else _number(v, ".3g") for k, v in zip(run.noiseless, run.chi_square, strict=True))
         fits.append(["  chi^2 over noise", *chi])
         if run.noiseless.any():
             fits.append(["  (>1e4: next to no noise beside the difference, as in smoothed torques; tells nothing)"])
     width, places = max(8, *(len(run.source.path.name) + 9 for _, run in runs)), [max(10, len(n) + 2) for n in joints]
-    lines += _table(["torque RMS", *joints, "all"], width, [*places, 8], fits)
+    lines += _table(["torque RMS", *joints, "all"], [width, *places, 8], fits)
     lines += [result.zeros.text] if result.zeros.text else []
-    return "\n".join([
-        *lines,
-        f"model: {kept_parts(result)}; last step of the choice: {result.model.reason}",
-        f"closed loop: {result.instruments.remark}",
-        *_gain_texts(result),
-        *([] if result.loads is None else [result.loads.remark(names)]),
-        *(f"misfit: {text}" for text in misfits(result.speeds)),
-        *(f"drift: {one.text}" for one in result.trends),
-        *(_excitation_verdict(check) for check in result.validations),
-    ])  # fmt: skip
-
-
-def _excitation_verdict(check: TorqueValidation) -> str:
-    limits, run = check.tolerances, check.torques
-    total = Criterion("torque RMS of all joints", run.total_share, limits.total, digits=1)
-    worst = largest("largest", run.names, run.share, limits.joint, digits=1)
-    return verdict(f"validation {run.source.path}", check.passed, _CONFIRMED, (total, worst))
+    lines.append(f"model: {kept_parts(result)}; last step of the choice: {result.model.reason}")
+    lines.append(f"closed loop: {result.instruments.remark}")
+    if gains := gain_texts(result):
+        factors = (f"{name} {' +- '.join(text) or '1 (the payload does not tell it)'}" for name, text in gains.items())
+        text = f"drive gains, true over recorded torque: {', '.join(factors)}"
+        lines.append(f"{text}; all values are for torques multiplied by them")
+    lines += [f"warning: {warning}" for warning in gain_warnings(result)]
+    lines += [] if result.loads is None else [result.loads.remark(names)]
+    lines += [f"misfit: {text}" for text in misfits(result.speeds)]
+    lines += [f"drift: {one.text}" for one in result.trends]
+    for check in result.validations:
+        limits, run = check.tolerances, check.torques
+        total = Criterion("torque RMS of all joints", run.total_share, limits.total, digits=1)
+        worst = largest("largest", run.names, run.share, limits.joint, digits=1)
+        lines.append(verdict(f"validation {run.source.path}", check.passed, _CONFIRMED, (total, worst)))
+    return "\n".join(lines)
 
 
 def kept_parts(result: ExcitationIdentification) -> str:
     """Return in words what the friction that was kept consists of, and which elements have it."""
-    names, parts = result.problem.arm.element_names, result.friction.parts
-    texts = ["Coulomb + viscous"]
+    names, texts = result.problem.arm.element_names, ["Coulomb + viscous"]
     for part in Part:
-        having = [name for name, own in zip(names, parts, strict=True) if part in own]
+        having = [name for name, own in zip(names, result.friction.parts, strict=True) if part in own]
         if having:
             texts.append(f"{part.value}: {'all' if len(having) == len(names) else ', '.join(having)}")
     return " + ".join(texts)
 
 
-def _gain_texts(result: ExcitationIdentification) -> list[str]:
-    """Return by what the recorded torque of each motor is multiplied, if that was identified, and what it leaves."""
+def gain_texts(result: ExcitationIdentification) -> dict[str, tuple[str, ...]]:
+    """Return gain and deviation of each motor, nothing for one that the payload does not tell; empty without any."""
     if result.gains is None:
-        return []
-    gains = zip(result.problem.arm.names, result.gains.factor.tolist(), result.gains.deviation.tolist(), strict=True)
-    texts = [
-        f"{name} {' +- '.join(ParameterEstimate(value, deviation).texts())}" if math.isfinite(deviation)
-        else f"{name} 1 (the payload does not tell it)"
-        for name, value, deviation in gains
-    ]  # fmt: skip
-    text = f"drive gains, true over recorded torque: {', '.join(texts)}; all values are for torques multiplied by them"
-    return [text, *(f"warning: {warning}" for warning in gain_warnings(result))]
+        return {}
+    pairs = zip(result.gains.factor.tolist(), result.gains.deviation.tolist(), strict=True)
+    texts = (ParameterEstimate(*pair).texts() if math.isfinite(pair[1]) else () for pair in pairs)
+    return dict(zip(result.problem.arm.names, texts, strict=True))
 
 
 def gain_warnings(result: ExcitationIdentification) -> list[str]:
     """Return which drive gains are hardly to be believed, and which motors keep theirs, and what follows."""
     if result.gains is None:
         return []
-    gains, names = result.gains, result.problem.arm.names
-    lines = []
+    gains, names, lines = result.gains, result.problem.arm.names, []
     if len(gains.implausible):
         values = ", ".join(f"{names[k]} {gains.factor[k]:.3g}" for k in gains.implausible)
         lines.append(
@@ -249,30 +239,23 @@ def friction_columns(estimates: Mapping[str, ParameterEstimate]) -> dict[str, Pa
         elif f"{name}_positive" in estimates:
             positive, negative = (estimates[f"{name}_{sign}"] for sign in ("positive", "negative"))
             unknown = not positive.identifiable and not negative.identifiable and positive.reason == negative.reason
-            if unknown or positive == negative:
-                found[name] = positive
-            else:
-                found |= {f"{name}+": positive, f"{name}-": negative}
+            both = {name: positive} if unknown or positive == negative else {f"{name}+": positive, f"{name}-": negative}
+            found |= both
     return found
 
 
 def lacking(result: ExcitationIdentification) -> list[tuple[str, str, tuple[str, ...]]]:
     """Return what is not identified: parameters, elements, and the reasons; what the same elements lack together."""
     names = result.problem.arm.element_names
-    reasons: dict[str, dict[str, str]] = {}
+    reasons: dict[str, tuple[tuple[str, str], ...]] = {}  # by parameter: elements with the reasons
     for element, one in zip(names, result.elements, strict=True):
         for name, estimate in friction_columns(one.estimates).items():
             if not estimate.identifiable:
-                reasons.setdefault(name, {})[element] = estimate.reason
-    together: dict[tuple[tuple[str, str], ...], list[str]] = {}
-    for name, of in reasons.items():
-        together.setdefault(tuple(of.items()), []).append(name)
+                reasons[name] = (*reasons.get(name, ()), (element, estimate.reason))
     found = []
-    for lacked, parameters in together.items():
-        elements: dict[str, list[str]] = {}
-        for element, reason in lacked:
-            elements.setdefault(reason, []).append(element)
-        texts = [reason if len(elements) == 1 else f"{', '.join(of)}: {reason}" for reason, of in elements.items()]
-        whose = "all elements" if len(lacked) == len(names) else ", ".join(element for element, _ in lacked)
-        found.append((", ".join(parameters), whose, tuple(texts)))
+    for parameters, of in _together(reasons.items()):
+        whose = "all elements" if len(of) == len(names) else ", ".join(element for element, _ in of)
+        pairs = _together(of)
+        texts = (reason if len(pairs) == 1 else f"{elements}: {reason}" for elements, reason in pairs)
+        found.append((parameters, whose, tuple(texts)))
     return found

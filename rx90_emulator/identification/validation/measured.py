@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
+from scipy.interpolate import BPoly, BSpline, make_interp_spline
 
+from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping, is_table, mapping_of
-from rx90_common.bags.reading import BagReader
+from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array, Mask
-from rx90_common.base.errors import ConfigError, IdentificationError, check_type
+from rx90_common.base.errors import ConfigError, IdentificationError, TrajectoryError, check_type
 from rx90_common.base.quoting import listed
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.drives import coupling_matrix, element_matrix
-from rx90_common.description.robot_files import FILES, RobotFiles
+from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import element_names
@@ -31,13 +36,27 @@ from rx90_emulator.identification.excitation.filtering import (
     low_pass_taps,
 )
 from rx90_emulator.identification.excitation.problem import element_states
-from rx90_emulator.identification.options import MeasuredLayout
+from rx90_emulator.identification.options import MeasuredLayout, MeasuredTolerances
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
-from rx90_emulator.identification.robot import JOINT_STATES, BagLayout, arm_layout, recorded_topic, with_signals
-from rx90_emulator.identification.validation.options import MeasuredTolerances
-from rx90_emulator.identification.validation.setpoints import SetPoints, path_setpoints, recorded_setpoints, run_along
+from rx90_emulator.identification.robot import (
+    JOINT_STATES,
+    BagLayout,
+    arm_layout,
+    recorded_topic,
+    topic_names,
+    with_signals,
+)
 from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
+from rx90_emulator.loop.closed_loop import run_setpoints
+from rx90_emulator.loop.result import FastSeries, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
+
+REFERENCE = "rx90_controller/reference"
+_HOLD_S = 0.5  # s at rest before a motion, in which the integrators take the arm's weight
+_MIN_LEAD_S = 0.5  # s, least time in which the arm gets the velocity that a record begins with
+_REST_SPEED = 1e-6  # rad/s, of a set-point
+_RANGE_SLACK = 1e-5  # of a range: times are whole nanoseconds
+_MAX_GAP_PERIODS = 3.5  # periods between set-points that still are interpolated
 
 _JOINTS = 6
 _MOVABLE = ("revolute", "continuous", "prismatic", "planar", "floating")
@@ -53,19 +72,16 @@ def simulated_setup(files: RobotFiles) -> Setup:
     Raises:
         ConfigError: naming file and what is accepted.
     """
-    for role in ("drives", "controller"):
-        path: Path = getattr(files, role)
+    for path in (files.drives, files.controller):
         if not path.is_file():
-            raise ConfigError(f"{path.parent}: no {FILES[role]}; {_OTHER_ARMS}")
-    try:
+            raise ConfigError(f"{path.parent}: no {path.name}; {_OTHER_ARMS}")
+    with suppress(ET.ParseError, OSError):  # Setup.load names the fault
         joints = [one.get("name", "") for one in ET.parse(files.urdf).iter("joint") if one.get("type") in _MOVABLE]
-    except (ET.ParseError, OSError):
-        return Setup.load(files)  # which names the fault
-    if len(joints) != _JOINTS:
-        raise ConfigError(f"{files.urdf}: {len(joints)} movable joints; {_OTHER_ARMS}")
-    there = FrictionFile.read(files.friction).elements
-    if missing := [name for name in element_names(joints) if name not in there]:
-        raise ConfigError(f"{files.friction}: no friction element {listed(missing)}; {_OTHER_ARMS}")
+        if len(joints) != _JOINTS:
+            raise ConfigError(f"{files.urdf}: {len(joints)} movable joints; {_OTHER_ARMS}")
+        there = FrictionFile.read(files.friction).elements
+        if missing := [name for name in element_names(joints) if name not in there]:
+            raise ConfigError(f"{files.friction}: no friction element {listed(missing)}; {_OTHER_ARMS}")
     return Setup.load(files)
 
 
@@ -75,21 +91,21 @@ def _bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
     joints = setup.robot.joint_names
     options, mapping = with_signals(options, [bag])
     topic = options.topic or recorded_topic(bag, (MOTOR_STATES, JOINT_STATES), mapping)
-    names = () if options.names is not None else _first_names(bag, topic, mapping)
+    names: Sequence[str] = ()
+    if options.names is not None:
+        pass
+    elif is_table(bag):
+        names = next((t.names for one, t in mapping_of(bag, mapping).topics.items() if absolute(one) == topic), ())
+    else:
+        with BagReader(bag) as reader:
+            there = [one for one in reader.topics if one.name == absolute(topic) and one.is_joint_state]
+            if there and (first := next(reader.messages(there), None)):
+                names = [str(name) for name in reader.deserialize(first[0], first[2]).name]
     if names and not {*names} & {*joints, *MOTOR_NAMES}:
         raise IdentificationError(
             f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or --names; {_OTHER_ARMS}"
         )
     return arm_layout(topic, joints, options, lambda: setup.drives.gear, mapping)
-
-
-def _first_names(bag: Path, topic: str, mapping: LogMapping | None) -> Sequence[str]:
-    if is_table(bag):
-        return next((t.names for name, t in mapping_of(bag, mapping).topics.items() if absolute(name) == topic), ())
-    with BagReader(bag) as reader:
-        there = [one for one in reader.topics if one.name == absolute(topic) and one.is_joint_state]
-        first = next(reader.messages(there), None) if there else None
-        return [str(name) for name in reader.deserialize(first[0], first[2]).name] if first else []
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,35 +152,16 @@ class MeasuredComparison:
         """Return the torques, as a validation of friction compares them."""
         return TorquePrediction(self.time, self.torque, self.simulated_torque, self.compared)
 
-    @property
-    def torque_rms(self) -> Array:
-        """Return the RMS torque difference where a joint moves, Nm, shape (6,); NaN for a joint at rest."""
-        return self.agreement.rms
-
-    @property
-    def torque_worst(self) -> Array:
-        """Return the largest torque difference where a joint moves, Nm, shape (6,); NaN for a joint at rest."""
-        return self.agreement.worst
-
-    @property
-    def torque_share(self) -> Array:
-        """Return the RMS difference over the RMS measured torque, shape (6,)."""
-        return self.agreement.rms_share
-
-    @property
-    def worst_share(self) -> Array:
-        """Return the largest difference over the largest measured torque, shape (6,)."""
-        return self.agreement.worst_share
+    torque_rms = property(attrgetter("agreement.rms"), doc="RMS torque difference, Nm, shape (6,); NaN at rest.")
+    torque_worst = property(attrgetter("agreement.worst"), doc="Largest torque difference, Nm, shape (6,); or NaN.")
+    torque_share = property(attrgetter("agreement.rms_share"), doc="RMS difference over RMS torque, shape (6,).")
+    worst_share = property(attrgetter("agreement.worst_share"), doc="Largest difference over largest torque, (6,).")
+    total_share = property(attrgetter("agreement.total_share"), doc="RMS difference of all joints over RMS torque.")
 
     @property
     def compared_share(self) -> Array:
         """Return the share of the time in which a joint's torque is compared, shape (6,)."""
         return np.asarray(self.compared.mean(axis=0))
-
-    @property
-    def total_share(self) -> float:
-        """Return the RMS difference of all joints over their RMS measured torque."""
-        return self.agreement.total_share
 
     @property
     def position_rms(self) -> Array:
@@ -235,28 +232,37 @@ def compare_measured(
     what = _bag_layout(path, setup, layout)
     progress(path.name)
     record = read_record(path, what)
-    bandwidths = _bandwidths(record, setup, bandwidth)
-    pieces = filter_record(record, bandwidths)
+    pieces = filter_record(record, _bandwidths(record, setup, bandwidth))
     run = max(pieces, key=lambda piece: len(piece.time))
-    moves = _moves(run)
+    # A joint moves where every motor and friction element moves that it turns.
+    matrix = element_matrix()
+    rests = element_states(run, matrix)[0] @ (matrix != 0.0)
+    moves = np.asarray(~rests & (np.ptp(run.position, axis=0) > _MIN_TRAVEL))
     nothing = IdentificationError(
         f"{path}: no joint moves, and torques at rest are not compared; accepted: a joint that slides over "
         f"{1e3 * _MIN_TRAVEL:g} mrad or more"
     )
     if not moves.any():
         raise nothing
-    setpoints = recorded_setpoints(run, record.position[0], setup, what) or path_setpoints(run, setup)
-    beyond = setpoints.beyond(path, setup.controller.limits(setup.robot), setup.rates.position_period)
+    setpoints = _recorded_setpoints(run, record.position[0], setup, what) or path_setpoints(run, setup)
+    beyond = _beyond(setpoints, path, setup)
     progress("closed loop")
-    simulated = _Simulated(setup, setpoints, run)
+    simulated, begin, end, saturated = _simulated(setup, setpoints, run)
     progress("comparison")
-    rows = simulated.covered
+    time = run.time[run.rows]
+    rows = (time >= begin + _MAX_LAG_S) & (time <= end - _MAX_LAG_S)  # covered, however late the simulated arm is
+    if not rows.any():
+        raise IdentificationError("measured and simulated run have no time in common; accepted: a longer bag")
     if not moves[rows].any():
         raise nothing
-    time = run.time[run.rows][rows]
+    time, velocity = time[rows], run.velocity[run.rows][rows]
     measured = run.parallel(np.stack([run.position, run.torque], axis=1))[rows]
-    lag = simulated.lag(time, measured[:, 0], run.velocity[run.rows][rows])
-    follows = simulated.at(time + lag)
+    lag = 0.0
+    for _ in range(_LAG_ROUNDS):  # least squares of the positions
+        difference = simulated(time + lag - setpoints.start)[:, 0] - measured[:, 0]
+        lag -= float(np.sum(difference * velocity)) / float(np.sum(velocity**2))
+        lag = float(np.clip(lag, -_MAX_LAG_S, _MAX_LAG_S))
+    follows = np.asarray(simulated(time + lag - setpoints.start))
     return MeasuredComparison(
         names=run.names,
         robot=setup.robot.model.name,
@@ -268,9 +274,9 @@ def compare_measured(
         simulated_position=follows[:, 0],
         compared=moves[rows],
         lag=lag,
-        bandwidths=bandwidths,
+        bandwidths=run.bandwidths,
         setpoints=setpoints.source,
-        saturated=simulated.saturated,
+        saturated=saturated,
         remarks=(*beyond, *_remarks(record, pieces, run)),
         tolerances=tolerances,
     )
@@ -290,66 +296,180 @@ def _bandwidths(record: JointRecord, setup: Setup, bandwidth: float | None) -> B
     return Bandwidths(bandwidth, bandwidth / 3.0)
 
 
-class _Simulated:
-    """The simulated run, through the low-pass of the measured one, at any time."""
+class _SetPoints(NamedTuple):
+    """What the simulated arm is to follow; times by the bag's stamps, s, before `begin` the arm is brought there."""
 
-    def __init__(self, setup: Setup, setpoints: SetPoints, run: FilteredRun) -> None:
-        rates = setup.rates
-        # As often as it was measured: what a slow sampling folds into the band is then the same on both sides.
-        often = run.rate > 1.5 * rates.position_hz
-        fast, slow, self.saturated = run_along(setup, setpoints.values, setpoints.initial_position, record_fast=often)
-        if often:
-            turns = setup.drives.gear[:, None] * coupling_matrix()
-            position = fast.motor_states[:, 0] @ np.linalg.inv(turns).T
-            values = np.stack([position, fast.motor_states[:, 2] @ turns], axis=1)
-        else:
-            values = slow.joint_states[:, ::2]
-        rate = float(rates.base_hz if often else rates.position_hz)
-        taps = low_pass_taps(rate, run.bandwidths.torque)
-        filtered = low_pass(values, taps)
-        if len(filtered) < 4:
-            raise IdentificationError(f"{run.source.path}: too short for a low-pass of {run.bandwidths.torque:.3g} Hz")
-        since = (len(taps) // 2 + np.arange(len(filtered))) / rate
-        self._start = setpoints.start
-        self._curve: BSpline = make_interp_spline(since, filtered, k=3)
-        first, last = max(self._start + float(since[0]), setpoints.begin), self._start + float(since[-1])
-        time = run.time[run.rows]
-        self.covered: Mask = (time >= first + _MAX_LAG_S) & (time <= last - _MAX_LAG_S)
-        """Which of the run's rows it covers, however late it is."""
-        if not self.covered.any():
-            raise IdentificationError("measured and simulated run have no time in common; accepted: a longer bag")
-
-    def at(self, time: Array) -> Array:
-        """Return position rad and torque Nm at times, shape (k, 2, 6)."""
-        return np.asarray(self._curve(time - self._start))
-
-    def lag(self, time: Array, position: Array, velocity: Array) -> float:
-        """Return by how much it is later than the measured motion, s: least squares of the positions."""
-        lag, power = 0.0, float(np.sum(velocity**2))
-        for _ in range(_LAG_ROUNDS):
-            difference = self.at(time + lag)[:, 0] - position
-            lag = float(np.clip(lag - np.sum(difference * velocity) / power, -_MAX_LAG_S, _MAX_LAG_S))
-        return lag
+    start: float
+    values: Array  # position rad, velocity rad/s, acceleration rad/s^2, one for each position tick, shape (m, 3, 6)
+    begin: float
+    initial_position: Array  # where the simulated arm rests at `start`, rad, shape (6,)
+    source: str  # in words
 
 
-def _moves(run: FilteredRun) -> Mask:
-    """Return where each joint moves, and with it every motor and friction element that it turns, shape (k, 6)."""
-    matrix = element_matrix()
-    rests = element_states(run, matrix)[0] @ (matrix != 0.0)
-    return np.asarray(~rests & (np.ptp(run.position, axis=0) > _MIN_TRAVEL))
+def _recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, layout: BagLayout) -> _SetPoints | None:
+    """Return the set-points of this project's controller that a bag holds; None where it holds none.
+
+    A bag that begins at time 0 with an arm at rest is simulated as it ran, from its brakes on. `first` is where the
+    measured arm was at first, rad, shape (6,).
+    """
+    bag, period = run.source.path, setup.rates.position_period
+    found = read_setpoints(bag, run.names, layout.zero, layout.mapping)
+    if found is None:
+        return None
+    series, position, velocity = found
+    steps, time = np.diff(series.stamp_ns), series.time
+    if len(steps) < 2 or not (steps > 0).all() or steps.max() > _MAX_GAP_PERIODS * np.median(steps):
+        raise IdentificationError(f"{bag}: the set-points of {series.topic} have gaps; accepted: a steady stream")
+    if time[0] > run.time[-1] or time[-1] < run.time[0]:
+        raise IdentificationError(f"{bag}: {series.topic} and the measured states are of different times")
+    if (steps != setup.rates.period_ns * setup.rates.ratio).any():
+        since = (series.stamp_ns - series.stamp_ns[0]) / NANOSECONDS
+        curve = BPoly.from_derivatives(since, np.stack([position, velocity], axis=1))
+        even = np.arange(int(since[-1] / period + 1e-6) + 1) * period
+        position, velocity = curve(even), curve(even, 1)
+    values, source = setpoint_rows(position, velocity, setup), f"{REFERENCE} in the bag"
+    if series.stamp_ns[0] == 0 and np.abs(velocity[0]).max() < _REST_SPEED:
+        return _SetPoints(0.0, values, 0.0, np.clip(first, setup.robot.lower, setup.robot.upper), source)
+    return _with_lead_in(float(time[0]), values, setup, source)
+
+
+def path_setpoints(run: FilteredRun, setup: Setup) -> _SetPoints:
+    """Return the smoothed measured path as set-points, with the velocities and accelerations that belong to it."""
+    period = setup.rates.position_period
+    # From 0 on: stamps of the wall clock are rounded too much for accelerations.
+    samples = np.arange(len(run.time)) / run.rate
+    count = int(samples[-1] / period + 1e-6) + 1
+    curve, time = make_interp_spline(samples, run.position, k=5), np.minimum(np.arange(count) * period, samples[-1])
+    values = np.ascontiguousarray(np.stack([curve(time, nu) for nu in range(3)], axis=1))
+    source = f"the measured path below {run.bandwidths.position:.3g} Hz"
+    return _with_lead_in(float(run.time[0]), values, setup, source)
+
+
+def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> _SetPoints:
+    """Put a rest before set-points, and a motion from there to the velocity that they begin with."""
+    period, limits = setup.rates.position_period, setup.controller.limits(setup.robot)
+    position, velocity, _ = values[0]
+    lasting = max(_MIN_LEAD_S, float(np.max(2.0 * np.abs(velocity) / limits.acceleration)))
+    lead, hold = round(lasting / period), round(_HOLD_S / period)
+    rest = np.clip(position - 0.5 * lead * period * velocity, limits.lower, limits.upper)
+    rest = np.where(np.abs(velocity) < _REST_SPEED, position, rest)
+    still = np.stack([rest, np.zeros(6), np.zeros(6)])
+    curve, time = BPoly.from_derivatives([0.0, lead * period], np.stack([still, values[0]])), np.arange(lead) * period
+    moving = np.stack([curve(time, nu) for nu in range(3)], axis=1)
+    whole = np.ascontiguousarray(np.concatenate([np.broadcast_to(still, (hold, 3, 6)), moving, values]))
+    return _SetPoints(begin - (hold + lead) * period, whole, begin, rest, source)
+
+
+def _beyond(setpoints: _SetPoints, bag: Path, setup: Setup) -> tuple[str, ...]:
+    """Return a sentence for velocities, and one for accelerations, that the controller would refuse.
+
+    A measured arm did move so: they are simulated all the same, up to what the controller's supervision stops.
+    Positions beyond a joint's range are refused.
+    """
+    limits, found = setup.controller.limits(setup.robot), []
+    for k, (what, unit, low, high) in enumerate((
+        ("position", "rad", limits.lower, limits.upper),
+        ("velocity", "rad/s", -limits.velocity, limits.velocity),
+        ("acceleration", "rad/s^2", -limits.acceleration, limits.acceleration),
+    )):  # fmt: skip
+        values = setpoints.values[:, k]
+        beyond = np.maximum(low - values, values - high) / (high - low)
+        row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+        if beyond[row, joint] <= _RANGE_SLACK:
+            continue
+        time = setpoints.start + row * setup.rates.position_period
+        where = f"{time:.3f} s" if time >= setpoints.begin else "the lead-in, before the bag begins"
+        fault = (
+            f"{limits.names[joint]} needs the {what} {values[row, joint]:.4g} {unit} at {where}; accepted by the "
+            f"robot's files: [{low[joint]:.4g}, {high[joint]:.4g}] {unit}"
+        )
+        if k == 0:
+            raise TrajectoryError(f"{bag}: {fault}; set-points are {setpoints.source}")
+        found.append(f"{fault}; the simulation goes on nevertheless")
+    return tuple(found)
+
+
+def _simulated(setup: Setup, setpoints: _SetPoints, run: FilteredRun) -> tuple[BSpline, float, float, Array]:
+    """Return the simulated run through the low-pass of the measured one.
+
+    Returns:
+        Position rad and torque Nm by the time since the first set-point, shape (k, 2, 6), first and last time that it
+        covers, by the bag's stamps, and the share of the time in which each motor was at its limit, shape (6,).
+    """
+    # As often as it was measured: what a slow sampling folds into the band is then the same on both sides.
+    rates, often = setup.rates, run.rate > 1.5 * setup.rates.position_hz
+    fast, slow, saturated = run_along(setup, setpoints.values, setpoints.initial_position, record_fast=often)
+    values, rate = slow.joint_states[:, ::2], float(rates.base_hz if often else rates.position_hz)
+    if often:
+        turns = setup.drives.gear[:, None] * coupling_matrix()
+        position = fast.motor_states[:, 0] @ np.linalg.inv(turns).T
+        values = np.stack([position, fast.motor_states[:, 2] @ turns], axis=1)
+    taps = low_pass_taps(rate, run.bandwidths.torque)
+    filtered = low_pass(values, taps)
+    if len(filtered) < 4:
+        raise IdentificationError(f"{run.source.path}: too short for a low-pass of {run.bandwidths.torque:.3g} Hz")
+    since = (len(taps) // 2 + np.arange(len(filtered))) / rate
+    begin, end = (setpoints.start + float(since[k]) for k in (0, -1))
+    return make_interp_spline(since, filtered, k=3), max(begin, setpoints.begin), end, saturated
 
 
 def _remarks(record: JointRecord, pieces: tuple[FilteredRun, ...], run: FilteredRun) -> tuple[str, ...]:
     """Return what of the bag is not compared, and why."""
-    said = []
+    found = []
     cut = 2.0 * (1.5 / run.bandwidths.position + 12.0 / run.rate)  # what the filters take at both ends
     if len(pieces) > 1 or record.time[-1] - record.time[0] - (run.time[-1] - run.time[0]) > 1.5 * cut:
-        said.append(
+        found.append(
             f"there are gaps in the record: only {run.time[0]:.3f} to {run.time[-1]:.3f} s of {record.time[0]:.3f} to "
             f"{record.time[-1]:.3f} s is compared, the longest part without one"
         )
     if record.outliers:
-        said.append(f"{record.outliers} samples were left out: NaN, single spikes or repeated stamps")
+        found.append(f"{record.outliers} samples were left out: NaN, single spikes or repeated stamps")
     if record.missing:
-        said.append(f"{record.missing} messages are missing from the stream")
-    return tuple(said)
+        found.append(f"{record.missing} messages are missing from the stream")
+    return tuple(found)
+
+
+def read_setpoints(
+    bag: Path, names: Sequence[str], zero: Array | None, mapping: LogMapping | None = None
+) -> tuple[JointSeries, Array, Array] | None:
+    """Return the set-points of this project's controller that a bag holds; None where it holds none.
+
+    Args:
+        bag: the bag.
+        names: of the joints.
+        zero: recorded angles where those of the URDF are 0, rad, shape (6,); they are taken off the positions.
+        mapping: what the columns of a table hold, where that is not in the file beside it.
+
+    Returns:
+        The series as it is in the bag, positions rad and velocities rad/s, shape (m, 6).
+    """
+    if absolute(REFERENCE) not in topic_names(bag, mapping):
+        return None
+    series = read_joint_states(bag, REFERENCE, names, mapping=mapping)
+    if series.position is None or series.velocity is None:
+        return None
+    return series, series.position if zero is None else series.position - zero, series.velocity
+
+
+def setpoint_rows(position: Array, velocity: Array, setup: Setup) -> Array:
+    """Return set-points at the position loop's rate with the accelerations that belong to them, shape (m, 3, 6)."""
+    acceleration = np.gradient(velocity, setup.rates.position_period, axis=0)
+    return np.ascontiguousarray(np.stack([position, velocity, acceleration], axis=1))
+
+
+def run_along(
+    setup: Setup, setpoints: Array, start: Array, *, record_fast: bool = False
+) -> tuple[FastSeries, SlowSeries, Array]:
+    """Run the closed loop along set-points, shape (m, 3, 6), from rest at `start`, rad, shape (6,).
+
+    Returns:
+        What the base rate and the position loop's rate recorded, and the share of the ticks in which each motor was at
+        its limit, shape (6,).
+    """
+    ticks = len(setpoints) * setup.rates.ratio
+    plant, controller = setup.plant(), setup.cs7b()
+    plant.reset(start)
+    controller.reset(plant.motor_states()[0])
+    fast, slow = empty_series(ticks, setup.rates.ratio, record_fast=record_fast)
+    run_setpoints(plant, controller, setpoints, ticks, fast, slow)
+    return fast, slow, np.asarray(controller.saturated / ticks)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
-from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import forward
@@ -19,10 +20,9 @@ from rx90_emulator.identification.options import ValidationTolerances
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.sliding.fit import SlidingFit
-from rx90_emulator.identification.validation.setpoints import read_setpoints, run_along, setpoint_rows
+from rx90_emulator.identification.validation.measured import read_setpoints, run_along, setpoint_rows
 from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
 from rx90_emulator.identification.zeros import ZeroCheck, check_zeros, record_instants
-from rx90_emulator.loop.setup import Setup
 
 _BANDWIDTH_HZ = 40.0  # Hz, of the compared torques: above it lies the noise of differentiated velocities
 _MOVING_SPEED = 1e-3  # rad/s, at which the arm counts as moving
@@ -53,49 +53,33 @@ class Validation:
     source: str
     zeros: ZeroCheck | None = None
 
-    @property
-    def rms(self) -> Array:
-        """Return the RMS torque difference, Nm, shape (n,); NaN for a joint at rest, as are the next three."""
-        return self.torque.rms
-
-    @property
-    def worst(self) -> Array:
-        """Return the largest torque difference, Nm, shape (n,)."""
-        return self.torque.worst
-
-    @property
-    def rms_share(self) -> Array:
-        """Return the RMS difference over the RMS recorded torque, shape (n,)."""
-        return self.torque.rms_share
-
-    @property
-    def worst_share(self) -> Array:
-        """Return the largest difference over the largest recorded torque, shape (n,)."""
-        return self.torque.worst_share
+    rms = property(attrgetter("torque.rms"), doc="RMS torque difference, Nm, shape (n,); NaN for a joint at rest.")
+    worst = property(attrgetter("torque.worst"), doc="Largest torque difference, Nm, shape (n,); NaN as in `rms`.")
+    rms_share = property(attrgetter("torque.rms_share"), doc="RMS difference over RMS recorded torque, shape (n,).")
+    worst_share = property(attrgetter("torque.worst_share"), doc="Largest difference over largest torque, shape (n,).")
 
     @property
     def largest_share(self) -> float:
         """Return the largest RMS difference of a joint that moves over its RMS recorded torque."""
-        return float(np.nanmax(self.rms_share))
+        return float(np.nanmax(self.torque.rms_share))
 
     @property
     def tip_worst(self) -> float:
         """Return the largest distance of the tips, m; NaN without set-points."""
-        return float(self.tip_distance.max()) if len(self.tip_distance) else float("nan")
+        return float(self.tip_distance.max()) if len(self.tip_distance) else math.nan
 
     @property
     def tip_rms(self) -> float:
         """Return the RMS distance of the tips, m; NaN without set-points."""
-        return float(np.sqrt(np.mean(self.tip_distance**2))) if len(self.tip_distance) else float("nan")
+        return float(np.sqrt(np.mean(self.tip_distance**2))) if len(self.tip_distance) else math.nan
 
     @property
     def criteria(self) -> tuple[Criterion, Criterion, Criterion]:
         """Return what the verdict rests on: RMS and largest difference of torques, distance of the tips."""
-        limits = self.tolerances
         return (
-            largest("torque RMS", self.names, self.rms_share, limits.torque),
-            largest("worst", self.names, self.worst_share, limits.worst_torque),
-            Criterion("tip worst", self.tip_worst, limits.tip, unit="um"),
+            largest("torque RMS", self.names, self.torque.rms_share, self.tolerances.torque),
+            largest("worst", self.names, self.torque.worst_share, self.tolerances.worst_torque),
+            Criterion("tip worst", self.tip_worst, self.tolerances.tip, unit="um"),
         )
 
     @property
@@ -123,43 +107,25 @@ def validate(
     Raises:
         Rx90Error: if the bag cannot be read or used.
     """
-    bag = record.source
-    torque = predict_torque(robot.arm, lugre, sliding, record)
-    tip_time, distance = np.zeros(0), np.zeros(0)
-    if robot.setup is not None:
-        reference = read_setpoints(bag, record.names, robot.zero, robot.mapping)
-        if reference is not None:
-            tip_time, distance = tip_difference(robot.setup, lugre, record, reference)
+    torque = _predict_torque(robot.arm, lugre, sliding, record)
+    tip_time, distance = _tip_difference(robot, lugre, record)
     # With sweeps, these have been asked already.
     zeros = check_zeros(record_instants(record, robot.arm), robot.arm, robot.zero) if sliding is None else None
-    return Validation(record.names, torque, tip_time, distance, tolerances, str(bag), zeros)
+    return Validation(record.names, torque, tip_time, distance, tolerances, str(record.source), zeros)
 
 
-def predict_torque(
+def _predict_torque(
     arm: RigidArm, lugre: tuple[FrictionElement, ...], sliding: SlidingFit | None, record: JointRecord
 ) -> TorquePrediction:
-    """Predict the drives' torques along a recorded motion, from its beginning on.
-
-    Args:
-        arm: rigid-body model.
-        lugre: its friction elements.
-        sliding: fit whose error of the arm's weights is applied where it is known; None: the weights of the model.
-        record: the motion and the recorded torques.
-
-    Raises:
-        IdentificationError: if no joint moves in the record.
-    """
-    step = float(np.median(np.diff(record.time)))
+    """Predict the drives' torques along a recorded motion, from its beginning on; refuse one in which nothing moves."""
+    time, position = record.time, record.position
+    step = float(np.median(np.diff(time)))
     sections = butter(4, min(_BANDWIDTH_HZ, 0.4 / step), fs=1.0 / step, output="sos")
-
-    def smooth(values: Array) -> Array:
-        return np.asarray(sosfiltfilt(sections, values, axis=0))
-
     moving = np.flatnonzero(np.abs(record.velocity).max(axis=1) > _MOVING_SPEED)
-    if len(moving) == 0 or record.time[-1] - record.time[moving[0]] < 4.0 * _FILTER_EDGE_S:
+    if len(moving) == 0 or time[-1] - time[moving[0]] < 4.0 * _FILTER_EDGE_S:
         raise IdentificationError(f"{record.source}: the arm does not move; accepted: a run of all joints")
-    velocity = smooth(record.velocity)
-    inside = (record.time > record.time[moving[0]] + _FILTER_EDGE_S) & (record.time < record.time[-1] - _FILTER_EDGE_S)
+    velocity = np.asarray(sosfiltfilt(sections, record.velocity, axis=0))
+    inside = (time > time[moving[0]] + _FILTER_EDGE_S) & (time < time[-1] - _FILTER_EDGE_S)
     kept = np.flatnonzero(inside)[:: max(1, round(0.1 / _BANDWIDTH_HZ / step))]
     span = 2 * round(0.5 * _FILTER_EDGE_S / step) + 1
     compared = minimum_filter1d(np.abs(velocity), span, axis=0)[kept] > _COMPARED_SPEED
@@ -168,21 +134,16 @@ def predict_torque(
             f"{record.source}: no joint moves at {1e3 * _COMPARED_SPEED:g} mrad/s for {2.0 * _FILTER_EDGE_S:g} s, and "
             "torques at rest are not compared; accepted: a run of all joints"
         )
-    friction = smooth(_friction_along(arm.element_matrix, lugre, record.time, record.position))
-    position, acceleration = record.position[kept], np.gradient(velocity, record.time, axis=0)[kept]
-    rigid = arm.torque(position, record.velocity[kept], acceleration)
-    recorded = smooth(record.torque)[kept]
-    if sliding is not None:
-        rigid = rigid + _error_of_weights(arm, sliding, position, recorded)
-    return TorquePrediction(record.time[kept], recorded, rigid + friction[kept], compared)
-
-
-def _friction_along(element_matrix: Array, lugre: tuple[FrictionElement, ...], time: Array, position: Array) -> Array:
-    """Return the friction torque at the joints along a motion, Nm, shape (m, n)."""
-    inputs = position @ element_matrix.T
-    steps = np.diff(time, prepend=time[0])
+    inputs, steps = position @ arm.element_matrix.T, np.diff(time, prepend=time[0])
     mean = np.diff(inputs, axis=0, prepend=inputs[:1]) / np.where(steps > 0.0, steps, 1.0)[:, None]
-    return np.asarray(prescribed_torque(lugre, mean, steps) @ element_matrix)
+    friction, recorded = (
+        np.asarray(sosfiltfilt(sections, values, axis=0))[kept]
+        for values in (prescribed_torque(lugre, mean, steps) @ arm.element_matrix, record.torque)
+    )
+    rigid = arm.torque(position[kept], record.velocity[kept], np.gradient(velocity, time, axis=0)[kept])
+    if sliding is not None:
+        rigid = rigid + _error_of_weights(arm, sliding, position[kept], recorded)
+    return TorquePrediction(time[kept], recorded, rigid + friction, compared)
 
 
 def _error_of_weights(arm: RigidArm, sliding: SlidingFit, position: Array, recorded: Array) -> Array:
@@ -201,16 +162,18 @@ def _error_of_weights(arm: RigidArm, sliding: SlidingFit, position: Array, recor
     return np.asarray(np.where(known, regressor @ sliding.inertial, 0.0))
 
 
-def tip_difference(
-    setup: Setup, lugre: tuple[FrictionElement, ...], record: JointRecord, reference: JointSeries
+def _tip_difference(
+    robot: RecordedRobot, lugre: tuple[FrictionElement, ...], record: JointRecord
 ) -> tuple[Array, Array]:
     """Return time and distance of the tip of the closed loop, run along the recorded set-points, from the recorded one.
 
-    Raises:
-        IdentificationError: if the set-points have gaps.
-        DivergenceError: naming joint and tick.
-        SupervisionError: if the controller's supervision cuts the power.
+    They are empty where that cannot be simulated; set-points with gaps are refused.
     """
+    setup = robot.setup
+    series = None if setup is None else read_setpoints(record.source, record.names, robot.zero, robot.mapping)
+    if setup is None or series is None:
+        return np.zeros(0), np.zeros(0)
+    reference, position, velocity = series
     period_ns = setup.rates.period_ns * setup.rates.ratio
     gaps = np.flatnonzero(np.diff(reference.stamp_ns) != period_ns)
     if len(gaps):
@@ -218,12 +181,10 @@ def tip_difference(
             f"{record.source}: the set-points of {reference.topic} have a gap at {reference.time[gaps[0]]:.3f} s; "
             f"accepted: one every {period_ns / 1e6:g} ms"
         )
-    assert reference.position is not None
-    assert reference.velocity is not None
     first = int(np.searchsorted(record.time, reference.time[0] - 1e-9))
     start = np.clip(record.position[first], setup.robot.lower, setup.robot.upper)
     identified = replace(setup, friction=FrictionSet(setup.friction.names, lugre))
-    _, slow, _ = run_along(identified, setpoint_rows(reference.position, reference.velocity, setup), start)
+    _, slow, _ = run_along(identified, setpoint_rows(position, velocity, setup), start)
     recorded = np.column_stack([np.interp(reference.time, record.time, joint) for joint in record.position.T])
     inside = (reference.time >= record.time[0]) & (reference.time <= record.time[-1])
     tips = [forward(setup.robot.chain, q).position for q in (slow.joint_states[:, 0], recorded)]

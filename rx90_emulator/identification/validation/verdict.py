@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -29,6 +30,11 @@ class TorquePrediction:
     predicted: Array
     compared: Mask
 
+    @cached_property
+    def difference(self) -> Array:
+        """Return predicted less recorded torque where a joint moves, Nm, shape (m, n); NaN elsewhere."""
+        return np.where(self.compared, self.predicted - self.recorded, np.nan)
+
     @property
     def rms(self) -> Array:
         """Return the RMS difference where a joint moves, Nm, shape (n,); NaN for a joint at rest."""
@@ -37,8 +43,7 @@ class TorquePrediction:
     @property
     def worst(self) -> Array:
         """Return the largest difference where a joint moves, Nm, shape (n,); NaN for a joint at rest."""
-        largest = np.where(self.compared, np.abs(self.predicted - self.recorded), 0.0).max(axis=0)
-        return np.where(self.compared.any(axis=0), largest, np.nan)
+        return np.asarray(np.fmax.reduce(np.abs(self.difference), axis=0))
 
     @property
     def rms_share(self) -> Array:
@@ -53,10 +58,9 @@ class TorquePrediction:
     @property
     def total_share(self) -> float:
         """Return the RMS difference of all joints over their RMS recorded torque."""
-        difference, recorded = (
-            np.where(self.compared, values, 0.0) for values in (self.predicted - self.recorded, self.recorded)
-        )
-        return float(np.linalg.norm(difference) / np.linalg.norm(recorded))
+        both = self.predicted - self.recorded, self.recorded
+        difference, recorded = (np.linalg.norm(np.where(self.compared, values, 0.0)) for values in both)
+        return float(difference / recorded)
 
     def _rms(self, values: Array) -> Array:
         count = self.compared.sum(axis=0)
@@ -73,7 +77,7 @@ class Criterion:
         value: its largest value, NaN if it is not compared.
         limit: up to which it agrees.
         joint: that has the value; "" for a quantity of the whole arm.
-        unit: of the text; %, or a millionth or thousandth of the value's own.
+        unit: of the text: %, mrad or um.
         digits: behind the point.
     """
 
@@ -92,12 +96,11 @@ class Criterion:
     @property
     def text(self) -> str:
         """Return quantity, value, joint and limit: "torque RMS 0.13% (joint_6, limit 5%)"."""
-        scale = {"%": 1e2, "mrad": 1e3}.get(self.unit, 1e6)
-        value = (
-            f"{self.value:.{self.digits}%}" if self.unit == "%" else f"{scale * self.value:.{self.digits}f} {self.unit}"
+        scale, unit, after = {"%": (1e2, "%", "%"), "mrad": (1e3, " mrad", ""), "um": (1e6, " um", "")}[self.unit]
+        whose = f"{self.joint}, " if self.joint else ""
+        return (
+            f"{self.quantity} {scale * self.value:.{self.digits}f}{unit} ({whose}limit {scale * self.limit:g}{after})"
         )
-        limit = f"{scale * self.limit:g}{'%' * (self.unit == '%')}"
-        return f"{self.quantity} {value} ({f'{self.joint}, ' * bool(self.joint)}limit {limit})"
 
 
 def largest(

@@ -190,7 +190,11 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
             "1,2,3",
             "position.counts_per_turn stands beside unit: rad; accepted: ",
         ),
-        (("rad", "rad, factor: [1, 0]"), "1,2,3", "position.factor[1] is 0; accepted: 2 numbers, each a finite number other than 0"),
+        (
+            ("rad", "rad, factor: [1, 0]"),
+            "1,2,3",
+            "position.factor[1] is 0; accepted: 2 numbers, each a finite number other than 0",
+        ),
         (("rad", "rad, file: 2"), "1,2,3", ": 1 log; accepted: 2, those that "),
         (("[2, 3]", "[qb, 3]"), "t,qa,qb\n1,2,3", ": column 3 in joint_states.position is that of another joint"),
         (("[2, 3]", "[2, 1]"), "1,2,3", "log.csv: column 1 in joint_states.position is that of the times; accepted"),

@@ -8,7 +8,6 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -20,6 +19,7 @@ from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import EXECUTABLES, run
 from rx90_emulator.configuration.check import kind_of
+from rx90_emulator.configuration.kinds import KINDS
 from rx90_emulator.configuration.origins import setup_values
 
 Captured = pytest.CaptureFixture[str]
@@ -68,35 +68,31 @@ def line_of(path: Path, text: str) -> int:
     return 1 + next(i for i, line in enumerate(path.read_text("utf-8").splitlines()) if text in line)
 
 
-def test_all_problems_of_a_file_are_told_with_their_lines(arm: Path, capsys: Captured) -> None:
-    """Each of several faults of a file is a line of its own, with the line in the file, value and what is accepted."""
-    tool = arm / "tool.yaml"
+def test_all_problems_of_files_are_told_with_their_lines(arm: Path, capsys: Captured) -> None:
+    """Each of several faults is a line of its own, with file, line, value and what is accepted; no file hides others.
+
+    So are rules that tie two values together, and what is no YAML; the exit code is that of a file that is not there.
+    """
+    tool, friction, task = (arm / f"{name}.yaml" for name in ("tool", "friction", "task"))
     edited(tool, ("mass: 3.5", "mass: -3.5"), ("beam: [0.170", "beam: [high"), ("tcp:", "\u202ecolour: red\ntcp:"))
-    assert run("rx90_config", ["check", str(tool)]) == 1
+    edited(friction, ("tau_c: 18.0", "tau_c: 38.0"))
+    edited(task, ("speed: 0.1", "speed: [0.1"))
+    files = [str(path) for path in (tool, friction, task)]
+    assert run("rx90_config", ["check", *files]) == 1
     said = capsys.readouterr().out.splitlines()
-    assert said == [
+    assert said[:2] == [
         f"{tool}:{line_of(tool, 'mass:')}: inertial.mass is -3.5; accepted: a number > 0",
         f"{tool}:{line_of(tool, 'beam:')}: visual.cylinders.beam[0] is 'high'; accepted: 3 numbers, "
         "each a finite number",
-        f"{tool}:{line_of(tool, 'colour:')}: \\u202ecolour is not a known key; accepted: collision, inertial, tcp, "
-        "visual",
     ]
-
-
-def test_what_only_the_reader_sees_is_told_too(arm: Path, capsys: Captured) -> None:
-    """A rule that ties two values together is told with the line, and so is the place of what is no YAML.
-
-    A file that is not there hides no problem of others; the exit code is that of the refusal.
-    """
-    friction, task = arm / "friction.yaml", arm / "task.yaml"
-    edited(friction, ("tau_c: 18.0", "tau_c: 38.0"))
-    edited(task, ("speed: 0.1", "speed: [0.1"))
-    assert run("rx90_config", ["check", "nowhere.yaml", str(friction), str(task)]) == 2
-    said = capsys.readouterr()
-    first, second = said.out.splitlines()
-    assert first.startswith(f"{friction}:{line_of(friction, 'joint_3:')}: elements.joint_3: tau_s_positive is 23.0")
-    assert re.match(rf"{re.escape(str(task))}:\d+: not valid YAML", second)
-    assert "nowhere.yaml: no such file" in said.err
+    colour = f"{tool}:{line_of(tool, 'colour:')}: \\u202ecolour is not a known key; accepted: collision, inertial, tcp"
+    assert said[2].startswith(colour)
+    assert said[3].startswith(f"{friction}:{line_of(friction, 'joint_3:')}: elements.joint_3: tau_s_positive is 23.0")
+    assert re.match(rf"{re.escape(str(task))}:\d+: not valid YAML", said[4])
+    assert run("rx90_config", ["check", "nowhere.yaml", *files]) == 2
+    again = capsys.readouterr()
+    assert again.out.splitlines() == said
+    assert "nowhere.yaml: no such file" in again.err
 
 
 def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captured) -> None:
@@ -117,6 +113,19 @@ def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captu
     assert "kind 'toll'; accepted: drives, tool," in capsys.readouterr().err
     assert run("rx90_config", ["check", str(tmp_path / "gone.yaml")]) == 2
     assert "gone.yaml: no such file; accepted" in capsys.readouterr().err
+
+
+def test_moveits_own_files_are_refused_in_short(capsys: Captured) -> None:
+    """Files whose keys are MoveIt's are of no kind of the project; the kinds that there are stand in the line once."""
+    files = [str(path) for path in config_path("moveit").glob("*.yaml")]
+    assert len(files) == 5
+    assert run("rx90_config", ["check", *files]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    kinds = ", ".join([*(kind.name for kind in KINDS), "node_parameters"])
+    assert line.endswith(f"; accepted: {kinds}")
+    assert line.count("accepted") == 1
+    assert all(f"{file}: of no kind that is checked, as MoveIt's own files" in line for file in files)
+    assert len(line) < 300 + sum(map(len, files)) + 60 * len(files)
 
 
 @pytest.mark.parametrize(
@@ -168,58 +177,42 @@ def test_a_parameter_file_of_the_nodes_is_checked(tmp_path: Path, capsys: Captur
     assert ":1: rx90_sim.ros__parameters.paused is {}; accepted: true or false" in capsys.readouterr().out
 
 
-def test_every_value_is_shown_with_the_line_that_it_comes_from(show: Show) -> None:
-    """The values are those of the files, the line holds the key, and what the file calls assumed is marked."""
-    values = show("--robot", "tx40")
-    seen = 0
-    for role in ("drives", "friction", "controller"):
-        path = config_path(f"robots/tx40/{role}.yaml")
-        lines, data = path.read_text("utf-8").splitlines(), yaml.safe_load(path.read_text("utf-8"))
-        for name, one in values.items():
-            origin, _, line = str(one["origin"]).rpartition(":")
-            if name.startswith(f"{role}.") and origin:
-                *above, key = name.split(".")[1:]
-                holder = data
-                for part in above:
-                    holder = holder[part]
-                assert one["value"] == pytest.approx(holder[key])
-                assert f"{key}:" in lines[int(line) - 1]
-                around = [data, data[above[0]], holder]
-                for word in ("provenance", "source"):
-                    given = [each[word] for each in around if isinstance(each, dict) and word in each]
-                    said = [each.get(key) if isinstance(each, dict) else each for each in given]
-                    assert one[word] == [each for each in said if each is not None][-1]
-                assert one["assumed"] == (one["provenance"] == "assumed")
-                seen += 1
-    assert seen > 60
-    assert values["friction.elements.joint_1.alpha"]["origin"] == "default of the code"
-    assert values["drives.motor.peak_current"]["unit"] == "A"
-    assert values["file.tool"]["value"] == "none"
+def leaves(content: dict[str, object], before: str, *around: object) -> Iterator[tuple[str, object, list[object]]]:
+    """Yield the place of each value of a file, the value, and the mappings around it."""
+    for key, value in content.items():
+        if key not in {"source", "provenance", "note"} and isinstance(value, dict):
+            yield from leaves(value, f"{before}.{key}", *around, content)
+        elif key not in {"source", "provenance", "note"}:
+            yield f"{before}.{key}", value, [*around, content]
 
 
-def test_the_rig_is_shown_with_the_lines_that_it_comes_from(show: Show, capsys: Captured) -> None:
-    """Every number of the rig file, also of the friction that its model names, with unit, line and provenance."""
-    path = config_path("rig/gm8224_lugre.yaml")
-    lines, data = path.read_text("utf-8").splitlines(), yaml.safe_load(path.read_text("utf-8"))
-    shown = {name: one for name, one in show("--rig", "rig/gm8224_lugre.yaml").items() if name.startswith("rig.")}
+@pytest.mark.parametrize("file", ["drives", "friction", "controller", "rig/gm8224_lugre.yaml"])
+def test_every_value_is_shown_with_the_line_that_it_comes_from(show: Show, file: str) -> None:
+    """Each value of a robot's files, and of a rig's, has the line, provenance and source that the file gives it."""
+    role, name = ("rig", file) if "/" in file else (file, f"robots/tx40/{file}.yaml")
+    lines, data = (read(config_path(name).read_text("utf-8")) for read in (str.splitlines, yaml.safe_load))
+    values = show("--robot", "tx40", "--rig", "rig/gm8224_lugre.yaml")
+    own = {key for key, one in values.items() if key.startswith(f"{role}.") and str(one["origin"]).startswith(name)}
+    expected = list(leaves(data, role))
+    assert own == {place for place, *_ in expected if not place.startswith("friction.identification")}
+    assert len(own) > 10
+    for place, value, around in expected:
+        one, key = values[place], place.rpartition(".")[2]
+        assert one["value"] == value
+        assert f"{key}:" in lines[int(str(one["origin"]).rpartition(":")[2]) - 1]
+        for word in ("provenance", "source"):
+            given = [each[word] for each in around if isinstance(each, dict) and word in each]
+            said = [each.get(key, each.get("others")) if isinstance(each, dict) else each for each in given]
+            assert one[word] == ([each for each in said if each is not None] or [""])[-1]
+        assert one["assumed"] == (one["provenance"] == "assumed")
 
-    def leaves(content: dict[str, object], before: str) -> Iterator[tuple[str, object]]:
-        for key, value in content.items():
-            if isinstance(value, dict):
-                yield from leaves(value, f"{before}.{key}")
-            elif key not in {"source", "provenance", "note"}:
-                yield f"{before}.{key}", value
 
-    expected = dict(leaves(data, "rig"))
-    assert {name: one["value"] for name, one in shown.items() if one["origin"] != "default of the code"} == expected
-    for name in expected:
-        file, _, line = str(shown[name]["origin"]).rpartition(":")
-        assert file == "rig/gm8224_lugre.yaml"
-        assert f"{name.rpartition('.')[2]}:" in lines[int(line) - 1]
-    assert shown["rig.gear.ratio"]["provenance"] == "published"
-    resistance = shown["rig.emulation.motor.resistance"]
-    assert (resistance["assumed"], resistance["unit"]) == (True, "ohm")
-    usual = show()
+def test_units_defaults_and_the_choice_of_files_are_shown(show: Show, capsys: Captured) -> None:
+    """What no file has is a default of the code; the rig's file is that of an option, of its node, or shipped."""
+    usual = show("--robot", "tx40")
+    assert usual["friction.elements.joint_1.alpha"]["origin"] == "default of the code"
+    assert usual["drives.motor.peak_current"]["unit"] == "A"
+    assert usual["file.tool"]["value"] == "none"
     assert (usual["file.rig"]["value"], usual["file.rig"]["origin"]) == ("rig/gm8224.yaml", "default of the code")
     assert usual["rig.emulation.joint_friction.model"]["value"] == "coulomb_viscous"
     of_node = show("-p", "friction_bench:seed:=7", "-p", "friction_bench:rig:=rig/gm8224_lugre.yaml")
@@ -240,8 +233,12 @@ def test_what_the_nodes_are_given_wins_in_the_order_of_ros(show: Show, tmp_path:
     assert usual[PACE]["origin"] == "default of the code"
     assert str(usual["controller.servo.kp"]["origin"]).startswith("robots/rx90b/controller.yaml:")
     values = show("--params-file", str(file))
-    for name, value, line in ((PACE, 0.5, 3), ("controller.servo.kp", [1, 2, 3, 4, 5, 6], 7)):
-        assert (values[name]["value"], values[name]["origin"]) == (value, f"{file}:{line}")
+    assert (values[PACE]["value"], values[PACE]["origin"]) == (
+        0.5, f"{file}:3",
+    )  # fmt: skip
+    assert (values["controller.servo.kp"]["value"], values["controller.servo.kp"]["origin"]) == (
+        [1, 2, 3, 4, 5, 6], f"{file}:7",
+    )  # fmt: skip
     assert values["controller.feed_forward.coulomb"]["value"] is False
     assert values["file.tool"]["value"] == usual["file.tool"]["value"]
     single = show("--params-file", str(file), "-p", "robot:=tx40", "--ros-args", "-p", "rx90_sim:real_time_factor:=0")
@@ -271,73 +268,55 @@ def test_the_table_names_assumptions_and_their_sources(capsys: Captured) -> None
     assert re.search(r"^\d+ of \d+ values are assumed$", out, re.MULTILINE)
 
 
-ASK = {
-    "bash": """
-source {script}
-function_=$(complete -p {program} | sed 's/.*-F \\([^ ]*\\) .*/\\1/')
-COMP_WORDS=({words} {last}); COMP_CWORD=$(( ${{#COMP_WORDS[@]}} - 1 ))
-$function_ {program}; printf '%s\\n' "${{COMPREPLY[@]}}"
-""",
-    "fish": "source {script}; complete -C '{words}' | string replace -r '\\t.*' ''",
+OFFERED = {
+    "rx90_bag ": {"record", "compare", "info", "import"},
+    "rx90_bag record --stor": {"--storage"},
+    "rx90_bag record --storage ": {"mcap", "sqlite3"},
+    "rx90_bag record motor_s": {"motor_states"},
+    "rx90_run --robot r": {"rx90b", "robots"},
+    "rx90_run --task m": {"my_task.yaml"},
+    "rx90_run --output ": {"robots"},
+    "rx90_sweep run sweep/p": {"sweep/payload_and_speed.yaml"},
+    "rx90_config check m": {"my_task.yaml"},
+    "rx90_sim --params-file m": {"my_task.yaml"},
+    **{f"{name} --": {"--help"} for name in EXECUTABLES},
 }
-"""What a shell is asked for its completions."""
-
-
-@pytest.fixture(scope="module")
-def scripts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Return the files of the completion."""
-    files = {shell: tmp_path_factory.mktemp("completion") / f"rx90.{shell}" for shell in ASK}
-    for shell, file in files.items():
-        with file.open("w", encoding="utf-8") as stream, redirect_stdout(stream):
-            assert run("rx90_config", ["completion", shell]) == 0
-    return files
-
-
-@pytest.mark.parametrize("shell", ASK)
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ("rx90_bag ", {"record", "compare", "info", "import"}),
-        ("rx90_bag record --stor", {"--storage"}),
-        ("rx90_bag record --storage ", {"mcap", "sqlite3"}),
-        ("rx90_bag record motor_s", {"motor_states"}),
-        ("rx90_sim --", {"--help", "--ros-args"}),
-        ("rx90_run --robot r", {"rx90b", "robots"}),
-        ("rx90_run --task m", {"my_task.yaml"}),
-        ("rx90_run --output ", {"robots"}),
-        ("rx90_sweep run sweep/p", {"sweep/payload_and_speed.yaml"}),
-        ("rx90_config check m", {"my_task.yaml"}),
-        ("rx90_sim --params-file m", {"my_task.yaml"}),
-    ],
-)
-def test_a_shell_completes_verbs_options_files_and_robots(
-    shell: str, words: str, expected: set[str], tmp_path: Path, scripts: dict[str, Path]
-) -> None:
-    """In a real shell the completion of each command offers what is there, of verbs, too."""
-    if shutil.which(shell) is None:
-        pytest.skip(f"{shell} is not installed")
-    (tmp_path / "robots").mkdir()
-    (tmp_path / "my_task.yaml").touch()
-    last = "''" if words.endswith(" ") else ""
-    code = ASK[shell].format(script=scripts[shell], program=words.split(maxsplit=1)[0], words=words, last=last)
-    done = subprocess.run([shell, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
-    found = {line.rstrip("/") for line in done.stdout.split()}
-    assert found >= expected, done
-    if shell == "bash":
-        assert "my_task.yaml" not in found or "my_task.yaml" in expected
-        assert not [each for each in found if not each.startswith(words.rpartition(" ")[2])]
+"""What completion offers at least behind some words, in a folder with `robots` and `my_task.yaml`."""
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_completion_knows_every_command(shell: str, capsys: Captured) -> None:
-    """Every executable has its completion, and a shell that is there reads the script without an error."""
+def test_shells_complete_verbs_options_files_and_robots(shell: str, tmp_path: Path, capsys: Captured) -> None:
+    """Each executable has its completion; real shells that are there offer what there is, for verbs, too."""
+    (tmp_path / "robots").mkdir()
+    (tmp_path / "my_task.yaml").touch()
     assert run("rx90_config", ["completion", shell]) == 0
     script = capsys.readouterr().out
     for name in EXECUTABLES:
         assert re.search(rf"^(complete|\s*compdef) (-c {name} |.*\b{name}$)", script, re.MULTILINE), name
-    if shutil.which(shell):
-        done = subprocess.run([shell, "-n"], input=script, capture_output=True, text=True, check=False, timeout=60)
-        assert (done.returncode, done.stderr) == (0, "")
+    if shutil.which(shell) is None:
+        pytest.skip(f"{shell} is not installed")
+    code = f"{script}\n"
+    for words in OFFERED:
+        name, empty = words.split(" ", maxsplit=1)[0], "''" * words.endswith(" ")
+        code += f"echo '= {words}'\n"
+        code += (
+            f"complete -C '{words}'\n"
+            if shell == "fish"
+            else f"""
+COMP_WORDS=({words} {empty}); COMP_CWORD=$(( ${{#COMP_WORDS[@]}} - 1 )); COMPREPLY=()
+$(complete -p {name} | sed 's/.*-F \\([^ ]*\\) .*/\\1/') {name}; printf '%s\\n' "${{COMPREPLY[@]}}"
+"""
+        )
+    command = {"bash": ["bash", "-c", code], "zsh": ["zsh", "-n"], "fish": ["fish", "-N", "-c", code]}[shell]
+    done = subprocess.run(command, cwd=tmp_path, input=script, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    blocks = {block.split("\n")[0]: block.split("\n")[1:] for block in done.stdout.split("= ")[1:]}
+    assert shell == "zsh" or set(blocks) == set(OFFERED)
+    for words, block in blocks.items():
+        offered = {line.split("\t")[0] for line in block if line}
+        assert offered >= OFFERED[words], words
+        assert "my_task.yaml" not in offered or "my_task.yaml" in OFFERED[words], words
+        assert all(each.startswith(words.rpartition(" ")[2]) for each in offered), words
 
 
 def test_show_names_the_files_of_the_controller_s_model(

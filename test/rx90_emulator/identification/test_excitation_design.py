@@ -19,7 +19,7 @@ from rx90_common.base.errors import DONE, REFUSED, ConfigError, IdentificationEr
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation import filtering, identify, instruments
-from rx90_emulator.identification.experiments.excitation import ExcitationPlan, RunSearch, plan_excitation
+from rx90_emulator.identification.experiments.excitation import ExcitationPlan, plan_excitation
 from rx90_emulator.identification.experiments.folder import read_index, write_index
 from rx90_emulator.identification.experiments.options import DECLARED, ExcitationOptions, Wall
 from rx90_emulator.identification.experiments.plan import Kind
@@ -111,7 +111,7 @@ def test_every_shape_stays_away_from_table_and_wall(
             for k, (direction, distance, standing) in enumerate(planes):
                 if joint > standing and len(points):
                     least[k] = min(least[k], float((points @ direction).min()) - distance)
-    reported = [distance for distance, _ in plan.search.workspace.lowest(motion[0][::100])]
+    reported = [distance for distance, _ in plan.workspace.lowest(motion[0][::100])]
     assert min(least) >= OPTIONS.clearance
     assert np.all(np.array(least) - reported < 2e-3)
     assert np.all(np.array(least) - reported > -1e-9)
@@ -122,43 +122,45 @@ def _outline(link: ET.Element) -> Array:
     found = [np.zeros((0, 3))]
     turn, height = (grid.ravel() for grid in np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 49), np.linspace(-1.0, 1.0, 61)))
     circle = np.column_stack([np.cos(turn), np.sin(turn)])
+
+    def numbers(text: str) -> Array:
+        return np.array(text.split(), dtype=np.float64)
+
     for shape in link.findall("collision"):
         origin = shape.find("origin")
         places = {} if origin is None else origin.attrib
-        xyz, rpy = (np.array(places.get(key, "0 0 0").split(), dtype=np.float64) for key in ("xyz", "rpy"))
-        box, cylinder, ball = (shape.find(f"geometry/{kind}") for kind in ("box", "cylinder", "sphere"))
-        if ball is not None:
-            points = np.column_stack([circle * np.sqrt(1.0 - height**2)[:, None], height]) * float(
-                ball.get("radius", "")
-            )
-        elif box is not None:
+        xyz, rpy = (numbers(places.get(key, "0 0 0")) for key in ("xyz", "rpy"))
+        (kind,) = shape.findall("geometry/*")
+        if kind.tag == "sphere":
+            ball = np.column_stack([circle * np.sqrt(1.0 - height**2)[:, None], height])
+            points = ball * numbers(kind.get("radius", ""))
+        elif kind.tag == "box":
             signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-            points = 0.5 * signs * np.array(box.get("size", "").split(), dtype=np.float64)
+            points = 0.5 * signs * numbers(kind.get("size", ""))
         else:
-            assert cylinder is not None
-            rim = circle * float(cylinder.get("radius", ""))
-            points = np.column_stack([rim, 0.5 * np.sign(height) * float(cylinder.get("length", ""))])
+            rim = circle * numbers(kind.get("radius", ""))
+            points = np.column_stack([rim, 0.5 * np.sign(height) * numbers(kind.get("length", ""))])
         found.append(points @ pin.rpy.rpyToMatrix(rpy).T + xyz)
     return np.vstack(found)
 
 
-def _search(setup: Setup, kind: str = "d", walls: tuple[Wall, ...] = (), steps: int = 2) -> RunSearch:
+def _search(setup: Setup, kind: str = "d", walls: tuple[Wall, ...] = (), steps: int = 2) -> ExcitationPlan:
     options = ExcitationOptions(criterion=kind, harmonics=5, period=6.0, periods=2, walls=walls, steps=steps)
-    return RunSearch.of(setup, options, np.zeros(6))
+    return ExcitationPlan(setup, options, np.zeros(6))
 
 
 def test_a_motion_too_fast_for_motor_6_is_scaled(tx40: Setup) -> None:
     """Joints 5 and 6 at 95 % of the allowed speed are kept, one by one or against each other; together they shrink."""
     search, top = _search(tx40), 0.8 * tx40.robot.max_velocity
-    pattern = np.zeros((6, search.basis.count))
-    pattern[4:, 4:] = np.random.default_rng(0).normal(size=search.basis.count - 4)
-    pattern[4:] *= 0.95 * (top / np.maximum(np.abs(search.basis.motion(pattern)[1]).max(axis=0), 1e-9))[4:, None]
+    pattern = np.zeros((6, search.samples.shape[2]))
+    pattern[4:, 4:] = np.random.default_rng(0).normal(size=search.samples.shape[2] - 4)
+    pattern[4:] *= 0.95 * (top / np.maximum(np.abs((search.samples @ pattern.T)[1]).max(axis=0), 1e-9))[4:, None]
     kept = {}
     for name, signs in (("5", (1, 0)), ("6", (0, 1)), ("against", (1, -1)), ("together", (1, 1))):
         coefficients = pattern * np.array([0, 0, 0, 0, *signs])[:, None]
         shrunk = search.within(coefficients)
         kept[name] = np.abs(shrunk).max() / np.abs(coefficients).max()
-        velocity = search.basis.at(np.arange(0.0, 6.0, 1e-3)).motion(shrunk)[1]
+        velocity = (search.basis(np.arange(0.0, 6.0, 1e-3)) @ shrunk.T)[1]
         assert np.abs(velocity[:, 4] + velocity[:, 5]).max() <= top[5] * 1.001
     expected = top[5] / (0.95 * (top[4] + top[5]))
     assert kept == pytest.approx({"5": 1.0, "6": 1.0, "against": 1.0, "together": expected}, abs=0.02)
@@ -173,9 +175,9 @@ def test_an_optimised_run_tells_more_than_random_ones(shipped: Setup, kind: str,
     search, time = _search(shipped, kind, steps=14), np.arange(0.0, 6.0, 0.02)
 
     def figure(coefficients: Array) -> float:
-        position, velocity, acceleration = search.basis.at(time).motion(coefficients)
-        standard = search.columns.standard.torque(position, velocity, acceleration)
-        rows = search.columns.rows(standard, velocity).reshape(6 * len(time), -1)
+        position, velocity, acceleration = search.basis(time) @ coefficients.T
+        standard = search.standard.torque(position, velocity, acceleration)
+        rows = search.rows(standard, velocity).reshape(6 * len(time), -1)
         if kind == "d":
             return float(np.exp(-np.linalg.slogdet(rows.T @ rows)[1] / (2.0 * rows.shape[1])))
         return float(np.linalg.cond(rows / np.linalg.norm(rows, axis=0)))
@@ -195,7 +197,7 @@ def test_the_search_goes_by_the_right_derivative(shipped: Setup, kind: str, monk
     search = _search(shipped, kind, (Wall.above(0.3),))
     rng = np.random.default_rng(1)
     x = 3.0 * search.random(rng).ravel()
-    speed = search.basis.motion(x.reshape(6, -1))[1]
+    speed = (search.samples @ x.reshape(6, -1).T)[1]
     assert np.abs(speed[:, 4] + speed[:, 5]).max() > shipped.robot.max_velocity[5]
     direction = rng.normal(size=x.size)
     value, slope = search.cost(x)
@@ -207,10 +209,8 @@ def test_the_search_goes_by_the_right_derivative(shipped: Setup, kind: str, monk
 def test_the_same_seed_gives_the_same_plan_and_another_one_another(tx40: Setup) -> None:
     """A run has the same points in a plan of two and alone; the other run of the plan and another seed's do not."""
     options = ExcitationOptions(runs=1, harmonics=3, period=3.0, periods=1, steps=2, validation=False)
-    (first, second), (again,), (other,) = (
-        [one.points.position for one in plan_excitation(tx40, chosen).experiments]
-        for chosen in (replace(options, runs=2), options, replace(options, seed=1))
-    )
+    plans = (plan_excitation(tx40, chosen) for chosen in (replace(options, runs=2), options, replace(options, seed=1)))
+    (first, second), (again,), (other,) = ([one.points.position for one in plan.experiments] for plan in plans)
     assert np.array_equal(first, again)
     assert not any(first.shape == one.shape and np.allclose(first, one) for one in (second, other))
 
@@ -220,36 +220,35 @@ def test_each_run_is_for_what_those_before_leave_uncertain(tx40: Setup, monkeypa
 
     Information by sums over 1 % of each joint's effort as noise; every run begins and ends at the home of the poses.
     """
-    searches: list[RunSearch] = []
+    searches: list[tuple[float, Array]] = []
     firsts: list[float] = []
 
-    def small(search: RunSearch, rng: np.random.Generator, *_: object) -> Array:
+    def small(search: ExcitationPlan, rng: np.random.Generator, *_: object) -> Array:
         coefficients = 0.02 * rng.normal(size=(6, 5))
         coefficients[:, 0] += search.home
-        searches.append(search)
+        searches.append((search.speed, search.information))
         firsts.append(float(coefficients[0, 1]))
         return coefficients
 
-    monkeypatch.setattr(RunSearch, "best", small)
+    monkeypatch.setattr(ExcitationPlan, "best", small)
     plan = plan_excitation(tx40, ExcitationOptions(runs=4, harmonics=3, period=3.0, periods=2, steps=2))
     assert tx40.files is not None
     home = Numbers("", count=6).take(load_yaml(tx40.files.required("poses")).section("home"), "position")
     for one in plan.experiments:
         assert one.points.position[[0, -1]] == pytest.approx(np.array([home, home]), abs=1e-12)
-    assert [one.speed for one in searches] == pytest.approx([0.8, 0.4, 0.16, 0.8, 0.56])
+    assert [speed for speed, _ in searches] == pytest.approx([0.8, 0.4, 0.16, 0.8, 0.56])
     assert len(set(firsts)) == 5
     noise, time = 0.01 * tx40.robot.max_effort[:, None], np.arange(0.0, 3.0, 5e-3)
-    columns, information = plan.search.columns, plan.search.before
-    told = [np.zeros_like(information)]
+    told = [np.zeros_like(plan.information)]
     for coefficients in plan.coefficients[:4]:
-        position, velocity, acceleration = plan.search.basis.at(time).motion(coefficients)
-        standard = columns.standard.torque(position, velocity, acceleration)
-        rows = replace(columns, noise=np.ones(6)).rows(standard, velocity) / noise
+        position, velocity, acceleration = plan.basis(time) @ coefficients.T
+        standard = plan.standard.torque(position, velocity, acceleration)
+        rows = plan.rows(standard, velocity) * plan.noise[:, None] / noise
         flat = rows.reshape(6 * len(time), -1)
         told.append(told[-1] + flat.T @ flat * 600.0 / len(time))  # 100 independent samples per second of 6 s
     size = np.sqrt(np.diag(told[4]))
     for found, expected in zip(
-        [*(one.before for one in searches), information], [*told[:4], told[0], told[4]], strict=True
+        [*(known for _, known in searches), plan.information], [*told[:4], told[0], told[4]], strict=True
     ):
         assert found / np.outer(size, size) == pytest.approx(expected / np.outer(size, size), abs=0.05)
 
@@ -263,7 +262,7 @@ def test_a_wall_behind_the_arm_leaves_room(shipped: Setup) -> None:
     found = search.random_starts(np.random.default_rng((0, 0)))
     assert 1 < len(found) < 12
     for coefficients in found:
-        ((distance, _),) = search.workspace.lowest(search.basis.motion(coefficients)[0])
+        ((distance, _),) = search.workspace.lowest((search.samples @ coefficients.T)[0])
         assert distance >= search.options.clearance
     high = _search(shipped, "d", (Wall.above(1.0),))
     with pytest.raises(IdentificationError, match=r"no motion .* small one link_2 comes as near to --keep-above 1 as "):
@@ -279,17 +278,17 @@ def test_the_arm_does_not_touch_itself(shipped: Setup) -> None:
     coal = pytest.importorskip("coal" if pin.__version__ >= "3" else "hppfcl")
     transform = coal.Transform3s if pin.__version__ >= "3" else coal.Transform3f
     search = _search(shipped)
-    coefficients = np.zeros((6, search.basis.count))
+    coefficients = np.zeros((6, search.samples.shape[2]))
     coefficients[:, 0] = (0.0, 0.6, 1.9, 0.0, 0.0, 0.0)
     coefficients[1:3, 3] = 1.5
-    fine = search.basis.at(np.arange(0.0, 6.0, 0.02))
+    fine = search.basis(np.arange(0.0, 6.0, 0.02))
 
     def touches(coefficients: Array) -> bool:
         model = shipped.robot.model
         shapes = pin.buildGeomFromUrdfString(model, shipped.robot.urdf, pin.COLLISION)
         data, placed = model.createData(), shapes.createData()
         base = shapes.geometryObjects[0].geometry
-        for q in fine.motion(coefficients)[0]:
+        for q in (fine @ coefficients.T)[0]:
             pin.updateGeometryPlacements(model, data, shapes, placed, q)
             for k, shape in enumerate(shapes.geometryObjects):
                 frame = model.frames[shape.parentFrame]
@@ -302,37 +301,17 @@ def test_the_arm_does_not_touch_itself(shipped: Setup) -> None:
         return False
 
     assert touches(coefficients)
-    position = fine.motion(coefficients)[0]
+    position = (fine @ coefficients.T)[0]
     assert len(search.workspace.near_itself(position))
     free = search.within(coefficients)
     assert not touches(free)
-    assert np.ptp(fine.motion(free)[0], axis=0).max() > 0.1
+    assert np.ptp((fine @ free.T)[0], axis=0).max() > 0.1
     value, slope = search.workspace.nearness(position, 0.02)
     assert value > 0.1
     # Uphill: in other directions what the joints add nearly cancels, and the rough depths remain.
     move = 1e-4 * slope / np.abs(slope).max()
     after, before = (search.workspace.nearness(position + sign * move, 0.02)[0] for sign in (1.0, -1.0))
     assert np.sum(slope * move) == pytest.approx(0.5 * (after - before), rel=0.1)
-
-
-def test_the_wrist_is_taken_apart(plan: ExcitationPlan) -> None:
-    """Friction of elements 5, 6 and 5+6 and both rotors are told apart; by joint 5 alone they are not."""
-    time = np.arange(0.0, OPTIONS.period, 0.02)
-    position, velocity, acceleration = plan.search.basis.at(time).motion(plan.coefficients[0])
-    columns = plan.search.columns
-    names = list(columns.names)
-    wrist = [names.index(f"joint_{one}.{part}") for one in ("5", "6", "5_6") for part in ("tau_c", "c2")]
-    wrist += [names.index("Ia_5"), names.index("Ia_6")]
-
-    def singular(speed: Array, change: Array) -> Array:
-        standard = columns.standard.torque(position, speed, change)
-        rows = columns.rows(standard, speed).reshape(6 * len(time), -1)[:, wrist]
-        values = np.linalg.svd(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-12), compute_uv=False)
-        return np.asarray(values)
-
-    assert singular(velocity, acceleration)[-1] > 0.2
-    alone = np.eye(6)[4]
-    assert singular(velocity * alone, acceleration * alone)[-1] < 1e-6
 
 
 @pytest.mark.parametrize(

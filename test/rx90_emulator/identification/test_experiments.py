@@ -42,7 +42,7 @@ def test_the_plan_keeps_every_limit(shipped: Setup, default_plan: tuple[Experime
     They can be run in any order, because each begins and ends at the home pose.
     """
     for experiment in default_plan:
-        assert np.allclose(experiment.points.position[[0, -1]], Poses.shipped().home, atol=1e-12)
+        assert np.allclose(experiment.points.position[[0, -1]], Poses.of(shipped).home, atol=1e-12)
         shares, _ = check_experiment(experiment, shipped)
         assert all(share.max() <= 1.0 for share in shares.values())
 
@@ -55,12 +55,16 @@ def test_a_robot_brings_its_own_poses_and_its_ranges_bound_the_sweeps(tx40: Setu
         plan_experiments(replace(tx40, files=replace(tx40.files or RobotFiles(), poses=None)))
 
 
-def test_sweeps_cover_a_logarithmic_range_in_both_directions(shipped: Setup) -> None:
-    """Joint 1 is held at 28 speeds in each direction, all different, evenly spaced in their logarithms."""
-    plan = {e.name: e for e in make_plan(shipped.robot, shipped.drives, PlanOptions(groups=("joint_1",)))}
-    velocity = plan["sliding_joint_1"].points.velocity
-    assert velocity is not None
-    held = velocity[:-1, 0][velocity[:-1, 0] == velocity[1:, 0]]
+def test_sweeps_hold_a_logarithmic_range_in_both_directions(shipped: Setup) -> None:
+    """Joint 1 is held at 28 speeds in each direction, all different, evenly spaced in their logarithms.
+
+    They last 4 s, or 0.6 rad of travel where that is less, but at least 0.7 s.
+    """
+    points = make_plan(shipped.robot, shipped.drives, PlanOptions(groups=("joint_1",)))[0].points
+    assert points.velocity is not None
+    same = (points.velocity[:-1, 0] == points.velocity[1:, 0]) & (points.velocity[:-1, 0] != 0.0)
+    held, lasting = points.velocity[:-1, 0][same], np.diff(points.times)[same]
+    assert lasting == pytest.approx(np.clip(0.6 / np.abs(held), 0.7, 4.0), abs=1.001e-3)
     nominal = np.log(np.geomspace(0.004, 0.4 * shipped.robot.max_velocity[0], 56))
     for sign, first in ((1.0, 0), (-1.0, 1)):
         speeds = np.unique(np.round(held[sign * held > 0.0] * sign, 9))
@@ -69,16 +73,6 @@ def test_sweeps_cover_a_logarithmic_range_in_both_directions(shipped: Setup) -> 
         below = nominal[first::2] - np.log(speeds)
         assert below.min() > -1e-6
         assert below.max() < nominal[1] - nominal[0]
-
-
-def test_a_speed_is_held_for_long_where_the_arm_has_room(shipped: Setup) -> None:
-    """Sweeps last 4 s, or 0.6 rad of travel where that is less, but at least 0.7 s."""
-    points = make_plan(shipped.robot, shipped.drives, PlanOptions(groups=("joint_1",)))[0].points
-    assert points.velocity is not None
-    speed, same = np.abs(points.velocity[:-1, 0]), points.velocity[:-1, 0] == points.velocity[1:, 0]
-    held = same & (speed > 0.0)
-    expected = np.clip(0.6 / speed[held], 0.7, 4.0)
-    assert np.diff(points.times)[held] == pytest.approx(expected, abs=1.001e-3)
 
 
 def test_no_sweep_beats_with_the_sampling(shipped: Setup) -> None:
@@ -134,31 +128,31 @@ def test_a_plan_that_does_not_fit_is_refused(shipped: Setup, change: dict[str, o
         make_plan(shipped.robot, shipped.drives, replace(PlanOptions(), **change))  # type: ignore[arg-type]
 
 
-def test_too_much_torque_or_acceleration_is_refused(shipped: Setup) -> None:
-    """A plan beyond what the URDF allows in torque, or the controller in acceleration, is refused with the joint."""
-    weak = replace(shipped.robot, max_effort=0.4 * shipped.robot.max_effort)
-    plan = make_plan(shipped.robot, shipped.drives, PlanOptions(groups=("joint_2",)))
-    with pytest.raises(IdentificationError, match=r"joint_2 would need .* Nm; accepted: up to"):
-        check_experiment(plan[0], replace(shipped, robot=weak))
-    slow = replace(shipped.controller, max_acceleration=np.full(6, 4.9))
-    with pytest.raises(IdentificationError, match=r"joint_\d gets a set-point acceleration .* accepted: \[-4.9, 4.9\]"):
-        check_experiment(plan[0], replace(shipped, controller=slow))
+def test_a_plan_beyond_what_joints_or_motors_may_do_is_refused(shipped: Setup) -> None:
+    """More torque than the URDF allows, or acceleration than the controller, is refused with joint, value and limit.
 
-
-def test_motors_of_a_coupled_wrist_are_held_to_their_limits(shipped: Setup) -> None:
-    """Joints 5 and 6 within their speeds turn motor 6 too fast, and a weak motor 5 cannot carry their difference."""
+    Joints 5 and 6 within their speeds turn motor 6 too fast, and a weak motor 5 cannot carry their difference.
+    """
     robot, drives = shipped.robot, shipped.drives
+    sweep_2, sweep_5 = (make_plan(robot, drives, PlanOptions(groups=(f"joint_{k}",)))[0] for k in (2, 5))
     way = 1.5 * robot.max_velocity / robot.max_velocity[4] * (0.0, 0.0, 0.0, 0.0, 1.0, 1.0)
     motion = Motion(-way)
     motion.move(way, 0.9 * robot.max_velocity, 100.0)
     fast = Experiment("fast", Kind.VALIDATION, motion.points(robot.joint_names), 1)
     both = 0.9 * (robot.max_velocity[4] + robot.max_velocity[5])
-    with pytest.raises(IdentificationError, match=rf"fast: motor_6 would need {both:.3g} rad/s.* up to 10\.1;"):
-        check_experiment(fast, shipped)
-    sweep = make_plan(robot, drives, PlanOptions(groups=("joint_5",)))[0]
     weak = replace(drives, peak_current=drives.peak_current * (1.0, 1.0, 1.0, 1.0, 0.1, 1.0))
-    with pytest.raises(IdentificationError, match=r"motor_5 would need .* Nm, through its gear; accepted: up to 5\.22"):
-        check_experiment(sweep, replace(shipped, drives=weak))
+    slow = replace(shipped.controller, max_acceleration=np.full(6, 4.9))
+    for experiment, setup, said in (
+        (sweep_2, replace(shipped, robot=replace(robot, max_effort=0.4 * robot.max_effort)),
+         r"joint_2 would need .* Nm; accepted: up to"),
+        (sweep_2, replace(shipped, controller=slow),
+         r"joint_\d gets a set-point acceleration .* accepted: \[-4.9, 4.9\]"),
+        (fast, shipped, rf"fast: motor_6 would need {both:.3g} rad/s.* up to 10\.1;"),
+        (sweep_5, replace(shipped, drives=weak),
+         r"motor_5 would need .* Nm, through its gear; accepted: up to 5\.22"),
+    ):  # fmt: skip
+        with pytest.raises(IdentificationError, match=said):
+            check_experiment(experiment, setup)
 
 
 def test_plan_shows_time_and_runs(capsys: pytest.CaptureFixture[str]) -> None:

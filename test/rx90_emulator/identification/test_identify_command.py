@@ -128,11 +128,34 @@ REFUSED_CASES = {
     "same": (lambda h, f: ["--sliding", h.bag, "--output", f / "f.html"], "--output and --report are both"),
     # a number that cannot be one
     "gear": (options("--gear", "0"), "argument --gear: '0'; accepted: a finite number other than 0"),
-    "constant": (options("--torque-constant", "nan"), "argument --torque-constant: 'nan'; accepted"),
-    "infinite": (options("--coupling", "inf"), "argument --coupling: 'inf'; accepted: a finite number"),
     "inertia": (options("--rotor-inertia", "-1"), "--rotor-inertia: '-1'; accepted: 0 or a positive number"),
     "delay": (options("--torque-delay", "1"), "--torque-delay: '1'; accepted: s, from -0.05 to 0.05"),
-    "tolerance": (options("--torque-tolerance", "0"), "--torque-tolerance: '0'; accepted: a positive number"),
+}
+
+
+def checking(*words: object) -> Change:
+    """Return options of a check of a given friction file; "good" and "other" are such files, "bag" the good bag."""
+
+    def make(hinge: Hinge, folder: Path) -> list[object]:
+        files = {
+            "good": hinge.friction(folder / "good.yaml"),
+            "other": hinge.friction(folder / "other.yaml", element="elbow"),
+            "bag": hinge.bag,
+        }
+        return [files.get(word, word) if isinstance(word, str) else word for word in words]
+
+    return make
+
+
+REFUSED_CHECKS = {
+    "no_bag": (checking("--friction", "good"), "no bag to hold the friction against; accepted: --validation BAG ..."),
+    "bag_twice": (checking("--friction", "good", "--validation", "bag", "bag"), "given twice for --validation"),
+    "output": (checking("--friction", "good", "--validation", "bag", "--output", "x.yaml"), "x.yaml with --friction;"),
+    "sweeps": (checking("--friction", "good", "--validation", "bag", "--sliding", "bag"), "run with --friction;"),
+    "of_kinds": (checking("--friction", "good", "--validation", "bag", "--bristle-kinds"), "-kinds with --friction;"),
+    "element": (checking("--friction", "other", "--validation", "bag"), "elements.hinge is missing; accepted"),
+    "no_file": (checking("--friction", "nowhere.yaml", "--validation", "bag"), "nowhere.yaml"),
+    "no_output": (checking("--validation", "bag"), "no --output; accepted: --output FILE"),
 }
 
 
@@ -141,12 +164,12 @@ def everything(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize("case", REFUSED_CASES)
+@pytest.mark.parametrize("case", [*REFUSED_CASES, *REFUSED_CHECKS])
 def test_a_mistake_is_one_line(hinge: Hinge, tmp_path: Path, capfd: pytest.CaptureFixture[str], case: str) -> None:
     """A user's mistake is one line with what is accepted and status 2, and leaves every file as it was."""
-    change, message = REFUSED_CASES[case]
-    good = ["--urdf", hinge.urdf, "--fallback", hinge.fallback, "--output", tmp_path / "f.yaml"]
-    words = [str(word) for word in (*good, *change(hinge, tmp_path))]  # type: ignore[no-untyped-call]
+    change, message = {**REFUSED_CASES, **REFUSED_CHECKS}[case]
+    good = ["--fallback", hinge.fallback, "--output", tmp_path / "f.yaml"] if case in REFUSED_CASES else []
+    words = [str(word) for word in ("--urdf", hinge.urdf, *good, *change(hinge, tmp_path))]  # type: ignore[no-untyped-call]
     before = everything(tmp_path)
     assert run("rx90_identify", words) == REFUSED
     lines = capfd.readouterr().err.replace("\r", "\n").splitlines()
@@ -189,32 +212,6 @@ def test_the_difference_is_that_of_the_friction(hinge: Hinge, tmp_path: Path) ->
     assert check.rms[0] == pytest.approx(expected, rel=0.05)
     assert check.rms_share[0] == pytest.approx(expected / np.sqrt(np.mean(hinge.torque[moves] ** 2)), rel=0.05)
     assert not check.passed
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--friction", "good"], "no bag to hold the friction against; accepted: --validation BAG ..."),
-        (["--friction", "good", "--validation", "bag", "bag"], "given twice for --validation"),
-        (["--friction", "good", "--validation", "bag", "--output", "x.yaml"], "x.yaml with --friction; accepted"),
-        (["--friction", "good", "--validation", "bag", "--sliding", "bag"], "run with --friction; accepted"),
-        (["--friction", "good", "--validation", "bag", "--bristle-kinds"], "--bristle-kinds with --friction; accepted"),
-        (["--friction", "other", "--validation", "bag"], "elements.hinge is missing; accepted"),
-        (["--friction", "nowhere.yaml", "--validation", "bag"], "nowhere.yaml"),
-        (["--validation", "bag"], "no --output; accepted: --output FILE"),
-    ],
-)
-def test_what_cannot_be_checked_is_refused(
-    hinge: Hinge, tmp_path: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Missing or repeated bags, other uses at the same time and another arm's friction are one line and 2."""
-    files = {
-        "good": hinge.friction(tmp_path / "good.yaml"),
-        "other": hinge.friction(tmp_path / "other.yaml", element="elbow"),
-        "bag": hinge.bag,
-    }
-    assert checked(hinge, *(files.get(word, word) for word in words)) == REFUSED
-    assert message in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -8,7 +8,8 @@ import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -26,12 +27,16 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
-from rx90_emulator.identification.excitation.physical import BaseEstimate, InertialPrior, consistent_inertias
+from rx90_emulator.identification.excitation.physical import (
+    BaseEstimate,
+    ConsistentInertias,
+    InertialPrior,
+    consistent_inertias,
+)
 from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot_files import (
     Identified,
-    IdentifiedRobot,
     folder_base,
     marked,
     robot_texts,
@@ -70,6 +75,16 @@ def estimate_of(columns: StandardColumns, theta: Array) -> BaseEstimate:
     groups = BaseGroups.of(columns)
     known = np.eye(len(groups.names))
     return BaseEstimate(groups.combination, groups.combination @ theta, 1e-14 * known, 1e7 * known)
+
+
+def identified(
+    arm: RigidArm, inertias: ConsistentInertias, columns: StandardColumns, elements: tuple[IdentifiedElement, ...],
+    source: BagSource, fallback: str | None = None,
+) -> Any:  # fmt: skip
+    """Return as much of an identification as the robot's files hold."""
+    problem, robot = SimpleNamespace(arm=arm, columns=columns), SimpleNamespace(fallback_name=fallback)
+    consistency, bags = SimpleNamespace(inertias=inertias), (("excitation", source),)
+    return SimpleNamespace(problem=problem, robot=robot, consistency=consistency, elements=elements, bags=bags)
 
 
 @pytest.fixture(scope="module")
@@ -113,8 +128,8 @@ def case(tmp_path_factory: pytest.TempPathFactory, source: BagSource) -> Case:
     values = StandardColumns(RigidArm.from_setup(true)).values()
     inertias = consistent_inertias(estimate_of(columns, values), prior)
     elements = tuple(element_of(one, source) for one in true.friction.elements)
-    robot = IdentifiedRobot(arm, inertias, columns.names, elements, "other.yaml", (source,))
-    for name, text in robot_texts(robot, base.urdf, base).items():
+    result = identified(arm, inertias, columns, elements, source, "other.yaml")
+    for name, text in robot_texts(result, base.urdf, base).items():
         (place / name).write_text(text)
     return Case(true, before, columns, inertias.parameters, RobotFiles.named(str(place)))
 
@@ -204,11 +219,11 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     assert prior.dropped == ("dust",)
     inertias = consistent_inertias(estimate_of(columns, theta), prior)
     element = FrictionElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, 0.5)
-    robot = IdentifiedRobot(arm, inertias, columns.names, (element_of(element, source),) * 3, None, (source,))
+    result = identified(arm, inertias, columns, (element_of(element, source),) * 3, source)
     base, why = folder_base(arm, file)
     assert base is None
     assert why.startswith("URDF and friction file alone, no robot folder: ")
-    texts = robot_texts(robot, file, None)
+    texts = robot_texts(result, file, None)
     assert set(texts) == {"robot.urdf", "friction.yaml"}
     assert list(yaml.safe_load(texts["friction.yaml"])["elements"]) == ["a", "b", "c"]
 
