@@ -79,14 +79,18 @@ def test_step_response_of_the_sampled_loop(servo: MakeServo, rates: Rates) -> No
     assert got == pytest.approx(np.outer(unit, JUMP), abs=1e-12)
 
 
-def test_ramp_response(servo: MakeServo) -> None:
-    """A ramp is followed as the sampled loop does, and in the end without position error."""
+@pytest.mark.parametrize("damped", ["velocity error", "measured velocity"])
+def test_ramp_response(servo: MakeServo, damped: str) -> None:
+    """A ramp is followed as the sampled loop does, and in the end without position error if D has the set-point's."""
     speed = np.array([0.5, -0.4, 0.3, 0.2, 0.0, 0.1])
-    loop = servo(inertia=INERTIA)
+    forward = damped == "velocity error"
+    loop = servo(inertia=INERTIA, feed_forward=dataclasses.replace(FeedForward.off(), velocity=forward))
     ramp(loop, speed, 2.0)
     got, _ = loop.run(4000)
-    unit = sampled_loop(lambda row: (row * 1e-3, 1.0), 4000, 4, 250e-6)
+    unit = sampled_loop(lambda row: (row * 1e-3, float(forward)), 4000, 4, 250e-6)
     assert got == pytest.approx(np.outer(unit, speed), abs=1e-12)
+    if not forward:
+        return
     error = loop.controller.state["error"][0]
     assert np.abs(error).max() < 1e-3 * 0.5 / 40  # without the integrator of the loop: dq_r / kp
 
