@@ -226,7 +226,7 @@ def fit_shapes(
         start = np.concatenate([shapes[e].values for e in moving])
         low, high = np.array([weighted.bounds(e, name) for e in moving for name in shapes[e].free]).T
         found = least_squares(
-            lambda x: at(*x)[:, -1],
+            lambda x: at(*x)[:, -1],  # type: ignore[misc]
             np.clip(start, low, high),
             lambda x: at(*x)[:, :-1],  # type: ignore[misc]
             (low, high), ftol=_TOLERANCE, xtol=_TOLERANCE, max_nfev=_MAX_EVALUATIONS,
