@@ -130,7 +130,10 @@ def outcome(bench: Bench) -> Outcome:
 
 
 def test_values_are_those_of_the_arm(bench: Bench, outcome: Outcome) -> None:
-    """Coulomb, viscous and gravity parameters lie within four deviations of the truth; friction is told to 5 %."""
+    """Coulomb, viscous and gravity parameters lie within four deviations of the truth; friction is told to 5 %.
+
+    So do values by instrumental variables; a remark says which of both are taken.
+    """
     found = yaml.safe_load((outcome.folder / "parameters.yaml").read_text(encoding="utf-8"))
     for name, curve in zip(NAMES, CURVES, strict=True):
         for parameter in ("tau_c_positive", "tau_c_negative", "c2"):
@@ -139,7 +142,9 @@ def test_values_are_those_of_the_arm(bench: Bench, outcome: Outcome) -> None:
             assert abs(entry["value"] / truth - 1.0) < 0.05
     gravity = next(entry for entry in found["base_parameters"].values() if entry["group"].startswith("mz_2"))
     inertia = bench.model.inertias[2]
-    assert abs(gravity["value"] - inertia.mass * inertia.lever[2]) < 4.0 * gravity["deviation"]
+    for entry in (gravity, gravity["instrumental_variables"]):
+        assert abs(entry["value"] - inertia.mass * inertia.lever[2]) < 4.0 * entry["deviation"]
+    assert any("are taken" in text and "the measured path" in text for text in found["remarks"])
     assert gravity["unit"] == "kg m"
     names = found["correlation"]["names"]
     assert np.shape(found["correlation"]["matrix"]) == (len(names), len(names))
@@ -151,16 +156,6 @@ def test_progress_runs_to_its_end(outcome: Outcome) -> None:
     assert "Stribeck rise: elements without it" in outcome.error
     done, total = re.findall(r"(\d+)/(\d+) \[", outcome.error)[-1]
     assert done == total
-
-
-def test_instrumental_variables_stand_beside(bench: Bench, outcome: Outcome) -> None:
-    """Values by instrumental variables hold the truth, too, and a remark says which of both are taken."""
-    found = yaml.safe_load((outcome.folder / "parameters.yaml").read_text(encoding="utf-8"))
-    gravity = next(entry for entry in found["base_parameters"].values() if entry["group"].startswith("mz_2"))
-    other = gravity["instrumental_variables"]
-    inertia = bench.model.inertias[2]
-    assert abs(other["value"] - inertia.mass * inertia.lever[2]) < 4.0 * other["deviation"]
-    assert any("are taken" in text and "the measured path" in text for text in found["remarks"])
 
 
 def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
@@ -228,7 +223,6 @@ def test_an_interrupt_leaves_nothing(
         (["run", "run"], "given twice for --excitation; accepted: each bag once"),
         (["run", "--validation", "run"], "run: also used for the identification; accepted: another bag"),
         (["run", "--sliding", "run"], "run with --excitation; accepted: --validation BAG"),
-        (["run", "--friction", "f.yaml"], "f.yaml with --excitation; accepted"),
         (["run", "--bristle-kinds"], "--bristle-kinds with excitation runs; accepted"),
         (["run", "--output", "identified"], "identified/report.html exists; accepted: another name, or --force"),
         (["run", "--output", "arm.urdf"], "arm.urdf is no folder; accepted"),
