@@ -17,7 +17,7 @@ from processes import Processes, open_files, wait_until
 from schema_faults import schema_faults
 
 from rx90_common.bags.reading import read_joint_states
-from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED
+from rx90_common.base.errors import DONE, INTERRUPTED
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments import plan as plans
@@ -93,26 +93,6 @@ def fresh_motion(setup: Setup) -> Experiment:
         motion.rest(0.1)
     motion.move(np.zeros(6), np.full(6, 0.5), 4.0)
     return Experiment("fresh", Kind.VALIDATION, motion.points(setup.robot.joint_names), 4)
-
-
-def test_nothing_is_replaced_on_refusal(series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """An output that exists is refused without --force; a refusal of the data leaves it as it was with --force.
-
-    Such data are a bag that is not there, and one that is to validate what was identified from it.
-    """
-    output = tmp_path / "friction.yaml"
-    output.write_text("mine", encoding="utf-8")
-    assert run("rx90_identify", [str(series), "--output", str(output)]) == REFUSED
-    assert "exists; accepted: another name, or --force" in capsys.readouterr().err
-    bag = str(read_index(series).sliding[0])
-    for words, said in (
-        (["--sliding", str(tmp_path / "nowhere")], "nowhere"),
-        (["--sliding", bag, "--validation", bag], "also used for the identification"),
-    ):
-        assert run("rx90_identify", [*words, "--output", str(output), "--force"]) == REFUSED
-        assert said in capsys.readouterr().err
-        assert output.read_text(encoding="utf-8") == "mine"
-    assert [file.name for file in tmp_path.iterdir()] == ["friction.yaml"]
 
 
 def short_series(setup: Setup) -> list[Experiment]:

@@ -116,6 +116,10 @@ REFUSED_CASES = {
     "coupling": (options("--coupling", 0), r"coupling: \[\[0.0\]\]; accepted: an invertible matrix"),
     "tool": (options("--tool", "none"), "--tool with --urdf; accepted"),
     "fallback": (options("--fallback", "nowhere.yaml"), "nowhere.yaml"),
+    "forced": (
+        lambda _, f: ["--sliding", f / "nowhere", "--force", "--output", filled(f / "mine.yaml", "mine")],
+        "nowhere: no such bag",
+    ),
     "exists": (existing("--output", "mine.yaml"), "mine.yaml exists; accepted: another name, or --force"),
     "report_exists": (existing("--report", "mine.html"), "mine.html exists; accepted"),
     "is_folder": (
@@ -128,8 +132,6 @@ REFUSED_CASES = {
     "same": (lambda h, f: ["--sliding", h.bag, "--output", f / "f.html"], "--output and --report are both"),
     # a number that cannot be one
     "gear": (options("--gear", "0"), "argument --gear: '0'; accepted: a finite number other than 0"),
-    "constant": (options("--torque-constant", "nan"), "argument --torque-constant: 'nan'; accepted"),
-    "infinite": (options("--coupling", "inf"), "argument --coupling: 'inf'; accepted: a finite number"),
     "inertia": (options("--rotor-inertia", "-1"), "--rotor-inertia: '-1'; accepted: 0 or a positive number"),
     "delay": (options("--torque-delay", "1"), "--torque-delay: '1'; accepted: s, from -0.05 to 0.05"),
     "tolerance": (options("--torque-tolerance", "0"), "--torque-tolerance: '0'; accepted: a positive number"),
@@ -217,8 +219,16 @@ def test_what_cannot_be_checked_is_refused(
     assert message in capsys.readouterr().err.splitlines()[-1]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("place", ["read_record", "identify_records", "report_page", "write_all"])
+@pytest.mark.parametrize(
+    ("place", "number"),
+    [
+        ("read_record", signal.SIGTERM),
+        ("identify_records", signal.SIGINT),
+        ("report_page", signal.SIGTERM),
+        ("write_all", signal.SIGINT),
+        ("write_all", signal.SIGTERM),
+    ],
+)
 def test_an_interrupt_leaves_everything(
     hinge: Hinge,
     tmp_path: Path,

@@ -31,7 +31,7 @@ def errors(estimate: ElementEstimate, element: FrictionElement) -> dict[str, flo
     return {name: abs(found.value / getattr(element, name) - 1.0) for name, found in estimate.parameters.items()}
 
 
-@pytest.mark.parametrize("joint", [0, 1, 2, 3])
+@pytest.mark.parametrize("joint", [0, 1])
 def test_random_friction_is_found_within_two_per_cent_at_the_rigs_noise(sweeps: Any, arm: RigidArm, joint: int) -> None:
     """Every sliding parameter of a joint is within 2 % of the truth at the default rig's encoder and torque noise."""
     record, friction = sweeps([joint], 20 + joint, count=16, poses=3, longest=4.0)
@@ -80,9 +80,10 @@ def test_an_unknown_payload_of_one_kilogram_does_not_move_tau_c(sweeps: Any, arm
     loaded, _ = sweeps([joint], 4, payload=1.0, count=14, poses=2)
     shift = np.abs(loaded.torque - without.torque).max()
     assert shift > 5.0  # Nm: it would show
-    fits = [identify_sliding([record], arm).estimates[joint].parameters for record in (without, loaded)]
+    fits = [identify_sliding([record], arm) for record in (without, loaded)]
     for name in ("tau_c_positive", "tau_c_negative"):
-        assert fits[1][name].value == pytest.approx(fits[0][name].value, rel=0.02)
+        bare, full = (fit.estimates[joint].parameters[name].value for fit in fits)
+        assert full == pytest.approx(bare, rel=0.02)
 
 
 def test_the_error_of_the_weights_explains_the_payload(sweeps: Any, arm: RigidArm) -> None:
@@ -112,15 +113,6 @@ def test_intervals_cover_the_truth(sweeps: Any, arm: RigidArm, common: float) ->
     assert len(inside) == 140
     assert np.mean(inside) >= 0.9
     assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.3
-
-
-def test_deviations_follow_the_noise(sweeps: Any, arm: RigidArm) -> None:
-    """Twice the torque noise gives twice the standard deviations."""
-    small, large = (
-        identify_sliding([sweeps([2], 5, Noise(scale * Noise.torque))[0]], arm).estimates[2] for scale in (1.0, 2.0)
-    )
-    ratios = [large.parameters[name].deviation / small.parameters[name].deviation for name in SLIDING]
-    assert np.median(ratios) == pytest.approx(2.0, rel=0.25)
 
 
 def outliers(record: JointRecord) -> JointRecord:
@@ -224,34 +216,22 @@ def test_speeds_close_to_each_other_count(sweeps: Any, arm: RigidArm) -> None:
 
 
 @pytest.mark.parametrize(
-    ("program", "message"),
+    ("program", "change", "message"),
     [
-        ({"count": 4, "longest": 4.0}, r"joint_3 slides at 4 speeds in positive and 4 .*accepted: 5 or more"),
-        ({"backward": False}, r"joint_3 slides at positive velocities only; accepted: .*both"),
+        ({"count": 4, "longest": 4.0}, {}, r"joint_3 slides at 4 speeds in positive and 4 .*accepted: 5 or more"),
+        ({"backward": False}, {}, r"joint_3 slides at positive velocities only; accepted: .*both"),
+        ({}, {"rows": 0.08}, "no stretch of constant velocity"),
+        ({}, {"names": tuple("abcdef")}, "joints a, b, c, d, e, f; accepted: joint_1"),
     ],
+    ids=["four speeds", "one direction", "at rest", "other joints"],
 )
-def test_too_few_speeds_and_one_direction_are_refused(
-    sweeps: Any, arm: RigidArm, program: dict[str, Any], message: str
+def test_what_tells_no_friction_is_refused(
+    sweeps: Any, arm: RigidArm, program: dict[str, Any], change: dict[str, Any], message: str
 ) -> None:
-    """Four speeds, and sweeps in one direction, are refused with the element that moves and what is accepted."""
+    """Too few speeds, one direction, rest and other joints are refused with what is lacking and what is accepted."""
     record, _ = sweeps([2], **program)
+    if "rows" in change:
+        begin = record.time < change["rows"]
+        change = {name: getattr(record, name)[begin] for name in ("time", "position", "velocity", "torque")}
     with pytest.raises(IdentificationError, match=message):
-        identify_sliding([record], arm)
-
-
-def test_a_bag_without_sweeps_is_refused(sweeps: Any, arm: RigidArm) -> None:
-    """A record at rest is refused for want of constant velocity."""
-    record, _ = sweeps([2])
-    begin = record.time < 0.08
-    rows = {name: getattr(record, name)[begin] for name in ("time", "position", "velocity", "torque")}
-    short = dataclasses.replace(record, **rows)
-    with pytest.raises(IdentificationError, match="no stretch of constant velocity"):
-        identify_sliding([short], arm)
-
-
-def test_other_joints_than_the_arms_are_refused(sweeps: Any, arm: RigidArm) -> None:
-    """A record of other joints is refused with both lists of names."""
-    record, _ = sweeps([2])
-    renamed = dataclasses.replace(record, names=tuple("abcdef"))
-    with pytest.raises(IdentificationError, match="joints a, b, c, d, e, f; accepted: joint_1"):
-        identify_sliding([renamed], arm)
+        identify_sliding([dataclasses.replace(record, **change)], arm)
