@@ -95,6 +95,31 @@ def fresh_motion(setup: Setup) -> Experiment:
     return Experiment("fresh", Kind.VALIDATION, motion.points(setup.robot.joint_names), 4)
 
 
+def test_the_report_names_bags_and_assumptions(identified: tuple[Path, str]) -> None:
+    """Every bag stands in the report with its use and digest, and every assumed value is marked as one, or its row."""
+    output, _ = identified
+    page = output.with_suffix(".html").read_text(encoding="utf-8")
+    identification = yaml.safe_load(output.read_text(encoding="utf-8"))["identification"]
+    for bag in identification["bags"].values():
+        assert f"<td>{bag['path']}</td>" in page
+        assert bag["sha256"] in page
+    assert [page.count(f"<td>{use}</td>") for use in ("sliding", "presliding", "validation")] == [1, 1, 1]
+    parameters = {
+        name: {key: entry for key, entry in element.items() if key != "alpha" or "<th>alpha<br>" in page}
+        for name, element in identification["parameters"].items()
+    }
+    told = {
+        name: [entry["provenance"] == "assumed" for entry in element.values()]
+        for name, element in parameters.items()
+        if any(entry["provenance"] == "identified" for entry in element.values())
+    }
+    assert len(re.findall(r'<br><span class="assumed">assumed', page)) == sum(map(sum, told.values()))
+    others = ", ".join(name for name in parameters if name not in told)
+    assert others
+    assert page.count(f"{others}: nothing identified") == 1
+    assert "omega_d, at which c1 fades" in page
+
+
 def short_series(setup: Setup) -> list[Experiment]:
     """Return sweeps of one joint, much less than --quick: joint 4, five speeds, 14 s; and one that is too long."""
     names, fourth = setup.robot.joint_names, np.eye(6)[3]

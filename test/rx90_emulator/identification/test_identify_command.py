@@ -116,6 +116,10 @@ REFUSED_CASES = {
     "coupling": (options("--coupling", 0), r"coupling: \[\[0.0\]\]; accepted: an invertible matrix"),
     "tool": (options("--tool", "none"), "--tool with --urdf; accepted"),
     "fallback": (options("--fallback", "nowhere.yaml"), "nowhere.yaml"),
+    "forced": (
+        lambda _, f: ["--sliding", f / "nowhere", "--force", "--output", filled(f / "mine.yaml", "mine")],
+        "nowhere: no such bag",
+    ),
     "exists": (existing("--output", "mine.yaml"), "mine.yaml exists; accepted: another name, or --force"),
     "report_exists": (existing("--report", "mine.html"), "mine.html exists; accepted"),
     "is_folder": (
@@ -214,8 +218,16 @@ def test_the_difference_is_that_of_the_friction(hinge: Hinge, tmp_path: Path) ->
     assert not check.passed
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("place", ["read_record", "identify_records", "report_page", "write_all"])
+@pytest.mark.parametrize(
+    ("place", "number"),
+    [
+        ("read_record", signal.SIGTERM),
+        ("identify_records", signal.SIGINT),
+        ("report_page", signal.SIGTERM),
+        ("write_all", signal.SIGINT),
+        ("write_all", signal.SIGTERM),
+    ],
+)
 def test_an_interrupt_leaves_everything(
     hinge: Hinge,
     tmp_path: Path,
