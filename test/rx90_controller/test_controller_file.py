@@ -1,10 +1,12 @@
-"""The controller file: every key refuses what it cannot be, in one line that names it."""
+"""The controller file, whose keys refuse in one line what they cannot be; and a node without control_msgs."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from refusals import refusal_by
@@ -12,6 +14,7 @@ from refusals import refusal_by
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.law.parameters import load_controller
+from rx90_controller.node import controller_node
 from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
@@ -93,3 +96,12 @@ def test_without_a_model_its_parts_stay_off(shipped: Setup, switch: str) -> None
     on = dataclasses.replace(shipped.controller.feed_forward, **{switch: True})
     with pytest.raises(ConfigError, match=f"{switch} is true without a model; accepted: with one"):
         dataclasses.replace(shipped.controller, feed_forward=on, model=None)
+
+
+def test_one_line_says_that_the_action_is_off_and_how_to_turn_it_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without control_msgs nothing is served beyond what there was, and the log has one line of information."""
+    monkeypatch.setattr(controller_node, "missing_control_msgs", lambda: "needs control_msgs; accepted: make action")
+    said: list[str] = []
+    node: Any = SimpleNamespace(get_logger=lambda: SimpleNamespace(info=said.append))
+    assert controller_node.import_client_interfaces(node) is None
+    assert said == ["the action follow_joint_trajectory is off: needs control_msgs; accepted: make action"]
