@@ -281,11 +281,9 @@ def test_a_trajectory_that_did_not_come_fails(
     publish(1.0, accepted)
     recorders = {name: record(start, tmp_path / name, *topics, ready=2) for name in ("whole", "lacking")}
     wait_until(lambda: commands.get_subscription_count() == 2, "the recorders")
-    for value, publishers, frame in (
-        (2.0, (commands, accepted), ""), (2.0, (commands, accepted), ""), (3.0, (accepted,), "follow_joint_trajectory"),
-        (4.0, (commands,), ""),
-    ):  # fmt: skip
-        publish(value, *publishers, frame=frame)
+    for value, *publishers in ((2.0, commands, accepted), (2.0, commands, accepted), (4.0, commands)):
+        publish(value, *publishers)
+    publish(3.0, accepted, frame="follow_joint_trajectory")
     assert recorders["whole"].finish(signal.SIGINT)[::2] == (0, "")
     publish(2.0, accepted)
     publish(5.0, accepted)
