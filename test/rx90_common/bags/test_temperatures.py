@@ -12,7 +12,6 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 import rx90_emulator as rx
-from rx90_common.bags import exporting, logs
 from rx90_common.bags.batch import temperature_cdr
 from rx90_common.bags.plotting import plot_bags
 from rx90_common.base.errors import BagError, ExchangeError
@@ -80,28 +79,6 @@ def test_temperatures_are_a_series(bag: Path) -> None:
     assert series.messages == len(usual())
     with pytest.raises(BagError, match="position, temperature; accepted: temperature alone"):
         rx.JointSeries("/t", NAMES, series.stamp_ns, series.temperature, temperature=series.temperature)
-
-
-def test_temperatures_come_back_from_csv(
-    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Exported and imported again, in several blocks, each message is there to the last bit, and compare says same."""
-    monkeypatch.setattr(exporting, "_ROWS_AT_ONCE", 10)
-    monkeypatch.setattr(logs, "_BLOCK", 5)
-    again = tmp_path / "again"
-    assert run("rx90_bag", ["export", str(bag), "--output", str(tmp_path / "out")]) == 0
-    assert run("rx90_bag", ["import", str(tmp_path / "out"), str(again)]) == 0
-    said = capsys.readouterr().out
-    assert "left out" not in said
-    table = (tmp_path / "out" / "temperatures.csv").read_text(encoding="utf-8").splitlines()
-    assert len(table) == 1 + len(STAMPS) + 1  # what belongs to a moment is in a row, wherever a block ends
-    assert f"/temperatures: {len(usual())} messages" in said
-    assert f"/temperatures: 3 joints, {len(usual())} messages" in said
-    with AnyReader([again]) as reader:
-        found = [(one.msgtype, stamp, data) for one, stamp, data in reader.messages() if one.topic == "/temperatures"]
-    assert found == [(TEMPERATURE, stamp, cdr(stamp, name, value)) for stamp, name, value in usual()]
-    assert run("rx90_bag", ["compare", str(bag), str(again)]) == 0
-    assert "/temperatures: same, 21 messages compared" in capsys.readouterr().out
 
 
 def test_names_that_come_and_go_leave_rows_whole(tmp_path: Path) -> None:
@@ -186,14 +163,3 @@ def test_messages_are_those_of_another_serialiser() -> None:
     for stamp, name in ((-1, "j"), (2**31 * SECOND, "j"), (0, "a\0b")):
         with pytest.raises(ExchangeError, match="accepted: "):
             temperature_cdr(stamp, name, 20.0)
-
-
-def test_tables_of_temperatures_have_names_and_units(bag: Path, tmp_path: Path) -> None:
-    """A table has a row for each stamp under names with °C, and NPZ an array under a name that MATLAB takes."""
-    for suffix in (".csv", ".npz"):
-        exporting.export_bag(bag, tmp_path / f"t{suffix}", topics=["temperatures"])
-    lines = (tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()
-    assert lines[0].split(",") == ["time [s]", *(f"{name} temperature [°C]" for name in NAMES)]
-    assert lines[3] == "1790000002.000000007,-0.0,5e-324,0.30000000000000004"
-    with np.load(tmp_path / "t.npz") as arrays:
-        assert arrays["temperatures_temperature_C"].shape == (21, 3)
