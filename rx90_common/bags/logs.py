@@ -235,7 +235,7 @@ def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int]
                 accepted = f"0 to {_LAST_NS // NANOSECONDS} s"
                 faults.setdefault(first + row, f"time {_cell(columns[time][row])}; accepted: {accepted}")
         lines.append(numbers)
-        stamps.append(np.maximum(stamp, 0))
+        stamps.append(stamp)
         first += len(numbers)
     whole = {place: np.concatenate(some) for place, some in parts.items()}
     numbers_of = {column: whole[place] for column, place in used.items()}

@@ -66,16 +66,17 @@ def test_one_change_is_found(order: list[int], row: int, column: int, step: floa
 
 
 def test_rms_and_maximum_of_all_rows() -> None:
-    """Maximum and RMS of random differences are those of the plain formulas."""
-    a, b = series(500, seed=1), series(500, seed=2)
+    """Maximum and RMS of random differences are those of the plain formulas, of those that are finite."""
+    a, b = (changed(series(500, seed=k), 7, 1, math.nan) for k in (1, 2))
     result = compared(a, b)
     for field, values in a.fields.items():
-        distance = values - b.fields[field]
+        distance = np.where(np.isnan(values), 0.0, values - b.fields[field])
+        finite = np.isfinite(values).sum(axis=0)
         for column, joint in enumerate(NAMES):
             found = value_of(result, joint, field)
             assert found.maximum == np.abs(distance[:, column]).max()
             assert found.at_ns == a.stamp_ns[np.abs(distance[:, column]).argmax()]
-            assert found.rms == pytest.approx(np.sqrt(np.mean(distance[:, column] ** 2)), rel=1e-12)
+            assert found.rms == pytest.approx(np.sqrt(np.sum(distance[:, column] ** 2) / finite[column]), rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -219,6 +220,7 @@ def test_exit_code(bags: Path, arguments: str, code: int, monkeypatch: pytest.Mo
         ("a off --tolerance position=-1", "accepted: a finite number >= 0"),
         ("a off --tolerance position", "accepted: [TOPIC:[JOINT:]]FIELD=VALUE"),
         ("a off --tolerance joint_state:position=1", "/joint_state, which is in neither bag"),
+        ("a off --tolerance joint_states:joint_9:position=1", "joint_9, which no compared topic has"),
         ("a off --tolerance *:joint_9:position=1", "joint_9, which no compared topic has"),
         ("a off --tolerances odd.yaml", "joint_states.speed is not a known key"),
         ("a off --topics elbow", "/elbow is in neither bag; JointState topics: /joint_states"),

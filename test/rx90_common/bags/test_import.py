@@ -284,6 +284,7 @@ def test_damaged_lines_of_an_exported_file_are_left_out(tmp_path: Path, capsys: 
         ),
         (True, b"t,a,b\n0,1,2\n1,2,3_0\n", "log.csv: 1 corrupt row, line 3 (line 3: column 3 is '3_0'"),
         (True, b"t,a,b\n1_0,1,2\n", "(line 2: time '1_0'"),
+        (True, b"t,a,b\n2147483648,1,2\n", "(line 2: time '2147483648'; accepted: 0 to 2147483648 s"),
         (True, b"t,a,b\n0,1,\0\n", "(line 2: column 3 is '\\x00'"),
     ],
 )

@@ -39,14 +39,9 @@ def recordings(draw: Any) -> tuple[list[str], tuple[bool, bool, bool], list[dict
     for _ in range(draw(st.integers(1, 6))):
         order = draw(st.permutations(range(len(names)))) if draw(st.booleans()) else range(len(names))
         values = draw(st.lists(FLOATS, min_size=3 * len(names), max_size=3 * len(names)))
-        messages.append(
-            {
-                "order": list(order),
-                "values": np.array(values).reshape(3, -1),
-                "stamp": draw(st.integers(0, (1 << 31) * 1_000_000_000 - 1)),
-                "frame_id": draw(st.sampled_from(["", "base_link"])),
-            }
-        )
+        stamp = draw(st.integers(0, (1 << 31) * 1_000_000_000 - 1))
+        messages.append({"order": list(order), "values": np.array(values).reshape(3, -1), "stamp": stamp,
+                         "frame_id": draw(st.sampled_from(["", "base_link"]))})  # fmt: skip
     return names, present, messages
 
 
@@ -75,8 +70,7 @@ def test_arrays_are_what_was_written(recording: Any, ros1: bool) -> None:
             assert values.tobytes() == np.array([m["values"][f] for m in messages]).tobytes()
 
 
-@pytest.mark.parametrize("storage", STORAGES)
-def test_bulk_of_mixed_layouts(tmp_path: Path, storage: str) -> None:
+def test_bulk_of_mixed_layouts(tmp_path: Path) -> None:
     """Thousands of messages in alternating joint orders and several topics come back complete, in order."""
     random = np.random.default_rng(1)
     values = random.normal(size=(9000, 3))
@@ -85,9 +79,8 @@ def test_bulk_of_mixed_layouts(tmp_path: Path, storage: str) -> None:
     for i, row in enumerate(values):
         order = orders[i % 2]
         messages.append(("/a", i, joint_state(i, [NAMES[k] for k in order], row[order])))
-        if i % 10 == 0:
-            messages.append(("/b", i, joint_state(i, ["x"], [], [row[0]], frame_id="world")))
-    read = read_joint_bag(write_ros2(tmp_path / "bag", messages, storage)).series
+        messages += [("/b", i, joint_state(i, ["x"], [], [row[0]], frame_id="world"))] * (i % 10 == 0)
+    read = read_joint_bag(write_ros2(tmp_path / "bag", messages)).series
     assert list(read) == ["/a", "/b"]
     (a,), (b,) = read["/a"], read["/b"]
     assert a.names == NAMES
@@ -183,7 +176,7 @@ def test_reading_and_writing_need_no_ros() -> None:
 def test_counts_rates_and_gaps(tmp_path: Path, storage: str) -> None:
     """Count, rate, first and last stamp, number of gaps and the longest of them are those of the stamps."""
     steady = series(101, step_ns=250_000, topic="/motor_states")
-    rows = np.r_[0:30, 33:60, 70:101]
+    rows = np.r_[0:10, 11:30, 33:60, 70:101]
     write_joint_states(
         tmp_path / "bag",
         [steady, series(101).take(rows)],
@@ -191,13 +184,13 @@ def test_counts_rates_and_gaps(tmp_path: Path, storage: str) -> None:
         messages=[string_message("note", "")],
     )
     summary = summarise(tmp_path / "bag")
-    assert (summary.count, summary.storage) == (101 + 88 + 1, {"mcap": "mcap", "sqlite3": "db3"}[storage])
+    assert (summary.count, summary.storage) == (101 + 87 + 1, {"mcap": "mcap", "sqlite3": "db3"}[storage])
     assert summary.size == sum(f.stat().st_size for f in (tmp_path / "bag").iterdir())
     joint, motor, note = summary.topics
     assert (motor.rate, motor.gaps, motor.longest_gap_ns) == (4000.0, 0, None)
     assert (motor.first_ns, motor.last_ns) == (0, 25_000_000)
-    assert (joint.gaps, joint.longest_gap_ns, joint.longest_gap_at_ns) == (2, 11_000_000, 59_000_000)
-    assert joint.rate == pytest.approx(870.0)
+    assert (joint.gaps, joint.longest_gap_ns, joint.longest_gap_at_ns) == (3, 11_000_000, 59_000_000)
+    assert joint.rate == pytest.approx(860.0)
     assert (note.count, note.time, note.rate) == (1, "log", None)
 
 

@@ -281,11 +281,9 @@ def test_a_trajectory_that_did_not_come_fails(
     publish(1.0, accepted)
     recorders = {name: record(start, tmp_path / name, *topics, ready=2) for name in ("whole", "lacking")}
     wait_until(lambda: commands.get_subscription_count() == 2, "the recorders")
-    for value, publishers, frame in (
-        (2.0, (commands, accepted), ""), (2.0, (commands, accepted), ""), (3.0, (accepted,), "follow_joint_trajectory"),
-        (4.0, (commands,), ""),
-    ):  # fmt: skip
-        publish(value, *publishers, frame=frame)
+    for value, *publishers in ((2.0, commands, accepted), (2.0, commands, accepted), (4.0, commands)):
+        publish(value, *publishers)
+    publish(3.0, accepted, frame="follow_joint_trajectory")
     assert recorders["whole"].finish(signal.SIGINT)[::2] == (0, "")
     publish(2.0, accepted)
     publish(5.0, accepted)
@@ -394,7 +392,7 @@ def test_a_disk_that_takes_no_more_is_a_failure(tmp_path: Path, start: Start, no
     suite = Suite(node)
     recorder = start("-c", CRAMPED, "record", "-o", str(tmp_path / "bag"), "motor_states")
     recorder.wait_for("ready: all 1 topics")
-    suite.publish(20_000, 4000, acknowledged=False)
+    suite.publish(6000, 4000, acknowledged=False)
     code, _, err = recorder.finish()
     half = "; what was written before stays, and rx90_bag info says how much of it is whole"
     assert (code, err.strip()) == (3, f"rx90_bag: {tmp_path / 'bag'}: cannot be written (File too large){half}")
