@@ -6,6 +6,7 @@ import math
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -105,9 +106,7 @@ def test_every_shape_stays_away_from_table_and_wall(
         for link in ET.fromstring(tx40.robot.urdf).findall("link"):
             frame = model.getFrameId(str(link.get("name")), pin.BODY)
             points = _outline(link) @ data.oMf[frame].rotation.T + data.oMf[frame].translation
-            known = model.frames[frame]
-            # Pinocchio 2 calls it `parent`.
-            joint = known.parentJoint if hasattr(known, "parentJoint") else known.parent
+            joint = _joint_of(model.frames[frame])
             for k, (direction, distance, standing) in enumerate(planes):
                 if joint > standing and len(points):
                     least[k] = min(least[k], float((points @ direction).min()) - distance)
@@ -115,6 +114,11 @@ def test_every_shape_stays_away_from_table_and_wall(
     assert min(least) >= OPTIONS.clearance
     assert np.all(np.array(least) - reported < 2e-3)
     assert np.all(np.array(least) - reported > -1e-9)
+
+
+def _joint_of(frame: Any) -> int:
+    """Return the number of the joint that moves a frame; Pinocchio 2 calls it `parent`."""
+    return int(frame.parentJoint if hasattr(frame, "parentJoint") else frame.parent)
 
 
 def _outline(link: ET.Element) -> Array:
@@ -270,35 +274,25 @@ def test_a_wall_behind_the_arm_leaves_room(shipped: Setup) -> None:
 
 
 def test_the_arm_does_not_touch_itself(shipped: Setup) -> None:
-    """A motion that folds the arm onto its base, by coal's plain collision with each shape, is shrunk until it is free.
+    """A motion that folds the arm onto its base, by Pinocchio's plain collisions, is shrunk until it is free.
 
     The derivative of what nearness costs is that of differences to a tenth: the checker's depths of overlaps are rough.
     """
-    # Pinocchio 2 has coal under its old name, with other names in it.
-    coal = pytest.importorskip("coal" if pin.__version__ >= "3" else "hppfcl")
-    transform = coal.Transform3s if pin.__version__ >= "3" else coal.Transform3f
     search = _search(shipped)
     coefficients = np.zeros((6, search.samples.shape[2]))
     coefficients[:, 0] = (0.0, 0.6, 1.9, 0.0, 0.0, 0.0)
     coefficients[1:3, 3] = 1.5
     fine = search.basis(np.arange(0.0, 6.0, 0.02))
 
+    model = shipped.robot.model
+    shapes = pin.buildGeomFromUrdfString(model, shipped.robot.urdf, pin.COLLISION)
+    for k, shape in enumerate(shapes.geometryObjects):
+        if _joint_of(model.frames[shape.parentFrame]) > 1:
+            shapes.addCollisionPair(pin.CollisionPair(0, k))
+    data = model.createData(), shapes, shapes.createData()
+
     def touches(coefficients: Array) -> bool:
-        model = shipped.robot.model
-        shapes = pin.buildGeomFromUrdfString(model, shipped.robot.urdf, pin.COLLISION)
-        data, placed = model.createData(), shapes.createData()
-        base = shapes.geometryObjects[0].geometry
-        for q in (fine @ coefficients.T)[0]:
-            pin.updateGeometryPlacements(model, data, shapes, placed, q)
-            for k, shape in enumerate(shapes.geometryObjects):
-                frame = model.frames[shape.parentFrame]
-                joint = frame.parentJoint if hasattr(frame, "parentJoint") else frame.parent
-                poses = [transform(placed.oMg[i].rotation, placed.oMg[i].translation) for i in (0, k)]
-                if joint > 1 and coal.collide(
-                    base, poses[0], shape.geometry, poses[1], coal.CollisionRequest(), coal.CollisionResult()
-                ):
-                    return True
-        return False
+        return any(pin.computeCollisions(model, *data, q, True) for q in (fine @ coefficients.T)[0])
 
     assert touches(coefficients)
     position = (fine @ coefficients.T)[0]
