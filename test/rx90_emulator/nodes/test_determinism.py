@@ -1,26 +1,34 @@
-"""The run over DDS and the closed loop without ROS are the same numbers, whatever the network and the machine do."""
+"""The nodes, in one process or two, and the closed loop without ROS are the same numbers, whatever the machine does."""
 
 from __future__ import annotations
 
 import os
 import shutil
+import signal
 import struct
 import subprocess
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from full_friction import write_with_parts
 from line_run import TOPICS, run_both_ways
 from own_model import by_model
 from processes import Processes
-from ros_client import Client
+from ros_client import Client, seconds
 from rosbags.highlevel import AnyReader
 
+import rx90_emulator as rx
 from rx90_common.bags.comparison import Verdict
 from rx90_common.bags.tables import comparison_text
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import NANOSECONDS
 from rx90_controller.law.parameters import MODEL_PARTS
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
+from rx90_emulator.cell.composition import own_parameters
 from rx90_emulator.loop.setup import Setup
 
 SHARE = 0.01
@@ -79,3 +87,98 @@ def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine_that_loses_dat
     assert (taken.header.stamp.nanosec, log_ns) == (100_000_000, 100_000_000)
     assert taken.joint_names == list(plan.joint_names)
     assert [point.positions.tolist() for point in taken.points] == plan.position.tolist()
+
+
+IN_CELL_1 = ("--ros-args", "-r", "__ns:=/cell_1")
+
+
+def _temperatures(bag: Path) -> list[tuple[int, str, float, float]]:
+    """Return stamp, ns, frame, temperature and variance of all messages in a bag."""
+    with AnyReader([bag]) as reader:
+        messages: list[Any] = [
+            reader.deserialize(data, connection.msgtype)
+            for connection, _, data in reader.messages(c for c in reader.connections if c.topic == "/temperatures")
+        ]
+    return [
+        (m.header.stamp.sec * NANOSECONDS + m.header.stamp.nanosec, m.header.frame_id, m.temperature, m.variance)
+        for m in messages
+    ]
+
+
+@pytest.mark.ros
+def test_one_process_gives_the_closed_loops_bits(
+    processes: Processes, client: Client, shipped: Setup, tmp_path: Path
+) -> None:
+    """With a parameter file for both, every recorded number equals the closed loop without ROS, to the last bit.
+
+    So it does when the simulation is deactivated and activated in the middle of the motion, and its pace is changed,
+    with friction elements that have all parts, a seed of their scatter, and temperatures at a rate of their own.
+    """
+    friction = write_with_parts(shipped.friction.file, tmp_path / "friction.yaml")
+    setup = rx.load_setup(friction=friction, seed=11)
+    comparison = run_both_ways(processes, client, setup, tmp_path, composed=True, rests=2)
+    assert {topic.topic for topic in comparison.topics} == {*TOPICS, "/temperatures"}
+    assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
+    recorded, simulated = (_temperatures(tmp_path / name) for name in ("recorded", "closed_loop"))
+    names, last = setup.friction.names, comparison.topics[0].range_ns[1]
+    stamps = range(0, last + 1, NANOSECONDS // 10)
+    assert [(stamp, name) for stamp, name, *_ in recorded] == [(stamp, name) for stamp in stamps for name in names]
+    assert simulated == recorded
+    assert recorded[:7] == [(0, name, 30.0, 0.0) for name in names]
+    assert all(message[2] != 30.0 for message in recorded[-7:])
+
+
+@pytest.mark.ros
+def test_services_deaths_and_the_end_are_those_of_two_processes(processes: Processes) -> None:
+    """In a namespace, in either time: services and diagnostics of both nodes, kill -9 and a new start, Ctrl-C."""
+    paused = ("-p", "rx90_sim:paused:=true", "-p", "rx90_sim:step_ticks:=8")
+    with closing(Client("/cell_1")) as client:
+        cell = processes.start("rx90_cell", *IN_CELL_1, *paused)
+        states, commands = client.listen("motor_states"), client.listen("motor_commands")
+        diagnostics = client.listen("/diagnostics", DiagnosticArray)
+        for _ in range(2):
+            client.simulation.step()
+        client.spin_until(lambda: len(states) == len(commands) == 16, "16 ticks")
+        for heard in (states, commands):
+            assert [seconds(message) for message in heard] == pytest.approx([k * 250e-6 for k in range(16)])
+        client.spin_until(lambda: len({m.status[0].name for m in diagnostics}) == 2, "diagnostics of both nodes")
+        client.simulation.reset()
+        states.clear()
+        client.simulation.step()
+        client.spin_until(lambda: len({seconds(m) for m in states}) == 8, "8 ticks")
+        assert seconds(states[0]) == 0.0
+        cell.signal(signal.SIGKILL)
+        cell.wait()
+
+    with closing(Client("/cell_1")) as client:
+        cell = processes.start("rx90_cell", *IN_CELL_1, "-p", "rx90_sim:time_mode:=free_running")
+        joints, reference = client.listen("joint_states", depth=1), client.listen("rx90_controller/reference", depth=1)
+        client.spin_until(lambda: bool(joints) and max(joints[-1].effort) > 0.0, "the drives' torque")
+        client.send([(0.3, [0.02] * 6)])
+        end = pytest.approx([0.02] * 6, abs=1e-12)
+        client.spin_until(lambda: bool(reference) and list(reference[-1].position) == end, "the end of the motion")
+        client.enable(False)
+        client.spin_until(lambda: list(joints[-1].effort) == [0.0] * 6, "no torque")
+        before = seconds(joints[-1])
+        client.simulation.reset()
+        client.spin_until(lambda: seconds(joints[-1]) < before, "time to go back")
+        cell.signal(signal.SIGINT)
+        assert cell.wait() == 0
+        assert "Traceback" not in cell.output
+
+
+@pytest.mark.ros
+def test_another_robot_in_the_other_section_ends_it(processes: Processes) -> None:
+    """A robot, as a rate, that differs between the two nodes is one line with both values."""
+    done = processes.run("rx90_cell", "--ros-args", "-p", "rx90_controller:robot:=tx40")
+    assert done.returncode == 3
+    assert "rx90_cell: the robot is 'tx40' here and 'rx90b' in the simulation" in done.stderr
+
+
+def test_a_parameter_of_another_node_is_refused() -> None:
+    """A parameter goes to the node that it names, whatever the namespace; a node that is not there is refused."""
+    words = ["--ros-args", "-p", "rx90_sim:a:=1", "-p", "b:=rx90_sim:c", "--param", "rx90_controller:d:=x:=y"]
+    own = own_parameters(words)
+    assert own == {"rx90_sim": ["--ros-args", "-p", "a:=1"], "rx90_controller": ["--ros-args", "-p", "d:=x:=y"]}
+    with pytest.raises(ConfigError, match="'rx90_simulation:a:=1': no such node here; accepted: rx90_sim, rx90_cont"):
+        own_parameters(["-p", "rx90_simulation:a:=1"])

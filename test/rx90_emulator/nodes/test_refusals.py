@@ -89,12 +89,6 @@ def test_what_a_declaration_does_not_accept_is_named(client: Client) -> None:
     ("variable", "value", "accepted", "command"),
     [
         ("ROS_DOMAIN_ID", "500", "0 to 232", ["rx90_sim"]),
-        (
-            "RMW_IMPLEMENTATION",
-            "rmw_nothing_cpp",
-            "rmw_fastrtps_cpp",
-            ["rx90_line", "--from-file", "robots/rx90b/task.yaml"],
-        ),
         ("ROS_DOMAIN_ID", "-1", "0 to 232", ["rx90_bag", "record", "--output", "never_made"]),
         ("RMW_IMPLEMENTATION", "rmw_nothing_cpp", "rmw_fastrtps_cpp", ["rx90_demo", "--output", "never_made"]),
     ],

@@ -22,7 +22,7 @@ from rx90_common.description.kinematics import tip_position
 from rx90_common.exchange.arm_watch import JointSample, NodeStatus, Trajectory
 from rx90_common.process.children import ChildProcess
 from rx90_controller.lines.plan import Approach, approached
-from rx90_controller.lines.task import load_task
+from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import path_accuracy, plan_line
 from rx90_emulator.loop.setup import Setup
@@ -34,7 +34,6 @@ from rx90_emulator.view.scene import LineScene
 Open = Callable[..., BrowserPage]
 ARM = "/arm/" + "/".join(f"joint_{k}" for k in range(1, 7)) + "/tip"
 POSE = [0.4, -0.7, 1.9, 0.8, -0.9, 2.5]
-NO_CLIENT: Any = SimpleNamespace(node=None)
 SETTLED = 1e-3  # m; the arm gives a little under its weight
 
 
@@ -92,7 +91,7 @@ def test_the_arm_of_make_view_moves_and_all_ends_with_it(
         "rx90_view", "--demo", "--task", task, "--port", 0, "--no-browser", "--output", tmp_path / "out"
     )
     shown = open_page(address(view))
-    for end in ((0.6034, -0.2808, 0.1955), (0.6, -0.3, 0.2), (0.6034, -0.2808, 0.1955)):
+    for end in ((0.6034, -0.2808, 0.1955), (0.6, -0.3, 0.2)):
         shown.wait_until(near(shown, np.array(end)), f"the tip at {end}")
     shown.wait_until(lambda: len(shown.plots()["friction torque [Nm]"]["data"][0]) > 10, "samples of friction")
     friction, deflection = (
@@ -118,9 +117,28 @@ def test_the_arm_of_make_view_moves_and_all_ends_with_it(
     assert (stopped(view), shown.complaints, shown.foreign_requests) == (0, [], [])
 
 
-def test_what_was_accepted_before_time_began_again_is_forgotten(
-    shipped: Setup, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture(scope="module")
+def page() -> Iterator[Page]:
+    """Give a page that nobody looks at."""
+    made = Page("test", port=0)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def view_of(page: Page, shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> Callable[..., LiveView]:
+    """Return a function that gives the view of nodes for which something stands, without an arm."""
+    no_client: Any = SimpleNamespace(node=None)
+    monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: None))
+
+    def make(watch: Any, line: LineTask | None = None) -> LiveView:
+        monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
+        return LiveView(page, no_client, shipped.robot, "rx90_controller", line)
+
+    return make
+
+
+def test_what_was_accepted_before_time_began_again_is_forgotten(view_of: Callable[..., LiveView]) -> None:
     """Of a simulation that was reset, or started again, no trajectory is shown that would begin minutes later."""
     times = iter([300.0, 300.1, 0.2, 0.3])
     zeros = np.zeros(6)
@@ -130,19 +148,16 @@ def test_what_was_accepted_before_time_began_again_is_forgotten(
         listens_at_ticks=False,
         trajectory=Trajectory(299.0, np.array([305.0]), np.zeros((1, 6)), np.array([True])),
     )
-    monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
-    monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: None))
-    page = Page("test", port=0)
-    view = LiveView(page, NO_CLIENT, shipped.robot, "rx90_controller", None)
-    seen = []
+    view, seen = view_of(watch), []
     for now in range(4):
         view._update(float(now))
         seen.append(watch.trajectory is None)
-    page.close()
     assert seen == [False, False, True, True]
 
 
-def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_nodes_publish_is_what_the_plots_show(
+    page: Page, shipped: Setup, view_of: Callable[..., LiveView], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each quantity of each joint stands in its own plot, with its sign and in its unit.
 
     The loop has both axes, of the joint that is chosen.
@@ -169,16 +184,13 @@ def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypat
     watch = SimpleNamespace(
         elements=friction, joints=joints, trajectory=None, elements_at_ticks=ticks, listens_at_ticks=True
     )
-    monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: None))
     line: Any = SimpleNamespace(add=lambda times, _: [5e-5 if times[-1] > 1.0 else np.nan])
-    monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
-    page = Page("test", port=0)
     made: dict[str, Any] = {}
     add = page.gui.add_uplot
     monkeypatch.setattr(page.gui, "add_uplot", lambda *a, **k: made.setdefault(k["title"], add(*a, **k)))
     listed = page.gui.add_dropdown
     monkeypatch.setattr(page.gui, "add_dropdown", lambda *a, **k: made.setdefault(a[0], listed(*a, **k)))
-    view = LiveView(page, NO_CLIENT, shipped.robot, "rx90_controller", None)
+    view = view_of(watch)
     monkeypatch.setattr(view, "_line", line)
     made["joint of the loop"].value = "joint_3"
     times = np.arange(0.0, 3.0, 0.1)
@@ -187,7 +199,6 @@ def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypat
         view._update(2.0 * at)  # at half the speed of the wall clock
     view._line = None
     view._draw(0.0)
-    page.close()
     assert view.pace(2.0 * times[-1]) == pytest.approx(0.5)
     wave = np.cos(times)
     for title, factors in (
@@ -214,7 +225,7 @@ GOOD, WARNING, ERROR = "#2b8a3e", "#e67700", "#c92a2a"
 ROW = re.compile(r"<td[^>]*>([^<]*)</td><td[^>]*>(.*?)</td>")
 
 
-def test_each_fact_stands_in_its_row(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_fact_stands_in_its_row(view_of: Callable[..., LiveView]) -> None:
     """Brakes, controller, pace and trajectory are the nodes' own; a warning and an error have their colours."""
     simulated = [100.0]
     watch = SimpleNamespace(
@@ -226,10 +237,7 @@ def test_each_fact_stands_in_its_row(shipped: Setup, monkeypatch: pytest.MonkeyP
             "rx90_controller": NodeStatus(0, "holding", {"enabled": "true"}),
         },
     )  # fmt: skip
-    monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
-    monkeypatch.setattr(live_module, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: None))
-    page = Page("test", port=0)
-    view = LiveView(page, NO_CLIENT, shipped.robot, "rx90_controller", load_task())
+    view = view_of(watch, load_task())
 
     def rows(now: float) -> dict[str, str]:
         simulated[0] = 100.0 + 0.25 * now
@@ -253,20 +261,11 @@ def test_each_fact_stands_in_its_row(shipped: Setup, monkeypatch: pytest.MonkeyP
     assert (shown["brakes"], shown["trajectory"]) == ("open", "none")
     assert f'color:{ERROR};font-weight:600">joint_2: following error<' in shown["controller"]
     assert "joint_2: following error" in view._diagnostics.content
-    page.close()
 
 
 START, END = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
 REST = np.array([True, True])
 LATE = 90  # samples before the trajectory is known
-
-
-@pytest.fixture(scope="module")
-def page() -> Iterator[Page]:
-    """Give a page that nobody looks at."""
-    made = Page("test", port=0)
-    yield made
-    made.close()
 
 
 def test_the_largest_is_that_of_the_run(shipped: Setup, page: Page) -> None:

@@ -1,15 +1,19 @@
-"""Bags of all kinds, opened to be looked at."""
+"""Bags of all kinds, opened to be looked at, and played on the page in a real browser."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from bag_making import joint_state, write_ros2
+from browser import BrowserPage, served
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.interpolate import interp1d
@@ -22,12 +26,13 @@ from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError, Rx90Error
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.task import load_task
+from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.loop.line import path_accuracy
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import scene
 from rx90_emulator.view.page import Page
-from rx90_emulator.view.player import BagPlayer, _difference_text, _recording_text
+from rx90_emulator.view.player import BagPlayer, _difference_text, _recording_text, open_player
 from rx90_emulator.view.recording import Recording, Track, difference, open_recording, path_error_track, tip_path
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reference" / "reference_task"
@@ -267,11 +272,16 @@ def test_time_of_a_playback(shipped: Setup, tmp_path: Path, monkeypatch: pytest.
     page.close()
 
 
-def tip(setup: Setup, q: np.ndarray) -> np.ndarray:
-    """Return where Pinocchio has the tip, m."""
+def pose(setup: Setup, q: np.ndarray) -> np.ndarray:
+    """Return the pose (4, 4) of the tip by Pinocchio."""
     model, data = setup.robot.model, setup.robot.model.createData()
     pin.framesForwardKinematics(model, data, q)
-    return np.array(data.oMf[model.getFrameId(setup.robot.tcp_frame)].translation)
+    return np.asarray(data.oMf[model.getFrameId(setup.robot.tcp_frame)].homogeneous)
+
+
+def tip(setup: Setup, q: np.ndarray) -> np.ndarray:
+    """Return where Pinocchio has the tip, m."""
+    return pose(setup, q)[:3, 3]
 
 
 def motion(time: np.ndarray) -> np.ndarray:
@@ -383,3 +393,119 @@ def test_path_error_is_the_distance_across_the_path(shipped: Setup, tmp_path: Pa
     assert np.nanmax(largest) == np.nanmax(error)
     np.testing.assert_allclose(points[0], tip(shipped, arm[0]), atol=1e-12)
     np.testing.assert_allclose(points[-1], tip(shipped, arm[-1]), atol=1e-12)
+
+
+CLOCK = 1_700_000_000 * 10**9  # of the wall clock
+PIXEL = 1e-6  # m; positions go to the page as single precision
+DISTANCES = """() => Object.values(window.__viserTestpoints.uplots).map(plot => plot.chart).find(
+    chart => chart.root.querySelector('.u-title').textContent == 'distance of the tips [mm]'
+    ).data.map(column => Array.from(column))"""
+WORST = 350  # the message of the second bag that is farthest from that of the first one
+
+
+class Played(NamedTuple):
+    """Two bags' joint angles, rad, (1000, 6), and the page that plays them."""
+
+    player: BagPlayer
+    page: Page
+    angles: tuple[np.ndarray, np.ndarray]
+
+
+@pytest.fixture
+def played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Played]:
+    """Serve a page with two bags of two seconds; the second lacks 0.2 s and differs most at one message.
+
+    The arms' frames are there without their shapes, which take Chromium long to draw without a graphics card.
+    """
+    monkeypatch.setattr(scene, "drawn_shapes", lambda _: [])
+    stamps = CLOCK + np.arange(1000) * 2 * STEP
+    first = motion(np.arange(1000) * 2e-3)
+    second = first + 1e-3
+    second[WORST] += 1e-3
+    whole = [JointSeries("/joint_states", JOINTS, stamps, q, 2.0 * q, 100.0 * q) for q in (first, second)]
+    bags = [tmp_path / "first", tmp_path / "second"]
+    write_joint_states(bags[0], whole[:1])
+    write_joint_states(bags[1], [whole[1].take(np.delete(np.arange(1000), np.arange(500, 600)))])
+    page, player = open_player(lambda: Page("test", port=0), bags, RobotFiles(), MeasuredLayout(), 0)
+    with served(page):
+        yield Played(player, page, (first, second))
+
+
+def scrub(shown: BrowserPage, time: str) -> None:
+    """Type a time into the number beside the slider."""
+    shown.page.locator("input[inputmode=decimal]").fill(time)
+
+
+def test_scrubbing_shows_what_was_recorded(
+    played: Played, open_page: Callable[..., BrowserPage], shipped: Setup
+) -> None:
+    """At a time that is chosen on the page both arms' tips are where Pinocchio has them for the recorded angles.
+
+    In a gap an arm is not drawn, the button leads to the worst difference, curves keep its peak, and playing ends.
+    """
+    shown = open_page(played.page.address, (500, 400))
+    player = played.player
+
+    def wait_for_both_at(message: int) -> list[np.ndarray]:
+        poses = [pose(shipped, angles[message]) for angles in played.angles]
+        for drawn, placed in zip(player.arms, poses, strict=True):
+            shown.wait_until(lambda: bool(np.allclose(shown.pose(drawn.tip), placed, atol=PIXEL)), f"message {message}")  # noqa: B023
+        return [placed[:3, 3] for placed in poses]
+
+    scrub(shown, "1.456")
+    wait_for_both_at(728)
+    scrub(shown, "1.1")
+    shown.wait_until(lambda: "no states of second" in shown.text(), "word of the gap")
+    ghost = "() => window.__viserMutable.nodeRefFromName['/ghost'].visible"
+    shown.wait_until(lambda: not shown.page.evaluate(ghost), "the ghost to go")
+    shown.page.get_by_text("Jump to the worst difference").dispatch_event("click")
+    tips = wait_for_both_at(WORST)
+    shown.page.get_by_label("ghost", exact=True).dispatch_event("click")
+    shown.wait_until(lambda: not shown.page.evaluate(ghost), "the ghost to be hidden")
+    shown.page.get_by_label("ghost", exact=True).dispatch_event("click")
+    shown.wait_until(lambda: bool(shown.page.evaluate(ghost)), "the ghost to come")
+    worst = 1e3 * np.linalg.norm(tips[1] - tips[0])
+    text = re.compile(r"tips at most ([\d.]+) mm apart, at ([\d.]+) s")
+    shown.wait_until(lambda: bool(text.search(shown.text())), "word of the worst difference")
+    said = text.search(shown.text())
+    assert said
+    assert (float(said[1]), said[2]) == (pytest.approx(worst, rel=1e-3), "0.700")
+    _, _, *parts, line, _ = shown.page.evaluate(DISTANCES)
+    assert np.nanmax(np.array(parts, dtype=float)) == pytest.approx(worst, rel=1e-9)
+    assert np.nanmax(np.array(line, dtype=float)) == pytest.approx(worst, rel=1e-9)
+    assert len(parts) == 2  # before the gap and after it
+    shown.page.get_by_text("Play", exact=True).dispatch_event("click")
+    wait_for_both_at(999)
+    shown.page.get_by_text("Play", exact=True).wait_for()
+    assert (shown.complaints, shown.foreign_requests) == ([], [])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["first", "later"], "no time in common; accepted: --align"),
+        (["first"] * 3, "3 bags; accepted: one, or two"),
+        (["first", "--align", "start"], "--align start with 1 bags; accepted: two bags"),
+        (["first", "first", "--align", "noon"], "--align is 'noon'; accepted: start, trajectory, or a time"),
+        (["--record-time"], "--record-time without a bag"),
+        (["first", "--demo"], "--demo with the bag first"),
+        (["first", "--nice", "0"], "--nice with the bag first"),
+        (["nothing"], "nothing: no such bag"),
+        (["first", "--robot", "tx40"], "recorded of the robot 'rx90b', not of"),
+    ],
+)
+def test_bags_that_cannot_be_played_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
+    """What cannot be played is one line with what is accepted, and exit code 2, before any page is served."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "first").symlink_to(REFERENCE)
+    if "later" in words:
+        states = [joint_state(CLOCK + k * STEP, JOINTS, [0.1] * 6) for k in range(5)]
+        write_ros2(tmp_path / "later", [("/joint_states", k, state) for k, state in enumerate(states)])
+    assert run("rx90_view", [*words, "--port", "0"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.splitlines()) == 1
+    assert said in err
+    assert err.startswith("rx90_view: ")
