@@ -1,10 +1,12 @@
-"""The closed loop without ROS is the same plant and the same control law as the nodes step, and no other."""
+"""The closed loop without ROS: what it reads, the plant and the law that the nodes step, the limits that it keeps."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 from rx90_common.base.errors import ConfigError, DivergenceError, TrajectoryError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import CurrentSensor, Windings
+from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.result import RunResult
@@ -194,3 +197,80 @@ def test_at_rest_the_torque_steps_by_no_more_than_one_count_of_the_position(ship
     one_count = law.inertia * law.kv * law.kp * count
     assert np.all(np.abs(np.diff(torque, axis=0)).max(axis=0) <= 1.02 * one_count)
     assert np.any(np.abs(np.diff(torque, axis=0)).max(axis=0) > 0.1 * one_count)
+
+
+def test_the_tool_can_be_the_user_s_own_or_none(shipped_files: RobotFiles, edited_yaml: Callable[..., Path]) -> None:
+    """A changed mass of the tool reaches the arm's last body, which has its own without a tool."""
+    tool = edited_yaml(shipped_files.tool or Path(), ("inertial", "mass"), 1.25)
+    assert Setup.load(RobotFiles(tool=tool)).robot.chain.mass[5] == pytest.approx(1.45)
+    assert Setup.load(RobotFiles(tool=None)).robot.chain.mass[5] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("name", ["urdf", "tool", "drives", "friction", "controller"])
+def test_a_missing_file_is_refused_by_its_path(name: str, tmp_path: Path) -> None:
+    """Each file that does not exist is refused in one line with its path."""
+    path = tmp_path / "nowhere.yaml"
+    with pytest.raises(ConfigError) as caught:
+        Setup.load(RobotFiles(**{name: path}))
+    assert str(caught.value).startswith(f"{path}: cannot be read")
+    assert "\n" not in str(caught.value)
+
+
+def test_plants_and_controllers_do_not_share_state(shipped: Setup) -> None:
+    """Two plants of one setup are two robots, and two controllers two cabinets."""
+    first, second = shipped.plant(), shipped.plant()
+    first.step(np.full(6, 0.3))
+    assert second.tick == 0
+    assert not second.joint_states()[1].any()
+    one, other = shipped.cs7b(), shipped.cs7b()
+    one.step(np.full(6, 0.3), np.zeros(6))
+    assert other.tick == 0
+    assert not other.state["command"][0].any()
+
+
+def to_limit(setup: Setup, joint: int, sign: float, ramp: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return where one joint starts and ends, at its limit, and the time it takes with ramps of `ramp` s.
+
+    Between them it moves at its full speed for 0.1 s. The others stay.
+    """
+    robot = setup.robot
+    speed = robot.max_velocity[joint]
+    end = np.zeros(6)
+    end[joint] = (robot.upper if sign > 0 else robot.lower)[joint]
+    start = end.copy()
+    start[joint] -= sign * speed * (ramp + 0.1)
+    return start, end, 2.0 * ramp + 0.1
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("joint", range(6))
+def test_the_fastest_motion_to_a_limit_stays_within_it(shipped: Setup, joint: int, sign: float) -> None:
+    """At full speed, accelerated and braked at the limits, ending on the joint's limit: past it by less than 1 mrad.
+
+    The speed is kept within 1 %. The same as a cubic without room to brake, as it was accepted once, is refused.
+    """
+    robot = shipped.robot
+    ramp = robot.max_velocity[joint] / shipped.controller.max_acceleration[joint]
+    start, end, time = to_limit(shipped, joint, sign, ramp * (1.0 + 1e-9))
+    points = TrajectoryPoints.create(robot.joint_names, robot.joint_names, [0.0, time], [start, end], [], [])
+    states = simulate(shipped, points, duration=time + 0.3).slow.joint_states
+    assert (robot.lower - 1e-3 < states[:, 0]).all()
+    assert (states[:, 0] < robot.upper + 1e-3).all()
+    assert (np.abs(states[:, 1]) < 1.01 * robot.max_velocity).all()
+    assert np.abs(states[:, 1, joint]).max() > 0.99 * robot.max_velocity[joint]
+    # 1000 rad/s^2, within the limits of position and speed.
+    start, end, time = to_limit(shipped, joint, sign, 1e-3 * robot.max_velocity[joint])
+    speed = (end - start) / (time - 1e-3 * robot.max_velocity[joint])
+    ends = start + speed * 0.5e-3 * robot.max_velocity[joint], end - speed * 0.5e-3 * robot.max_velocity[joint]
+    times = [0.0, 1e-3 * robot.max_velocity[joint], time - 1e-3 * robot.max_velocity[joint], time]
+    sudden = TrajectoryPoints.create(
+        robot.joint_names, robot.joint_names, times, [start, *ends, end], [REST, speed, speed, REST], [[]] * 4
+    )
+    with pytest.raises(
+        TrajectoryError, match=rf"{robot.joint_names[joint]} gets a set-point acceleration -?1000 rad/s"
+    ):
+        simulate(shipped, sudden)
+    if joint == 1:
+        free = dataclasses.replace(shipped.controller, max_acceleration=np.full(6, 2e3), following_error=np.ones(6))
+        past = simulate(dataclasses.replace(shipped, controller=free), sudden, duration=time + 0.3).slow.joint_states
+        assert (past[:, 0] > robot.upper + 5e-3).any() or (past[:, 0] < robot.lower - 5e-3).any()
