@@ -19,6 +19,7 @@ import pytest
 import yaml
 from launch_stub import arguments as launch_arguments
 from launch_stub import build, ending, parameters
+from rig_bench import greeted
 from schema_faults import schema_faults
 from scipy.integrate import solve_ivp
 
@@ -29,7 +30,7 @@ from friction_bench.presliding import job as presliding_job
 from friction_bench.presliding.motions import Profile, Trace, follow, pulled
 from friction_bench.presliding.sliding import evaluate_pull, sampled_growth
 from friction_bench.rig.client import RigClient, Sample
-from friction_bench.rig.emulated import EmulatedRig, PtyRig, VirtualPort
+from friction_bench.rig.emulated import EmulatedRig, PtyRig
 from friction_bench.rig.messages import RigLostError
 from friction_bench.rig.rig_file import JointFriction, Rig, load_rig
 from rx90_common.bags.reading import read_joint_states
@@ -223,8 +224,7 @@ def test_rig_at_a_port_asks_for_the_joint_only_where_both_loads_are_run(
     rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """With --load none nobody need be there; with both loads an empty input is a clear refusal."""
-    emulated = EmulatedRig(rig, 1)
-    monkeypatch.setattr(session, "SerialPort", lambda *_: VirtualPort(emulated))
+    monkeypatch.setattr(session, "SerialPort", lambda *_: greeted(rig).port)
     monkeypatch.setattr("sys.stdin", io.StringIO())
     words = [*QUICK_RAMPS, "--port", "somewhere", "--output"]
     assert run("friction_ramp", [*words, str(tmp_path / "a"), "--load", "none"]) == 0
@@ -236,12 +236,10 @@ def test_latched_fault_is_named_and_cleared_by_option(
     rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What a killed program left latched is refused by its name, and --clear runs all the same."""
-    emulated = EmulatedRig(rig, 1)
-    client = RigClient(VirtualPort(emulated), rig)
-    client.connect()
+    client = greeted(rig)
     client.arm()
-    emulated.advance(0.3)  # nobody pumps: as after kill -9
-    monkeypatch.setattr(session, "EmulatedRig", lambda *_: emulated)
+    client.port.emulated.advance(0.3)  # nobody pumps: as after kill -9
+    monkeypatch.setattr(session, "EmulatedRig", lambda *_: client.port.emulated)
     words = [*QUICK_RAMPS, "--load", "none", "--output"]
     assert run("friction_ramp", [*words, str(tmp_path / "a")]) == 3
     assert "the host was silent for more than 120 ms; find out why, then clear it" in capsys.readouterr().err
@@ -329,10 +327,7 @@ def test_the_folder_holds_every_reading_and_a_page(
 def test_steady_sliding_is_unstable_where_the_sampled_spring_says_so() -> None:
     """A slow pull sticks and slips, a fast one slides; the eigenvalues of the sampled spring and joint tell which."""
     rig = load_rig(config_path(PRESLIDING_RIG))
-    emulated = EmulatedRig(rig, 1)
-    emulated.plant.load(True)
-    client = RigClient(VirtualPort(emulated), rig)
-    client.connect()
+    client = greeted(rig, loaded=True)
     inertia, stiffness = rig.plant.load_inertia + rig.plant.joint_inertia, 8.0
     for speed, slips in ((0.06, True), (0.3, False)):
         assert (sampled_growth(rig.plant.joint, inertia, speed, stiffness, rig.tick) > 1.0) is slips

@@ -9,27 +9,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rig_bench import greeted
 from scipy.integrate import solve_ivp
 
 from friction_bench.presliding import laws, motions, sliding
 from friction_bench.presliding.job import Campaign, Run
 from friction_bench.presliding.report import drift_plot
 from friction_bench.rig import messages
-from friction_bench.rig.client import RigClient, Sample
-from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.client import Sample
 from friction_bench.rig.plant import RigPlant, joint_record
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.share import PRESLIDING_RIG, config_path
 from rx90_common.friction.element import FrictionElement
-from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_common.report.plot import Curve
 
 C0, COULOMB, STATIC, STRIBECK = 4e3, 2.0, 2.5, 0.1
 ELEMENT = FrictionElement(COULOMB, COULOMB, STATIC, STATIC, STRIBECK, 1.0, C0, 50.0, 1.0, 0.05)
 SLIDING = sliding.SlidingFriction(2.0, 2.5, 0.1, 1.0, 0.4, 0.0)
-BLOCKS = MaxwellSlip((0.6, 0.4), (0.2, 0.8), 500.0)
 LUGRE_RIG = config_path("rig/gm8224_lugre.yaml")
 
 STILL = messages.parse_report(messages.Frame(messages.Answer.REPORT, 1, bytes(12)))
@@ -80,39 +79,12 @@ def test_the_rigs_joint_moves_as_scipy_integrates_it(rig: Rig, break_away: float
     assert found == pytest.approx(expected, rel=5e-3, abs=2e-7)
 
 
-def _quiet_plant(bristles: BristlesPart | None) -> RigPlant:
-    """Return a rig without noise and without friction but that of its joint."""
-    shipped = load_rig(LUGRE_RIG)
-    joint = replace(FrictionElement(0.9, 0.9, 0.9, 0.9, 0.08, 1.0, 2e3, 2.0, 0.11), bristles=bristles)
-    own = {"gain_error": 0.0, "torque_noise": 0.0, "coulomb": 0.0, "viscous": 1e-9, "joint": joint}
-    plant = RigPlant(replace(shipped, plant=replace(shipped.plant, **own)), 1)
-    plant.load(True)
-    return plant
-
-
-def test_each_kind_deflects_by_its_own_curve() -> None:
-    """Below break-away the joint's angle is that of a spring, of LuGre's logarithm, or of springs with stops.
-
-    Where it is not elastic, the small oscillations of a load that grows in steps leave some more. Block 1 slips from
-    0.2 * 0.9 Nm on; the other carries what is left.
-    """
-    load = 0.6
-    for bristles, expected, rel in (
-        (ElastoPlastic(0.7), load / 2e3, 1e-6),
-        (None, -0.9 / 2e3 * np.log(1.0 - load / 0.9), 0.02),
-        (BLOCKS, (load - 0.2 * 0.9) / (0.4 * 2e3), 0.005),
-    ):
-        plant = _quiet_plant(bristles)
-        reached = load / plant.rig.joint_scale
-        for torque in np.append(np.linspace(0.0, reached, 3000), np.full(500, reached)):
-            plant.advance(float(torque), 1e-3)
-        assert abs(plant.speed) < 1e-6
-        assert plant.angle / plant.rig.gear_ratio == pytest.approx(expected, rel=rel)
-
-
 def test_a_joint_put_on_again_begins_anew() -> None:
     """Taking the joint off and on forgets the deflections: the same torques give the same motion to the last bit."""
-    plant, paths = _quiet_plant(BLOCKS), []
+    shipped = load_rig(LUGRE_RIG)
+    joint = replace(shipped.plant.joint, bristles=MaxwellSlip((0.6, 0.4), (0.2, 0.8), 500.0))
+    quiet = replace(shipped.plant, gain_error=0.0, torque_noise=0.0, coulomb=0.0, joint=joint)
+    plant, paths = RigPlant(replace(shipped, plant=quiet), 1), []
     for _ in range(2):
         plant.load(True)
         plant.angle = 0.0
@@ -410,7 +382,8 @@ def test_the_drift_tells_laws_that_loops_leave(monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_code_reaches_the_dac_late_in_the_tick(rig: Rig) -> None:
     """The torque held over a tick is that of the emulated rig's DAC, slice by slice, to an eighth of the change."""
-    emulated, on_dac = EmulatedRig(rig, 1), []
+    client, on_dac = greeted(rig), []
+    emulated = client.port.emulated
     advance, torque = emulated.plant.advance, rig.torque(1) * rig.joint_scale
 
     def logged(command: float, dt: float) -> int:
@@ -418,8 +391,6 @@ def test_a_code_reaches_the_dac_late_in_the_tick(rig: Rig) -> None:
         return advance(command, dt)
 
     emulated.plant.advance = logged
-    client = RigClient(VirtualPort(emulated), rig)
-    client.connect()
     samples: list[Sample] = []
     trace = motions.follow(client, (10 * (k // 3 % 2) for k in range(30)), "steps", samples.append)
     for held, sample in list(zip(trace.held, samples, strict=True))[1:]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rig_bench import greeted
 from scipy import stats
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_triangular
@@ -28,8 +29,6 @@ from friction_bench.experiment.identification import (
 from friction_bench.experiment.job import plan_from, run_ramp
 from friction_bench.experiment.record import RampModel, RampRecord, RecordError, read_csv, read_text, write_csv
 from friction_bench.experiment.sliding_fit import whiten
-from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.plant import Shaft, turn
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.arrays import Array
@@ -70,10 +69,7 @@ def quiet(rig: Rig) -> Rig:
 
 def measure(rig: Rig, seed: int, repeats: int, slopes: tuple[float, ...], end: float = 0.15, loaded: bool = False):
     """Return ramps of an emulated rig with the real firmware, in virtual time."""
-    emulated = EmulatedRig(rig, seed)
-    emulated.plant.load(loaded)
-    client = RigClient(VirtualPort(emulated), rig)
-    client.connect()
+    client = greeted(rig, seed, loaded)
     return [run_ramp(client, slope, end, loaded, f"{slope} {k}") for k in range(repeats) for slope in slopes]
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rig_bench import greeted
 from rig_conformance import TRANSCRIPTS, MismatchError, Player
 
 from friction_bench.experiment.job import run_ramp
-from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, native_library
+from friction_bench.rig.emulated import NativeBoard, native_library
 from friction_bench.rig.messages import Command, Fault, Frame, encode
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.share import PRESLIDING_RIG, config_path
@@ -217,9 +217,7 @@ def test_closed_loop_with_the_real_binary_equals_the_native_one(
     """The emulated rig, run by the real binary, turns in a ramp as far as by the native core, but for 2 ms."""
     angles = []
     for board in ("native", target):
-        emulated = EmulatedRig(rig, 3, make_board(board))
-        client = RigClient(VirtualPort(emulated), rig)
-        client.connect()
+        client = greeted(rig, 3, board=make_board(board))
         record = run_ramp(client, 0.3, 0.08, False, board)
         assert client.lost_reports == 0
         angles.append(record.angle[-1])
