@@ -303,6 +303,12 @@ def test_emulated_shaft_is_the_solution_of_equation_3(speed: float, torque: floa
     assert turn(0.0, speed, torque, Shaft(inertia, coulomb, viscous), dt) == pytest.approx(exact, abs=3e-4)
 
 
+def test_the_commands_staircase_does_not_bend_the_asymptote(rig: Rig) -> None:
+    """Without noise the asymptote is m / f_v to 0.005 %; the command's steps alone would change it by 0.02 %."""
+    record = QuickRig(quiet(own(rig, 0.05, 1e-3, 1e-4)), 1).ramp(0.02, 0.16, False, "x")
+    assert fit_asymptote(record, 0.1).a == pytest.approx(record.slope / 1e-3, rel=5e-5)
+
+
 def test_one_slope_gives_the_source_formula_alone(rig: Rig) -> None:
     """With one slope there is no inertia, no exact value, and the best is the source's."""
     found = identify_ramps(measure(rig, 3, 2, (0.02,)), rig.scale_uncertainty)
