@@ -81,13 +81,12 @@ def sliding_readings(trace: Trace) -> SlidingReadings:
     rows, held = [], trace.held
     weight = np.full(STRETCH_TICKS, 1.0 / (STRETCH_TICKS - 1))
     weight[[0, -1]] *= 0.5
-    moved = np.diff(trace.counts)
+    moved, speed = np.diff(trace.counts), np.diff(trace.counts * trace.angle_step) / trace.tick
     for first in range(0, moved.size - STRETCH_TICKS + 1, STRETCH_TICKS):
-        window = moved[first : first + STRETCH_TICKS]
-        if window.min() >= MIN_COUNTS_PER_TICK:
-            speeds = window * (trace.angle_step / trace.tick)
-            gained = (speeds[-1] - speeds[0]) / ((STRETCH_TICKS - 1) * trace.tick)
-            rows.append((float(weight @ speeds), gained, float(weight @ held[first + 1 : first + 1 + STRETCH_TICKS])))
+        last = first + STRETCH_TICKS
+        if moved[first:last].min() >= MIN_COUNTS_PER_TICK:
+            gained = (speed[last - 1] - speed[first]) / ((STRETCH_TICKS - 1) * trace.tick)
+            rows.append((float(weight @ speed[first:last]), gained, float(weight @ held[first + 1 : last + 1])))
     return SlidingReadings(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)
 
 
@@ -171,7 +170,7 @@ def break_away_torque(rate: float, ramp: Trace, inertia: float) -> tuple[float, 
         ramp: its readings.
         inertia: at the joint, kg m^2.
     """
-    rate *= ramp.torque_step / ramp.tick
+    rate = rate * ramp.torque_step / ramp.tick
     rising = int(np.argmax(ramp.code))  # later readings belong to the slide's end
     angle, held = ramp.angle_step * ramp.counts[: rising + 1], ramp.held[: rising + 1]
     acceleration = (angle[2:] - 2.0 * angle[1:-1] + angle[:-2]) / ramp.tick**2

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rig_bench import Bench
+from rig_bench import Bench, greeted
 from rig_simulators import simavr, ucsim
 
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, compile_core, firmware_directory
+from friction_bench.rig.emulated import EmulatedRig, NativeBoard, compile_core, firmware_directory
 from friction_bench.rig.rig_file import Rig, load_rig
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -101,17 +101,15 @@ def rig() -> Rig:
 
 
 @pytest.fixture
-def emulated(rig: Rig) -> EmulatedRig:
-    """Return an emulated rig in virtual time."""
-    return EmulatedRig(rig, 1)
+def client(rig: Rig) -> RigClient:
+    """Return a greeted client of an emulated rig in virtual time."""
+    return greeted(rig)
 
 
 @pytest.fixture
-def client(emulated: EmulatedRig, rig: Rig) -> RigClient:
-    """Return a greeted client of the emulated rig."""
-    greeted = RigClient(VirtualPort(emulated), rig)
-    greeted.connect()
-    return greeted
+def emulated(client: RigClient) -> EmulatedRig:
+    """Return the emulated rig of that client."""
+    return client.port.emulated
 
 
 @pytest.fixture

@@ -9,88 +9,35 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rig_bench import greeted
 from scipy.integrate import solve_ivp
 
-from friction_bench.presliding import laws, motions
+from friction_bench.presliding import laws, motions, sliding
 from friction_bench.presliding.job import Campaign, Run
-from friction_bench.presliding.laws import COULOMB as COULOMB_LAW
-from friction_bench.presliding.laws import (
-    ELASTO_PLASTIC,
-    LUGRE,
-    MAXWELL_SLIP,
-    LawScore,
-    LoopBlock,
-    choose,
-    settled,
-    torque_along,
-    with_refutations,
-)
-from friction_bench.presliding.laws import STRIBECK as STRIBECK_LAW
-from friction_bench.presliding.motions import Trace, follow
 from friction_bench.presliding.report import drift_plot
-from friction_bench.presliding.sliding import (
-    DriftVerdict,
-    SlidingFriction,
-    SlidingReadings,
-    evaluate_drift,
-    fit_sliding_friction,
-    lugre_ratio,
-    sampled_growth,
-)
-from friction_bench.rig.client import RigClient, Sample
-from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, native_library
-from friction_bench.rig.messages import (
-    Answer,
-    Command,
-    Fault,
-    Frame,
-    FrameDecoder,
-    encode,
-    parse_report,
-    payload_of,
-)
+from friction_bench.rig import messages
+from friction_bench.rig.client import Sample
 from friction_bench.rig.plant import RigPlant, joint_record
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.share import PRESLIDING_RIG, config_path
 from rx90_common.friction.element import FrictionElement
-from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_common.report.plot import Curve
 
 C0, COULOMB, STATIC, STRIBECK = 4e3, 2.0, 2.5, 0.1
 ELEMENT = FrictionElement(COULOMB, COULOMB, STATIC, STATIC, STRIBECK, 1.0, C0, 50.0, 1.0, 0.05)
-SLIDING = SlidingFriction(2.0, 2.5, 0.1, 1.0, 0.4, 0.0)
-BLOCKS = MaxwellSlip((0.6, 0.4), (0.2, 0.8), 500.0)
+SLIDING = sliding.SlidingFriction(2.0, 2.5, 0.1, 1.0, 0.4, 0.0)
 LUGRE_RIG = config_path("rig/gm8224_lugre.yaml")
 
-STILL = parse_report(Frame(Answer.REPORT, 1, bytes(12)))
+STILL = messages.parse_report(messages.Frame(messages.Answer.REPORT, 1, bytes(12)))
 
 
 @pytest.fixture(scope="module")
 def rig() -> Rig:
     """Return the shipped rig that sees presliding."""
     return load_rig(config_path(PRESLIDING_RIG))
-
-
-def test_firmware_counts_down_and_limits_travel_both_ways(rig: Rig) -> None:
-    """Built for a decoder, the firmware counts below zero, and limits the travel of a motor that turns back."""
-    board = NativeBoard(rig.baud, native_library(rig.firmware_figures))
-    decoder, last = FrameDecoder(), None
-    script = [(Command.HELLO, bytes([1])), (Command.LIMITS, payload_of(Command.LIMITS, 2, 300)), (Command.ARM, b"")]
-    for number, (command, payload) in enumerate(script):
-        board.write(encode(Frame(command, number + 1, payload)))
-        board.run(60_000, 0, 0)
-    seen = []
-    for _ in range(5):
-        board.write(encode(Frame(Command.BEAT, 9, b"")))
-        board.run(20_000, -200, 0)
-        for frame in decoder.feed(board.read()):
-            last = parse_report(frame) or last
-        assert last is not None
-        seen.append((last.counts, last.fault))
-    assert seen[0] == (2**24 - 200, Fault.NONE)
-    assert Fault.TRAVEL in seen[-1][1]  # beyond 2 x 256 counts
 
 
 def _elastic_share(y: float, steady: float, elastic: float) -> float:
@@ -132,39 +79,12 @@ def test_the_rigs_joint_moves_as_scipy_integrates_it(rig: Rig, break_away: float
     assert found == pytest.approx(expected, rel=5e-3, abs=2e-7)
 
 
-def _quiet_plant(bristles: BristlesPart | None) -> RigPlant:
-    """Return a rig without noise and without friction but that of its joint."""
-    shipped = load_rig(LUGRE_RIG)
-    joint = replace(FrictionElement(0.9, 0.9, 0.9, 0.9, 0.08, 1.0, 2e3, 2.0, 0.11), bristles=bristles)
-    own = {"gain_error": 0.0, "torque_noise": 0.0, "coulomb": 0.0, "viscous": 1e-9, "joint": joint}
-    plant = RigPlant(replace(shipped, plant=replace(shipped.plant, **own)), 1)
-    plant.load(True)
-    return plant
-
-
-def test_each_kind_deflects_by_its_own_curve() -> None:
-    """Below break-away the joint's angle is that of a spring, of LuGre's logarithm, or of springs with stops.
-
-    Where it is not elastic, the small oscillations of a load that grows in steps leave some more. Block 1 slips from
-    0.2 * 0.9 Nm on; the other carries what is left.
-    """
-    load = 0.6
-    for bristles, expected, rel in (
-        (ElastoPlastic(0.7), load / 2e3, 1e-6),
-        (None, -0.9 / 2e3 * np.log(1.0 - load / 0.9), 0.02),
-        (BLOCKS, (load - 0.2 * 0.9) / (0.4 * 2e3), 0.005),
-    ):
-        plant = _quiet_plant(bristles)
-        reached = load / plant.rig.joint_scale
-        for torque in np.append(np.linspace(0.0, reached, 3000), np.full(500, reached)):
-            plant.advance(float(torque), 1e-3)
-        assert abs(plant.speed) < 1e-6
-        assert plant.angle / plant.rig.gear_ratio == pytest.approx(expected, rel=rel)
-
-
 def test_a_joint_put_on_again_begins_anew() -> None:
     """Taking the joint off and on forgets the deflections: the same torques give the same motion to the last bit."""
-    plant, paths = _quiet_plant(BLOCKS), []
+    shipped = load_rig(LUGRE_RIG)
+    joint = replace(shipped.plant.joint, bristles=MaxwellSlip((0.6, 0.4), (0.2, 0.8), 500.0))
+    quiet = replace(shipped.plant, gain_error=0.0, torque_noise=0.0, coulomb=0.0, joint=joint)
+    plant, paths = RigPlant(replace(shipped, plant=quiet), 1), []
     for _ in range(2):
         plant.load(True)
         plant.angle = 0.0
@@ -198,7 +118,7 @@ def test_maxwell_slip_turns_round_by_masings_rule() -> None:
         """Return angle and torque of a slow motion between such ends, rad, by steps of 1 urad."""
         legs = [np.arange(a, b, math.copysign(1e-6, b - a)) for a, b in zip((0.0, *ends[:-1]), ends, strict=True)]
         angle = np.concatenate([*legs, [ends[-1]]])
-        return angle, torque_along(joint_record(element, 1.0, 0.02, 0), angle, 0.02)
+        return angle, laws.torque_along(joint_record(element, 1.0, 0.02, 0), angle, 0.02)
 
     top = 4e-4
     angle, torque = way(top, -top)
@@ -220,49 +140,49 @@ def test_drift_over_swing_of_lugre_is_that_of_its_equations() -> None:
     for low, high in ((0.05, 0.25), (0.2, 0.6), (0.0, 0.9)):
         up = solve_ivp(lambda z, _: [1.0 / (1.0 - z)], (low, high), [0.0], rtol=1e-10, atol=1e-12).y[0, -1]
         down = solve_ivp(lambda z, _: [1.0 / (1.0 + z)], (low, high), [0.0], rtol=1e-10, atol=1e-12).y[0, -1]
-        assert lugre_ratio(low, high) == pytest.approx((up - down) / down, rel=1e-7)
+        assert sliding.lugre_ratio(low, high) == pytest.approx((up - down) / down, rel=1e-7)
 
 
-def _cycled(drift: float, swing: float, phase: float | Array, cycles: int = 2000) -> Trace:
+def _cycled(drift: float, swing: float, phase: float | Array, cycles: int = 2000) -> motions.Trace:
     """Return a trace of small cycles between codes 5 and 25 with such a drift and swing in counts; phases by cycle."""
     code = np.concatenate(([0.0], np.tile([25.0, 25.0, 5.0, 5.0], cycles), [25.0, 25.0]))
     code[0] = 5.0
     number = (np.arange(code.size) + 1) // 4
     place = np.resize(phase, cycles + 2)[number]
     counts = np.floor(number * drift + (swing + drift) * (code == 25.0) + place)
-    return Trace("drift", 0.02 * np.arange(code.size), counts, code, 2e-5, 0.0236, 0.02)
+    return motions.Trace("drift", 0.02 * np.arange(code.size), counts, code, 2e-5, 0.0236, 0.02)
 
 
 @pytest.mark.parametrize(
     ("drift", "swing", "verdict"),
     [
-        (2.4, 7.0, DriftVerdict.DRIFTS),
-        (0.024, 0.07, DriftVerdict.DRIFTS),  # far below a count, and seen by 2000 cycles
-        (0.0, 7.0, DriftVerdict.STAYS),
-        (0.0004, 7.0, DriftVerdict.STAYS),  # less than a count in all
-        (0.0, 0.3, DriftVerdict.UNKNOWN),  # too stiff for the encoder
-        (0.4, 7.0, DriftVerdict.UNKNOWN),  # a drift that is not LuGre's
-        (20.0, 7.0, DriftVerdict.UNKNOWN),
+        (2.4, 7.0, sliding.DriftVerdict.DRIFTS),
+        (0.024, 0.07, sliding.DriftVerdict.DRIFTS),  # far below a count, and seen by 2000 cycles
+        (0.0, 7.0, sliding.DriftVerdict.STAYS),
+        (0.0004, 7.0, sliding.DriftVerdict.STAYS),  # less than a count in all
+        (0.0, 0.3, sliding.DriftVerdict.UNKNOWN),  # too stiff for the encoder
+        (0.4, 7.0, sliding.DriftVerdict.UNKNOWN),  # a drift that is not LuGre's
+        (20.0, 7.0, sliding.DriftVerdict.UNKNOWN),
     ],
 )
-def test_drift_decides_or_says_that_it_cannot(drift: float, swing: float, verdict: DriftVerdict) -> None:
+def test_drift_decides_or_says_that_it_cannot(drift: float, swing: float, verdict: sliding.DriftVerdict) -> None:
     """The verdict follows drift over swing against LuGre's, at any phase of the encoder."""
     for phase in (0.0, 0.3, 0.9):
-        result = evaluate_drift(_cycled(drift, swing, phase), 5, 25, 100.0)
+        result = sliding.evaluate_drift(_cycled(drift, swing, phase), 5, 25, 100.0)
         assert result.verdict is verdict, result.reason
         assert result.drift[1] <= drift <= result.drift[2]
 
 
 def test_a_swing_that_is_not_or_hardly_seen_decides_nothing() -> None:
     """Where the joint swings by noise, nothing of LuGre's law is shown; below one and a half counts it may be any."""
-    result = evaluate_drift(_cycled(0.3, -0.5, 0.3), 5, 25, 100.0)
+    result = sliding.evaluate_drift(_cycled(0.3, -0.5, 0.3), 5, 25, 100.0)
     assert result.swing < 0.0
     assert result.by_lugre is None
     (panel,) = drift_plot(result).panels
     assert [mark.label for mark in panel.marks if isinstance(mark, Curve)] == ["measured"]
     phases = np.random.default_rng(1).permutation(np.linspace(0.0, 1.0, 2002, endpoint=False))
-    for swing, verdict in ((1.3, DriftVerdict.UNKNOWN), (1.7, DriftVerdict.STAYS)):
-        result = evaluate_drift(_cycled(0.0, swing, phases), 5, 25, 100.0)
+    for swing, verdict in ((1.3, sliding.DriftVerdict.UNKNOWN), (1.7, sliding.DriftVerdict.STAYS)):
+        result = sliding.evaluate_drift(_cycled(0.0, swing, phases), 5, 25, 100.0)
         assert result.swing == pytest.approx(swing, abs=0.01)
         assert result.verdict is verdict, result.reason
 
@@ -298,7 +218,7 @@ def test_the_least_stiffness_is_where_steady_sliding_becomes_stable(speed: float
         growth = np.linalg.eigvals(_jacobian(lambda s, k=stiffness: motion(s, k), rest)).real.max()
         assert bool(growth < 0.0) is stable
         if factor == 0.5:
-            sampled = sampled_growth(element, inertia, speed, stiffness, tick)
+            sampled = sliding.sampled_growth(element, inertia, speed, stiffness, tick)
             assert math.log(sampled) / tick == pytest.approx(growth, rel=0.01)
 
 
@@ -308,21 +228,21 @@ def test_sliding_friction_is_found_at_changing_speed() -> None:
     speed, acceleration = rng.uniform(0.01, 0.35, 200), rng.normal(0.0, 1.0, 200)
     torque = SLIDING.torque(speed) + 0.4 * acceleration + rng.normal(0.0, 0.005, 200)
     torque[::40] += 1.0
-    found = fit_sliding_friction(SlidingReadings(speed, acceleration, torque))
+    found = sliding.fit_sliding_friction(sliding.SlidingReadings(speed, acceleration, torque))
     values = found.tau_c, found.tau_s, found.omega_s, found.c2, found.inertia
     assert values == pytest.approx((2.0, 2.5, 0.1, 1.0, 0.4), rel=0.1)
 
 
 def test_flicker_of_a_count_is_no_motion() -> None:
     """Counts that jump between two neighbours stand still; a motion is followed to half a count."""
-    assert np.ptp(settled(np.array([3.0, 4.0, 3.0, 4.0, 3.0]))[1:]) == 0.0
-    assert settled(np.arange(0.0, 9.0))[1:] == pytest.approx(np.arange(0.5, 8.5))
+    assert np.ptp(laws.settled(np.array([3.0, 4.0, 3.0, 4.0, 3.0]))[1:]) == 0.0
+    assert laws.settled(np.arange(0.0, 9.0))[1:] == pytest.approx(np.arange(0.5, 8.5))
 
 
 def test_maxwell_law_has_shares_that_a_friction_file_accepts() -> None:
     """Any values of the fit give blocks whose stiffnesses and shares add up to 1."""
     for values in ([8.0, 0.0, 0.0, 0.0, 0.0, 0.0], [8.0, -800.0, 5.0, 700.0, 0.0, 3.0]):
-        bristles = MAXWELL_SLIP.element(values, SLIDING).bristles
+        bristles = laws.MAXWELL_SLIP.element(values, SLIDING).bristles
         assert (sum(bristles.share), sum(bristles.stiffness)) == pytest.approx((1.0, 1.0))
 
 
@@ -330,9 +250,9 @@ def test_blocks_one_after_the_other_are_predicted_as_each_alone() -> None:
     """Of bristles with a memory nothing is carried from one block to the next."""
     blocks = _blocks(lambda number, torque: torque / (3e3 * 1.1**number))
     for law, values in (
-        (MAXWELL_SLIP, [8.0, 0.5, 0.4, 0.3, 0.2, 0.1]),
-        (ELASTO_PLASTIC, [8.0, -0.5]),
-        (STRIBECK_LAW, []),
+        (laws.MAXWELL_SLIP, [8.0, 0.5, 0.4, 0.3, 0.2, 0.1]),
+        (laws.ELASTO_PLASTIC, [8.0, -0.5]),
+        (laws.STRIBECK, []),
     ):
         for found, block in zip(law.predict(values, SLIDING, blocks), blocks, strict=True):
             assert np.array_equal(found, law.predict(values, SLIDING, [block])[0])
@@ -350,15 +270,17 @@ def test_a_joint_that_sticks_later_ends_the_experiment() -> None:
 def test_laws_that_sliding_refutes_refute_none_in_loops() -> None:
     """A law with a wrong sliding curve, nearest in the loops of a stiff joint, leaves the one with the right curve."""
     blocks = np.abs(np.random.default_rng(2).normal(1.0, 0.1, 10))
-    loops = {COULOMB_LAW: 0.08, STRIBECK_LAW: 0.09, LUGRE: 0.9, MAXWELL_SLIP: 1.3}
+    loops = {laws.COULOMB: 0.08, laws.STRIBECK: 0.09, laws.LUGRE: 0.9, laws.MAXWELL_SLIP: 1.3}
     for of_coulomb, nearest, reasons in (
         (0.045, "Stribeck", ["sliding: {}", "", "loops: {}", "loops: {}"]),
         (0.003, "Coulomb and viscous", ["", "loops: {}", "loops: {}", "loops: {}"]),
     ):
-        sliding = {law: of_coulomb if law is COULOMB_LAW else 0.003 for law in loops}
-        scores = [LawScore(law, (loops[law] * blocks) ** 2, (sliding[law] * blocks) ** 2, ()) for law in loops]
+        scores = []
+        for law, error in loops.items():
+            slides = of_coulomb if law is laws.COULOMB else 0.003
+            scores.append(laws.LawScore(law, (error * blocks) ** 2, (slides * blocks) ** 2, ()))
         wanted = [reason and reason.format(f"{nearest} predicts better") for reason in reasons]
-        assert [score.refuted for score in with_refutations(scores)] == wanted
+        assert [score.refuted for score in laws.with_refutations(scores)] == wanted
 
 
 def test_a_law_is_refuted_by_more_than_chance_and_more_than_a_trifle() -> None:
@@ -366,20 +288,20 @@ def test_a_law_is_refuted_by_more_than_chance_and_more_than_a_trifle() -> None:
     noise = np.abs(np.random.default_rng(4).normal(1.0, 0.3, 10))
     chance = np.where(np.arange(10) == 3, 3.0, 1.0)
     for factor, refuted in ((1.3**0.5, True), (1.04**0.5, False), (chance, False)):
-        worse = {LUGRE: 1.0, MAXWELL_SLIP: factor}
-        scores = [LawScore(law, (noise * by) ** 2, noise**2, ()) for law, by in worse.items()]
-        assert [bool(score.refuted) for score in with_refutations(scores)] == [False, refuted]
+        worse = {laws.LUGRE: 1.0, laws.MAXWELL_SLIP: factor}
+        scores = [laws.LawScore(law, (noise * by) ** 2, noise**2, ()) for law, by in worse.items()]
+        assert [bool(score.refuted) for score in laws.with_refutations(scores)] == [False, refuted]
 
 
-def _readings(static: float) -> SlidingReadings:
+def _readings(static: float) -> sliding.SlidingReadings:
     """Return readings of a joint that slides, with noise."""
     rng = np.random.default_rng(5)
     speed = rng.uniform(0.01, 0.35, 200)
-    torque = SlidingFriction(2.0, static, 0.1, 1.0, 0.4, 0.0).torque(speed) + rng.normal(0.0, 0.005, 200)
-    return SlidingReadings(speed, np.zeros(200), torque)
+    torque = sliding.SlidingFriction(2.0, static, 0.1, 1.0, 0.4, 0.0).torque(speed) + rng.normal(0.0, 0.005, 200)
+    return sliding.SlidingReadings(speed, np.zeros(200), torque)
 
 
-def _blocks(bent: Callable[[int, Array], Array]) -> list[LoopBlock]:
+def _blocks(bent: Callable[[int, Array], Array]) -> list[laws.LoopBlock]:
     """Return six blocks, torques up and down, with the angle that a function of block and torque, Nm, gives, rad."""
     rng = np.random.default_rng(6)
     held = np.concatenate((np.linspace(0.1, 1.8, 9), np.linspace(1.6, 0.1, 8)))
@@ -387,30 +309,30 @@ def _blocks(bent: Callable[[int, Array], Array]) -> list[LoopBlock]:
     for number in range(6):
         torque = held * rng.uniform(0.9, 1.1)
         angle = np.concatenate(([0.0], np.repeat(bent(number, torque), 4)))
-        blocks.append(LoopBlock(angle, np.arange(4, angle.size, 4), torque, 0.02))
+        blocks.append(laws.LoopBlock(angle, np.arange(4, angle.size, 4), torque, 0.02))
     return blocks
 
 
 def test_of_laws_that_predict_alike_the_simplest_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
     """A rigid joint with one sliding torque is Coulomb's, though Stribeck's law says the same of it."""
-    monkeypatch.setattr(laws, "LAWS", (COULOMB_LAW, STRIBECK_LAW, LUGRE))
-    found = choose(_blocks(lambda _, torque: 0.0 * torque), _readings(static=2.0), None)
+    monkeypatch.setattr(laws, "LAWS", (laws.COULOMB, laws.STRIBECK, laws.LUGRE))
+    found = laws.choose(_blocks(lambda _, torque: 0.0 * torque), _readings(static=2.0), None)
     assert [bool(score.refuted) for score in found.scores] == [False, False, True]
     assert found.text == "Coulomb and viscous"
 
 
 def test_no_block_is_predicted_by_a_fit_that_has_seen_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Springs of another stiffness in each block: a block's error is that of the stiffness that the others have."""
-    monkeypatch.setattr(laws, "LAWS", (STRIBECK_LAW, LUGRE))
+    monkeypatch.setattr(laws, "LAWS", (laws.STRIBECK, laws.LUGRE))
     blocks = _blocks(lambda number, torque: torque / (3e3 * 1.3**number))
-    found = choose(blocks, _readings(static=2.5), None)
+    found = laws.choose(blocks, _readings(static=2.5), None)
     score = found.scores[1]
     for number, block in enumerate(blocks):
         others = [other for k, other in enumerate(blocks) if k % 5 != number % 5]
-        stiffness = LUGRE.fit(found.sliding, others)
-        rest = LUGRE.predict(stiffness, found.sliding, [block])[0] - block.torque
+        stiffness = laws.LUGRE.fit(found.sliding, others)
+        rest = laws.LUGRE.predict(stiffness, found.sliding, [block])[0] - block.torque
         assert score.loops[number] == pytest.approx(np.mean(rest**2), rel=1e-6)
-    assert found.left == (LUGRE,)
+    assert found.left == (laws.LUGRE,)
 
 
 def test_break_away_is_that_of_the_slowest_ramps_on_which_the_joint_slid(rig: Rig) -> None:
@@ -419,7 +341,9 @@ def test_break_away_is_that_of_the_slowest_ramps_on_which_the_joint_slid(rig: Ri
     code, slide = np.arange(100.0), campaign.slide
     for rate, slope, step in ((0.4, 0.001, 50.0), (0.4, 0.1, 50.0), (0.4, 0.1, 60.0), (1.6, 0.1, 80.0)):
         counts = np.maximum(code - step, 0.0) * slope * slide
-        campaign.done.append((Run("ramps", "", iter(()), rate), Trace("", code, counts, code, 2e-5, 0.02, 0.02)))
+        campaign.done.append(
+            (Run("ramps", "", iter(()), rate), motions.Trace("", code, counts, code, 2e-5, 0.02, 0.02))
+        )
         if len(campaign.done) == 1:
             with pytest.raises(IdentificationError, match="on no ramp"):
                 campaign.break_away_code()
@@ -441,24 +365,25 @@ def test_the_hosts_spring_pulls_by_its_stretch() -> None:
 
 def test_the_drift_tells_laws_that_loops_leave(monkeypatch: pytest.MonkeyPatch) -> None:
     """Far below break-away both kinds of bristles are springs: a drift keeps LuGre, no drift the other."""
-    monkeypatch.setattr(laws, "LAWS", (STRIBECK_LAW, LUGRE, ELASTO_PLASTIC))
+    monkeypatch.setattr(laws, "LAWS", (laws.STRIBECK, laws.LUGRE, laws.ELASTO_PLASTIC))
     noise = np.random.default_rng(7)
     springs = _blocks(lambda _, torque: 0.1 * torque / 4e3)
     blocks = [replace(block, torque=0.1 * block.torque + noise.normal(0.0, 0.01, 17)) for block in springs]
     verdicts = {}
     for cycles in (None, _cycled(2.4, 7.0, 0.3), _cycled(0.0, 7.0, 0.3)):
-        drift = None if cycles is None else evaluate_drift(cycles, 5, 25, 100.0)
-        verdicts[drift and drift.verdict] = choose(blocks, _readings(static=2.5), drift).text
+        drift = None if cycles is None else sliding.evaluate_drift(cycles, 5, 25, 100.0)
+        verdicts[drift and drift.verdict] = laws.choose(blocks, _readings(static=2.5), drift).text
     assert verdicts == {
         None: "cannot tell: LuGre or elasto-plastic",
-        DriftVerdict.DRIFTS: "LuGre, by its drift",
-        DriftVerdict.STAYS: "elasto-plastic, by its drift",
+        sliding.DriftVerdict.DRIFTS: "LuGre, by its drift",
+        sliding.DriftVerdict.STAYS: "elasto-plastic, by its drift",
     }
 
 
 def test_a_code_reaches_the_dac_late_in_the_tick(rig: Rig) -> None:
     """The torque held over a tick is that of the emulated rig's DAC, slice by slice, to an eighth of the change."""
-    emulated, on_dac = EmulatedRig(rig, 1), []
+    client, on_dac = greeted(rig), []
+    emulated = client.port.emulated
     advance, torque = emulated.plant.advance, rig.torque(1) * rig.joint_scale
 
     def logged(command: float, dt: float) -> int:
@@ -466,10 +391,8 @@ def test_a_code_reaches_the_dac_late_in_the_tick(rig: Rig) -> None:
         return advance(command, dt)
 
     emulated.plant.advance = logged
-    client = RigClient(VirtualPort(emulated), rig)
-    client.connect()
     samples: list[Sample] = []
-    trace = follow(client, (10 * (k // 3 % 2) for k in range(30)), "steps", samples.append)
+    trace = motions.follow(client, (10 * (k // 3 % 2) for k in range(30)), "steps", samples.append)
     for held, sample in list(zip(trace.held, samples, strict=True))[1:]:
         end = sample.time - 1e-3 - 1e-9  # the firmware hears of a slice's counts in the next one
         slices = [t for time, t in on_dac if end - rig.tick <= time < end]

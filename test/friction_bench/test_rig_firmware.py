@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rig_bench import greeted
 from rig_conformance import TRANSCRIPTS, MismatchError, Player
 
 from friction_bench.experiment.job import run_ramp
-from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, VirtualPort
-from friction_bench.rig.messages import Command, Frame, encode
-from friction_bench.rig.rig_file import Rig
+from friction_bench.rig.emulated import NativeBoard, native_library
+from friction_bench.rig.messages import Command, Fault, Frame, encode
+from friction_bench.rig.rig_file import Rig, load_rig
+from rx90_common.base.share import PRESLIDING_RIG, config_path
 
 SIMULATED = [pytest.param(target, marks=pytest.mark.firmware) for target in ("mcs51", "avr")]
 ALL = ["native", *SIMULATED]
@@ -76,6 +77,22 @@ def test_transcripts_catch_the_mutant(name: str, mutant: Callable[..., Any]) -> 
         except MismatchError:
             return
     pytest.fail(f"no transcript notices the mutant {name}")
+
+
+def test_firmware_counts_down_and_limits_travel_both_ways() -> None:
+    """Built for a decoder, the firmware counts below zero, and limits the travel of a motor that turns back."""
+    rig = load_rig(config_path(PRESLIDING_RIG))
+    player = Player(NativeBoard(rig.baud, native_library(rig.firmware_figures)))
+    player.do_greet(None)
+    player.do_send({"limits": [2, 300]})
+    player.do_beat(60)
+    player.do_send("arm")
+    player.do_edges(-10)
+    player.do_beat(100)
+    before, last = player.reports[-2:]
+    assert last.counts < 2**24 - 400
+    assert last.counts - before.counts == -200
+    assert last.fault == Fault.TRAVEL  # beyond 2 x 256 counts
 
 
 def time_at_full_scale(board: Any) -> float:
@@ -175,16 +192,15 @@ def test_random_damage_never_moves_the_rig(target: str, make_board: Callable[...
     player.do_send("arm")
     player.do_beat(55)
     for number in range(400 if target == "native" else 25):
-        message = bytearray(encode(Frame(Command.TORQUE, number % 100, bytes([99]))))
+        sent = encode(Frame(Command.TORQUE, number % 100, bytes([99])))
+        message = bytearray(sent)
         at = random_.randrange(len(message) - 1)
         how = random_.choice(("flip", "lose", "double"))
         if how == "flip":
             message[at] ^= 1 << random_.randrange(8)
-        elif how == "lose":
-            del message[at]
         else:
-            message.insert(at, message[at])
-        if bytes(message) == encode(Frame(Command.TORQUE, number % 100, bytes([99]))):
+            message[at : at + 1] = bytes([message[at]]) * (2 if how == "double" else 0)
+        if message == sent:
             continue
         player.board.write(bytes(message) + b"\0")
         player.do_beat(20)
@@ -201,9 +217,7 @@ def test_closed_loop_with_the_real_binary_equals_the_native_one(
     """The emulated rig, run by the real binary, turns in a ramp as far as by the native core, but for 2 ms."""
     angles = []
     for board in ("native", target):
-        emulated = EmulatedRig(rig, 3, make_board(board))
-        client = RigClient(VirtualPort(emulated), rig)
-        client.connect()
+        client = greeted(rig, 3, board=make_board(board))
         record = run_ramp(client, 0.3, 0.08, False, board)
         assert client.lost_reports == 0
         angles.append(record.angle[-1])

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -74,14 +72,22 @@ class Session:
         self.until(answer.done)
         return answer.result()
 
-    @property
-    def stamps(self) -> list[int]:
-        """Return the stamps of the states, ns."""
-        return [state.header.stamp.sec * 10**9 + state.header.stamp.nanosec for state in self.states]
+    def heard(self, count: int) -> None:
+        """Listen until so many states have come, whose stamps are ticks of 20 ms."""
+        self.until(lambda: len(self.states) >= count)
+        stamps = [state.header.stamp.sec * 10**9 + state.header.stamp.nanosec for state in self.states]
+        assert all(b > a and (b - a) % 20_000_000 == 0 for a, b in pairwise(stamps))
 
-    def heard(self, count: int) -> bool:
-        """Return whether so many states have come."""
-        return len(self.states) >= count
+    @property
+    def stage_on(self) -> bool:
+        """Return whether the rig's power stage is on."""
+        return self.pty.emulated.board.stage_on
+
+    def fault_is_latched_until_cleared(self) -> None:
+        """Hold the rig, which has lost its host, to what it must do and say."""
+        self.until(lambda: bool(self.diagnostics) and "silent" in self.diagnostics[-1].status[0].message)
+        assert not self.call("arm").success
+        self.insist("clear", "arm")
 
     def insist(self, *names: str) -> None:
         """Call services in a row; again from the first one where the machine stood still and the rig went off."""
@@ -96,21 +102,28 @@ class Session:
         """Send the node, which has armed the rig, a signal that silences it; the rig takes that for what it is."""
         for _ in range(10):
             with self.pty.standing_still():  # so that the ramp, if there is one, cannot come to its end before
-                if self.pty.emulated.board.stage_on and self.pty.emulated.board.dac < FAR_FROM_THE_END:
+                if self.stage_on and self.pty.emulated.board.dac < FAR_FROM_THE_END:
                     self.pty.patient = False
                     self.process.send_signal(signal_number)
                     return
             self.insist("arm", "run_ramp")
         pytest.fail(f"the rig never kept its torque:\n{self.log.read_text()}")
 
-    def ramp(self) -> None:
-        """Run a ramp until its torque is seen; again where the machine stood still and the rig went off."""
+    def ramp(self, until: Callable[[], bool]) -> None:
+        """Run a ramp until a condition holds; again where the machine stood still and the rig went off."""
         for _ in range(10):
             self.insist("arm", "run_ramp")
-            self.until(lambda: self.states[-1].effort[0] > 0.01 or not self.pty.emulated.board.stage_on)
-            if self.states[-1].effort[0] > 0.01:
+            self.until(lambda: until() or not self.stage_on)
+            self.until(lambda: self.stage_on or self.rests())
+            if until():
                 return
-        pytest.fail(f"there was never a torque:\n{self.log.read_text()}")
+        pytest.fail(f"the ramp never came there:\n{self.log.read_text()}")
+
+    def rests(self) -> bool:
+        """Return whether it has stood still for 0.1 s, by states that are no older than the rig's last motion."""
+        rig = self.pty.emulated
+        angles = {state.position[0] for state in self.states[-6:]}
+        return len(angles) == 1 and abs(angles.pop() - rig.plant.angle) <= rig.rig.angle_step
 
     def close(self) -> None:
         """End the node by its own pid, the rig and the client."""
@@ -124,71 +137,48 @@ class Session:
 
 
 @pytest.fixture
-def session(rig: Rig, tmp_path: Path, ros_domain: int, warm: None) -> Iterator[Session]:  # noqa: ARG001 - a domain of its own
-    """Return a node that reports its rig, on a domain of its own."""
-    made = Session(rig, tmp_path)
-    try:
-        made.until(partial(made.heard, 4))
-        yield made
-    finally:
-        made.close()
+def make(rig: Rig, tmp_path: Path, ros_domain: int, warm: None) -> Iterator[Callable[..., Session]]:  # noqa: ARG001 - a domain of its own
+    """Return a maker of nodes that report their rigs, in namespaces, on a domain of the test's own."""
+    with ExitStack() as stack:
+
+        def start(side: str = "") -> Session:
+            folder = tmp_path / f"rig{side}"
+            folder.mkdir()
+            others = ["-r", f"__ns:=/{side}", "-p", "ramp_slope:=0.3"] if side else []
+            made = Session(rig, folder, f"/{side}" if side else "", *others)
+            stack.callback(made.close)
+            made.heard(4)
+            return made
+
+        yield start
 
 
 @pytest.fixture
-def pair(rig: Rig, tmp_path: Path, ros_domain: int, warm: None) -> Iterator[tuple[Session, Session]]:  # noqa: ARG001 - a domain of its own
-    """Return two nodes in namespaces of their own, each with a rig of its own."""
-    with ExitStack() as stack:
-        made = []
-        for side in ("left", "right"):
-            (tmp_path / side).mkdir()
-            made.append(Session(rig, tmp_path / side, f"/{side}", "-r", f"__ns:=/{side}", "-p", "ramp_slope:=0.3"))
-            stack.callback(made[-1].close)
-        for session in made:
-            session.until(partial(session.heard, 4))
-        yield made[0], made[1]
+def session(make: Callable[..., Session]) -> Session:
+    """Return a node that reports its rig."""
+    return make()
 
 
-def rests(session: Session) -> bool:
-    """Return whether it has stood still for 0.1 s, by states that are no older than the rig's last motion."""
-    rig = session.pty.emulated
-    count = math.tau / rig.rig.counts_per_revolution
-    angles = {state.position[0] for state in session.states[-6:]}
-    return len(angles) == 1 and abs(angles.pop() - rig.plant.angle) <= count
-
-
-def turn(session: Session) -> None:
-    """Run a ramp to its end; again where the machine stood still and the rig went off."""
-    begins_at = session.states[-1].position[0]
-    for _ in range(10):
-        session.insist("arm", "run_ramp")
-        session.until(lambda: not session.pty.emulated.board.stage_on)
-        session.until(partial(rests, session))
-        if session.states[-1].position[0] > begins_at + 1.0:
-            return
-    pytest.fail(f"the rig never turned:\n{session.log.read_text()}")
-
-
-def test_two_rigs_beside_each_other_know_nothing_of_each_other(pair: tuple[Session, Session]) -> None:
+def test_two_rigs_beside_each_other_know_nothing_of_each_other(make: Callable[..., Session]) -> None:
     """Two nodes in namespaces run a ramp each; while one turns the other rests: each publishes its own rig's angle."""
+    pair = make("left"), make("right")
     for turning, resting in (pair, pair[::-1]):
         begins_at, heard = resting.states[-1].position[0], len(resting.states)
-        turn(turning)
-        assert not resting.pty.emulated.board.stage_on
-        resting.until(partial(resting.heard, heard + 10))
+        from_here = turning.states[-1].position[0] + 1.0
+        turning.ramp(lambda: not turning.stage_on and turning.states[-1].position[0] > from_here)  # noqa: B023
+        assert not resting.stage_on
+        resting.heard(heard + 10)
         assert {state.position[0] for state in resting.states[heard:]} == {begins_at}
-    for session in pair:
-        session.until(partial(rests, session))
-        assert all(b > a and (b - a) % 20_000_000 == 0 for a, b in pairwise(session.stamps))
+        turning.until(turning.rests)
 
 
 def test_ramp_runs_and_stops_by_service(session: Session) -> None:
     """Arm, ramp and stop work over services; states carry the firmware's 20 ms; a stop ends the torque."""
     assert not session.call("run_ramp").success
-    session.ramp()
-    answer = session.call("stop")
-    assert answer.success
-    session.until(lambda: not session.pty.emulated.board.stage_on)
-    assert all((b - a) % 20_000_000 == 0 for a, b in pairwise(session.stamps))
+    session.ramp(lambda: session.states[-1].effort[0] > 0.01)
+    assert session.call("stop").success
+    session.until(lambda: not session.stage_on)
+    session.heard(len(session.states) + 4)
     assert all(len(s.position) == len(s.velocity) == len(s.effort) == 1 for s in session.states)
 
 
@@ -196,12 +186,10 @@ def test_fault_stands_on_diagnostics_until_cleared(session: Session) -> None:
     """A frozen node loses the torque; afterwards the fault is on /diagnostics, and clear and arm work."""
     session.insist("arm")
     session.lose_the_host(signal.SIGSTOP)
-    session.until(lambda: not session.pty.emulated.board.stage_on)
+    session.until(lambda: not session.stage_on)
     session.pty.patient = True
     session.process.send_signal(signal.SIGCONT)
-    session.until(lambda: bool(session.diagnostics) and "silent" in session.diagnostics[-1].status[0].message)
-    assert not session.call("arm").success
-    session.insist("clear", "arm")
+    session.fault_is_latched_until_cleared()
 
 
 def test_parameters_that_are_no_torque_are_refused_in_one_line(session: Session) -> None:
@@ -234,20 +222,18 @@ def test_node_that_is_killed_loses_the_torque_and_can_be_started_again(session: 
     """After kill -9 in a ramp the firmware takes the torque away, and a new node finds the fault latched."""
     session.insist("arm", "run_ramp")
     session.lose_the_host(signal.SIGKILL)
-    session.until(lambda: not session.pty.emulated.board.stage_on)
+    session.until(lambda: not session.stage_on)
     session.pty.patient = True
     session.process.wait()
     session.start()
-    session.until(lambda: bool(session.diagnostics) and "silent" in session.diagnostics[-1].status[0].message)
-    assert not session.call("arm").success
-    session.insist("clear", "arm")
+    session.fault_is_latched_until_cleared()
 
 
 def test_interrupt_leaves_the_rig_without_torque(session: Session) -> None:
     """Ctrl-C ends the node with 0 and the rig disarmed, by a stop: its watchdog would wait for ever."""
     session.insist("arm")
-    assert session.pty.emulated.board.stage_on
+    assert session.stage_on
     session.process.send_signal(signal.SIGINT)
     assert session.process.wait(TIMEOUT) == 0
-    session.until(lambda: not session.pty.emulated.board.stage_on)
+    session.until(lambda: not session.stage_on)
     assert "Traceback" not in session.log.read_text()

@@ -12,7 +12,7 @@ from pathlib import Path
 from processes import TIMEOUT, wait_until
 
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, NativeBoard, PtyRig
+from friction_bench.rig.emulated import EmulatedRig, NativeBoard, PtyRig, VirtualPort
 from friction_bench.rig.link import RigLink
 from friction_bench.rig.messages import Command, FrameDecoder, ResetCause, State
 from friction_bench.rig.rig_file import Rig
@@ -20,6 +20,15 @@ from friction_bench.rig.serial_port import SerialPort
 
 PATIENCE = 0.06
 """Silence of its host, s of its own time, that an armed rig bears before its time stands still; half the watchdog's."""
+
+
+def greeted(rig: Rig, seed: int = 1, loaded: bool = False, board: NativeBoard | None = None) -> RigClient:
+    """Return a client that has greeted an emulated rig in virtual time; its `port.emulated` is that rig."""
+    emulated = EmulatedRig(rig, seed, board)
+    emulated.plant.load(loaded)
+    client = RigClient(VirtualPort(emulated), rig)
+    client.connect()
+    return client
 
 
 def read_some(descriptor: int) -> bytes:

@@ -1,0 +1,445 @@
+"""The commands friction_ramp, friction_presliding and friction_rig_emulator on emulated rigs, and the launch file.
+
+The presliding experiments tell laws apart with a power near 1 (`python -m benchmarks.friction_presliding` counts errors
+over many rigs), so one rig of each law is enough to see that they do: LuGre and elasto-plastic, which the drift is for.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import yaml
+from launch_stub import arguments as launch_arguments
+from launch_stub import build, ending, parameters
+from rig_bench import greeted
+from schema_faults import schema_faults
+from scipy.integrate import solve_ivp
+
+from friction_bench.experiment import job as ramp_job
+from friction_bench.experiment import session
+from friction_bench.node import bench_node
+from friction_bench.presliding import job as presliding_job
+from friction_bench.presliding.motions import Profile, Trace, follow, pulled
+from friction_bench.presliding.sliding import evaluate_pull, sampled_growth
+from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.emulated import EmulatedRig, PtyRig
+from friction_bench.rig.messages import RigLostError
+from friction_bench.rig.rig_file import JointFriction, Rig, load_rig
+from rx90_common.bags.reading import read_joint_states
+from rx90_common.base.share import PRESLIDING_RIG, SHIPPED_RIG, config_path
+from rx90_common.friction import load_friction
+from rx90_emulator.cli.frame import EXECUTABLES, run
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
+QUICK_RAMPS = ["--repeats", "2", "--slopes", "0.03", "0.06"]
+QUICK_PRESLIDING = ["--kinds", "loops", "sweep", "drift", "--blocks", "6", "--cycles", "300", "--seed", "2"]
+BRISTLES = {"LuGre": "", "elasto-plastic": ", bristles: {kind: elasto_plastic, break_away: 0.5}"}
+
+
+def estimates(out: Path) -> Any:
+    """Return the estimates of a folder."""
+    return yaml.safe_load((out / "estimates.yaml").read_text())
+
+
+@pytest.fixture(scope="module")
+def ramps(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of one complete measurement of ramps, no-load and loaded."""
+    out = tmp_path_factory.mktemp("friction") / "run"
+    assert run("friction_ramp", [*QUICK_RAMPS, "--output", str(out)]) == 0
+    return out
+
+
+def test_report_page_and_estimates_are_complete(ramps: Path, check_report: Callable[[Path], None]) -> None:
+    """Page: plots of both loads, overlay, comparison, the source's bands. YAML: intervals of loads and joint."""
+    page = (ramps / "report.html").read_text()
+    assert page.count('<figure class="plot">') == 4
+    for text in ("no-load", "loaded", "multibody", "closed form", "± 10", "± 7", "± 2", "joint side"):
+        assert text in page
+    check_report(ramps / "report.html")
+    low, high = estimates(ramps)["loaded"]["exact, by covariance"]["coulomb"]["interval_95"]
+    assert low < 0.0698 < high
+    assert estimates(ramps)["joint"]["joint_side"]["coulomb"]["standard_uncertainty"] > 0.0
+
+
+def test_friction_file_is_one_that_the_simulation_reads(ramps: Path) -> None:
+    """rx90_sim loads the YAML: tau_c and c2 of the joint's element are identified, all else is stated as assumed."""
+    found = load_friction(ramps / "friction.yaml", JOINTS)
+    shipped = load_friction(config_path("robots/rx90b/friction.yaml"), JOINTS)
+    index = found.names.index("joint_6")
+    assert found.elements[index].tau_c_positive == pytest.approx(0.9, rel=0.05)
+    assert found.elements[index].c2 == pytest.approx(0.11, rel=0.05)
+    assert found.elements[:index] == shipped.elements[:index]
+    assert schema_faults("friction", ramps / "friction.yaml") == []
+    stated = yaml.safe_load((ramps / "friction.yaml").read_text())
+    entries = stated["identification"]["parameters"]["joint_6"]
+    assert stated["provenance"] == "assumed"
+    assert {name for name, entry in entries.items() if entry["provenance"] == "identified"} == {"tau_c", "c2"}
+    assert "torque noise releases the shaft" in entries["tau_s"]["reason"]
+
+
+def test_bag_holds_every_reading(ramps: Path) -> None:
+    """The bag's stamps are the firmware's 20 ms ticks, and states and commands go together."""
+    states = read_joint_states(ramps / "bag", "friction_bench/joint_states")
+    commands = read_joint_states(ramps / "bag", "friction_bench/joint_commands")
+    assert states.stamp_ns.tolist() == commands.stamp_ns.tolist()
+    assert set((states.stamp_ns % 20_000_000).tolist()) == {0}
+    assert commands.effort.max() <= 0.18
+
+
+def test_recorded_ramps_evaluate_to_the_same(ramps: Path, tmp_path: Path) -> None:
+    """The CSV files that a measurement leaves give the same f_c as the measurement."""
+    words = []
+    for file in sorted(ramps.glob("ramp_*.csv")):
+        label, _, slope = file.read_text().splitlines()[0][2:].rpartition(", slope ")
+        option = "--loaded-file" if label.startswith("loaded") else "--no-load-file"
+        words += [option, f"{float(slope.removesuffix(' Nm/s'))!r}:{file}"]
+    assert run("friction_ramp", [*words, "--output", str(tmp_path / "again")]) == 0
+    again, before = (estimates(out)["loaded"]["exact, by covariance"] for out in (tmp_path / "again", ramps))
+    assert again["coulomb"]["value"] == pytest.approx(before["coulomb"]["value"])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("friction_ramp --slopes 99", "slope 99 Nm/s; accepted"),
+        ("friction_ramp --repeats 1001", "--repeats is 1001; accepted: 1 to 1000"),
+        ("friction_ramp --seed -1", "--seed is -1; accepted: 0 to"),
+        ("friction_ramp --baud 0", "--baud is 0; accepted: 1200 to 1000000"),
+        ("friction_ramp --slopes nan", "argument --slopes: 'nan'; accepted: a finite number"),
+        ("friction_ramp --slopes 0.1 0.05 0.1", "--slopes has 0.1 twice; accepted: each slope once"),
+        ("friction_ramp --end-torque 0.5", "--end-torque is 0.5"),
+        ("friction_ramp --end-torque 0.19", "end torque 0.19 Nm; accepted by the firmware: 0.00078 to 0.18 Nm"),
+        ("friction_ramp --end-torque 0.02 --load none", "no break-away"),
+        ("friction_ramp --rig nothing.yaml", "no file 'nothing.yaml'"),
+        ("friction_ramp --text counts", "--text is given without a file"),
+        ("friction_ramp --velocity mean", "--velocity is mean; accepted: with --text velocity alone"),
+        ("friction_ramp --port nonsense://x", "nonsense://x: cannot be opened"),
+        ("friction_ramp --output /proc/friction", "/proc/friction: cannot be written ("),
+        ("friction_ramp --output /dev/null", "/dev/null exists; accepted: a new name"),
+        ("friction_ramp --no-load-file 0.1:nothing.csv", "nothing.csv: cannot be read"),
+        ("friction_ramp --no-load-file nothing.csv", "accepted: slope:file"),
+        ("friction_ramp --no-load-file 0.1", "accepted: slope:file"),
+        ("friction_ramp --no-load-file nan:ramp.csv", "accepted: slope:file"),
+        ("friction_ramp --element joint_9 --load none", "--element is 'joint_9'"),
+        ("friction_presliding --rig rig/gm8224_lugre.yaml", "counts_down is false"),
+        ("friction_presliding --cycles 5", "--cycles is 5; accepted: 100 to 100000"),
+        ("friction_presliding --blocks 2", "--blocks is 2; accepted: 6 to 100"),
+        ("friction_presliding --blocks 6 --kinds drift", "--blocks 6 without loops; accepted: with --kinds loops"),
+        ("friction_rig_emulator --seed -1", "--seed is -1; accepted: 0 to 2147483647"),
+        ("friction_rig_emulator --rig nothing.yaml", "no file 'nothing.yaml'"),
+        ("friction_rig_emulator --link /dev/null", "/dev/null: cannot point to the emulated rig"),
+        ("friction_rig_emulator --link /proc/rig", "/proc/rig: cannot point to the emulated rig"),
+    ],
+)
+def test_mistakes_get_one_line(words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A user's mistake is answered by one line and exit code 2, and nothing is written."""
+    command, *options = words.split()
+    output = [] if command == "friction_rig_emulator" else ["--output", str(tmp_path / "out")]
+    assert run(command, [*output, *options]) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert message in error
+    assert error.startswith(f"{command}: ")
+    assert not (tmp_path / "out").exists() or "no break-away" in message
+
+
+@pytest.mark.parametrize("port", ["/dev/nothing", "/etc/hostname"])
+def test_a_rig_that_cannot_be_reached_is_a_failure(
+    port: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A port that is not there, or is no serial one, is one line and exit code 3."""
+    assert run("friction_ramp", ["--output", str(tmp_path / "out"), "--port", port]) == 3
+    assert f"friction_ramp: {port}: cannot be opened" in capsys.readouterr().err
+
+
+def test_existing_folder_is_refused_before_the_rig_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever a folder holds, for ramps and for files: exit code 2, no rig is opened, its files are as they were."""
+    monkeypatch.setattr(session, "EmulatedRig", lambda *_: pytest.fail("the rig was opened"))
+    csv = tmp_path / "old.csv"
+    csv.write_text("time,counts\n0,1\n")
+    for words in ([], ["--no-load-file", f"0.1:{csv}"]):
+        assert run("friction_ramp", [*words, "--output", str(tmp_path)]) == 2
+        assert f"{tmp_path} exists; accepted: a new name" in capsys.readouterr().err
+    assert csv.read_text() == "time,counts\n0,1\n"
+    assert list(tmp_path.iterdir()) == [csv]
+
+
+def test_source_figure_from_its_kind_of_velocity(tmp_path: Path) -> None:
+    """Velocities a t - b give the source's 0.1464 Nm as instantaneous, 0.1403 Nm (m tick / 2 less) as tick means."""
+    time = 0.02 * np.arange(1, 150)
+    path = tmp_path / "source.txt"
+    np.savetxt(path, np.maximum(949.5407 * time - 227.8898, 0.0))
+    for name, options, expected in (("a", [], 0.1403), ("b", ["--velocity", "instantaneous"], 0.1464)):
+        out = tmp_path / name
+        words = ["--text", "velocity", "--no-load-file", f"0.61:{path}", *options, "--output", str(out)]
+        assert run("friction_ramp", words) == 0
+        assert estimates(out)["no-load"]["source, m b / a"]["coulomb"]["value"] == pytest.approx(expected, abs=5e-5)
+
+
+def test_load_without_an_estimate_does_not_cost_the_other(
+    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A joint too heavy for the motor ends the measurement after one ramp: exit code 1, no-load friction reported."""
+    heavy = replace(rig, plant=replace(rig.plant, joint=JointFriction(4.0, 0.1)))
+    monkeypatch.setattr(ramp_job, "load_rig", lambda _: heavy)
+    out = tmp_path / "out"
+    assert run("friction_ramp", [*QUICK_RAMPS, "--output", str(out)]) == 1
+    assert "not used: loaded 0.03 Nm/s #1: no break-away up to 0.15" in capsys.readouterr().out
+    assert estimates(out)["no-load"]["exact, by covariance"]
+    assert len(list(out.glob("ramp_*.csv"))) == 5
+    assert "no break-away" in (out / "report.html").read_text()
+    assert not (out / "friction.yaml").exists()
+
+
+def test_interrupted_measurement_keeps_what_it_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ctrl-C in the third ramp leaves two ramps as CSV and a bag of all readings, and exit code 130."""
+    run_ramp, begun = ramp_job.run_ramp, []
+
+    def third_time(*words: Any) -> Any:
+        begun.append(words)
+        if len(begun) == 3:
+            raise KeyboardInterrupt
+        return run_ramp(*words)
+
+    monkeypatch.setattr(ramp_job, "run_ramp", third_time)
+    assert run("friction_ramp", [*QUICK_RAMPS, "--load", "none", "--output", str(tmp_path / "out")]) == 130
+    assert "switched off" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.glob("out/*.csv")) == ["ramp_01.csv", "ramp_02.csv"]
+    assert read_joint_states(tmp_path / "out" / "bag", "friction_bench/joint_states").stamp_ns.size > 100
+
+
+def test_rig_at_a_port_asks_for_the_joint_only_where_both_loads_are_run(
+    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With --load none nobody need be there; with both loads an empty input is a clear refusal."""
+    monkeypatch.setattr(session, "SerialPort", lambda *_: greeted(rig).port)
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    words = [*QUICK_RAMPS, "--port", "somewhere", "--output"]
+    assert run("friction_ramp", [*words, str(tmp_path / "a"), "--load", "none"]) == 0
+    assert run("friction_ramp", [*words, str(tmp_path / "b")]) == 3
+    assert "nobody there to couple the joint" in capsys.readouterr().err
+
+
+def test_latched_fault_is_named_and_cleared_by_option(
+    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a killed program left latched is refused by its name, and --clear runs all the same."""
+    client = greeted(rig)
+    client.arm()
+    client.port.emulated.advance(0.3)  # nobody pumps: as after kill -9
+    monkeypatch.setattr(session, "EmulatedRig", lambda *_: client.port.emulated)
+    words = [*QUICK_RAMPS, "--load", "none", "--output"]
+    assert run("friction_ramp", [*words, str(tmp_path / "a")]) == 3
+    assert "the host was silent for more than 120 ms; find out why, then clear it" in capsys.readouterr().err
+    assert run("friction_ramp", [*words, str(tmp_path / "b"), "--clear"]) == 0
+
+
+def rig_file(folder: Path, old: str = "omega_d: 0.05}", new: str = "omega_d: 0.05}") -> Path:
+    """Return the shipped rig file that sees presliding with a text replaced."""
+    text = config_path(PRESLIDING_RIG).read_text()
+    assert text.count(old) == 1
+    (folder / "rig.yaml").write_text(text.replace(old, new))
+    return folder / "rig.yaml"
+
+
+@pytest.fixture(scope="module", params=list(BRISTLES))
+def measured(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """Return law and folder of a measurement of presliding."""
+    folder = tmp_path_factory.mktemp("presliding")
+    file = rig_file(folder, new=f"omega_d: 0.05{BRISTLES[request.param]}}}")
+    words = ["--rig", str(file), *QUICK_PRESLIDING, "--output", str(folder / "run")]
+    assert run("friction_presliding", words) == (0 if request.param == "LuGre" else 1)
+    return request.param, folder / "run"
+
+
+def test_the_law_of_the_joint_is_found(measured: tuple[str, Path]) -> None:
+    """Loops and drift keep the law that the joint has and tell LuGre from elasto-plastic; rigid laws are refuted.
+
+    Six blocks, a pass of the kinds of loops, leave Maxwell slip beside elasto-plastic: "cannot tell", exit code 1.
+    """
+    law, out = measured
+    found = estimates(out)
+    assert found["law"]["left"] == ([law] if law == "LuGre" else [law, "Maxwell slip"])
+    assert {"Coulomb and viscous", "Stribeck"} <= set(found["law"]["refuted"])
+    assert found["drift"]["verdict"].startswith("LuGre" if law == "LuGre" else "no drift")
+    truth = {"tau_c": 2.0, "tau_s": 2.5, "omega_s": 0.1, "c2": 1.0, "inertia": 0.4}
+    assert found["sliding"] == pytest.approx(truth, rel=0.12)
+    assert found["not_used"] == []
+
+
+def test_break_away_falls_with_the_rate_as_scipy_has_it(measured: tuple[str, Path]) -> None:
+    """The largest friction before sliding falls with the torque's rate, for LuGre to what the equations give."""
+    law, out = measured
+    rows = estimates(out)["break_away"]
+    rates, torques = (np.array([row[name] for row in rows]) for name in ("rate_nm_s", "torque_nm"))
+    assert torques[0] > torques[-1] + 0.05
+    if law == "LuGre":
+        expected = [_largest_friction(rate) for rate in rates[[1, 3]]]
+        assert torques[[1, 3]] == pytest.approx(expected, abs=0.05)
+
+
+def _largest_friction(rate: float) -> float:
+    """Return the largest friction before a LuGre joint slides under a torque that rises from 1.5 Nm, Nm."""
+
+    def friction(v: Any, z: Any) -> tuple[Any, Any]:
+        z_dot = v - np.abs(v) * 4e3 / (2.0 + 0.5 * np.exp(-np.abs(v) / 0.1)) * z
+        return 4e3 * z + 50.0 * np.exp(-((v / 0.05) ** 2)) * z_dot + v, z_dot
+
+    def motion(time: float, state: list[float]) -> list[float]:
+        torque, z_dot = friction(*state[1:])
+        return [state[1], (1.5 + rate * time - torque) / 0.4, z_dot]
+
+    def slid(_time: float, state: list[float]) -> float:
+        return state[0] - 8e-3
+
+    slid.terminal = True
+    start = [0.0, rate / 4e3, 1.5 / 4e3]
+    solved = solve_ivp(motion, (0.0, 60.0), start, "LSODA", events=slid, rtol=1e-7, atol=1e-10, max_step=0.05)
+    return float(friction(*solved.y[1:])[0].max())
+
+
+def test_the_folder_holds_every_reading_and_a_page(
+    measured: tuple[str, Path], check_report: Callable[[Path], None]
+) -> None:
+    """Each experiment is a CSV file, the bag holds all readings, and the page shows loops, drift, rates and sliding."""
+    law, out = measured
+    assert len(list(out.glob("*.csv"))) == 15 + 6 + 2
+    assert (out / "bag").is_dir()
+    page = (out / "report.html").read_text()
+    assert page.count('<figure class="plot">') == 4
+    assert "counts, up to break-away" in page
+    if law == "LuGre":  # pages differ in numbers alone
+        check_report(out / "report.html")
+
+
+def test_steady_sliding_is_unstable_where_the_sampled_spring_says_so() -> None:
+    """A slow pull sticks and slips, a fast one slides; the eigenvalues of the sampled spring and joint tell which."""
+    rig = load_rig(config_path(PRESLIDING_RIG))
+    client = greeted(rig, loaded=True)
+    inertia, stiffness = rig.plant.load_inertia + rig.plant.joint_inertia, 8.0
+    for speed, slips in ((0.06, True), (0.3, False)):
+        assert (sampled_growth(rig.plant.joint, inertia, speed, stiffness, rig.tick) > 1.0) is slips
+        spring = stiffness * rig.joint_step / (rig.torque(1) * rig.joint_scale)
+        profile = pulled(spring, speed * rig.tick / rig.joint_step, round(8.0 / rig.tick), 229, 85.0)
+        assert evaluate_pull(follow(client, profile, "pull"), speed, stiffness).sticks_and_slips is slips
+
+
+@pytest.mark.parametrize(
+    ("ends", "code", "line"),
+    [
+        (KeyboardInterrupt(), 130, "friction_presliding: interrupted; the rig is switched off"),
+        (RigLostError("/dev/rig: lost while reading"), 3, "friction_presliding: /dev/rig: lost while reading"),
+    ],
+)
+def test_a_measurement_that_ends_early_keeps_all_readings(
+    ends: BaseException,
+    code: int,
+    line: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """After Ctrl-C or a lost line the rig is off; what was measured is kept and evaluated, the drift so far, too."""
+    clients: list[RigClient] = []
+    drift: list[Sample] = []
+
+    def follow_some(client: RigClient, profile: Profile, label: str, keep: Callable[[Sample], None]) -> Trace:
+        clients.append(client)
+
+        def some(sample: Sample) -> None:
+            keep(sample)
+            drift.append(sample)
+            if len(drift) == 900:
+                raise ends
+
+        return follow(client, profile, label, some if label == "drift" else keep)
+
+    monkeypatch.setattr(presliding_job, "follow", follow_some)
+    monkeypatch.setattr(presliding_job, "RATES", (6.0,))
+    out = tmp_path / "run"
+    assert run("friction_presliding", ["--kinds", "drift", "--cycles", "300", "--output", str(out)]) == code
+    assert capsys.readouterr().err.splitlines()[-1] == line
+    names = sorted(path.name.split("_", 1)[1] for path in out.glob("*.csv"))
+    assert names == ["drift_unfinished.csv", "ramp.csv", "ramp.csv", "ramp.csv"]
+    assert len((out / "004_drift_unfinished.csv").read_text().splitlines()) == 2 + 900
+    assert (out / "bag").is_dir()
+    assert (out / "report.html").is_file()
+    assert estimates(out)["drift"]["verdict"] == "LuGre"
+    emulated = clients[0].port.emulated
+    emulated.advance(0.04)  # for the stop to arrive; the watchdog waits for 120 ms
+    assert not emulated.board.stage_on
+
+
+@pytest.mark.parametrize(
+    ("torques", "rate", "reason", "shown"),
+    [
+        ("tau_c: 20.0, tau_s: 25.0", 6.0, "no break-away up to 5.4 Nm", "it has not broken away"),
+        ("tau_c: 0.02, tau_s: 0.02", 0.1, "leaves no codes for small cycles", "it bends by"),
+    ],
+)
+def test_a_joint_beyond_the_rigs_codes_gets_a_report_that_says_so(
+    torques: str, rate: float, reason: str, shown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the motor cannot break the joint away, or a code does, page and estimates say so; the exit code is 1."""
+    monkeypatch.setattr(presliding_job, "RATES", (rate,))
+    file, out = rig_file(tmp_path, "tau_c: 2.0, tau_s: 2.5", torques), tmp_path / "run"
+    assert run("friction_presliding", ["--rig", str(file), "--kinds", "drift", "--output", str(out)]) == 1
+    found, page = estimates(out), (out / "report.html").read_text()
+    assert reason in found["not_used"][0]
+    assert ("presliding_counts" in found["resolution"]) is (shown == "it bends by")
+    assert reason in page
+    assert shown in page
+
+
+def test_the_link_goes_with_the_rig_that_has_it(rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rig that ends takes its link away, but not one that another rig has taken over meanwhile.
+
+    The link goes before the descriptors do: nobody opens another program's pseudo-terminal by a link that is left.
+    """
+    link = tmp_path / "rig"
+    first = PtyRig(EmulatedRig(rig, 1), link)
+    second = PtyRig(EmulatedRig(rig, 2), link)
+    first.close()
+    assert str(link.readlink()) == second.path
+    close, left = os.close, []
+
+    def watched(descriptor: int) -> None:
+        left.append(link.is_symlink())
+        close(descriptor)
+
+    monkeypatch.setattr(os, "close", watched)
+    second.close()
+    assert left == [False, False]
+
+
+def test_launch_file_starts_the_node_with_parameters_that_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Package, executable and parameters exist, every default is the node's own, and its end is the launch's."""
+    actions = build(monkeypatch, "friction_bench.launch.py")
+    (node,) = (action for action in actions if action.kind == "Node")
+    assert node.named["package"] == ElementTree.parse(REPOSITORY / "package.xml").findtext("name")
+    assert node.named["executable"] in EXECUTABLES
+    declared: dict[str, Any] = {}
+
+    def declare(_: object, name: str, default: Any, *_about: object, **_kinds: object) -> Any:
+        return declared.setdefault(name, default)
+
+    monkeypatch.setattr(bench_node, "declare", declare)
+    bench_node.declare_bench_parameters(None)
+    given = parameters(node)
+    assert given == {name: name for name in ("port", "rig", "seed")}
+    assert launch_arguments(actions) == {"namespace": ""} | {name: str(declared[name]) for name in given}
+    assert node.named["namespace"].given == ("namespace",)
+    assert declared["rig"] == SHIPPED_RIG
+    assert ending(node, 0).kind == "Shutdown"
