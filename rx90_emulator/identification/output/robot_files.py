@@ -343,7 +343,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             {"path": str(bag.path), "use": use, "sha256": bag.sha256, "duration": six_digits(bag.duration)}
             for use, bag in result.bags
         ],
-        "bandwidths": _rounded(vars(bandwidths)),
+        "bandwidths": _rounded(bandwidths._asdict()),
         "base_parameters": {
             one.name: {"unit": one.unit, "group": one.group, **_estimate(one.estimate)}
             | {"consistent": six_digits(one.consistent)}
