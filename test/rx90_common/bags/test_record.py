@@ -392,7 +392,7 @@ def test_a_disk_that_takes_no_more_is_a_failure(tmp_path: Path, start: Start, no
     suite = Suite(node)
     recorder = start("-c", CRAMPED, "record", "-o", str(tmp_path / "bag"), "motor_states")
     recorder.wait_for("ready: all 1 topics")
-    suite.publish(6000, 4000, acknowledged=False)
+    suite.publish(12_000, 0, acknowledged=False)  # the recorder holds the newest second
     code, _, err = recorder.finish()
     half = "; what was written before stays, and rx90_bag info says how much of it is whole"
     assert (code, err.strip()) == (3, f"rx90_bag: {tmp_path / 'bag'}: cannot be written (File too large){half}")
