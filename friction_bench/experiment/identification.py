@@ -21,7 +21,7 @@ from friction_bench.experiment.record import RampModel, RampRecord, break_away, 
 from friction_bench.experiment.sliding_fit import RampsFit, fit_sliding
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import IdentificationError
+from rx90_common.base.errors import VERDICT_NO, IdentificationError
 
 LEVEL = 0.95
 INCONSISTENT = 0.01
@@ -31,6 +31,12 @@ SAME_SLOPE = 0.02
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
+
+
+class UnphysicalError(IdentificationError):
+    """The ramps were evaluated, and what they give is no friction: a verdict, not a refusal."""
+
+    exit_code = VERDICT_NO
 
 
 class IntervalEstimate(NamedTuple):
@@ -190,9 +196,9 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
     else:
         raise _no_ramp_left(unused)
     if not (viscous > 0.0 and inertia > 0.0):
-        raise IdentificationError(
+        raise UnphysicalError(
             f"the ramps give a viscous friction of {viscous:.3g} Nm s/rad and an inertia of {inertia:.3g} kg m²; "
-            "accepted: > 0"
+            "accepted: > 0, by more repeats, or slopes farther apart"
         )
     ramps = []
     for window, velocity, asymptote in zip(windows, fit.velocities, asymptotes, strict=True):
@@ -308,6 +314,31 @@ class RampTestResult:
     comparison: FourWay | None
     failures: tuple[str, ...] = ()
 
+    @property
+    def written(self) -> tuple[IntervalEstimate, IntervalEstimate]:
+        """Return Coulomb and viscous friction as a friction file gets them: the joint's, else those of the one load."""
+        best = self.parts[0][1].best
+        return self.joint[2:] if self.joint is not None else (best.coulomb, best.viscous)
+
+    @property
+    def unphysical(self) -> tuple[str, ...]:
+        """Return what is no friction among the joint's estimates, or those of the one load: value, cause and remedy."""
+        of = "the joint's" if self.joint is not None else f"the {self.parts[0][0]}"
+        single = [name for name, part in self.parts if part.exact is None]
+        if single:
+            remedy = (
+                f"{' and '.join(single)} had one slope: f_c contains J a, whose size is unknown, and no interval "
+                "contains what differs from ramp to ramp; run two slopes, and each several times"
+            )
+        else:
+            remedy = "the difference of the loads is below what they tell; run more repeats, or more load"
+        quantities = zip(("Coulomb", "viscous"), self.written, ("Nm", "Nm s/rad"), strict=True)
+        return tuple(
+            f"{of} {name} friction is {one.value:.4g} [{one.low:.4g}, {one.high:.4g}] {unit}; accepted: > 0. {remedy}"
+            for name, one, unit in quantities
+            if one.value <= 0.0
+        )
+
 
 def evaluate(records: Sequence[RampRecord], rig: Rig) -> RampTestResult:
     """Identify friction from all ramps of a measurement, and compare one ramp with the models.
@@ -316,11 +347,16 @@ def evaluate(records: Sequence[RampRecord], rig: Rig) -> RampTestResult:
         IdentificationError: if no load carries an estimate.
     """
     loads = {"no-load": [r for r in records if not r.loaded], "loaded": [r for r in records if r.loaded]}
-    names, parts, failures = _usable(
-        [name for name in loads if loads[name]], lambda name: identify_ramps(loads[name], rig.scale_uncertainty)
-    )
+    names, parts, refusals = [], [], []
+    for name, ramps in loads.items():
+        if ramps:
+            try:
+                parts.append(identify_ramps(ramps, rig.scale_uncertainty))
+                names.append(name)
+            except IdentificationError as error:
+                refusals.append(error)
     if not parts:
-        raise IdentificationError(failures[0] if failures else "no ramp to identify from")
+        raise refusals[0] if refusals else IdentificationError("no ramp to identify from")
     joint = joint_friction(parts[0], parts[1], rig) if len(parts) == 2 else None
     comparison, best = None, parts[-1].best
     if best.inertia is not None and best.inertia.value > 0.0:  # without it there is no model of the ramps
@@ -329,4 +365,4 @@ def evaluate(records: Sequence[RampRecord], rig: Rig) -> RampTestResult:
         release = max(ramp.break_away * ramp.slope - coulomb, 0.0)
         model = RampModel(coulomb, best.viscous.value, best.inertia.value, ramp.slope, release)
         comparison = compare(ramp.record, model, rig.gear_ratio)
-    return RampTestResult(list(zip(names, parts, strict=True)), joint, comparison, tuple(failures))
+    return RampTestResult(list(zip(names, parts, strict=True)), joint, comparison, tuple(map(str, refusals)))

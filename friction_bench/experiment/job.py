@@ -188,9 +188,15 @@ def run(options: argparse.Namespace) -> int:
     if result.failures:
         print("parameters for rx90_sim: not written, as a load carries no estimate", file=sys.stderr)
         return VERDICT_NO
-    write_friction(out / "friction.yaml", result, options.element, base)
-    print(one_line(f"parameters for rx90_sim: {out / 'friction.yaml'}"))
-    return DONE
+    coulomb, _ = result.written
+    if coulomb.value > 0.0:
+        write_friction(out / "friction.yaml", result, options.element, base)
+        print(one_line(f"parameters for rx90_sim: {out / 'friction.yaml'}"))
+    for text in result.unphysical:
+        print(one_line(f"not physical: {text}"), file=sys.stderr)
+    if coulomb.value <= 0.0:
+        print("parameters for rx90_sim: not written, as the Coulomb friction is not positive", file=sys.stderr)
+    return VERDICT_NO if result.unphysical else DONE
 
 
 def _check(options: argparse.Namespace, base: FrictionFile) -> None:

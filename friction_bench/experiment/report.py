@@ -18,7 +18,6 @@ from friction_bench.experiment.identification import (
 )
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.files import write_text
@@ -127,6 +126,7 @@ def write_result(out: Path, result: RampTestResult, rig: Rig, origin: str) -> No
             "motor_side": add("joint, at the motor", *result.joint[:2]),
             "joint_side": add("joint, joint side", *result.joint[2:]),
         }
+        lines.append(f"joint side: {rig.joint_side_reason}")
         plots["load"] = _load_plot(result)
     if result.comparison is not None:
         for pair in result.comparison.pairs:
@@ -148,14 +148,18 @@ def write_result(out: Path, result: RampTestResult, rig: Rig, origin: str) -> No
         two_slopes=all(part.exact is not None for _, part in result.parts),
     )
     write_text(out / "report.html", page)
-    document |= {"tau_s": {"identifiable": False, "reason": STATIC}, "not_used": unused}
+    document |= {
+        "tau_s": {"identifiable": False, "reason": STATIC},
+        "not_used": unused,
+        "not_physical": [*result.unphysical],
+    }
     write_text(out / "estimates.yaml", yaml_text(document))
     lines.append(f"static friction tau_s: {STATIC}")
     print("\n".join([*lines, *(f"not used: {reason}" for reason in unused)]))
 
 
 def write_friction(path: Path, result: RampTestResult, element: str, base: FrictionFile) -> None:
-    """Write friction parameters for rx90_sim.
+    """Write friction parameters for rx90_sim; a viscous friction that is not physical is 0 there, and assumed.
 
     Args:
         path: file to write.
@@ -164,13 +168,10 @@ def write_friction(path: Path, result: RampTestResult, element: str, base: Frict
         base: the friction file to put that element into.
 
     Raises:
-        IdentificationError: if the joint's friction is not positive.
+        ConfigError: if the Coulomb friction is not positive.
         Rx90Error: if the file cannot be written.
     """
-    best = result.parts[0][1].best
-    coulomb, viscous = result.joint[2:] if result.joint is not None else (best.coulomb, best.viscous)
-    if coulomb.value <= 0.0:
-        raise IdentificationError(f"the Coulomb friction is {coulomb.value:.4g} Nm; accepted for a friction file: > 0")
+    coulomb, viscous = result.written
     # Assumed are c0 and c1, a presliding of 0.1 mrad with critical-like damping, and tau_s, as much above tau_c as in
     # the element that is replaced.
     assumed = base.elements[element]
@@ -181,11 +182,15 @@ def write_friction(path: Path, result: RampTestResult, element: str, base: Frict
     )
     tau_s = max(tau_s, tau_c)
     measured = FrictionElement(tau_c, tau_c, tau_s, tau_s, 0.05, 1.0, c0, c1, c2, 1.0)
-    source = f"ramp test on the friction rig: tau_c and c2 of {element} identified, the rest assumed"
-    assumption = {"provenance": "assumed", "identifiable": False}
+    assumption: dict[str, Any] = {"provenance": "assumed", "identifiable": False}
+    identified, of_c2 = "tau_c and c2", {"provenance": "identified", **_interval(viscous)}
+    if viscous.value <= 0.0:
+        identified = "tau_c"
+        of_c2 = {**assumption, "value": c2, "estimate": _interval(viscous), "reason": result.unphysical[-1]}
+    source = f"ramp test on the friction rig: {identified} of {element} identified, the rest assumed"
     parameters = {
         "tau_c": {"provenance": "identified", **_interval(coulomb)},
-        "c2": {"provenance": "identified", **_interval(viscous)},
+        "c2": of_c2,
         "tau_s": {"provenance": "assumed", "value": tau_s, "identifiable": False, "reason": STATIC},
         **{name: assumption.copy() for name in ("omega_s", "delta", "c0", "c1", "omega_d")},
     }

@@ -25,6 +25,7 @@ RAMP_FRACTION = 256
 """The firmware's ramp counts in 1/256 of a DAC code per tick."""
 MAX_RAMP_STEP = 0x1000
 TRAVEL_UNIT = 256
+NORMAL_95 = 1.96  # standard deviations of half a 95 % interval
 
 Value = TypeVar("Value", float, Array)
 _least_0 = partial(Number, low=0.0)
@@ -180,6 +181,16 @@ class Rig(Declared):
     def joint_scale(self) -> float:
         """Return the torque at the joint for 1 Nm of the motor that drives it."""
         return self.gear_ratio * self.gear_efficiency
+
+    @property
+    def joint_side_reason(self) -> str:
+        """Return in words why intervals are wider on the joint's side of the gear."""
+        efficiency, error = self.gear_efficiency, self.efficiency_uncertainty
+        share = 100.0 * NORMAL_95 * error / efficiency
+        return (
+            f"torques are carried over by the gear's efficiency, {efficiency:g} ± {error:g} (standard uncertainty, of "
+            f"the rig file), which alone makes 95 % intervals of ± {share:.2g} %"
+        )
 
     @property
     def joint_code(self) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -184,6 +185,46 @@ def test_source_figure_from_its_kind_of_velocity(tmp_path: Path) -> None:
         words = ["--text", "velocity", "--no-load-file", f"0.61:{path}", *options, "--output", str(out)]
         assert run("friction_ramp", words) == 0
         assert estimates(out)["no-load"]["source, m b / a"]["coulomb"]["value"] == pytest.approx(expected, abs=5e-5)
+
+
+SOURCE_RAMPS = {"no-load": (0.61, 949.5407, 227.8898), "loaded": (0.55, 981.3603, 412.1713)}
+"""The source's own m, Nm/s, a and b of its velocities a t - b."""
+
+
+@pytest.mark.parametrize(
+    ("loads", "quantity", "estimate"),
+    [
+        (("no-load", "loaded"), "viscous", 0.55 / 981.3603 - 0.61 / 949.5407),
+        (("loaded", "no-load"), "coulomb", 0.61 * 227.8898 / 949.5407 - 0.55 * 412.1713 / 981.3603),
+    ],
+)
+def test_an_unphysical_estimate_is_a_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], loads: tuple[str, str], quantity: str, estimate: float
+) -> None:
+    """The source's data have a joint with f_v < 0: exit code 1 with cause and remedy, and no file calls it identified.
+
+    Where Coulomb friction is negative no friction file is written at all.
+    """
+    words = ["--text", "velocity", "--velocity", "instantaneous", "--output", str(tmp_path / "out")]
+    for option, load in zip(("--no-load-file", "--loaded-file"), loads, strict=True):
+        m, a, b = SOURCE_RAMPS[load]
+        np.savetxt(tmp_path / load, np.maximum(a * 0.02 * np.arange(1, 150) - b, 0.0))
+        words += [option, f"{m}:{tmp_path / load}"]
+    assert run("friction_ramp", words) == 1
+    said = capsys.readouterr().err
+    known = estimates(tmp_path / "out")
+    assert known["joint"]["motor_side"][quantity]["value"] == pytest.approx(estimate, rel=1e-3)
+    (reason,) = [text for text in known["not_physical"] if quantity in text.lower()]
+    assert f"not physical: {reason}" in said
+    assert re.search(r"accepted: > 0. no-load and loaded had one slope: .* run two slopes", reason)
+    assert "Not physical:" in (tmp_path / "out" / "report.html").read_text()
+    file = tmp_path / "out" / "friction.yaml"
+    if quantity == "coulomb":
+        assert not file.exists()
+        return
+    written = yaml.safe_load(file.read_text())["identification"]["parameters"]["joint_6"]
+    assert (written["tau_c"]["provenance"], written["c2"]["provenance"]) == ("identified", "assumed")
+    assert (written["c2"]["value"], written["c2"]["reason"]) == (0.0, reason)
 
 
 def test_load_without_an_estimate_does_not_cost_the_other(
