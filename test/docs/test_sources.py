@@ -76,7 +76,7 @@ def named(place: str) -> Any:
     file, _, key = place.partition(": ")
     if "/" in file:
         text = (ROOT / file).read_text(encoding="utf-8")
-        content = yaml.safe_load(text) if key else text
+        content: Any = yaml.safe_load(text) if key else text
         for part in key.split(".") if key else ():
             content = content[part]
         return content
