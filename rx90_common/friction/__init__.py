@@ -1,4 +1,4 @@
-"""Joint friction by the LuGre law (Waiboer, Aarts, Jonker, section 4): parameters, friction file, compiled steps.
+"""Joint friction by the LuGre law (Aarts, Jonker, Waiboer, section 4): parameters, friction file, compiled steps.
 
 It lies on the ground because the robot's plant, the rig's and whoever compensates friction share it.
 """

@@ -135,7 +135,7 @@ def identify_friction(
     *,
     bristle_kinds: bool = False,
 ) -> FrictionIdentification:
-    """Identify the friction of a robot from recorded bags (section 4 of Waiboer, Aarts and Jonker).
+    """Identify the friction of a robot from recorded bags (section 4 of Aarts, Jonker and Waiboer).
 
     Args:
         bags: by use, or a folder that `rx90_experiment` wrote.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -30,7 +31,7 @@ from friction_bench.experiment.identification import (
 from friction_bench.experiment.job import plan_from, run_ramp
 from friction_bench.experiment.record import RampModel, RampRecord, RecordError, read_csv, read_text, write_csv
 from friction_bench.experiment.sliding_fit import whiten
-from friction_bench.rig.plant import Shaft, turn
+from friction_bench.rig.plant import Shaft, shaft_of, turn
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
@@ -315,6 +316,15 @@ def test_one_slope_gives_the_source_formula_alone(rig: Rig) -> None:
     assert found.exact is None
     assert found.best is found.source
     assert found.source.inertia is None
+
+
+@pytest.mark.parametrize("loaded", [False, True])
+def test_one_ramp_gives_viscous_friction_within_two_per_cent(rig: Rig, loaded: bool) -> None:
+    """One ramp's m / a is f_v, without and with load: the source's fall by 13 % is no matter of single ramps."""
+    truth = shaft_of(rig, loaded).viscous
+    for seed, slope in itertools.product(range(3), (0.02, 0.05)):
+        found = identify_ramps(measure(rig, seed, 1, (slope,), 0.155, loaded), 0.0)
+        assert found.best.viscous.value == pytest.approx(truth, rel=0.02)
 
 
 def test_break_away_torque_is_found(rig: Rig) -> None:

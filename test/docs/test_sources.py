@@ -1,0 +1,198 @@
+"""The line-by-line table of both sources, docs/explanation/sources.md, says of the code what is so."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import itertools
+import math
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import unquote
+
+import pytest
+import yaml
+from markdown_it import MarkdownIt
+
+from friction_bench.rig.rig_file import load_rig
+from rx90_common.base.rates import Rates
+from rx90_common.base.sources import PACKAGES
+from rx90_common.report.page import render_page
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs/explanation/sources.md"
+WORKS = ROOT / "docs/reference/glossary_and_works.md"
+CITATION = re.compile(
+    r"\b([A-Z][\w-]+)(?: and others| et al\.)?,? \(?\b(19[5-9]\d|20[0-2]\d)\b(?!\s*(?:Hz|mm|s\b|N|µ|\d))"
+)
+NO_AUTHORS = {"Control", "DLR", "ICINCO", "ICRA", "Informatics", "November"}
+"""Words before a year that are a journal, a conference, an institute or a month."""
+VERDICTS = {"exact", "approximate", "different", "absent"}
+
+
+class Row(NamedTuple):
+    """One statement of a source: its number, the statement, where it is, the verdict, a remark and tests."""
+
+    number: str
+    statement: str
+    where: str
+    verdict: str
+    remark: str
+    test: str
+
+
+def tables() -> list[list[Row]]:
+    """Return the rows of the page's two tables."""
+    found: list[list[Row]] = []
+    tokens = MarkdownIt("commonmark").enable("table").parse(PAGE.read_text(encoding="utf-8"))
+    cells: list[str] = []
+    for before, token in itertools.pairwise(tokens):
+        if token.type == "tbody_open":
+            found.append([])
+        elif token.type == "inline" and before.type == "td_open":
+            cells.append(token.content)
+        elif token.type == "tr_close" and cells:
+            found[-1].append(Row(*cells))
+            cells = []
+    return found
+
+
+TABLES = tables()
+ROWS = [pytest.param(row, id=f"{name}-{row.number}") for name, rows in zip("ab", TABLES, strict=True) for row in rows]
+
+
+def quoted_names(cell: str) -> list[str]:
+    """Return what a cell has in backquotes."""
+    return re.findall(r"`([^`]+)`", cell)
+
+
+def named(place: str) -> Any:
+    """Return what a place names: a file, the value of a key in a file, or an object of a module.
+
+    Raises:
+        LookupError, OSError, ImportError, AttributeError: if it is not there.
+    """
+    file, _, key = place.partition(": ")
+    if "/" in file:
+        text = (ROOT / file).read_text(encoding="utf-8")
+        content: Any = yaml.safe_load(text) if key else text
+        for part in key.split(".") if key else ():
+            content = content[part]
+        return content
+    parts = place.split(".")
+    for length in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:length]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[length:]:
+            found = getattr(found, part)
+        return found
+    raise LookupError(place)
+
+
+def is_test(place: str) -> bool:
+    """Return whether `file::function` names a test that is there."""
+    file, _, function = place.partition("::")
+    path = ROOT / file
+    if not (path.is_file() and path.name.startswith("test_") and function.startswith("test_")):
+        return False
+    return any(isinstance(node, ast.FunctionDef) and node.name == function for node in ast.parse(path.read_text()).body)
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_a_row_names_what_is_there(row: Row) -> None:
+    """A verdict is one of four words; places and tests exist; exact has a test, the others a sentence that says why."""
+    assert row.verdict in VERDICTS
+    places, tests = quoted_names(row.where), quoted_names(row.test)
+    for place in places:
+        assert named(place) is not None
+    assert [one for one in tests if not is_test(one)] == []
+    if row.verdict == "exact":
+        assert places
+        assert tests
+    else:
+        assert row.remark.endswith(".")
+    if row.verdict != "absent":
+        assert places
+
+
+def test_wrong_names_are_noticed() -> None:
+    """A name, a file, a key or a test that does not exist is not taken for one that does."""
+    for wrong in (
+        "rx90_common.friction.bristle.no_step",
+        "no_package.module",
+        "firmware/core/no.c",
+        "config/rig/gm8224.yaml: gear.teeth",
+    ):
+        with pytest.raises((LookupError, OSError, AttributeError)):
+            named(wrong)
+    assert not is_test("test/docs/test_sources.py::test_that_nobody_wrote")
+    assert not is_test("test/docs/test_sources.py::is_test")
+    assert not is_test("test/docs/test_nothing.py::test_a_row_names_what_is_there")
+
+
+def test_all_equations_and_statements_have_a_row() -> None:
+    """Both tables are numbered through, and each equation that a source numbers has one row of its own."""
+    for rows, equations, least in zip(TABLES, ((17, 18, 19), (1, 2, 3, 4, 5)), (30, 40), strict=True):
+        assert [int(row.number) for row in rows] == list(range(1, len(rows) + 1))
+        assert len(rows) >= least
+        for equation in equations:
+            assert sum(row.statement.startswith(f"equation {equation}:") for row in rows) == 1
+
+
+def test_every_work_that_is_cited_is_listed() -> None:
+    """An author before a year, in pages, code and parameter files, stands with that year in one row of the works."""
+    listed = [line for line in WORKS.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
+    cited: dict[tuple[str, str], str] = {}
+    for folder in ("docs", "config", "benchmarks", "tools", *PACKAGES):
+        for file in (ROOT / folder).rglob("*"):
+            if file.suffix in {".md", ".py", ".yaml"} and file != WORKS:
+                text = re.sub(r"\s*\n\s*#?\s*", " ", file.read_text(encoding="utf-8")).replace("ue", "ü")
+                cited |= {(name, year): file.name for name, year in CITATION.findall(text) if name not in NO_AUTHORS}
+    assert len(cited) > 40
+    missing = {
+        work: file
+        for work, file in cited.items()
+        if not any(work[0] in line.replace("ue", "ü") and work[1] in line for line in listed)
+    }
+    assert missing == {}
+
+
+def test_each_doi_is_one_and_leads_to_itself() -> None:
+    """A DOI has the form of one, its link is that of doi.org, and no two works have the same."""
+    found = re.findall(r"\[(10\.\d{4,5}/[^\]\s]+)\]\(https://doi\.org/([^\s]+)\) \|", WORKS.read_text(encoding="utf-8"))
+    assert len(found) > 30
+    assert all(name == unquote(target) for name, target in found)
+    assert len({name for name, _ in found}) == len(found)
+
+
+def test_every_report_names_the_glossary() -> None:
+    """The frame of all reports names the page with terms and works, and the page is there."""
+    frame = render_page("rx90_common.report", "page.html.j2")
+    assert str(WORKS.relative_to(ROOT)) in frame.partition("<footer>")[2].partition("</footer>")[0]
+    assert WORKS.is_file()
+
+
+def test_pages_on_the_rig_say_that_nothing_has_run_on_hardware() -> None:
+    """Each page on the rig says so, and what was run instead: simulators of both processors and pseudo-terminals."""
+    pages = [page for page in (ROOT / "docs").rglob("*rig*.md") if "rig" in page.stem.split("_")]
+    assert len(pages) >= 6
+    for page in pages:
+        text = " ".join(page.read_text(encoding="utf-8").split())
+        missing = [words for words in ("on hardware yet", "s51", "simavr", "pseudo-terminals") if words not in text]
+        assert missing == [], page.name
+
+
+def test_published_rates_and_rig_figures_are_the_shipped_ones() -> None:
+    """1 and 4 kHz; 31:1, 504 pulses of 0.714286 degrees, 20 ms; no code of the firmware asks for more than 0.18 Nm."""
+    assert (Rates().position_hz, Rates().base_hz) == (1000, 4000)
+    rig = load_rig(ROOT / "config/rig/gm8224.yaml")
+    assert (rig.gear_ratio, rig.counts_per_revolution, rig.tick) == (31.0, 504, 0.02)
+    assert math.degrees(rig.angle_step) == pytest.approx(0.714286, abs=5e-7)
+    text = (ROOT / "firmware/core/rig_config.h").read_text(encoding="utf-8")
+    figures = {name: int(value) for name, value in re.findall(r"#define (\w+) (\d+)u", text)}
+    assert (figures["COUNTS_PER_REV"], figures["TICK_US"]) == (504, 20_000)
+    full_scale, code = figures["DAC_FULL_SCALE"] * 1e-5, figures["TORQUE_LIMIT_CODE"]
+    assert code * full_scale / 255 <= 0.18 < (code + 1) * full_scale / 255
