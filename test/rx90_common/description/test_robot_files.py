@@ -8,7 +8,7 @@ import pytest
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path
-from rx90_common.description.robot_files import DEFAULT_ROBOT, FILES, NO_TOOL, RobotFiles, shipped_robots
+from rx90_common.description.robot_files import DEFAULT_ROBOT, FILES, NO_TOOL, PAPER, RobotFiles, shipped_robots
 
 
 def folder_with(folder: Path, *roles: str) -> Path:
@@ -25,7 +25,7 @@ def test_a_shipped_name_names_every_file_of_its_folder(robot: str) -> None:
     assert robot in shipped_robots()
     files, folder = RobotFiles.named(robot), config_path("robots") / robot
     there = {path.name for path in folder.iterdir()}
-    assert there <= {*FILES.values(), "moveit"}
+    assert there <= {*FILES.values(), "moveit"} | {name.removeprefix(f"{robot}/") for name in shipped_robots()}
     for role, name in FILES.items():
         assert getattr(files, role) == (folder / name if name in there else None)
         assert files.text(role) == (f"robots/{robot}/{name}" if name in there else NO_TOOL)
@@ -56,6 +56,23 @@ def test_a_shipped_name_is_not_hidden_by_a_folder(tmp_path: Path, monkeypatch: p
     monkeypatch.chdir(tmp_path)
     assert RobotFiles.named("rx90b") == RobotFiles()
     assert RobotFiles.named("./rx90b").urdf == Path("rx90b/robot.urdf")
+
+
+def test_a_variant_has_what_it_lacks_from_the_robot_that_it_lies_in(tmp_path: Path) -> None:
+    """A folder without a URDF in a robot folder, shipped or one's own, replaces the files that it has, no others."""
+    own, base = RobotFiles.named(PAPER), RobotFiles()
+    assert {role for role in FILES if getattr(own, role) != getattr(base, role)} == {"friction", "controller"}
+    assert own.text("friction") == "robots/rx90b/paper/friction.yaml"
+    robot = folder_with(tmp_path / "arm", "urdf", "tool", "drives", "friction", "controller")
+    worn = folder_with(robot / "worn", "friction")
+    files = RobotFiles.named(str(worn))
+    assert (files.friction, files.tool, files.drives) == (
+        worn / FILES["friction"],
+        robot / "tool.yaml",
+        robot / "drives.yaml",
+    )
+    whole = folder_with(robot / "whole", "urdf", "friction")
+    assert RobotFiles.named(str(whole)).tool is None
 
 
 def test_a_folder_without_files_is_no_robot(tmp_path: Path) -> None:

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.description.robot_files import RobotFiles
+from rx90_common.base.share import config_path
+from rx90_common.description.robot_files import PAPER, RobotFiles
 from rx90_emulator.loop.setup import Setup
 
 
@@ -28,6 +30,25 @@ def test_a_missing_file_is_refused_by_its_path(name: str, tmp_path: Path) -> Non
         Setup.load(RobotFiles(**{name: path}))
     assert str(caught.value).startswith(f"{path}: cannot be read")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["friction", "controller"])
+def test_the_paper_s_files_do_not_drift_from_the_shipped_ones(name: str) -> None:
+    """But for the choices that docs/explanation/models.md lists they hold the shipped keys and values, no others."""
+    shipped, paper = (
+        yaml.safe_load(config_path(f"robots/{folder}/{name}.yaml").read_text(encoding="utf-8"))
+        for folder in ("rx90b", PAPER)
+    )
+    if name == "friction":
+        for element in shipped["elements"].values():
+            del element["omega_d"]
+        paper["source"] = shipped["source"]
+    else:
+        files = RobotFiles.named(PAPER)
+        assert paper.pop("model") == {role: files.text(role) for role in ("urdf", "tool", "drives", "friction")}
+        shipped["feed_forward"] |= {"velocity": False, "coulomb_velocity": 1e-12}
+        shipped["supervision"] |= {"following_error": [1.0] * 6, "source": paper["supervision"]["source"]}
+    assert paper == shipped
 
 
 def test_plants_and_controllers_do_not_share_state(shipped: Setup) -> None:
