@@ -75,7 +75,7 @@ class Controller:
 
 
 class Arm:
-    """Drives, friction, arm and resolvers of docs/explanation/closed_loop.md; no end stops; or with the paper's constant c1."""
+    """Drives, friction, arm, resolvers of docs/explanation/closed_loop.md, or the paper's constant c1; no end stops."""
 
     def __init__(self, setup: Setup, literal: bool) -> None:
         self.literal = literal
