@@ -11,8 +11,10 @@ from rx90_common.base.quoting import listed, quoted
 from rx90_common.base.share import config_path, resolve_config
 
 DEFAULT_ROBOT = "rx90b"
+PAPER = "rx90b/paper"
+"""The variant of the RX90B that is to the letter of the first source: docs/explanation/models.md."""
 ROBOTS = "robots"
-"""The folder below config/ with a folder for each shipped robot."""
+"""The folder below config/ with a folder for each shipped robot, and in it one for each variant of that robot."""
 
 FILES = {
     "urdf": "robot.urdf",
@@ -44,8 +46,9 @@ DESCRIPTIONS = {
 
 
 def shipped_robots() -> tuple[str, ...]:
-    """Return the names of the robots that the package ships, sorted."""
-    return tuple(sorted(path.name for path in config_path(ROBOTS).iterdir() if path.is_dir()))
+    """Return the names of the robots and of their variants, ROBOT/VARIANT, that the package ships, sorted."""
+    robots = config_path(ROBOTS)
+    return tuple(sorted(path.parent.relative_to(robots).as_posix() for path in robots.rglob(FILES["friction"])))
 
 
 def robot_folder(name: str) -> Path:
@@ -98,6 +101,8 @@ class RobotFiles:
     def named(cls, robot: str | None = None, /, **names: str | None) -> RobotFiles:
         """Return a robot's files, but for each that a user names the user's.
 
+        A folder without a URDF that lies in a robot folder is a variant: each file that it lacks is that robot's.
+
         Args:
             robot: name of a shipped robot, or the path of a robot folder; None for the RX90B.
             names: by the keys of FILES, a path or the name of a file below config/, None for the robot's; for `tool`
@@ -107,9 +112,13 @@ class RobotFiles:
             ConfigError: for a robot or a file that is not there.
         """
         folder = robot_folder(DEFAULT_ROBOT if robot is None else robot)
+        above = folder.parent
+        variant = (above / FILES["urdf"]).is_file() and not (folder / FILES["urdf"]).is_file()
         files: dict[str, Path | None] = {}
         for role, name in FILES.items():
             given, own = names.get(role), folder / name
+            if variant and not own.is_file():
+                own = above / name
             if role == "tool" and given == NO_TOOL:
                 files[role] = None
             elif given is not None:

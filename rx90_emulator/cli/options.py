@@ -17,7 +17,14 @@ from typing import Any, NoReturn
 
 from rx90_common.base.errors import ConfigError, check_bag_name, check_place
 from rx90_common.base.quoting import one_line, plain, quoted
-from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, FILES, MODEL_FILES, shipped_robots
+from rx90_common.description.robot_files import (
+    DEFAULT_ROBOT,
+    DESCRIPTIONS,
+    FILES,
+    MODEL_FILES,
+    PAPER,
+    shipped_robots,
+)
 
 _EXIT_CODES = """
 exit status: 0 done, also after Ctrl-C for what runs until then (nodes, recorder, emulated rig); 1 done, and the verdict
@@ -236,9 +243,13 @@ def add_verbs(parser: argparse.ArgumentParser, verbs: Sequence[Verb]) -> None:
 
 
 def add_robot_argument(parser: argparse._ActionsContainer) -> None:
-    """Add --robot, which names all files of a robot."""
-    parser.add_argument("--robot", metavar="ROBOT",
+    """Add --robot, which names all files of a robot, and --paper, which names those of the paper's choices."""
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument("--robot", metavar="ROBOT",
                         help=f"{', '.join(shipped_robots())}, or your own robot folder ({DEFAULT_ROBOT})")  # fmt: skip
+    either.add_argument("--paper", dest="robot", action="store_const", const=PAPER,
+                        help="the RX90B with the paper's literal choices: constant c1, D without the set-point's "
+                        f"velocity, a sign function; the same as --robot {PAPER}")  # fmt: skip
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser, *names: str) -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path
-from rx90_common.description.robot_files import DEFAULT_ROBOT, FILES, NO_TOOL, RobotFiles, shipped_robots
+from rx90_common.description.robot_files import DEFAULT_ROBOT, FILES, NO_TOOL, PAPER, RobotFiles, shipped_robots
 
 
 def folder_with(folder: Path, *roles: str) -> Path:
@@ -25,7 +26,7 @@ def test_a_shipped_name_names_every_file_of_its_folder(robot: str) -> None:
     assert robot in shipped_robots()
     files, folder = RobotFiles.named(robot), config_path("robots") / robot
     there = {path.name for path in folder.iterdir()}
-    assert there <= {*FILES.values(), "moveit"}
+    assert there <= {*FILES.values(), "moveit"} | {name.removeprefix(f"{robot}/") for name in shipped_robots()}
     for role, name in FILES.items():
         assert getattr(files, role) == (folder / name if name in there else None)
         assert files.text(role) == (f"robots/{robot}/{name}" if name in there else NO_TOOL)
@@ -58,6 +59,23 @@ def test_a_shipped_name_is_not_hidden_by_a_folder(tmp_path: Path, monkeypatch: p
     assert RobotFiles.named("./rx90b").urdf == Path("rx90b/robot.urdf")
 
 
+def test_a_variant_has_what_it_lacks_from_the_robot_that_it_lies_in(tmp_path: Path) -> None:
+    """A folder without a URDF in a robot folder, shipped or one's own, replaces the files that it has, no others."""
+    own, base = RobotFiles.named(PAPER), RobotFiles()
+    assert {role for role in FILES if getattr(own, role) != getattr(base, role)} == {"friction", "controller"}
+    assert own.text("friction") == "robots/rx90b/paper/friction.yaml"
+    robot = folder_with(tmp_path / "arm", "urdf", "tool", "drives", "friction", "controller")
+    worn = folder_with(robot / "worn", "friction")
+    files = RobotFiles.named(str(worn))
+    assert (files.friction, files.tool, files.drives) == (
+        worn / FILES["friction"],
+        robot / "tool.yaml",
+        robot / "drives.yaml",
+    )
+    whole = folder_with(robot / "whole", "urdf", "friction")
+    assert RobotFiles.named(str(whole)).tool is None
+
+
 def test_a_folder_without_files_is_no_robot(tmp_path: Path) -> None:
     """A folder that holds none of a robot's files is refused, named once, with the files that make one."""
     with pytest.raises(ConfigError, match=rf"^robot '{tmp_path}': none of a robot's files; accepted: a folder with r"):
@@ -71,3 +89,22 @@ def test_an_unknown_robot_is_refused_with_those_that_there_are(name: str) -> Non
         RobotFiles.named(name)
     assert f"no such folder; accepted: {', '.join(shipped_robots())}, or a robot folder's path" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["friction", "controller"])
+def test_the_paper_s_files_do_not_drift_from_the_shipped_ones(name: str) -> None:
+    """But for the choices that docs/explanation/models.md lists they hold the shipped keys and values, no others."""
+    shipped, paper = (
+        yaml.safe_load(config_path(f"robots/{folder}/{name}.yaml").read_text(encoding="utf-8"))
+        for folder in ("rx90b", PAPER)
+    )
+    if name == "friction":
+        for element in shipped["elements"].values():
+            del element["omega_d"]
+        paper["source"] = shipped["source"]
+    else:
+        files = RobotFiles.named(PAPER)
+        assert paper.pop("model") == {role: files.text(role) for role in ("urdf", "tool", "drives", "friction")}
+        shipped["feed_forward"] |= {"velocity": False, "coulomb_velocity": 1e-12}
+        shipped["supervision"] |= {"following_error": [1.0] * 6, "source": paper["supervision"]["source"]}
+    assert paper == shipped

@@ -13,15 +13,18 @@ import pytest
 from rx90_common.bags.reading import read_bag
 from rx90_common.bags.recorded import ParameterChange
 from rx90_common.base.config import load_yaml
-from rx90_common.base.errors import BagError
+from rx90_common.base.errors import BagError, Rx90Warning
 from rx90_common.base.share import config_path
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.temperature import TemperaturePart
+from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.loop.closed_loop import simulate_commands
+from rx90_emulator.loop.line import run_line
+from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.result import MotionCommand
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.loop.working_day import ThermalRun
@@ -191,7 +194,10 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
     assert position[0].tolist() == [0.0] * 6
     assert position[-1] == pytest.approx([0.05, 0.05, 0.1, 0.0, 0.05, 0.1], abs=1e-3)
     assert run("rx90_run", ["--robot", "tx50"]) == 2
-    assert "rx90_run: robot 'tx50': no such folder; accepted: rx90b, tx40, or a robot" in capsys.readouterr().err
+    assert (
+        "rx90_run: robot 'tx50': no such folder; accepted: rx90b, rx90b/paper, tx40, or a robot"
+        in capsys.readouterr().err
+    )
 
 
 def test_trajectories_follow_each_other_and_an_empty_one_stops(shipped: Setup) -> None:
@@ -207,6 +213,24 @@ def test_trajectories_follow_each_other_and_an_empty_one_stops(shipped: Setup) -
     assert np.all(reference[-1, 1] == 0.0)
     speed = np.abs(reference[:, 1])
     assert np.abs(np.diff(reference[:, 0], axis=0)).max() <= 1.01e-3 * speed.max()
+
+
+def test_paper_runs_the_paper_s_choices(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The switch gives the bits of the shipped setup with these choices; each element that is not passive is named.
+
+    Beside `--robot` it is refused.
+    """
+    assert run("rx90_run", ["--paper", "--slow-only", "--arrays", str(tmp_path / "paper.npz")]) in (0, None)
+    assert capsys.readouterr().err.count("not passive from") == 7
+    changes = {"friction.*.omega_d": np.inf, "controller.coulomb_velocity": 1e-12}
+    setup = with_parameters(Setup.load(), {**changes, "controller.feed_forward.velocity": False})
+    with pytest.warns(Rx90Warning, match="not passive"):
+        expected = run_line(setup, load_task()).slow.tracking_error[:, 0]
+    with np.load(tmp_path / "paper.npz") as arrays:
+        found = next(arrays[name] for name in arrays if "tracking_error" in name and "position" in name)
+    assert np.array_equal(found, expected)
+    assert run("rx90_run", ["--paper", "--robot", "tx40"]) == 2
+    assert "argument --robot: not allowed with argument --paper" in capsys.readouterr().err
 
 
 def warm_friction(folder: Path) -> Path:

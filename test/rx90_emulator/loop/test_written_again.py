@@ -7,10 +7,11 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
+from rx90_common.description.robot_files import PAPER
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.parameters import with_parameters
-from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.setup import Setup, load_setup
 
 Array = NDArray[np.float64]
 
@@ -40,9 +41,10 @@ def set_points(k: int) -> tuple[Array, Array, Array]:
 
 
 class Controller:
-    """Position, velocity and current loop of docs/explanation/closed_loop.md."""
+    """Position, velocity and current loop of docs/explanation/closed_loop.md, or the paper's to the letter."""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: Setup, literal: bool) -> None:
+        self.literal = literal
         self.c, self.n = setup.controller, setup.drives.gear
         self.kt, self.peak = setup.drives.torque_constant, setup.drives.peak_current
         self.integral, self.current, self.sign = np.zeros(6), np.zeros(6), np.zeros(6)
@@ -56,10 +58,11 @@ class Controller:
         advanced = limit(self.integral + c.inertia / n**2 * c.ki * RATIO * T * e, c.integrator_limit / n)
         self.integral = np.where(e * self.sign > 0, self.integral, advanced)
         pi = c.inertia / n**2 * c.kv * c.kp * e + self.integral
-        coulomb = c.coulomb / n * limit(dr / (n * c.coulomb_velocity), 1.0)
+        ramp = np.sign(dr / n) if self.literal else limit(dr / (n * c.coulomb_velocity), 1.0)
+        coulomb = c.coulomb / n * ramp
         a = c.viscous_exponent
         forward = c.inertia / n**2 * ddr + coulomb + c.viscous / np.abs(n) ** (1 + a) * np.sign(dr) * np.abs(dr) ** a
-        self.held, self.rate = pi + forward, dr
+        self.held, self.rate = pi + forward, np.zeros(6) if self.literal else dr
 
     def velocity_loop(self, w: Array) -> Array:
         """Return the motor torques."""
@@ -72,9 +75,10 @@ class Controller:
 
 
 class Arm:
-    """Drives, friction, arm and resolvers of docs/explanation/closed_loop.md; no end stops."""
+    """Drives, friction, arm, resolvers of docs/explanation/closed_loop.md, or the paper's constant c1; no end stops."""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: Setup, literal: bool) -> None:
+        self.literal = literal
         self.model, drives = setup.robot.model, setup.drives
         self.data = self.model.createData()
         self.n, self.peak, self.k = drives.gear, drives.torque_constant * drives.peak_current, drives.spring_torque
@@ -109,7 +113,7 @@ class Arm:
             phi = -np.expm1(-x) / x if x > 1e-4 else 1 - x / 2 + x * x / 6
             psi = (1 - phi) / x if x > 1e-4 else 0.5 - x / 6 + x * x / 24
             rate = speed - e.c0 * abs(speed) * self.z[i] / g
-            damping = e.c1 * np.exp(-((speed / e.omega_d) ** 2))
+            damping = e.c1 if self.literal else e.c1 * np.exp(-((speed / e.omega_d) ** 2))
             torques[i] = e.c0 * (self.z[i] + T * rate * psi) + damping * rate * phi
             torques[i] += e.c2 * speed * max(abs(speed), 1e-3) ** (e.alpha - 1)
             self.z[i] += T * rate * phi
@@ -141,14 +145,23 @@ EXPONENTS = {
 }
 
 
-@pytest.mark.parametrize("changes", [{}, EXPONENTS], ids=["as shipped", "viscous exponents"])
-def test_the_page_suffices_to_write_the_loop_again(shipped: Setup, changes: dict[str, float]) -> None:
-    """Joints, bristles and motor torques of a move and of the rest after it agree to rounding, tick by tick."""
+@pytest.mark.filterwarnings("ignore:.*not passive")
+@pytest.mark.parametrize(
+    ("changes", "literal"),
+    [({}, False), (EXPONENTS, False), ({}, True)],
+    ids=["as shipped", "viscous exponents", "the paper"],
+)
+def test_the_page_suffices_to_write_the_loop_again(shipped: Setup, changes: dict[str, float], literal: bool) -> None:
+    """Joints, bristles and motor torques of a move and of the rest after it agree to rounding, tick by tick.
+
+    The setup of `--paper` agrees with the paper's formulas and the shipped values: c1 dz/dt, D from the measured
+    velocity, a sign function.
+    """
     setup = with_parameters(shipped, changes)
     points = TrajectoryPoints(np.array([0.0, SECONDS]), np.array([START, GOAL]), np.zeros((2, 6)), np.zeros((2, 6)))
-    ours = simulate(setup, points, START, TICKS * T, record_fast=True)
+    ours = simulate(load_setup(robot=PAPER) if literal else setup, points, START, TICKS * T, record_fast=True)
     assert ours.fast is not None
-    arm, controller = Arm(setup), Controller(setup)
+    arm, controller = Arm(setup, literal), Controller(setup, literal)
     joints, bristles, motors = [], [], []
     for k in range(TICKS):
         if k % RATIO == 0:
