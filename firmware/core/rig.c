@@ -22,6 +22,9 @@ static uint8_t adc;
 static uint16_t level;           /* ramp's torque, 1/256 code */
 static uint16_t slope;           /* 1/256 code per tick */
 static uint8_t ramp_end;
+#if HOLD_TICKS
+static uint8_t held;             /* ticks at the ramp's end */
+#endif
 
 static uint32_t counts;          /* cumulative since reset */
 static uint16_t travel_start;    /* count at arming, in units of 256 */
@@ -106,6 +109,9 @@ static uint8_t start_ramp(uint16_t step, uint8_t end)
         return RESULT_RANGE;
     slope = step;
     ramp_end = end;
+#if HOLD_TICKS
+    held = 0;
+#endif
     level = 0x80u;               /* half a code: the staircase rounds, its mean is the ramp */
     ramp_done = 0;
     state = RAMPING;
@@ -246,13 +252,23 @@ static void advance_ramp(void)
 {
     if (state != RAMPING)
         return;
+#if PULSED
+    hal_stage(0);
+    hal_stage(1);
+#endif
     if ((uint8_t)(level >> 8) >= ramp_end) {
+#if HOLD_TICKS
+        if (held++ < HOLD_TICKS) {
+            drive(ramp_end);
+            return;
+        }
+#endif
         ramp_done = 1;
         power_off(DISARMED);
         return;
     }
     drive((uint8_t)(level >> 8));
-    level += slope;              /* at most 229 * 256 + 0x1000: no overflow */
+    level += slope;              /* at most 239 * 256 + 0x1000: no overflow */
 }
 
 static void put16(uint8_t at, uint16_t value)

@@ -13,11 +13,29 @@
 #define COUNTS_DOWN 0             /* 1: a decoder gives a pulse and a direction, and the counts go down backwards */
 #endif
 #define TICK_US 20000u            /* one report per tick */
+#ifndef DAC_FULL_SCALE
 #define DAC_FULL_SCALE 20000u     /* motor torque at DAC code 255, unit 10 uNm: 0.2 Nm */
+#endif
+#ifndef ADC_FULL_SCALE
 #define ADC_FULL_SCALE 25000u     /* motor torque at ADC code 255, unit 10 uNm: 0.25 Nm */
+#endif
 
+#ifndef TORQUE_LIMIT_CODE
 #define TORQUE_LIMIT_CODE 229u    /* 0.18 Nm: floor(0.18 / 0.2 * 255) */
+#endif
+#if TORQUE_LIMIT_CODE > 239
+#error "a ramp's torque overflows: TORQUE_LIMIT_CODE may be at most 239"
+#endif
+/* A limit code of 239 says that the limit is lifted: the full scales are in units of 100 uNm then, not 10. */
+#ifndef CURRENT_LIMIT_CODE
 #define CURRENT_LIMIT_CODE 193u   /* 0.189 Nm measured: the limit and 5 % for offset and noise */
+#endif
+#ifndef HOLD_TICKS
+#define HOLD_TICKS 0u             /* for which a ramp's end torque is held, at most 254 */
+#endif
+#ifndef PULSED
+#define PULSED 0                  /* 1: a ramp is on for a tick and off for the moment of a port write, as the source's */
+#endif
 #define CURRENT_LIMIT_TICKS 3u    /* consecutive readings above it */
 #define WATCHDOG_TICKS 7u         /* the stage goes off 120..140 ms after the last heartbeat */
 #ifndef MAX_SPEED

@@ -23,6 +23,7 @@ static uint16_t counter;
 static uint32_t elapsed_us, next_tick_us;
 static uint32_t byte_us, rx_credit_us, tx_credit_us; /* the line carries a byte in byte_us */
 static uint8_t dac, stage, adc;
+static uint8_t switched;           /* the stage came on since the host last asked */
 
 static void push(struct line *line, uint8_t byte)
 {
@@ -45,7 +46,13 @@ uint8_t hal_tick(void)
 }
 
 void hal_dac(uint8_t code) { dac = code; }
-void hal_stage(uint8_t on) { stage = on; }
+
+void hal_stage(uint8_t on)
+{
+    switched |= (uint8_t)(on && !stage);
+    stage = on;
+}
+
 uint8_t hal_adc(void) { return adc; }
 uint8_t hal_rx_ready(void) { return to_rig.head != to_rig.tail && rx_credit_us >= byte_us; }
 uint8_t hal_tx_ready(void) { return tx_credit_us >= byte_us; }
@@ -78,6 +85,7 @@ void native_power_up(uint32_t baud, uint8_t cause)
     adc = 0;
     dac = 0xff;
     stage = 0;
+    switched = 0;
     rig_reset(cause);
 }
 
@@ -116,3 +124,10 @@ void native_run(uint32_t us, uint16_t edges, uint8_t reading)
 
 uint8_t native_dac(void) { return dac; }
 uint8_t native_stage(void) { return stage; }
+
+uint8_t native_switched(void)
+{
+    uint8_t was = switched;
+    switched = 0;
+    return was;
+}

@@ -8,7 +8,7 @@ uses a ramp from where the shaft slides. A ramp that cannot be used is left out,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
@@ -299,6 +299,70 @@ def joint_friction(unloaded: RampIdentification, loaded: RampIdentification, rig
     return JointFrictionEstimate(*motor, *joint)
 
 
+class SourceFigures(NamedTuple):
+    """One load by the source's own evaluation; its angles are read as degrees.
+
+    Attributes:
+        a, b: of the velocity a t - b, deg/s² and deg/s, means over the ramps.
+        coulomb: m b / a, Nm, mean over the ramps.
+        viscous: m / a, mean over the ramps, Nm s/deg; the source gives it in Nm.
+        spread: standard deviation of `coulomb` from ramp to ramp, Nm; 0 with one ramp.
+        ramps: how many.
+        total: f_noload or f_load, to the three digits that the source states.
+    """
+
+    a: float
+    b: float
+    coulomb: float
+    viscous: float
+    spread: float
+    ramps: int
+    total: float
+
+
+class SourceEvaluation(NamedTuple):
+    """What the source would state: loads by name, and f_joint = f_load - f_noload, Nm; None where a load is missing."""
+
+    loads: dict[str, SourceFigures]
+    joint: float | None
+
+
+SOURCE_STATES = SourceEvaluation(
+    {
+        "no-load": SourceFigures(949.5407, 227.8898, 0.1464, 6.4e-4, math.nan, 1, 0.147),
+        "loaded": SourceFigures(981.3603, 412.1713, 0.231, 5.6e-4, math.nan, 1, 0.231),
+    },
+    0.084,
+)
+"""What it does state."""
+
+
+def evaluate_as_source(loads: Mapping[str, Sequence[RampRecord]]) -> SourceEvaluation:
+    """Evaluate as the source does: a line through each ramp's velocities, counts of a tick divided by its time.
+
+    Each velocity belongs to the middle of its tick, and the line goes through those of a sliding shaft; the source
+    does not say either. It adds f_v to f_c without load and not with it, a sum of different quantities, and takes the
+    difference of rounded figures: so does this.
+    """
+    figures = {}
+    for name, records in loads.items():
+        rows = []
+        for window in _usable(records, sliding_window)[1]:
+            record = window.record
+            time, angle = record.time - record.origin, np.degrees(record.angle)
+            middle, velocity = (time[1:] + time[:-1]) / 2, np.diff(angle) / np.diff(time)
+            sliding = middle > window.time[0]
+            a, minus_b = np.polyfit(middle[sliding], velocity[sliding], 1)
+            rows.append((a, -minus_b, *source_formulas(a, -minus_b, record.slope)))
+        if rows:
+            a, b, coulomb, viscous = np.mean(rows, axis=0).tolist()
+            spread = float(np.std([row[2] for row in rows], ddof=1)) if len(rows) > 1 else 0.0
+            total = round(coulomb + (viscous if name == "no-load" else 0.0), 3)
+            figures[name] = SourceFigures(a, b, coulomb, viscous, spread, len(rows), total)
+    joint = round(figures["loaded"].total - figures["no-load"].total, 3) if len(figures) == 2 else None
+    return SourceEvaluation(figures, joint)
+
+
 @dataclass(frozen=True)
 class RampTestResult:
     """The result of a measurement.
@@ -307,12 +371,14 @@ class RampTestResult:
         parts: the identified loads, by name.
         joint, comparison: None where they cannot be found.
         failures: why a load that was run carries no estimate, one line each.
+        as_source: by the source's own evaluation, where it was asked for.
     """
 
     parts: list[tuple[str, RampIdentification]]
     joint: JointFrictionEstimate | None
     comparison: FourWay | None
     failures: tuple[str, ...] = ()
+    as_source: SourceEvaluation | None = None
 
     @property
     def written(self) -> tuple[IntervalEstimate, IntervalEstimate]:
@@ -340,8 +406,13 @@ class RampTestResult:
         )
 
 
-def evaluate(records: Sequence[RampRecord], rig: Rig) -> RampTestResult:
+def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -> RampTestResult:
     """Identify friction from all ramps of a measurement, and compare one ramp with the models.
+
+    Args:
+        records: all ramps.
+        rig: on which they were run.
+        as_source: also evaluate them as the source does.
 
     Raises:
         IdentificationError: if no load carries an estimate.
@@ -365,4 +436,5 @@ def evaluate(records: Sequence[RampRecord], rig: Rig) -> RampTestResult:
         release = max(ramp.break_away * ramp.slope - coulomb, 0.0)
         model = RampModel(coulomb, best.viscous.value, best.inertia.value, ramp.slope, release)
         comparison = compare(ramp.record, model, rig.gear_ratio)
-    return RampTestResult(list(zip(names, parts, strict=True)), joint, comparison, tuple(map(str, refusals)))
+    by_source = evaluate_as_source(loads) if as_source else None
+    return RampTestResult(list(zip(names, parts, strict=True)), joint, comparison, tuple(map(str, refusals)), by_source)

@@ -31,7 +31,7 @@ from friction_bench.rig.messages import Command, RigError, State
 from friction_bench.rig.rig_file import TRAVEL_UNIT, RampPlan, Rig, load_rig
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, IdentificationError
 from rx90_common.base.quoting import one_line, quoted
-from rx90_common.base.share import resolve_config
+from rx90_common.base.share import SHIPPED_RIG, SOURCE_RIG, resolve_config
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
@@ -76,10 +76,11 @@ def run_ramp(
     """
     rig = client.rig
     slope = rig.slope_of_step(rig.ramp_step(slope))
-    client.end_code(end_torque)  # refused before anything is switched on
+    end = client.end_code(end_torque)  # refused before anything is switched on
     wait_for_rest(client)
     with armed(client):
         samples = _follow(client, client.start_ramp(slope, end_torque), on_sample)
+    samples = [sample for sample in samples if sample.report.dac < end]  # a held end torque is no ramp
     if len(samples) < 2:
         raise RigError(f"{label}: {len(samples)} readings during the ramp; accepted: at least 2")
     ticks, counts, dac, adc = sample_columns(samples)
@@ -171,7 +172,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         Rx90Error: for what is refused; what has been measured until then stands in the folder.
     """
-    rig = load_rig(resolve_config(options.rig))
+    rig = load_rig(resolve_config(SOURCE_RIG if options.source and options.rig == SHIPPED_RIG else options.rig))
     out: Path = options.output
     base = FrictionFile.read(RobotFiles.of_options(options).friction)
     _check(options, base)
@@ -182,7 +183,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         records = _measure(options, rig, _plan(options, rig))
         origin = f"{len(records)} ramps on the {origin_of(options)}"
-    result = evaluate(records, rig)
+    result = evaluate(records, rig, options.source)
     write_result(out, result, rig, origin)
     print(one_line(f"report: {out / 'report.html'}"))
     if result.failures:
@@ -218,6 +219,8 @@ def _check(options: argparse.Namespace, base: FrictionFile) -> None:
 
 
 def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
+    if options.source and options.slopes:
+        raise ConfigError("--slopes with --source; accepted: the rig file's, the first no-load, the second loaded")
     slopes = tuple(options.slopes or rig.ramps.slopes)
     torque = options.end_torque
     if torque is not None and not 0.0 < torque <= rig.dac_full_scale:
@@ -227,7 +230,7 @@ def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
         if slopes.count(slope) > 1:
             raise ConfigError(f"--slopes has {slope:g} twice; accepted: each slope once, and --repeats for more ramps")
     ends = torque or rig.ramps.end_torque, torque or rig.ramps.end_torque_loaded
-    return RampPlan(slopes, *ends, options.repeats or rig.ramps.repeats)
+    return RampPlan(slopes, *ends, options.repeats or rig.ramps.repeats, rig.ramps.hold)
 
 
 def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[RampRecord]:
@@ -245,6 +248,8 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
             return record
 
         def choose(first: RampRecord) -> RampPlan:
+            if options.source:
+                return planned
             chosen = plan_from(first, plan, rig)
             slopes = plan.slopes if options.slopes else chosen.slopes
             chosen = replace(chosen, slopes=slopes, repeats=options.repeats or chosen.repeats)
@@ -257,7 +262,8 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
         for loaded in loads:
             session.couple(loaded)
             try:
-                run_planned(one, plan, loaded, choose)
+                planned = replace(plan, slopes=(plan.slopes[loaded],)) if options.source else plan
+                run_planned(one, planned, loaded, choose)
             except IdentificationError as error:  # what was measured before stands, and is evaluated
                 bar.write(f"{error}; no more ramps", sys.stderr)
                 break

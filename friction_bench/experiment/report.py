@@ -10,10 +10,12 @@ import numpy as np
 from friction_bench.experiment.four_way import EXPERIMENT, SMOOTHING, FourWay, measured_velocity
 from friction_bench.experiment.identification import (
     SAME_SLOPE,
+    SOURCE_STATES,
     IntervalEstimate,
     RampFriction,
     RampIdentification,
     RampTestResult,
+    SourceEvaluation,
     slopes_of,
 )
 from friction_bench.rig.rig_file import Rig
@@ -89,6 +91,21 @@ def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
     }
 
 
+def _source_lines(found: SourceEvaluation) -> list[str]:
+    """Return the source's evaluation of these ramps beside the figures that it states."""
+    title = "by the source's evaluation"
+    lines = [f"{title:34}{'f_c, Nm':>10}{'s.d.':>9}{'f_v, Nm':>10}{'a, deg/s^2':>12}{'b, deg/s':>10}{'total, Nm':>11}"]
+    for name, one in found.loads.items():
+        for text, row in ((f"{name}, {one.ramps} ramps", one), (f"{name}, as published", SOURCE_STATES.loads[name])):
+            spread = "-" if row is not one else f"{row.spread:.4f}"
+            lines.append(
+                f"{text:34}{row.coulomb:10.4f}{spread:>9}{row.viscous:10.2e}{row.a:12.1f}{row.b:10.1f}{row.total:11.3f}"
+            )
+    if found.joint is not None:
+        lines.append(f"{'f_joint, published ' + str(SOURCE_STATES.joint):34}{found.joint:62.3f}")
+    return lines
+
+
 def write_result(out: Path, result: RampTestResult, rig: Rig, origin: str) -> None:
     """Write report.html and estimates.yaml, with every estimate, in a folder, and print the estimates.
 
@@ -108,7 +125,8 @@ def write_result(out: Path, result: RampTestResult, rig: Rig, origin: str) -> No
         if (friction := getattr(part, key)) is not None
     ]
     document: dict[str, Any] = {"units": {"coulomb": "Nm", "viscous": "Nm s/rad", "inertia": "kg m2"}}
-    lines = [f"{'':34}{'f_c, Nm [95 %]':>34}{'f_v, Nm s/rad [95 %]':>40}"]
+    lines = _source_lines(result.as_source) if result.as_source is not None else []
+    lines += [f"{'':34}{'f_c, Nm [95 %]':>34}{'f_v, Nm s/rad [95 %]':>40}"]
 
     def add(title: str, coulomb: IntervalEstimate, viscous: IntervalEstimate) -> dict[str, Any]:
         cells = (f"{one.value:.4g} [{one.low:.4g}, {one.high:.4g}]" for one in (coulomb, viscous))
@@ -128,6 +146,9 @@ def write_result(out: Path, result: RampTestResult, rig: Rig, origin: str) -> No
         }
         lines.append(f"joint side: {rig.joint_side_reason}")
         plots["load"] = _load_plot(result)
+    if result.as_source is not None:
+        document["as_source"] = {name: one._asdict() for name, one in result.as_source.loads.items()}
+        document["as_source"]["f_joint"] = result.as_source.joint
     if result.comparison is not None:
         for pair in result.comparison.pairs:
             band = f", source ± {pair.band:g} %" if pair.band else ""
@@ -145,6 +166,7 @@ def write_result(out: Path, result: RampTestResult, rig: Rig, origin: str) -> No
         smoothing=SMOOTHING,
         static=STATIC,
         unused=unused,
+        source_states=SOURCE_STATES,
         two_slopes=all(part.exact is not None for _, part in result.parts),
     )
     write_text(out / "report.html", page)

@@ -91,7 +91,7 @@ class NativeBoard:
         self._buffer = ctypes.create_string_buffer(4096)
         self._core.native_run.argtypes = (ctypes.c_uint32, ctypes.c_uint16, ctypes.c_uint8)
         self._core.native_run.restype = None
-        for name in ("native_dac", "native_stage"):
+        for name in ("native_dac", "native_stage", "native_switched"):
             getattr(self._core, name).restype = ctypes.c_uint8
         self.reset(ResetCause.POWER)
 
@@ -122,6 +122,10 @@ class NativeBoard:
         """Return whether the power stage is enabled."""
         return bool(self._core.native_stage())
 
+    def switched_on(self) -> bool:
+        """Return whether the power stage came on since this was last asked."""
+        return bool(self._core.native_switched())
+
 
 class EmulatedRig:
     """Board and plant, advanced together; nothing happens between calls.
@@ -139,16 +143,23 @@ class EmulatedRig:
     def __init__(self, rig: Rig, seed: int = 0, board: NativeBoard | None = None) -> None:
         self.plant = RigPlant(rig, seed)
         self.rig = rig
+        self._off_time = self.plant.parameters.off_time
         self.board = board or NativeBoard(rig.baud, native_library(rig.firmware_figures))
         self.time = 0.0
         self._edges = 0
         self._adc = 0
+        self._on = False
 
     def advance(self, seconds: float) -> None:
         """Let whole slices of virtual time pass, at least one."""
         for _ in range(max(1, round(seconds * 1e6 / SLICE_US))):
             self.board.run(SLICE_US, self._edges, self._adc)
-            command = self.rig.torque(self.board.dac) if self.board.stage_on else 0.0
+            was_on, self._on = self._on, self.board.stage_on
+            if self._on and not was_on:
+                self.plant.new_ramp()
+            command = self.rig.torque(self.board.dac) if self._on else 0.0
+            if self._off_time and self.board.switched_on():
+                command *= 1.0 - self._off_time / SLICE
             self._edges = self.plant.advance(command, SLICE)
             self._adc = min(CODES, round(self.plant.current_reading() / self.rig.adc_full_scale * CODES))
             self.time += SLICE

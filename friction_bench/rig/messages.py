@@ -13,6 +13,9 @@ from typing import NamedTuple
 from rx90_common.base.errors import REFUSED, FailureError
 
 PROTOCOL_VERSION = 1
+HIGHEST_END = 239
+"""Highest code that a ramp may end at: the firmware's 16 bits hold no more than that and one step. A firmware with
+this limit code was built with the limit lifted, and its full scales are in units of 100 uNm instead of 10."""
 MAX_DECODED = 32
 """Longest frame before COBS, in bytes; what is longer is noise."""
 
@@ -276,7 +279,8 @@ def parse_hello(frame: Frame) -> HelloReply | None:
     if frame.type != Answer.HELLO_REPLY or len(frame.payload) != _HELLO.size:
         return None
     hello = HelloReply(*_HELLO.unpack(frame.payload))
-    return hello._replace(dac_full_scale=hello.dac_full_scale * 1e-5, adc_full_scale=hello.adc_full_scale * 1e-5)
+    unit = 1e-4 if hello.torque_limit_code == HIGHEST_END else 1e-5
+    return hello._replace(dac_full_scale=hello.dac_full_scale * unit, adc_full_scale=hello.adc_full_scale * unit)
 
 
 def parse_report(frame: Frame) -> Report | None:

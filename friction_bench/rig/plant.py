@@ -51,9 +51,10 @@ def shaft_of(rig: Rig, loaded: bool) -> Shaft:
         raise RigInputError(f"{rig.file}: has no section 'emulation', so this rig cannot be emulated")
     load_inertia = p.load_inertia + (p.joint_inertia if loaded else 0.0)
     inertia = p.rotor_inertia + load_inertia / (rig.gear_ratio**2 * rig.gear_efficiency)
+    own = p.viscous * (1.0 + p.warming) if loaded else p.viscous
     if not loaded or not isinstance(p.joint, JointFriction):
-        return Shaft(inertia, p.coulomb, p.viscous)
-    viscous = p.viscous + p.joint.viscous / (rig.joint_scale * rig.gear_ratio)
+        return Shaft(inertia, p.coulomb, own)
+    viscous = own + p.joint.viscous / (rig.joint_scale * rig.gear_ratio)
     return Shaft(inertia, p.coulomb + p.joint.coulomb / rig.joint_scale, viscous)
 
 
@@ -191,6 +192,7 @@ class RigPlant:
         self._scale = rig.counts_per_revolution / math.tau
         self._phase = self._rng.random()
         self._gain = 1.0 + rig.plant.gain_error * self._rng.standard_normal()
+        self._ramp_gain = 1.0
         self._last_count = math.floor(self._phase)
         self._noise = self._normals()
 
@@ -200,6 +202,15 @@ class RigPlant:
         self.speed = self.bristle = 0.0
         if self._joint is not None:
             start(self._joint)
+
+    def new_ramp(self) -> None:
+        """Draw what differs from ramp to ramp: the torque's scale, and the joint's Coulomb friction."""
+        p = self.parameters
+        if p.ramp_error:
+            self._ramp_gain = 1.0 + p.ramp_error * next(self._noise)
+        if p.joint_spread and isinstance(p.joint, JointFriction):
+            drawn = max(0.0, 1.0 + p.joint_spread * next(self._noise)) * p.joint.coulomb / self.rig.joint_scale
+            self._shafts[True] = self._shafts[True]._replace(coulomb=p.coulomb + drawn)
 
     def _normals(self) -> Iterator[float]:
         while True:
@@ -215,7 +226,7 @@ class RigPlant:
             return 0.0
         noise = p.torque_noise * math.sqrt(1e-3 / dt) * next(self._noise) if p.torque_noise else 0.0
         highest = (p.supply - p.torque_constant * self.speed) / p.resistance * p.torque_constant
-        return max(0.0, min(self._gain * command + noise, highest))
+        return max(0.0, min(self._gain * self._ramp_gain * command + noise, highest))
 
     def advance(self, command: float, dt: float) -> int:
         """Hold the commanded torque, Nm, for `dt` seconds; return the encoder counts in that time.

@@ -9,11 +9,12 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar, TypeVar
 
-from friction_bench.rig.messages import HelloReply, RigInputError
+from friction_bench.rig.messages import HIGHEST_END, HelloReply, RigInputError
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.declared import Declared
 from rx90_common.base.entries import LEFT_OUT, Integer, Number, Numbers, Switch
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group, Variants
 from rx90_common.friction.element import ELEMENT, FrictionElement
 from rx90_common.friction.friction_file import read_element
@@ -21,6 +22,8 @@ from rx90_common.friction.friction_set import refuse_parts
 
 CODES = 255
 """Highest code of both converters."""
+LARGEST_SCALE = 6.5535
+"""Largest full scale that the greeting of a firmware with the limit lifted can state, Nm."""
 RAMP_FRACTION = 256
 """The firmware's ramp counts in 1/256 of a DAC code per tick."""
 MAX_RAMP_STEP = 0x1000
@@ -81,16 +84,38 @@ class PlantParameters(Declared):
     coulomb: Annotated[float, _least_0("Coulomb friction.", "Nm"), "motor_friction.coulomb"]
     viscous: Annotated[float, _positive("Viscous friction.", "Nm s/rad"), "motor_friction.viscous"]
     joint: Annotated[JointFriction | FrictionElement, _JOINT_FRICTION, "joint_friction"]
+    warming: Annotated[
+        float,
+        Number(
+            "Relative change of the viscous friction with the joint coupled: a warm motor.", "1", low=-0.5, high=0.5
+        ),
+        "motor_friction.warming",
+    ] = 0.0
+    ramp_error: Annotated[
+        float,
+        _least_0("Relative standard deviation of the torque, drawn for each ramp.", "1", high=0.2),
+        "amplifier.ramp_error",
+    ] = 0.0
+    off_time: Annotated[
+        float,
+        _least_0("For which each tick of a ramp switches the stage off; the firmware is built PULSED.", "s", high=1e-3),
+        "amplifier.off_time",
+    ] = 0.0
+    joint_spread: Annotated[
+        float,
+        _least_0("Relative standard deviation of the joint's Coulomb friction, drawn for each ramp.", "1", high=0.3),
+    ] = 0.0
 
 
 @dataclass(frozen=True)
 class RampPlan:
-    """Ramps to run: slopes Nm/s, end torques Nm (motor side), repeats of each slope."""
+    """Ramps to run: slopes Nm/s, end torques Nm (motor side), repeats of each slope, hold of the end torque, s."""
 
     slopes: tuple[float, ...]
     end_torque: float
     end_torque_loaded: float
     repeats: int
+    hold: float = 0.0
 
     def end(self, loaded: bool) -> float:
         """Return the end torque under this load, Nm."""
@@ -98,7 +123,7 @@ class RampPlan:
 
     def duration(self, loaded: bool) -> float:
         """Return the time of all ramps under this load, s."""
-        return self.repeats * sum(self.end(loaded) / slope for slope in self.slopes)
+        return self.repeats * sum(self.end(loaded) / slope + self.hold for slope in self.slopes)
 
 
 _RAMPS = Group(
@@ -108,6 +133,7 @@ _RAMPS = Group(
         "end_torque": _positive("End torque without the joint.", "Nm"),
         "end_torque_loaded": _positive("End torque with the joint.", "Nm"),
         "repeats": Integer("Ramps of each slope.", low=1, high=1000),
+        "hold": Number("How long the firmware holds the end torque.", "s", low=0.0, high=5.0, default=0.0),
     },
 )
 
@@ -152,6 +178,14 @@ class Rig(Declared):
         float, _positive("Turns of the load shaft that one arming allows.", "1"), "limits.load_travel"
     ]
     speed_limit: Annotated[float, _positive("Highest speed of the motor.", "rad/s"), "limits.speed"]
+    limit_lifted: Annotated[
+        bool,
+        Switch(
+            f"Whether the firmware is built for this file's scales and ramps up to code {HIGHEST_END}; torques above "
+            "0.18 Nm may damage the motor."
+        ),
+        "torque.limit_lifted",
+    ] = False
     ramps: Annotated[RampPlan, _RAMPS]
     plant: Annotated[PlantParameters | None, PlantParameters.group(LEFT_OUT), "emulation"] = None
 
@@ -163,9 +197,20 @@ class Rig(Declared):
     @property
     def firmware_figures(self) -> dict[str, int]:
         """Return the figures that the firmware of an emulated rig is built for, where they are not the shipped ones."""
-        if not self.counts_down:
-            return {}
-        return {"COUNTS_PER_REV": self.counts_per_revolution, "COUNTS_DOWN": 1, "MAX_SPEED": self.limit_codes()[1]}
+        figures: dict[str, int] = {}
+        if self.counts_down:
+            figures |= {
+                "COUNTS_PER_REV": self.counts_per_revolution, "COUNTS_DOWN": 1, "MAX_SPEED": self.limit_codes()[1],
+            }  # fmt: skip
+        if self.limit_lifted:
+            scales = {"DAC_FULL_SCALE": self.dac_full_scale, "ADC_FULL_SCALE": self.adc_full_scale}
+            figures |= {name: round(scale * 1e4) for name, scale in scales.items()}
+            figures |= {"TORQUE_LIMIT_CODE": HIGHEST_END, "CURRENT_LIMIT_CODE": CODES - 1}
+        if self.ramps.hold:
+            figures["HOLD_TICKS"] = round(self.ramps.hold / self.tick)
+        if self.plant is not None and self.plant.off_time:
+            figures["PULSED"] = 1
+        return figures
 
     @property
     def angle_step(self) -> float:
@@ -255,8 +300,15 @@ def load_rig(path: Path) -> Rig:
     """
     root = load_yaml(path)
     content, plant = RIG.read(root), None
+    for name in ("dac_full_scale", "adc_full_scale"):
+        if content["torque"]["limit_lifted"] and content["torque"][name] > LARGEST_SCALE:
+            found = f"{root.where('')}torque.{name} is {content['torque'][name]:g}"
+            raise ConfigError(f"{found}; accepted with limit_lifted: at most {LARGEST_SCALE} Nm")
     if "emulation" in content:
         friction = content["emulation"]["joint_friction"]
+        if friction["model"] == "lugre" and content["emulation"]["joint_spread"]:
+            found = f"{root.where('')}emulation.joint_spread is {content['emulation']['joint_spread']:g}"
+            raise ConfigError(f"{found}; accepted: 0, because a LuGre element has a scatter of its own")
         joint: JointFriction | FrictionElement
         if friction["model"] == "lugre":
             section = root.section("emulation").section("joint_friction").section("lugre")

@@ -10,6 +10,7 @@ from rx90_common.base.quoting import quoted
 
 PACKAGE = "rx90_emulator"
 SHIPPED_RIG = "rig/gm8224.yaml"
+SOURCE_RIG = "rig/source.yaml"
 PRESLIDING_RIG = "rig/presliding.yaml"
 
 

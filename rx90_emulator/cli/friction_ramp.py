@@ -19,6 +19,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--load", choices=("none", "joint", "both"), default="both", help="joint coupled? (default: %(default)s)"
     )
+    parser.add_argument(
+        "--source",
+        action="store_true",
+        help="the source's experiment on rig/source.yaml: no-load at its first slope, loaded at its second, "
+        "and the source's evaluation beside this one's",
+    )
     add_rig_arguments(parser, SHIPPED_RIG, "out/friction")
     parser.add_argument("--element", default="joint_6", help="friction element that the joint stands for")
     add_robot_argument(parser)

@@ -1,0 +1,150 @@
+"""The source's experiment on an emulated rig as it was: `friction_ramp --source` and `config/rig/source.yaml`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from friction_bench.experiment.job import run_ramp
+from friction_bench.rig.client import RigClient
+from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, native_library
+from friction_bench.rig.messages import RigInputError
+from friction_bench.rig.rig_file import load_rig
+from rx90_common.bags.reading import read_joint_states
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.share import SOURCE_RIG, config_path
+from rx90_emulator.cli.frame import run
+
+PUBLISHED = {"no-load": (949.5407, 227.8898, 0.1464), "loaded": (981.3603, 412.1713, 0.2310)}
+"""The source's a and b, read in degrees, and f_c in Nm."""
+SPREADS = {"ramp_error: 0.02 ": "ramp_error: 0.0 ", "gain_error: 0.003": "gain_error: 0.0", "joint_spread: 0.05": ""}
+
+
+def changed(folder: Path, changes: dict[str, str]) -> Path:
+    """Return a copy of the source's rig file with some texts replaced."""
+    text = config_path(SOURCE_RIG).read_text()
+    for old, new in changes.items():
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    (folder / "own.yaml").write_text(text)
+    return folder / "own.yaml"
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of one measurement; its exit code 1 says that a joint's viscous friction below 0 is none."""
+    out = tmp_path_factory.mktemp("source") / "out"
+    assert run("friction_ramp", ["--source", "--output", str(out)]) == 1
+    return out
+
+
+def by_source(out: Path) -> Any:
+    """Return the source's evaluation of a measurement."""
+    return yaml.safe_load((out / "estimates.yaml").read_text())["as_source"]
+
+
+def test_published_friction_lies_within_the_spread_of_the_ramps(measured: Path) -> None:
+    """0.1464, 0.2310 and 0.0846 Nm lie within three standard errors of the means, gain of the rig included."""
+    found = by_source(measured)
+    errors = {}
+    for load, (_, _, coulomb) in PUBLISHED.items():
+        one = found[load]
+        errors[load] = math.hypot(one["spread"] / math.sqrt(one["ramps"]), 0.003 * coulomb)
+        assert one["coulomb"] == pytest.approx(coulomb, abs=3 * errors[load])
+        assert 0.005 < one["spread"] / one["coulomb"] < 0.1  # ramps differ, by less than the source's largest band
+    joint = found["loaded"]["coulomb"] - found["no-load"]["coulomb"]
+    assert joint == pytest.approx(0.0846, abs=3 * math.hypot(*errors.values()))
+
+
+def test_without_spread_the_source_states_its_own_figures(tmp_path: Path, check_report: Callable[[Path], None]) -> None:
+    """Where ramps do not differ, a and b are the published ones, and 0.231 - 0.147 = 0.084 Nm to a unit at the end."""
+    out = tmp_path / "out"
+    words = ["--source", "--repeats", "4", "--rig", str(changed(tmp_path, SPREADS)), "--output", str(out)]
+    assert run("friction_ramp", words) == 1
+    found = by_source(out)
+    for load, (a, b, coulomb) in PUBLISHED.items():
+        assert (found[load]["a"], found[load]["b"]) == pytest.approx((a, b), rel=0.01)
+        assert found[load]["coulomb"] == pytest.approx(coulomb, rel=0.005)
+    totals = found["no-load"]["total"], found["loaded"]["total"], found["f_joint"]
+    assert totals == pytest.approx((0.147, 0.231, 0.084), abs=0.0011)
+    assert found["f_joint"] == pytest.approx(totals[1] - totals[0])
+    check_report(out / "report.html")
+    page = (out / "report.html").read_text()
+    for text in ("no-load, as published", "loaded, 4 ramps", "949.5", "0.084", "Not physical"):
+        assert text in page
+
+
+def test_velocity_is_constant_at_the_largest_torque(measured: Path) -> None:
+    """The firmware holds the end torque, far above 0.18 Nm, for 1 s, in which the velocity no longer rises."""
+    commands = read_joint_states(measured / "bag", "friction_bench/joint_commands")
+    states = read_joint_states(measured / "bag", "friction_bench/joint_states")
+    torque, velocity = commands.effort[:, 0], states.velocity[:, 0]
+    assert torque.max() == pytest.approx(1.83, abs=0.004)
+    first = np.flatnonzero(torque == torque.max())[:50]
+    assert np.ptp(first) == 49  # one ramp's hold, without a gap
+    held, rising = velocity[first[5:]], velocity[first[0] - 45 : first[0]]
+    fits = [abs(float(np.polyfit(np.arange(45), part, 1)[0])) / 0.02 for part in (held, rising)]
+    assert fits[0] < 0.05 * fits[1]
+    assert fits[1] == pytest.approx(math.radians(PUBLISHED["no-load"][0]), rel=0.1)
+
+
+class CountingBoard(NativeBoard):
+    """A board that counts how often its stage came on."""
+
+    times = 0
+
+    def switched_on(self) -> bool:
+        """Return whether the stage came on, and count it."""
+        came = super().switched_on()
+        self.times += came
+        return came
+
+
+def test_stage_goes_off_for_a_moment_in_each_tick_of_a_ramp() -> None:
+    """20 ms on and 1 us off: the stage comes on at arming and at every tick of ramp and hold."""
+    rig = load_rig(config_path(SOURCE_RIG))
+    board = CountingBoard(rig.baud, native_library(rig.firmware_figures))
+    emulated = EmulatedRig(rig, 0, board)
+    client = RigClient(VirtualPort(emulated), rig)
+    client.connect()
+    heard: list[Any] = []
+    record = run_ramp(client, 0.61, 0.61, False, "ramp", heard.append)
+    assert record.torque is not None
+    assert record.torque.max() < 0.61 + 0.008
+    ticks = sum(sample.report.dac > 0 for sample in heard)
+    assert ticks == pytest.approx((1.0 + 1.0) / 0.02, abs=3)  # ramp and hold
+    assert board.times == pytest.approx(ticks + 1, abs=3)
+
+
+def test_greeting_tells_this_firmware_from_the_shipped_one() -> None:
+    """The file refuses the shipped firmware, although a tenth of its scale reads alike on the wire."""
+    rig = load_rig(config_path(SOURCE_RIG))
+    with pytest.raises(RigInputError, match=r"dac_full_scale is 2\.0, the rig's firmware has 0\.2"):
+        RigClient(VirtualPort(EmulatedRig(rig, 0, NativeBoard(rig.baud))), rig).connect()
+
+
+def test_slopes_of_ones_own_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`--source` runs the rig file's slopes alone, and says so in one line before anything is written."""
+    assert run("friction_ramp", ["--source", "--slopes", "0.5", "--output", str(tmp_path / "out")]) == 2
+    assert "--slopes with --source; accepted: the rig file's" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_scale_that_the_greeting_cannot_state_is_refused(tmp_path: Path) -> None:
+    """A full scale above 6.5535 Nm is named with the largest that is accepted."""
+    with pytest.raises(ConfigError, match=r"torque\.dac_full_scale is 7; accepted with limit_lifted: at most 6\.5535"):
+        load_rig(changed(tmp_path, {"dac_full_scale: 2.0": "dac_full_scale: 7.0"}))
+
+
+def test_spread_of_a_lugre_joint_is_refused(tmp_path: Path) -> None:
+    """A LuGre joint has a scatter of its own, so `joint_spread` beside it is refused."""
+    text = config_path("rig/gm8224_lugre.yaml").read_text()
+    (tmp_path / "own.yaml").write_text(text.replace("\nemulation:\n", "\nemulation:\n  joint_spread: 0.05\n"))
+    with pytest.raises(ConfigError, match=r"emulation\.joint_spread is 0\.05; accepted: 0"):
+        load_rig(tmp_path / "own.yaml")
