@@ -84,6 +84,8 @@ def test_velocity_is_constant_at_the_largest_torque(measured: Path) -> None:
     """The firmware holds the end torque, far above 0.18 Nm, for 1 s, in which the velocity no longer rises."""
     commands = read_joint_states(measured / "bag", "friction_bench/joint_commands")
     states = read_joint_states(measured / "bag", "friction_bench/joint_states")
+    assert commands.effort is not None
+    assert states.velocity is not None
     torque, velocity = commands.effort[:, 0], states.velocity[:, 0]
     assert torque.max() == pytest.approx(1.83, abs=0.004)
     first = np.flatnonzero(torque == torque.max())[:50]
