@@ -2,7 +2,9 @@
  *   0, 1    UART            2      encoder A (INT0), or the decoder's pulse; 3 its direction, high is forward
  *   4 .. 7  DAC bits 0..3   8..11  DAC bits 4..7
  *   12      power stage enable, active low, with a pull-up: off while the pins float after a reset
- *   A0      current sense */
+ *   A0      current sense
+ * Enable and current sense can be given to the compiler: -DSTAGE_BIT=5 -DADC_CHANNEL=6; the rest is wired to
+ * the processor's own functions. */
 #include "hal.h"
 
 #include "rig.h"
@@ -14,7 +16,19 @@
 
 #define BAUD_REGISTER 103u  /* 19200 baud with U2X: 16e6 / (8 * 104) = 19231, +0.16 % */
 #define RX_RING 32u
-#define STAGE_OFF _BV(PB4)
+#ifndef STAGE_BIT
+#define STAGE_BIT 4         /* of port B: D12 */
+#endif
+#ifndef ADC_CHANNEL
+#define ADC_CHANNEL 0       /* A0 */
+#endif
+#if STAGE_BIT < 4 || STAGE_BIT > 5
+#error "STAGE_BIT: accepted are 4 and 5, D12 and D13; the DAC has the others"
+#endif
+#if ADC_CHANNEL < 0 || ADC_CHANNEL > 7
+#error "ADC_CHANNEL: accepted are 0 to 7, A0 to A7"
+#endif
+#define STAGE_OFF _BV(STAGE_BIT)
 
 ROM uint8_t hal_target = TARGET_AVR;
 uint16_t hal_tick_number;
@@ -120,7 +134,7 @@ static uint8_t cause(void)
 static void start_peripherals(void)
 {
     PORTB = STAGE_OFF;
-    DDRB = 0x1f;
+    DDRB = 0x0f | STAGE_OFF;
     PORTD = _BV(PD2);                      /* pull-up for an open-collector encoder */
     DDRD = 0xf0;
     EICRA = _BV(ISC01) | _BV(ISC00);       /* rising edge */
@@ -129,7 +143,7 @@ static void start_peripherals(void)
     OCR2A = 249;
     TCCR2B = _BV(CS22) | _BV(CS21);
     TIMSK2 = _BV(OCIE2A);
-    ADMUX = _BV(REFS0) | _BV(ADLAR);
+    ADMUX = _BV(REFS0) | _BV(ADLAR) | ADC_CHANNEL;
     ADCSRB = 0;
     ADCSRA = _BV(ADEN) | _BV(ADSC) | _BV(ADATE) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0);
     UCSR0A = _BV(U2X0);                    /* before the divider: simavr computes the rate on that write */
