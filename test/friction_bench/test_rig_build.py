@@ -101,7 +101,7 @@ def test_pins_move_in_both_binaries(tmp_path: Path) -> None:
     """With other pins both boards' programs still build, as large as before, and are others."""
     pins = {
         "mcs51": "-DSTAGE_OFF=P3_6 -DDIRECTION=P3_5 -DDAC_PORT=P2 -DADC_PORT=P1 -DCOUNTS_DOWN=1",
-        "avr": "-DSTAGE_BIT=5 -DADC_CHANNEL=6",
+        "avr": "-DSTAGE_PIN=15 -DADC_CHANNEL=6",
     }
     for target, defines in pins.items():
         name = f"rig_{target}.ihx" if target == "mcs51" else "rig_avr.hex"
