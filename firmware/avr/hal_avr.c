@@ -2,7 +2,9 @@
  *   0, 1    UART            2      encoder A (INT0), or the decoder's pulse; 3 its direction, high is forward
  *   4 .. 7  DAC bits 0..3   8..11  DAC bits 4..7
  *   12      power stage enable, active low, with a pull-up: off while the pins float after a reset
- *   A0      current sense */
+ *   A0      current sense
+ * Enable and current sense can be given to the compiler: -DSTAGE_PIN=15 -DADC_CHANNEL=6; the rest is wired to
+ * the processor's own functions. */
 #include "hal.h"
 
 #include "rig.h"
@@ -14,7 +16,27 @@
 
 #define BAUD_REGISTER 103u  /* 19200 baud with U2X: 16e6 / (8 * 104) = 19231, +0.16 % */
 #define RX_RING 32u
-#define STAGE_OFF _BV(PB4)
+#ifndef STAGE_PIN
+#define STAGE_PIN 12        /* Arduino's number; 14 to 19 are A0 to A5 */
+#endif
+#ifndef ADC_CHANNEL
+#define ADC_CHANNEL 0       /* A0 */
+#endif
+/* Not 13: the bootloader blinks it, and low is on. */
+#if STAGE_PIN == 12
+#define STAGE_PORT PORTB
+#define STAGE_DDR DDRB
+#define STAGE_OFF _BV(4)
+#elif STAGE_PIN >= 14 && STAGE_PIN <= 19 && STAGE_PIN - 14 != ADC_CHANNEL
+#define STAGE_PORT PORTC
+#define STAGE_DDR DDRC
+#define STAGE_OFF _BV(STAGE_PIN - 14)
+#else
+#error "STAGE_PIN: accepted are 12 and 14 to 19, but not the one of ADC_CHANNEL"
+#endif
+#if ADC_CHANNEL < 0 || ADC_CHANNEL > 7
+#error "ADC_CHANNEL: accepted are 0 to 7, A0 to A7"
+#endif
 
 ROM uint8_t hal_target = TARGET_AVR;
 uint16_t hal_tick_number;
@@ -86,9 +108,9 @@ void hal_dac(uint8_t code)
 void hal_stage(uint8_t on)
 {
     if (on)
-        PORTB &= (uint8_t)~STAGE_OFF;
+        STAGE_PORT &= (uint8_t)~STAGE_OFF;
     else
-        PORTB |= STAGE_OFF;
+        STAGE_PORT |= STAGE_OFF;
 }
 
 /* The converter runs freely, left-adjusted: its upper eight bits are as good as an ADC0804. */
@@ -119,8 +141,9 @@ static uint8_t cause(void)
 
 static void start_peripherals(void)
 {
-    PORTB = STAGE_OFF;
-    DDRB = 0x1f;
+    STAGE_PORT |= STAGE_OFF;               /* before its direction: never low */
+    STAGE_DDR |= STAGE_OFF;
+    DDRB |= 0x0f;
     PORTD = _BV(PD2);                      /* pull-up for an open-collector encoder */
     DDRD = 0xf0;
     EICRA = _BV(ISC01) | _BV(ISC00);       /* rising edge */
@@ -129,7 +152,7 @@ static void start_peripherals(void)
     OCR2A = 249;
     TCCR2B = _BV(CS22) | _BV(CS21);
     TIMSK2 = _BV(OCIE2A);
-    ADMUX = _BV(REFS0) | _BV(ADLAR);
+    ADMUX = _BV(REFS0) | _BV(ADLAR) | ADC_CHANNEL;
     ADCSRB = 0;
     ADCSRA = _BV(ADEN) | _BV(ADSC) | _BV(ADATE) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0);
     UCSR0A = _BV(U2X0);                    /* before the divider: simavr computes the rate on that write */

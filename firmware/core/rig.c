@@ -268,7 +268,7 @@ static void advance_ramp(void)
         return;
     }
     drive((uint8_t)(level >> 8));
-    level += slope;              /* at most 239 * 256 + 0x1000: no overflow */
+    level += slope;              /* at most 240 * 256 - 1 + 0x1000: no overflow */
 }
 
 static void put16(uint8_t at, uint16_t value)

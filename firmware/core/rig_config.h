@@ -1,6 +1,7 @@
-/* What this rig's firmware is built for. The host reads these figures from the HELLO reply and
- * refuses to arm a rig whose figures differ from its rig file. Those in #ifndef may be given to the compiler:
- * make DEFINES="-DCOUNTS_PER_REV=10000u -DCOUNTS_DOWN=1 -DMAX_SPEED=986u" */
+/* What this rig's firmware is built for. The host reads scales and figures from the HELLO reply and refuses to arm
+ * a rig whose figures differ from its rig file. Each may be given to the compiler instead of being edited here:
+ * make firmware DEFINES="-DCOUNTS_PER_REV=10000u -DCOUNTS_DOWN=1 -DMAX_SPEED=986u"
+ * The table of them all, pins included, is in docs/howto/rig_build.md. */
 #ifndef RIG_CONFIG_H
 #define RIG_CONFIG_H
 
@@ -12,7 +13,7 @@
 #ifndef COUNTS_DOWN
 #define COUNTS_DOWN 0             /* 1: a decoder gives a pulse and a direction, and the counts go down backwards */
 #endif
-#define TICK_US 20000u            /* one report per tick */
+#define TICK_US 20000u            /* one report per tick; the timers of both boards count it: not to be given */
 #ifndef DAC_FULL_SCALE
 #define DAC_FULL_SCALE 20000u     /* motor torque at DAC code 255, unit 10 uNm: 0.2 Nm */
 #endif
@@ -22,9 +23,6 @@
 
 #ifndef TORQUE_LIMIT_CODE
 #define TORQUE_LIMIT_CODE 229u    /* 0.18 Nm: floor(0.18 / 0.2 * 255) */
-#endif
-#if TORQUE_LIMIT_CODE > 239
-#error "a ramp's torque overflows: TORQUE_LIMIT_CODE may be at most 239"
 #endif
 /* A limit code of 239 says that the limit is lifted: the full scales are in units of 100 uNm then, not 10. */
 #ifndef CURRENT_LIMIT_CODE
@@ -36,11 +34,34 @@
 #ifndef PULSED
 #define PULSED 0                  /* 1: a ramp is on for a tick and off for the moment of a port write, as the source's */
 #endif
+#ifndef CURRENT_LIMIT_TICKS
 #define CURRENT_LIMIT_TICKS 3u    /* consecutive readings above it */
+#endif
+#ifndef WATCHDOG_TICKS
 #define WATCHDOG_TICKS 7u         /* the stage goes off 120..140 ms after the last heartbeat */
+#endif
 #ifndef MAX_SPEED
 #define MAX_SPEED 400u            /* counts per tick: 249 rad/s at the motor */
 #endif
+#ifndef MAX_TRAVEL
 #define MAX_TRAVEL 781u           /* 256 counts each, after arming: 12.8 turns of the load shaft */
+#endif
+
+/* The ramp's level, 256 * code + slope, must fit 16 bits; a limit that no reading exceeds would be none. */
+#if TORQUE_LIMIT_CODE < 1 || TORQUE_LIMIT_CODE > 240
+#error "TORQUE_LIMIT_CODE: accepted are 1 to 240"
+#endif
+#if CURRENT_LIMIT_CODE < 1 || CURRENT_LIMIT_CODE > 254
+#error "CURRENT_LIMIT_CODE: accepted are 1 to 254, because no reading is above 255"
+#endif
+#if WATCHDOG_TICKS < 2 || WATCHDOG_TICKS > 255 || CURRENT_LIMIT_TICKS < 1 || CURRENT_LIMIT_TICKS > 255
+#error "WATCHDOG_TICKS: accepted are 2 to 255; CURRENT_LIMIT_TICKS: 1 to 255"
+#endif
+#if DAC_FULL_SCALE < 1 || DAC_FULL_SCALE > 65535 || ADC_FULL_SCALE < 1 || ADC_FULL_SCALE > 65535
+#error "DAC_FULL_SCALE, ADC_FULL_SCALE: accepted are 1 to 65535, unit 10 uNm"
+#endif
+#if MAX_SPEED < 1 || MAX_SPEED > 32767 || MAX_TRAVEL < 1 || MAX_TRAVEL > 32767
+#error "MAX_SPEED, MAX_TRAVEL: accepted are 1 to 32767"
+#endif
 
 #endif

@@ -2,7 +2,9 @@
  *   P1    DAC0808                P2    ADC0804 in its self-clocking connection (WR tied to INTR)
  *   P3.0  RXD   P3.1  TXD        P3.2  encoder A (INT0, falling edge of the inverted signal), or the decoder's pulse
  *   P3.3  the decoder's direction, high is forward
- *   P3.4  power stage enable, active low: a reset sets all ports high, so off */
+ *   P3.4  power stage enable, active low: a reset sets all ports high, so off
+ * DAC, ADC, direction and enable can be given to the compiler: -DSTAGE_OFF=P3_5; the rest is wired to the processor's
+ * own functions. */
 #include <8051.h>
 #include <stdbool.h>
 
@@ -11,7 +13,21 @@
 #include "rig_config.h"
 
 #define RX_RING 8u
+#ifndef STAGE_OFF
 #define STAGE_OFF P3_4
+#endif
+#ifndef DIRECTION
+#define DIRECTION P3_3
+#endif
+#ifndef DAC_PORT
+#define DAC_PORT P1
+#endif
+#ifndef ADC_PORT
+#define ADC_PORT P2
+#endif
+/* The assembler's name of a bit is that of C with an underscore before it. */
+#define JOINED(a, b) a##b
+#define SYMBOL(name) JOINED(_, name)
 
 __sfr __at(0xa6) WDTRST;     /* AT89S52's watchdog; a write the 89C51 does not notice */
 
@@ -31,7 +47,7 @@ static volatile bool tx_busy;
 /* A reset leaves P1 at 0xFF, full scale; clear it before the C start-up spends a millisecond on RAM. */
 unsigned char _sdcc_external_startup(void)
 {
-    P1 = 0;
+    DAC_PORT = 0;
     return 0;
 }
 
@@ -40,7 +56,7 @@ void encoder_isr(void) __interrupt(0) __naked
 {
 #if COUNTS_DOWN
     __asm
-        jb _P3_3, 00001$
+        jb SYMBOL(DIRECTION), 00001$
         dec _edges
         reti
     00001$:
@@ -112,9 +128,9 @@ uint8_t hal_tick(void)
     return 1;
 }
 
-void hal_dac(uint8_t code) { P1 = code; }
+void hal_dac(uint8_t code) { DAC_PORT = code; }
 void hal_stage(uint8_t on) { STAGE_OFF = !on; }
-uint8_t hal_adc(void) { return P2; }
+uint8_t hal_adc(void) { return ADC_PORT; }
 uint8_t hal_rx_ready(void) { return rx_tail != rx_head; }
 
 uint8_t hal_rx(void)

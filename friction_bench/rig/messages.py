@@ -14,8 +14,8 @@ from rx90_common.base.errors import REFUSED, FailureError
 
 PROTOCOL_VERSION = 1
 HIGHEST_END = 239
-"""Highest code that a ramp may end at: the firmware's 16 bits hold no more than that and one step. A firmware with
-this limit code was built with the limit lifted, and its full scales are in units of 100 uNm instead of 10."""
+"""The limit code of a firmware that was built with the torque limit lifted, where ramps may end.
+Its full scales are in units of 100 uNm instead of 10."""
 MAX_DECODED = 32
 """Longest frame before COBS, in bytes; what is longer is noise."""
 

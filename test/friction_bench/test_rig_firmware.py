@@ -115,7 +115,7 @@ def test_8051_clears_the_dac_within_microseconds_of_power_up(make_board: Callabl
 @pytest.mark.firmware
 def test_8051_without_its_early_clear_is_caught(make_mutant: Callable[..., Any]) -> None:
     """A binary that leaves the ports to the C start-up shows a full-scale DAC for too long."""
-    board = make_mutant("mcs51", "mcs51/hal_mcs51.c", "    P1 = 0;\n", "")
+    board = make_mutant("mcs51", "mcs51/hal_mcs51.c", "    DAC_PORT = 0;\n", "")
     assert time_at_full_scale(board) > 20e-6
 
 

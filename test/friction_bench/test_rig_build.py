@@ -1,0 +1,114 @@
+"""The page that a rig is built from: its parts give the rig file's scales, its table of figures is the firmware's."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+from rig_conformance import Player
+
+from friction_bench.rig.emulated import NativeBoard
+from friction_bench.rig.messages import CommandResult
+from friction_bench.rig.rig_file import load_rig
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs/howto/rig_build.md").read_text(encoding="utf-8")
+UNITS = {"k": 1e3, "": 1.0}
+
+
+def parts(drawing: str) -> dict[str, float]:
+    """Return the resistors of a drawing by their names, ohm."""
+    text = (ROOT / "docs/images" / drawing).read_text(encoding="utf-8")
+    found = re.findall(r">(R\w+) ([\d.]+)(k| Ω)(?= |<)", text)
+    return {name: float(value) * UNITS[unit.replace(" Ω", "")] for name, value, unit in found}
+
+
+def test_drawn_parts_of_the_source_s_board_give_the_rig_file_s_scales() -> None:
+    """Ohm's law through DAC0808, LM324 and ADC0804 as drawn: 0.2 and 0.25 Nm at code 255 within 0.1 %."""
+    rig = load_rig(ROOT / "config/rig/gm8224.yaml")
+    assert rig.plant is not None
+    constant = rig.plant.torque_constant
+    r = parts("rig_8051.svg") | parts("rig_power.svg")
+    volts_per_ampere = r["RS"] * (1.0 + r["R11"] / r["R10"])
+    commanded = 5.0 / r["R1"] * 255 / 256 * r["R4"] / volts_per_ampere
+    half = 5.0 * (r["R15"] + r["R16"]) / (r["R14"] + r["R15"] + r["R16"])
+    measured = 2.0 * half * 255 / 256 / volts_per_ampere
+    assert commanded * constant == pytest.approx(rig.dac_full_scale, rel=1e-3)
+    assert measured * constant == pytest.approx(rig.adc_full_scale, rel=1e-3)
+
+
+def test_drawn_parts_of_the_nano_s_board_give_the_scales_of_its_build() -> None:
+    """Ladder, divider and IPROPI at 450 µA/A give 0.2 Nm and the ADC scale and current limit of the page's command."""
+    rig = load_rig(ROOT / "config/rig/gm8224.yaml")
+    assert rig.plant is not None
+    constant = rig.plant.torque_constant
+    r = parts("rig_nano.svg")
+    full, load, volts_per_ampere = 5.0 * 255 / 256, r["R1"] + r["R2"], 450e-6 * r["R3"]
+    assert full * load / (10e3 + load) / volts_per_ampere * constant == pytest.approx(rig.dac_full_scale, rel=1e-3)
+    scale, limit = map(int, re.findall(r"-DADC_FULL_SCALE=(\d+)u -DCURRENT_LIMIT_CODE=(\d+)u", PAGE)[0])
+    assert full / volts_per_ampere * constant == pytest.approx(scale * 1e-5, rel=1e-3)
+    assert limit == int(1.05 * 0.18 / (scale * 1e-5) * 255)
+
+
+def test_table_of_figures_is_that_of_the_sources() -> None:
+    """Each figure that the compiler may be given stands in the page's table with its default, and no other does."""
+    sources = [path for path in (ROOT / "firmware").rglob("*.[ch]") if path.is_file()]
+    text = "\n".join(path.read_text(encoding="utf-8") for path in sources)
+    names = re.findall(r"#ifndef (\w+)\n#define \1 (\w+)", text)
+    assert dict(re.findall(r"^\| `(\w+)` \| `(\w+)` \|", PAGE, re.MULTILINE)) == dict(names)
+    assert len(names) >= 16
+
+
+def make(target: str, folder: Path, defines: str) -> subprocess.CompletedProcess[str]:
+    """Build the firmware as the page says."""
+    command = ["make", "-s", "-C", str(ROOT / "firmware"), target, f"OUT={folder}", f"DEFINES={defines}"]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_a_library_made_with_other_figures_follows_them(tmp_path: Path) -> None:
+    """Made with another torque limit and scale, the firmware greets with both, obeys code 100 and refuses 101."""
+    done = make("native", tmp_path, "-DTORQUE_LIMIT_CODE=100u -DDAC_FULL_SCALE=30000u -DWATCHDOG_TICKS=20u")
+    assert done.returncode == 0, done.stderr
+    player = Player(NativeBoard(library=tmp_path / "librig_native.so"))
+    player.do_greet(None)
+    assert player.hello is not None
+    assert (player.hello.torque_limit_code, player.hello.watchdog_ticks) == (100, 20)
+    assert player.hello.dac_full_scale == pytest.approx(0.3)
+    player.do_send("arm")
+    player.do_beat(60)
+    player.do_send({"torque": 100})
+    player.do_beat(60)
+    assert (player.board.dac, player.reports[-1].result) == (100, CommandResult.OK)
+    player.do_send({"torque": 101})
+    player.do_beat(60)
+    assert (player.board.dac, player.reports[-1].result) == (100, CommandResult.RANGE)
+
+
+@pytest.mark.parametrize(
+    "define", ["TORQUE_LIMIT_CODE=241", "CURRENT_LIMIT_CODE=255", "WATCHDOG_TICKS=1", "MAX_SPEED=0"]
+)
+def test_a_figure_out_of_range_ends_the_build_with_its_name(define: str, tmp_path: Path) -> None:
+    """A figure that the firmware could not keep is refused by the compiler with its name and what is accepted."""
+    done = make("native", tmp_path, f"-D{define}")
+    assert done.returncode != 0
+    assert re.search(rf'#error "[^"]*{define.partition("=")[0]}[^"]*accepted', done.stderr)
+
+
+@pytest.mark.firmware
+def test_pins_move_in_both_binaries(tmp_path: Path) -> None:
+    """With other pins both boards' programs still build, as large as before, and are others."""
+    pins = {
+        "mcs51": "-DSTAGE_OFF=P3_6 -DDIRECTION=P3_5 -DDAC_PORT=P2 -DADC_PORT=P1 -DCOUNTS_DOWN=1",
+        "avr": "-DSTAGE_PIN=15 -DADC_CHANNEL=6",
+    }
+    for target, defines in pins.items():
+        name = f"rig_{target}.ihx" if target == "mcs51" else "rig_avr.hex"
+        plain = "-DCOUNTS_DOWN=1" if target == "mcs51" else ""
+        for folder, figures in (("plain", plain), ("moved", defines)):
+            done = make(target, tmp_path / folder, figures)
+            assert done.returncode == 0, done.stderr
+        plain_program, moved = ((tmp_path / folder / name).read_text() for folder in ("plain", "moved"))
+        assert plain_program != moved
+        assert len(plain_program) == pytest.approx(len(moved), rel=0.01)
