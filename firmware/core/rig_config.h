@@ -21,10 +21,10 @@
 #define ADC_FULL_SCALE 25000u     /* motor torque at ADC code 255, unit 10 uNm: 0.25 Nm */
 #endif
 
+/* A limit code of 239 says that the limit is lifted: the full scales are in units of 100 uNm then, not 10. */
 #ifndef TORQUE_LIMIT_CODE
 #define TORQUE_LIMIT_CODE 229u    /* 0.18 Nm: floor(0.18 / 0.2 * 255) */
 #endif
-/* A limit code of 239 says that the limit is lifted: the full scales are in units of 100 uNm then, not 10. */
 #ifndef CURRENT_LIMIT_CODE
 #define CURRENT_LIMIT_CODE 193u   /* 0.189 Nm measured: the limit and 5 % for offset and noise */
 #endif
