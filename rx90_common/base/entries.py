@@ -96,27 +96,31 @@ class Number(Entry):
     nonzero: bool = False
     infinite: bool = False
 
+    @property
+    def _each(self) -> str:
+        """Return what stands before the range in words."""
+        return ""
+
     def acceptance(self) -> str:
         """Return the range in words."""
-        return range_text(self.low, self.high, self.above)
+        return f"{self._each}{range_text(self.low, self.high, self.above)}"
 
     def check(self, value: Any) -> Any:
         """Return the number as a float."""
-        return self._number(value, self.acceptance)
+        return self._number(value)
 
-    def _number(self, value: Any, acceptance: Callable[[], str], place: str = "") -> float:
+    def _number(self, value: Any, place: str = "") -> float:
         if type(value) is float and self.low < value < self.high and value:  # most are: a sweep checks thousands
             return value
         if self.infinite and value == math.inf:
             return math.inf
         number = as_number(value)
         if math.isinf(number) or (isinstance(value, float) and math.isnan(value)):  # infinity is > 0, too
-            raise NotAccepted(value, acceptance().replace("a number >", "a finite number >"), place)
+            raise NotAccepted(value, self.acceptance().replace("a number >", "a finite number >"), place)
         if not self.low <= number <= self.high or (self.above and number == self.low):
-            raise NotAccepted(value, acceptance(), place)
+            raise NotAccepted(value, self.acceptance(), place)
         if self.nonzero and number == 0.0:
-            accepted = acceptance().partition("each ")
-            raise NotAccepted(value, f"{''.join(accepted[:2]) * bool(accepted[1])}a finite number other than 0", place)
+            raise NotAccepted(value, f"{self._each}a finite number other than 0", place)
         return number
 
     def rules(self) -> JsonSchema:
@@ -136,15 +140,15 @@ class Numbers(Number):
     _: KW_ONLY
     count: int
 
-    def acceptance(self) -> str:
-        """Return count and range in words."""
-        return f"{self.count} numbers, each {super().acceptance()}"
+    @property
+    def _each(self) -> str:
+        return f"{self.count} numbers, each "
 
     def check(self, value: Any) -> Any:
         """Return them as a tuple."""
         if not isinstance(value, list | tuple) or len(value) != self.count:
             self.refuse(value)
-        return tuple(self._number(each, self.acceptance, f"[{i}]") for i, each in enumerate(value))
+        return tuple(self._number(each, f"[{i}]") for i, each in enumerate(value))
 
     def rules(self) -> JsonSchema:
         """Return length and items."""
