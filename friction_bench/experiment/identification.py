@@ -159,15 +159,15 @@ def slopes_of(ramps: Iterable[RampRecord | UsedRamp]) -> list[float]:
 
 def _usable(
     items: Iterable[_Item], evaluate: Callable[[_Item], _Result]
-) -> tuple[list[_Item], list[_Result], list[str]]:
-    """Return the items that can be evaluated, their results, and why the others cannot, one line each."""
+) -> tuple[list[_Item], list[_Result], list[IdentificationError]]:
+    """Return the items that can be evaluated, their results, and why the others cannot."""
     used, results, reasons = [], [], []
     for item in items:
         try:
             results.append(evaluate(item))
             used.append(item)
         except IdentificationError as error:
-            reasons.append(str(error))
+            reasons.append(error)
     return used, results, reasons
 
 
@@ -211,16 +211,18 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
         repeated=_by_repeats(fit, ramps, scale_uncertainty),
         consistency=float(stats.chi2.sf(*fit.chi_square())),
         stribeck=fit.stribeck,
-        unused=tuple(unused),
+        unused=tuple(map(str, unused)),
     )
 
 
-def _no_ramp_left(reasons: Sequence[str]) -> IdentificationError:
+def _no_ramp_left(reasons: Sequence[IdentificationError]) -> IdentificationError:
     more = f" (and {len(reasons) - 1} more ramps that cannot be used)" if len(reasons) > 1 else ""
-    return IdentificationError(reasons[0] + more if reasons else "no ramp to identify from")
+    return IdentificationError(f"{reasons[0]}{more}" if reasons else "no ramp to identify from")
 
 
-def _one_slope(records: Sequence[RampRecord], scale: float, unused: Sequence[str]) -> RampIdentification:
+def _one_slope(
+    records: Sequence[RampRecord], scale: float, unused: Sequence[IdentificationError]
+) -> RampIdentification:
     """Identify by the source's method alone: with one slope J is unknown."""
     used, fits, reasons = _usable(records, fit_asymptote)
     if not used:
@@ -230,7 +232,8 @@ def _one_slope(records: Sequence[RampRecord], scale: float, unused: Sequence[str
         time = record.time - record.origin
         time = time[time >= fit.window[0]]
         ramps.append(UsedRamp(record, fit.break_away, time, fit.a * time - fit.b, fit))
-    return RampIdentification(tuple(ramps), _by_source(ramps, scale), None, None, 1.0, None, (*unused, *reasons))
+    why = tuple(map(str, (*unused, *reasons)))
+    return RampIdentification(tuple(ramps), _by_source(ramps, scale), None, None, 1.0, None, why)
 
 
 def _asymptote(record: RampRecord, T: float) -> RampFit | None:
@@ -418,14 +421,9 @@ def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -
         IdentificationError: if no load carries an estimate.
     """
     loads = {"no-load": [r for r in records if not r.loaded], "loaded": [r for r in records if r.loaded]}
-    names, parts, refusals = [], [], []
-    for name, ramps in loads.items():
-        if ramps:
-            try:
-                parts.append(identify_ramps(ramps, rig.scale_uncertainty))
-                names.append(name)
-            except IdentificationError as error:
-                refusals.append(error)
+    names, parts, refusals = _usable(
+        [name for name in loads if loads[name]], lambda name: identify_ramps(loads[name], rig.scale_uncertainty)
+    )
     if not parts:
         raise refusals[0] if refusals else IdentificationError("no ramp to identify from")
     joint = joint_friction(parts[0], parts[1], rig) if len(parts) == 2 else None
