@@ -37,8 +37,7 @@ def completion(shell: str, executables: Mapping[str, str]) -> str:
             ros.add_argument("--params-file", metavar="FILE", help="parameter file")
             ros.add_argument("-p", "--param", metavar="NAME:=VALUE", help="parameter")
             ros.add_argument("-r", "--remap", metavar="FROM:=TO", help="other name of a topic, a service or the node")
-        else:
-            import_module(module).add_arguments(parser)
+        import_module(module).add_arguments(parser)
         parser.description = None
         for action in _actions(parser):
             if (found := _completed_by(action, shtab.FILE, shtab.DIRECTORY)) is not None:

@@ -30,6 +30,7 @@ from rx90_emulator.cli.node import NODES
 
 EXECUTABLES = {
     **dict.fromkeys(NODES, "rx90_emulator.cli.node"),
+    "friction_bench": "rx90_emulator.cli.friction_bench",
     "friction_ramp": "rx90_emulator.cli.friction_ramp",
     "friction_presliding": "rx90_emulator.cli.friction_presliding",
     "friction_rig_emulator": "rx90_emulator.cli.friction_rig_emulator",
@@ -72,7 +73,8 @@ def main() -> int:
 
 def execute(program: str, words: Sequence[str] | None = None) -> int:
     """Run an executable as this process's only task, by default with the process's arguments; return its exit code."""
-    if program in NODES:
+    words = sys.argv[1:] if words is None else words
+    if program in NODES and not (words and words[0].isalpha()):  # a node's verb is a command
         leave_when_asked()
     else:
         install_deferred_sigint()
@@ -82,7 +84,7 @@ def execute(program: str, words: Sequence[str] | None = None) -> int:
     # NumPy reads it when it is imported. Matrices are small here: more threads would wait for each other in a loop, and
     # take the processor from whatever else runs.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return run(program, sys.argv[1:] if words is None else words)
+    return run(program, words)
 
 
 def run(program: str, words: Sequence[str]) -> int:

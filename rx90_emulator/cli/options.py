@@ -233,9 +233,9 @@ Verb = tuple[Callable[[argparse.ArgumentParser], None], Callable[[argparse.Names
 """Of a command: what adds its arguments; what runs it, named as the verb, with its description; its line in --help."""
 
 
-def add_verbs(parser: argparse.ArgumentParser, verbs: Sequence[Verb]) -> None:
+def add_verbs(parser: argparse.ArgumentParser, verbs: Sequence[Verb], required: bool = True) -> None:
     """Add a parser for each verb, whose function `options.run` then is."""
-    added = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+    added = parser.add_subparsers(dest="verb", required=required, metavar="VERB")
     for add, run, text in verbs:
         one = added.add_parser(run.__name__.strip("_"), help=text, description=inspect.getdoc(run))
         one.set_defaults(run=run)

@@ -1,0 +1,488 @@
+"""The bring-up check of a board that has just been soldered: each line, sign, scale and the watchdog, step by step.
+
+Each step says what to prepare, asks before it switches anything on, and compares what the rig reports, and what a
+person measures or sees, with what the board's drawing (docs/howto/rig_build.md) and the rig file let one expect. The
+steps before the motor's supply is switched on show that the board takes a torque away; only then a torque is applied.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import textwrap
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from friction_bench.experiment.findings import (
+    BOARDS,
+    INDENT,
+    OF_PROCESSOR,
+    Board,
+    Comparison,
+    Person,
+    StepResult,
+    Terminal,
+)
+from friction_bench.experiment.session import RANGES, armed, refuse_fault
+from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.messages import (
+    PROCESSORS,
+    Command,
+    CommandResult,
+    Fault,
+    RigError,
+    RigLostError,
+    RigRefusedError,
+    State,
+    fault_text,
+)
+from friction_bench.rig.rig_file import CODES, Rig, load_rig
+from friction_bench.rig.serial_port import SerialPort
+from rx90_common.base.config import yaml_text
+from rx90_common.base.errors import DONE, FAILED, VERDICT_NO, ConfigError
+from rx90_common.base.quoting import one_line, plain, quoted
+from rx90_common.base.share import resolve_config
+from rx90_common.process.files import write_text
+from rx90_common.process.interrupts import interrupts_later
+
+ENABLE_VOLTS = 0.5
+"""Tolerance of the enable's levels, V: outputs of 0.45 V when low, 0.2 V for the port's own pull-up when high."""
+VOLTS = 0.02, 0.02
+"""Tolerance of a set-point, share and V: resistors of 1 %; offset of 7 mV and half a step of 8 mV."""
+AMPERES = 0.05, 0.03
+"""Of a current: sense resistor and gain, 2.4 %, and a meter of 2 %; 30 mA for an untrimmed offset, or ripple."""
+READING = 0.05, 2.0
+"""Of the mean of ADC codes, share and codes: gain and reference, 2.4 %, and noise; quantisation and offset."""
+TURN_SHARE = 0.05
+"""Of a turn by hand: 18 degrees."""
+PARTS = 0.25, 0.5
+"""Of the highest DAC code: those at which scales are compared."""
+WIDTH = 100
+"""Of the texts, characters."""
+LISTENED_TICKS = 50
+SETTLING_TICKS, AVERAGED_TICKS = 15, 50
+LONGEST_HOLD = 30.0
+"""For which a torque stands while a person measures, s: a stalled motor and its stage get hot."""
+TURNED_SHARE = 0.05
+"""Of a turn: a shaft that has moved so far turns, and has not only given way."""
+DWELL_TICKS = 5
+"""For which a code is held when a torque is looked for that turns the shaft."""
+
+
+class SkippedError(Exception):
+    """A step that the person does not want, or that nobody is there for."""
+
+
+class BringUp:
+    """The check of one rig.
+
+    Args:
+        client: of the rig, which need not have been greeted.
+        person: at the rig.
+        board: one of BOARDS; by default the one of the processor that greets.
+
+    Attributes:
+        results: of the steps so far.
+        lost: the rig does not answer any more.
+    """
+
+    def __init__(self, client: RigClient, person: Person, board: str | None = None) -> None:
+        self.client, self.rig, self.person = client, client.rig, person
+        self.results: list[StepResult] = []
+        self.lost = False
+        self._name = board
+        self._until = float("inf")
+
+    @property
+    def board(self) -> Board:
+        """Return the board's figures."""
+        return BOARDS[self._name or "8051"]
+
+    @property
+    def codes(self) -> list[int]:
+        """Return the DAC codes at which scales are compared."""
+        return [int(part * self._limit) for part in PARTS]
+
+    @property
+    def _limit(self) -> int:
+        assert self.client.hello is not None  # the first step has greeted it
+        return self.client.hello.torque_limit_code
+
+    def run(self) -> int:
+        """Do all steps, and print what each found.
+
+        Returns:
+            The exit code: 0 all is as expected; 1 something is not, or was not measured; 3 the rig does not answer.
+        """
+        for number, (title, do) in enumerate(STEPS.items(), 1):
+            self.results.append(result := StepResult(title))
+            print(f"\n{number}/{len(STEPS)} {title}", flush=True)
+            try:
+                self._greet()
+                do(self)
+            except SkippedError as skipped:
+                result.left_out.append(str(skipped))
+            except RigError as error:
+                result.faults.append(str(error))
+                self.lost = isinstance(error, RigLostError)
+            except BaseException:
+                result.left_out.append("interrupted")
+                raise
+            self._say("; ".join((result.verdict, *result.faults, *result.left_out)))
+            if self.lost or (number == 1 and result.faults):
+                self._say(
+                    "Nothing else can be checked before this is right. No answer: TXD and RXD exchanged, U5, another "
+                    "baud rate, a processor without program, crystal or supply, a reset that is held."
+                )
+                break
+        return FAILED if self.lost else DONE if self.verdict == "passed" else VERDICT_NO
+
+    @property
+    def verdict(self) -> str:
+        """Return what the steps come to; those that were not reached leave it incomplete at best."""
+        found = {result.verdict for result in self.results}
+        if "failed" in found:
+            return "failed"
+        return "incomplete" if "incomplete" in found or len(self.results) < len(STEPS) else "passed"
+
+    def document(self) -> dict[str, Any]:
+        """Return the results as plain data."""
+        hello, rig = self.client.hello, self.rig
+        firmware = "did not answer" if hello is None else hello.text
+        return {
+            "verdict": self.verdict, "rig": str(rig.file), "board": self.board.name, "firmware": firmware,
+            "steps": [result.document for result in self.results],
+            "not_reached": list(STEPS)[len(self.results):],
+        }  # fmt: skip
+
+    # What the steps are made of.
+
+    def _say(self, text: str) -> None:
+        print(textwrap.fill(text, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT), flush=True)
+
+    def _listen(self, ticks: int) -> list[Sample]:
+        """Return so many readings; raise what a fault bit among them says."""
+        samples: list[Sample] = []
+        while len(samples) < ticks:
+            samples += self._pump()
+        return samples
+
+    def _pump(self) -> list[Sample]:
+        samples = self.client.pump()
+        for sample in samples:
+            refuse_fault(sample)
+        if self.client.port.now() > self._until:
+            self._until = float("inf")
+            self.client.request(Command.TORQUE, 0)
+            self._say(f"the torque is off again after {LONGEST_HOLD:g} s")
+        return samples
+
+    def _greet(self) -> None:
+        """Begin a step with a rig that is disarmed and has no fault latched by the step before."""
+        client = self.client
+        processor = client.connect().processor
+        if self._name is None and processor < len(PROCESSORS):
+            self._name = OF_PROCESSOR.get(PROCESSORS[processor])
+        while client.last is None:
+            client.pump()
+        if client.last.report.fault:
+            self._say(f"A fault was latched and is cleared: {fault_text(client.last.report.fault)}.")
+        client.clear()
+
+    def _ask(self, question: str) -> str:
+        """Return the answer, which may be empty; skip the step where nobody is there."""
+        answer = self.person.answer(question, self._pump)
+        if answer is None:
+            raise SkippedError("nobody answered; the rest of the step was left out")
+        return answer
+
+    def _ready(self, question: str) -> None:
+        """Wait until the person is ready for what the question names; skip the step where they are not."""
+        while (answer := self._ask(f"{question} [Enter, or s skips the step]").lower()) != "":
+            if answer == "s":
+                raise SkippedError("skipped")
+            self._say(f"{quoted(answer)}; accepted: Enter, or s")
+
+    def _fault(self, text: str) -> None:
+        self.results[-1].faults.append(text)
+
+    def _compare(self, name: str, unit: str, expected: float, tolerance: float, found: float) -> None:
+        self.results[-1].quantities.append(comparison := Comparison(name, unit, expected, tolerance, found))
+        self._say(str(comparison))
+
+    def _measure(self, name: str, unit: str, expected: float, tolerance: float) -> None:
+        """Have a quantity measured; Enter leaves it out."""
+        comparison = Comparison(name, unit, expected, tolerance)
+        quantities = self.results[-1].quantities
+        quantities.append(comparison)
+        while answer := self._ask(f"{comparison.expectation} [{unit}, or Enter: not measured]"):
+            try:
+                found = float(answer.replace(",", ".").removesuffix(unit))
+            except ValueError:
+                found = math.nan
+            if not math.isfinite(found):
+                self._say(f"{quoted(answer)}; accepted: a number of {unit}, or Enter")
+                continue
+            quantities[-1] = replace(comparison, found=found)
+            if not quantities[-1].good:
+                self._say(str(quantities[-1]))
+            return
+
+    @contextmanager
+    def _stage_on(self, code: int = 0) -> Iterator[None]:
+        """Hold a code within the block, at most LONGEST_HOLD; whatever ends the block takes the torque away."""
+        with armed(self.client):
+            if code:
+                self.client.request(Command.TORQUE, code)
+                self._until = self.client.port.now() + LONGEST_HOLD
+            try:
+                yield
+                self.client.request(Command.STOP)
+            finally:
+                self._until = float("inf")
+
+    # The steps.
+
+    def _line(self) -> None:
+        client, rig, hello = self.client, self.rig, self.client.hello
+        assert hello is not None
+        name = plain(rig.file.name)
+        self._say(f"{hello.text}: {self.board.name}")
+        self._say(
+            f"{hello.counts_per_revolution} counts a turn, tick {hello.tick_us / 1e3:g} ms, "
+            f"{hello.dac_full_scale:g} Nm at DAC code {CODES}, {hello.adc_full_scale:g} Nm at ADC code {CODES}, all "
+            f"as in {name}"
+        )
+        high, watchdog = rig.torque(hello.torque_limit_code), hello.watchdog_ticks * rig.tick
+        self._say(f"highest DAC code {hello.torque_limit_code}, {high:.3g} Nm; watchdog {1e3 * watchdog:g} ms")
+        try:
+            client.request(Command.LIMITS, *rig.limit_codes())
+        except RigRefusedError as error:
+            raise RigRefusedError(f"{error}: limits of {name} are above MAX_TRAVEL or MAX_SPEED") from None
+        for torque in (rig.ramps.end_torque, rig.ramps.end_torque_loaded):
+            client.end_code(torque)  # refused here, not in the first measurement
+        lost, bad, first = client.lost_reports, client.bad_frames, self._listen(1)[0].report.bad_frames
+        last = self._listen(LISTENED_TICKS)[-1].report.bad_frames
+        self._compare(f"of {LISTENED_TICKS} reports lost", "reports", 0, 0, client.lost_reports - lost)
+        self._compare("damaged frames", "frames", 0, 0, client.bad_frames - bad + (last - first) % 256)
+
+    def _idle(self) -> None:
+        self._say(
+            "Open S1 (the motor's supply is off), switch on all other supplies. Stage off, DAC code 0: no torque. "
+            "Measure with a voltmeter against GND."
+        )
+        samples = self._listen(LISTENED_TICKS)
+        report = samples[-1].report
+        if report.state != State.DISARMED or report.dac:
+            self.results[-1].faults.append(
+                f"state {report.state.name}, DAC code {report.dac}; expected: DISARMED and 0"
+            )
+        self._compare("ADC code", "codes", 0, READING[1], _mean_reading(samples))
+        moved = max(sample.counts for sample in samples) - min(sample.counts for sample in samples)
+        self._compare("encoder counts of a shaft at rest", "counts", 0, 1, moved)
+        self._measure(self.board.enable, "V", self.board.off, ENABLE_VOLTS)
+        self._measure("VSET", "V", 0.0, VOLTS[1])
+        self._measure(self.board.sense, "V", 0.0, VOLTS[1])
+
+    def _enable(self) -> None:
+        self._say("S1 stays open. The stage is switched on with DAC code 0, then off.")
+        self._ready("Switch the stage on, without torque")
+        with self._stage_on():
+            self._measure(f"{self.board.enable} with the stage on", "V", self.board.on, ENABLE_VOLTS)
+        self._measure(f"{self.board.enable} off again", "V", self.board.off, ENABLE_VOLTS)
+
+    def _set_point(self) -> None:
+        for code in self.codes:
+            self._say(
+                f"S1 stays open, so that no current flows. DAC code {code} would be {self.rig.torque(code):.4g} Nm."
+            )
+            self._ready(f"Put code {code} on the DAC")
+            with self._stage_on(code):
+                expected = self.board.set_point * code / CODES
+                self._measure(f"VSET at code {code}", "V", expected, VOLTS[0] * expected + VOLTS[1])
+
+    def _torque_limit(self) -> None:
+        limit = self._limit
+        self._say(f"S1 stays open. Codes above {limit} are sent, which the firmware must refuse.")
+        self._ready(f"Send codes above {limit}")
+        with self._stage_on():
+            for command, values in (
+                (Command.TORQUE, (limit + 1,)),
+                (Command.TORQUE, (CODES,)),
+                (Command.RAMP, (1, limit + 1)),
+            ):
+                try:
+                    self.client.request(command, *values)
+                    answer = "obeyed"
+                except RigRefusedError as error:
+                    answer = str(error)
+                last = self.client.last
+                assert last is not None
+                if last.report.result != CommandResult.RANGE or last.report.dac:
+                    raise RigError(f"{command.name} code {values[-1]}: {answer}; expected: a refusal, and no torque")
+        self._say(f"TORQUE {limit + 1} and {CODES} and a RAMP to {limit + 1} are refused")
+
+    def _watchdog(self) -> None:
+        client, code, hello = self.client, self.codes[0], self.client.hello
+        assert hello is not None
+        expected = hello.watchdog_ticks * self.rig.tick
+        self._say(
+            f"S1 stays open. Code {code} is put on the DAC, then this computer is silent: after {1e3 * expected:g} ms "
+            f"at most the firmware must switch the stage off. (An oscilloscope at {self.board.enable} shows it, too.)"
+        )
+        self._ready(f"Put code {code} on the DAC, and fall silent")
+        with armed(client):
+            client.request(Command.TORQUE, code)
+            took = self._silence(3 * hello.watchdog_ticks)
+            if took is None:
+                client.request(Command.STOP)
+                raise RigError(f"the torque stayed on for {3 * expected:g} s without a host: the watchdog does not act")
+            tolerance = 1e3 * self.rig.tick  # a report may be lost
+            self._compare("from the last frame to torque off, at most", "ms", 1e3 * expected, tolerance, 1e3 * took)
+        client.clear()
+        self._measure(f"{self.board.enable} after that", "V", self.board.off, ENABLE_VOLTS)
+
+    def _silence(self, ticks: int) -> float | None:
+        """Send a last frame; return the time until the torque is off, s, at most; None if it stays on so many ticks.
+
+        The frame came within the tick before the first report that answers it.
+        """
+        client = self.client
+        assert client.last is not None
+        before, answered, end = client.last.report.ack_sequence, None, client.last.tick + ticks
+        client.beating = False
+        try:
+            client.send_torque(client.last.report.dac)
+            while client.last.tick < end:
+                for sample in client.pump():
+                    if answered is None and sample.report.ack_sequence != before:
+                        answered = sample.tick
+                    if Fault.WATCHDOG in sample.report.fault and sample.report.dac == 0:
+                        if answered is None:
+                            raise RigError("the last frame was lost on the line; check again")
+                        return (sample.tick - answered + 1) * self.rig.tick
+        finally:
+            client.beating = True
+        return None
+
+    def _encoder(self) -> None:
+        rig, counts = self.rig, self.rig.counts_per_revolution
+        self._say(
+            f"S1 stays open. Turn the motor's shaft by hand by one whole turn, 1/{rig.gear_ratio:g} turn of the load's "
+            "shaft; positive is the sense in which the motor is to turn it."
+        )
+        found = {}
+        for sense, sign in {"positive": 1, "negative": -1}.items() if rig.counts_down else (("positive", 1),):
+            before = self._listen(1)[0].counts
+            self._ready(f"Turn it once in the {sense} sense")
+            found[sense] = moved = self._listen(2)[-1].counts - before
+            self._compare(f"one {sense} turn", "counts", sign * counts, TURN_SHARE * counts, moved)
+        wrong = [sense for sense, moved in found.items() if moved * (1 if sense == "positive" else -1) < 0]
+        if not any(found.values()):
+            self._fault("no counts: the encoder's supply or line A, or the decoder's pulse, is missing")
+        elif len(wrong) == 2:
+            self._fault("both signs are wrong: lines A and B are exchanged")
+        elif wrong:
+            self._fault(f"only the {wrong[0]} turn has the wrong sign: the direction's line is missing, or line B")
+        if not rig.counts_down:
+            self._say("This encoder counts up in both senses: it has no sign to check.")
+
+    def _sense_of_torque(self) -> None:
+        rig, client, most = self.rig, self.client, self.codes[-1]
+        self._say(
+            "Close S1; keep a hand on it. The shaft must be free to turn. The torque rises code by code until the "
+            f"shaft has turned by {TURNED_SHARE:g} of a turn, at most to code {most}, {rig.torque(most):.3g} Nm, and "
+            "goes off. Watch the shaft."
+        )
+        self._ready("Apply the torque")
+        start, moved, code = self._listen(1)[0].counts, 0, 0
+        enough = max(2.0, TURNED_SHARE * rig.counts_per_revolution)
+        with self._stage_on():
+            while abs(moved) < enough and code < most:
+                code += 1
+                client.request(Command.TORQUE, code)
+                moved = self._listen(DWELL_TICKS)[-1].counts - start
+        if abs(moved) < enough:
+            reasons = "no torque (S1, F1, motor), a shaft that is held, or no encoder"
+            raise RigError(f"{moved} counts up to code {most}: {reasons}")
+        self._say(f"turned at code {code}, {rig.torque(code):.3g} Nm: {moved} counts")
+        if moved < 0:
+            self._fault("the torque counts down: the motor's leads are exchanged, or the encoder's lines")
+        question = "Did it turn in the positive sense? [y, n, or Enter: not seen]"
+        while (answer := self._ask(question).lower()) not in ("y", "n", ""):
+            self._say(f"{quoted(answer)}; accepted: y, n, or Enter")
+        if answer == "n":
+            self._fault("the torque turns the shaft in the negative sense: exchange the motor's leads")
+        elif not answer:
+            self.results[-1].left_out.append("nobody saw in which sense the shaft turned")
+
+    def _current(self) -> None:
+        self._say(
+            "Open S1. Clamp the shaft, put an ammeter (10 A) in series with the motor, close S1. Measure at once: a "
+            f"torque stands until you answer, at most {LONGEST_HOLD:g} s. {self.rig.dac_full_scale:g} Nm and "
+            f"{self.board.current(CODES):.4g} A at code {CODES} mean a torque constant of "
+            f"{self.rig.dac_full_scale / self.board.current(CODES):.3g} Nm/A."
+        )
+        for code in self.codes:
+            torque, current = self.rig.torque(code), self.board.current(code)
+            self._ready(f"Apply code {code}: {torque:.4g} Nm, {current:.3g} A")
+            with self._stage_on(code):
+                self._listen(SETTLING_TICKS)
+                reading = _mean_reading(self._listen(AVERAGED_TICKS))
+                expected = torque / self.rig.adc_full_scale * CODES
+                tolerance = READING[0] * expected + READING[1]
+                self._compare(f"ADC code at code {code}", "codes", expected, tolerance, reading)
+                self._measure(f"current at code {code}", "A", current, AMPERES[0] * current + AMPERES[1])
+                volts = current * self.board.gain
+                self._measure(f"{self.board.sense} at code {code}", "V", volts, AMPERES[0] * volts + VOLTS[1])
+
+
+STEPS: dict[str, Callable[[BringUp], None]] = {
+    "Serial line and greeting": BringUp._line,
+    "Idle: no torque": BringUp._idle,
+    "Enable": BringUp._enable,
+    "Set-point": BringUp._set_point,
+    "Torque limit": BringUp._torque_limit,
+    "Watchdog": BringUp._watchdog,
+    "Encoder": BringUp._encoder,
+    "Sense of the torque": BringUp._sense_of_torque,
+    "Current and its reading": BringUp._current,
+}
+"""By their titles; the motor's supply is on from the sense of the torque on."""
+
+
+def _mean_reading(samples: list[Sample]) -> float:
+    return sum(sample.report.adc for sample in samples) / len(samples)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Check the rig at a port; what was found stands in `--output` however the check ends.
+
+    Returns:
+        The exit code of `BringUp.run`.
+
+    Raises:
+        Rx90Error: for what is refused, or a port that cannot be opened.
+    """
+    rig: Rig = load_rig(resolve_config(options.rig))
+    low, high = RANGES["baud"]
+    if options.baud is not None and not low <= options.baud <= high:
+        raise ConfigError(f"--baud is {options.baud}; accepted: {low} to {high}")
+    port = SerialPort(options.port, options.baud or rig.baud)
+    check = BringUp(RigClient(port, rig), Terminal(), options.board)
+    output: Path | None = options.output
+    try:
+        print("Nothing is switched on before you say so; Ctrl-C takes the torque away. S1 is the emergency stop.")
+        code = check.run()
+    finally:
+        with interrupts_later():
+            port.close()
+            if output is not None:
+                write_text(output, yaml_text(check.document()))
+    print(f"\n{check.verdict}")
+    for result in check.results:
+        print(one_line("; ".join((f"{INDENT}{result.title}: {result.verdict}", *result.reasons))))
+    return code

@@ -1,0 +1,441 @@
+"""The bring-up check, by emulated hands and meters: a good board passes, each fault is found by its step."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import signal
+import subprocess
+import tty
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from processes import TIMEOUT, command
+from rig_bench import PatientRig, greeted
+from test_rig_build import parts
+
+from friction_bench.experiment import bring_up
+from friction_bench.experiment.bring_up import LONGEST_HOLD, STEPS, BringUp
+from friction_bench.experiment.findings import BOARDS, OF_PROCESSOR, Comparison, StepResult
+from friction_bench.rig.client import RigClient
+from friction_bench.rig.emulated import EmulatedRig
+from friction_bench.rig.messages import PROCESSORS
+from friction_bench.rig.rig_file import Rig, load_rig
+from rx90_common.base.share import PRESLIDING_RIG, config_path
+from rx90_emulator.cli import friction_bench as command_line
+from rx90_emulator.cli.frame import run
+
+LINE, IDLE, ENABLE, SET_POINT, LIMIT, WATCHDOG, ENCODER, SENSE, CURRENT = STEPS
+CLAMPED = 10.0
+"""Coulomb friction of a shaft that is clamped, Nm."""
+
+
+class Hands:
+    """A person whose shaft is the emulated plant's, and whose meters show what the board's pins and the motor do.
+
+    Attributes:
+        meters: factors of what is measured, by the beginning of its name.
+        sense: the answer to whether the shaft turned in the positive sense.
+        armed_when_asked: questions before which the stage was on although it asks to be switched on.
+    """
+
+    def __init__(self, client: RigClient, board: str = "8051") -> None:
+        self.emulated: EmulatedRig = client.port.emulated  # type: ignore[attr-defined]
+        self.board = BOARDS[board]
+        self.meters: dict[str, float] = {}
+        self.sense = "y"
+        self.armed_when_asked: list[str] = []
+        self.questions: list[str] = []
+        self._free = list(self.emulated.plant._shafts)
+        self.clamp(True)
+
+    def clamp(self, clamped: bool) -> None:
+        """Clamp the shaft, or let it go."""
+        held = [shaft._replace(coulomb=CLAMPED) for shaft in self._free]
+        self.emulated.plant._shafts = held if clamped else list(self._free)
+
+    def turn(self, sign: int) -> None:
+        """Turn the motor's shaft once by hand, in 0.2 s."""
+        for _ in range(100):
+            self.emulated.plant.angle += sign * 2.0 * 3.14159265 / 100
+            self.emulated.advance(0.002)
+
+    def answer(self, question: str, meanwhile: Callable[[], object]) -> str | None:
+        """Do what is asked, or measure."""
+        self.questions.append(question)
+        board, plant = self.emulated.board, self.emulated.plant
+        if question.startswith("Did it turn"):
+            return self.sense
+        if "[Enter, or s" in question:
+            if board.stage_on or board.dac:
+                self.armed_when_asked.append(question)
+            self.clamp(not question.startswith("Apply the torque"))
+            if question.startswith("Turn it once"):
+                self.turn(-1 if "negative" in question else 1)
+            return ""
+        torque = 0.0
+        for _ in range(25):  # what a meter averages
+            meanwhile()
+            torque += plant.torque / 25
+        assert plant.parameters.torque_constant
+        current = torque / plant.parameters.torque_constant
+        values = {
+            self.board.enable: self.board.on if board.stage_on else self.board.off,
+            "VSET": self.board.set_point * board.dac / 255,
+            self.board.sense: self.board.gain * current,
+            "current": current,
+        }
+        name = next(name for name in values if question.startswith(name))
+        return f"{values[name] * self.meters.get(name, 1.0):.4f}"
+
+
+def check(client: RigClient, tamper: Callable[[Hands], object] = lambda _: None, board: str = "8051") -> BringUp:
+    """Check a rig that somebody has tampered with, whose processor stands on a board."""
+    hands = Hands(client, board)
+    tamper(hands)
+    bring_up_check = BringUp(client, hands)
+    bring_up_check.run()
+    assert hands.armed_when_asked == []
+    return bring_up_check
+
+
+def failed(found: BringUp) -> dict[str, str]:
+    """Return why each failed step failed."""
+    return {one.title: "; ".join(one.reasons) for one in found.results if one.verdict == "failed"}
+
+
+@pytest.mark.parametrize("target", ["native", *(pytest.param(t, marks=pytest.mark.firmware) for t in ("mcs51", "avr"))])
+def test_a_good_board_passes(
+    target: str, make_board: Callable[..., Any], rig: Rig, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the firmware of each processor all nine steps pass, and the page shows that run but for its numbers."""
+    client = greeted(rig, board=make_board(target))
+    found = check(client, board=OF_PROCESSOR.get(target, "8051"))
+    assert {one.title: one.reasons for one in found.results} == dict.fromkeys(STEPS, [])
+    assert found.verdict == "passed"
+    assert [PROCESSORS[client.hello.processor] if client.hello else None] == [target]
+
+
+def wrap(hands: Hands, name: str, change: Callable[[Any], Any]) -> None:
+    """Change what a method of the plant returns."""
+    original = getattr(hands.emulated.plant, name)
+    setattr(hands.emulated.plant, name, lambda *arguments: change(original(*arguments)))
+
+
+def noisy(hands: Hands) -> None:
+    """Let an encoder line that nobody connected count along."""
+    wrap(hands, "advance", lambda edges: edges + 1)
+
+
+PLANT_FAULTS: dict[str, tuple[bool, Callable[[Hands], object], dict[str, str]]] = {
+    "encoder lines exchanged": (
+        True,
+        lambda hands: wrap(hands, "advance", lambda edges: -edges),
+        {ENCODER: "lines A and B are exchanged", SENSE: "counts down"},
+    ),
+    "no direction": (True, lambda hands: wrap(hands, "advance", abs), {ENCODER: "only the negative turn"}),
+    "no encoder": (
+        False,
+        lambda hands: wrap(hands, "advance", lambda _: 0),
+        {ENCODER: "no counts", SENSE: "0 counts up to code 114"},
+    ),
+    "half the edges": (
+        False,
+        lambda hands: setattr(hands.emulated.plant, "_scale", hands.emulated.plant._scale / 2),
+        {ENCODER: "found 252: WRONG"},
+    ),
+    "open encoder line": (False, noisy, {IDLE: "encoder counts", ENCODER: "WRONG"}),
+    "set-point 20 % high": (
+        False,
+        lambda hands: (hands.meters.update(VSET=1.2), setattr(hands.emulated.plant, "_gain", 1.2)),
+        {SET_POINT: "VSET at code 57", CURRENT: "ADC code at code 114"},
+    ),
+    "sense resistor 20 % low": (
+        False,
+        lambda hands: hands.meters.update(current=1.2),
+        {CURRENT: "current at code 57: expected 0.9935 ± 0.08 A, found 1.19: WRONG"},
+    ),
+    "converter's reference 20 % low": (
+        False,
+        lambda hands: wrap(hands, "current_reading", lambda torque: 1.2 * torque),
+        {CURRENT: "ADC code at code 57"},
+    ),
+    "motor's leads exchanged": (False, lambda hands: setattr(hands, "sense", "n"), {SENSE: "exchange the motor's"}),
+}
+
+
+@pytest.mark.parametrize("name", PLANT_FAULTS)
+def test_a_fault_of_the_board_is_found_by_its_step(name: str, rig: Rig) -> None:
+    """Each fault fails the steps that show it, with its cause or quantity, and no other step."""
+    tells_direction, tamper, expected = PLANT_FAULTS[name]
+    found = failed(check(greeted(load_rig(config_path(PRESLIDING_RIG)) if tells_direction else rig), tamper))
+    assert found.keys() == expected.keys()
+    for step, text in expected.items():
+        assert text in found[step]
+
+
+FIRMWARE_FAULTS = {
+    "no watchdog": ("core/rig.c", "trip(FAULT_WATCHDOG);", ";", {WATCHDOG: "the watchdog does not act"}),
+    "slow watchdog": ("core/rig.c", ">= WATCHDOG_TICKS", ">= WATCHDOG_TICKS + 5u", {WATCHDOG: "found 240: WRONG"}),
+    "high torque": ("core/rig.c", "if (code > TORQUE_LIMIT_CODE)", "if (0)", {LIMIT: "TORQUE code 230: obeyed"}),
+    "high ramp": ("core/rig.c", "end > TORQUE_LIMIT_CODE", "0", {LIMIT: "RAMP code 230: obeyed"}),
+    "stage stays on": (
+        "core/rig.c", "    hal_stage(0);\n    drive(0);", "    drive(0);",
+        {ENABLE: "off again", WATCHDOG: "after that"},
+    ),
+    "stage never on": (
+        "core/rig.c", "    drive(0);\n    hal_stage(1);", "    drive(0);",
+        {ENABLE: "with the stage on", SENSE: "no torque", CURRENT: "ADC code"},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FIRMWARE_FAULTS)
+def test_a_fault_of_the_firmware_is_found_by_its_step(
+    name: str, rig: Rig, mutant: Callable[[str, str, str], Any]
+) -> None:
+    """A firmware without one of its rules fails the steps that show it, and no other step."""
+    *mutation, expected = FIRMWARE_FAULTS[name]
+    found = failed(check(greeted(rig, board=mutant(*mutation))))  # type: ignore[arg-type]
+    assert found.keys() == expected.keys()  # type: ignore[attr-defined]
+    for step, text in expected.items():  # type: ignore[attr-defined]
+        assert text in found[step]
+
+
+def test_other_figures_than_the_rig_file_s_end_the_check(rig: Rig) -> None:
+    """A firmware for another encoder fails the first step with both numbers; nothing is switched on after that."""
+    client = greeted(rig)
+    client.rig = replace(rig, counts_per_revolution=500)
+    found = BringUp(client, Hands(client))
+    assert found.run() == 1
+    assert "counts_per_revolution is 500, the rig's firmware has 504" in failed(found)[LINE]
+    assert found.document()["not_reached"] == list(STEPS)[1:]
+
+
+@pytest.mark.parametrize("answer", ["s", None])
+def test_nothing_is_switched_on_without_consent(answer: str | None, client: RigClient) -> None:
+    """Where the person skips all, or nobody is there, the stage never comes on, and the check is incomplete."""
+
+    class Unwilling(Hands):
+        def answer(self, question: str, meanwhile: Callable[[], object]) -> str | None:
+            meanwhile()
+            return answer if "[Enter, or s" in question or answer is None else ""
+
+    client.port.emulated.board.switched_on()  # type: ignore[attr-defined]
+    found = BringUp(client, Unwilling(client))
+    assert found.run() == 1
+    assert found.verdict == "incomplete"
+    assert [one.verdict for one in found.results] == ["passed", *["incomplete"] * 8]
+    assert not client.port.emulated.board.switched_on()  # type: ignore[attr-defined]
+
+
+def test_a_torque_stands_no_longer_than_said(client: RigClient) -> None:
+    """A person who measures for longer than LONGEST_HOLD measures no torque at the end, and did before."""
+    seen: list[tuple[float, int]] = []
+
+    class Slow(Hands):
+        def answer(self, question: str, meanwhile: Callable[[], object]) -> str | None:
+            if question.startswith("current at code 57"):
+                start = self.emulated.time
+                while self.emulated.time < start + LONGEST_HOLD + 0.2:
+                    meanwhile()
+                    seen.append((self.emulated.time - start, self.emulated.board.dac))
+            return super().answer(question, meanwhile)
+
+    BringUp(client, Slow(client)).run()
+    assert {dac for time, dac in seen if time < LONGEST_HOLD - 2.0} == {57}
+    assert {dac for time, dac in seen if time > LONGEST_HOLD + 0.1} == {0}
+
+
+@pytest.fixture
+def at_port(client: RigClient, monkeypatch: pytest.MonkeyPatch) -> Callable[[type[Hands]], Hands]:
+    """Return what puts the emulated rig at each port, and a person at standard input."""
+
+    def put(person: type[Hands]) -> Hands:
+        hands = person(client)
+        monkeypatch.setattr(bring_up, "SerialPort", lambda *_: client.port)
+        monkeypatch.setattr(bring_up, "Terminal", lambda: hands)
+        return hands
+
+    return put
+
+
+def test_command_writes_what_was_found(
+    at_port: Callable[[type[Hands]], Hands], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 0, the verdict at the end, and a file in which each quantity is as expected; a second run keeps it."""
+    at_port(Hands)
+    out = tmp_path / "check.yaml"
+    words = ["check", "--port", "/dev/ttyUSB0", "--output", str(out)]
+    assert run("friction_bench", words) == 0
+    assert capsys.readouterr().out.splitlines()[-10] == "passed"
+    document = yaml.safe_load(out.read_text())
+    assert (document["verdict"], document["not_reached"]) == ("passed", [])
+    assert [step["step"] for step in document["steps"]] == list(STEPS)
+    assert {one["as_expected"] for step in document["steps"] for one in step["quantities"]} == {True}
+    assert run("friction_bench", words) == 2
+    assert "exists; accepted: a new name" in capsys.readouterr().err
+
+
+def test_ctrl_c_takes_the_torque_away(
+    at_port: Callable[[type[Hands]], Hands], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Interrupted under torque the stage is off before the watchdog could act, and what was found is written."""
+
+    class Frightened(Hands):
+        def answer(self, question: str, meanwhile: Callable[[], object]) -> str | None:
+            if question.startswith("current at code 114"):
+                assert (self.emulated.board.stage_on, self.emulated.board.dac) == (True, 114)
+                raise KeyboardInterrupt
+            return super().answer(question, meanwhile)
+
+    hands, out = at_port(Frightened), tmp_path / "check.yaml"
+    assert run("friction_bench", ["check", "--port", "/dev/ttyUSB0", "--output", str(out)]) == 130
+    assert "interrupted; the torque is off" in capsys.readouterr().err
+    hands.emulated.advance(0.03)
+    assert (hands.emulated.board.stage_on, hands.emulated.board.dac) == (False, 0)
+    document = yaml.safe_load(out.read_text())
+    assert document["verdict"] == "incomplete"
+    assert document["steps"][-1]["left_out"] == ["interrupted"]
+
+
+def test_no_firmware_is_found_by_the_first_step(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A line on which nobody answers: exit code 3, what to look at, and a file that says so."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    out = tmp_path / "check.yaml"
+    try:
+        assert run("friction_bench", ["check", "--port", os.ttyname(slave), "--output", str(out)]) == 3
+    finally:
+        os.close(master)
+        os.close(slave)
+    assert "failed; no rig answers within 3 s" in capsys.readouterr().out
+    document = yaml.safe_load(out.read_text())
+    assert (document["verdict"], document["firmware"]) == ("failed", "did not answer")
+    assert document["not_reached"] == list(STEPS)[1:]
+
+
+def test_terminal_keeps_the_rig_alive_while_it_waits(rig: Rig, tmp_path: Path) -> None:
+    """As a process, with answers that come when they are asked for: under torque the rig waits for them."""
+    pty_rig = PatientRig(EmulatedRig(rig, 1), tmp_path / "rig")
+    pty_rig.patient = True
+    words = ["check", "--port", str(tmp_path / "rig"), "--output", str(tmp_path / "check.yaml")]
+    process = subprocess.Popen(
+        command("friction_bench", *words), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        output = b""
+
+        def until(text: bytes) -> None:
+            nonlocal output
+            while text not in output:
+                data = os.read(process.stdout.fileno(), 4096)  # type: ignore[union-attr]
+                assert data, output.decode()
+                output += data
+
+        process.stdin.write(b"2,76 V\nalmost nothing\n0\n\n\n")  # idle, and the stage on
+        process.stdin.flush()
+        until(b"'almost nothing'; accepted: a number of V, or Enter")
+        until(b"with the stage on: expected 0")
+        time = pty_rig.emulated.time
+        while pty_rig.emulated.time < time + 0.5:  # four times the watchdog's
+            assert process.poll() is None
+        assert pty_rig.emulated.board.stage_on
+        process.stdin.write(b"0\n2.8\ns\n")
+        process.stdin.close()
+        out, _ = process.communicate(timeout=TIMEOUT)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        pty_rig.close()
+    assert process.returncode == 1, out
+    document = yaml.safe_load((tmp_path / "check.yaml").read_text())
+    verdicts = {step["step"]: step["verdict"] for step in document["steps"]}
+    assert [verdicts[title] for title in (LINE, IDLE, ENABLE, SET_POINT)] == [
+        "passed", "incomplete", "passed", "incomplete",
+    ]  # fmt: skip
+    found = [one["found"] for one in document["steps"][1]["quantities"]][2:]
+    assert found == [2.76, 0.0, "not measured"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("check", "the following arguments are required: --port"),
+        ("check --port nonsense://x", "nonsense://x: cannot be opened"),
+        ("check --port /dev/ttyUSB0 --baud 5", "--baud is 5; accepted: 1200 to 1000000"),
+        ("check --port /dev/ttyUSB0 --rig nothing.yaml", "no file 'nothing.yaml'"),
+        ("check --port /dev/ttyUSB0 --board uno", "invalid choice: 'uno'"),
+        (
+            "check --port /dev/ttyUSB0 --ros-args -p seed:=1",
+            "--ros-args -p seed:=1 with check; accepted: with the node",
+        ),
+        ("chek", "invalid choice: 'chek'"),
+    ],
+)
+def test_mistakes_are_refused(words: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A user's mistake is one line with what is accepted, and exit code 2."""
+    assert run("friction_bench", words.split()) == 2
+    assert message in capsys.readouterr().err.strip().splitlines()[-1]
+
+
+def test_points_of_the_boards_are_those_of_their_drawings() -> None:
+    """Ohm's law through the drawn parts gives the voltages that the check lets one expect, within 0.2 %."""
+    r = parts("rig_8051.svg") | parts("rig_power.svg")
+    source, nano = BOARDS["8051"], BOARDS["nano"]
+    assert source.set_point == pytest.approx(5.0 / r["R1"] * 255 / 256 * r["R4"], rel=2e-3)
+    assert source.gain == pytest.approx(r["RS"] * (1.0 + r["R11"] / r["R10"]), rel=2e-3)
+    base, diode = 0.7, 0.7
+    off = (5.0 / r["R9"] + base / r["R8"] + diode / (r["R6"] + r["R5"])) / (
+        1.0 / r["R9"] + 1.0 / r["R8"] + 1.0 / (r["R6"] + r["R5"])
+    )
+    assert source.off == pytest.approx(off, rel=5e-3)
+    r = parts("rig_nano.svg")
+    load = r["R1"] + r["R2"]
+    assert nano.set_point == pytest.approx(5.0 * 255 / 256 * load / (10e3 + load), rel=2e-3)
+    assert nano.gain == pytest.approx(450e-6 * r["R3"], rel=2e-3)
+    assert set(command_line.BOARDS) == set(BOARDS)
+
+
+def test_a_comparison_holds_up_to_its_tolerance() -> None:
+    """The bound itself is good, what lies beyond is not, and what was not measured makes a step incomplete."""
+    one = Comparison("VSET", "V", 1.0, 0.5)
+    assert [replace(one, found=found).good for found in (0.5, 1.5, 0.49, 1.51, None)] == [
+        True,
+        True,
+        False,
+        False,
+        False,
+    ]
+    assert [StepResult("x", [replace(one, found=found)]).verdict for found in (1.2, None, 2.0)] == [
+        "passed", "incomplete", "failed",
+    ]  # fmt: skip
+
+
+PAGE = Path(__file__).resolve().parents[2] / "docs/howto/rig_build.md"
+
+
+def test_page_shows_the_output(client: RigClient, capsys: pytest.CaptureFixture[str]) -> None:
+    """The page's transcript is what the check prints on a good board, but for the numbers that are measured."""
+
+    class Heard(Hands):
+        def answer(self, question: str, meanwhile: Callable[[], object]) -> str | None:
+            answer = super().answer(question, meanwhile)
+            print(f"   {question}: {answer}")
+            return answer
+
+    BringUp(client, Heard(client)).run()
+    printed = capsys.readouterr().out.strip()
+    shown = re.findall(r"```text\n(1/9 .*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[0].strip()
+
+    def words(text: str) -> str:
+        return re.sub(r"[-\d.]+", "#", text.replace("...\n", ""))
+
+    assert words(shown) == words(printed)
