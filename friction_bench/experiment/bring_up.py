@@ -378,7 +378,7 @@ class BringUp:
         for sense, sign in {"positive": 1, "negative": -1}.items() if rig.counts_down else (("positive", 1),):
             before = self._listen(1)[0].counts
             self._ready(f"Turn it once in the {sense} sense")
-            found[sense] = moved = self._listen(2)[-1].counts - before
+            found[sense] = moved = self._listen(SETTLING_TICKS)[-1].counts - before
             self._compare(f"one {sense} turn", "counts", sign * counts, TURN_SHARE * counts, moved)
         wrong = [sense for sense, moved in found.items() if moved * (1 if sense == "positive" else -1) < 0]
         if not any(found.values()):
@@ -390,7 +390,14 @@ class BringUp:
         if not rig.counts_down:
             self._say("This encoder counts up in both senses: it has no sign to check.")
 
+    def _refuse_unsafe(self) -> None:
+        """Leave a step with a torque out where one before showed that the board does not take a torque away."""
+        unsafe = [one.title for one in self.results if one.title in GUARDS and one.verdict == "failed"]
+        if unsafe:
+            raise SkippedError(f"left out, no torque is applied: failed was {', '.join(unsafe)}")
+
     def _sense_of_torque(self) -> None:
+        self._refuse_unsafe()
         rig, client, most = self.rig, self.client, self.codes[-1]
         self._say(
             "Close S1; keep a hand on it. The shaft must be free to turn. The torque rises code by code until the "
@@ -420,6 +427,7 @@ class BringUp:
             self.results[-1].left_out.append("nobody saw in which sense the shaft turned")
 
     def _current(self) -> None:
+        self._refuse_unsafe()
         self._say(
             "Open S1. Clamp the shaft, put an ammeter (10 A) in series with the motor, close S1. Measure at once: a "
             f"torque stands until you answer, at most {LONGEST_HOLD:g} s. {self.rig.dac_full_scale:g} Nm and "
@@ -452,6 +460,8 @@ STEPS: dict[str, Callable[[BringUp], None]] = {
     "Current and its reading": BringUp._current,
 }
 """By their titles; the motor's supply is on from the sense of the torque on."""
+GUARDS = ("Idle: no torque", "Enable", "Torque limit", "Watchdog")
+"""Steps that must not have failed before a torque is applied."""
 
 
 def _mean_reading(samples: list[Sample]) -> float:

