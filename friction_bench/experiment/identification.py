@@ -288,7 +288,6 @@ def joint_friction(unloaded: RampIdentification, loaded: RampIdentification, rig
     The gear takes the torque to the joint's side with n eta, the viscous coefficient with n^2 eta.
     """
     motor, joint = [], []
-    relative = math.hypot(rig.scale_uncertainty, rig.efficiency_uncertainty / rig.gear_efficiency)
     high, low = loaded.best, unloaded.best
     values = high.coulomb.value - low.coulomb.value, high.viscous.value - low.viscous.value
     for index, (value, factor) in enumerate(zip(values, (1.0, rig.gear_ratio), strict=True)):
@@ -298,7 +297,7 @@ def joint_friction(unloaded: RampIdentification, loaded: RampIdentification, rig
         shares = variances[0] ** 2 / high.freedom + variances[1] ** 2 / low.freedom
         freedom = float(sum(variances)) ** 2 / shares if shares > 0.0 else math.inf
         motor.append(interval(value, random, freedom, rig.scale_uncertainty))
-        joint.append(interval(value * scale, random * scale, freedom, relative))
+        joint.append(interval(value * scale, random * scale, freedom, rig.joint_scale_uncertainty))
     return JointFrictionEstimate(*motor, *joint)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from rx90_common.report.plot import COLOURS, GREY, INK, Curve, Dots, Level, Mark
 VISIBLE_COUNTS = 5.0
 """Counts of presliding from which loops have a shape."""
 _MAX_LOOPS = 4
+SCALE = "torques: common to all is a relative standard uncertainty of {:.2g} %, of torque scale and gear efficiency"
 
 
 @dataclass(eq=False)
@@ -132,15 +134,20 @@ def write_result(out: Path, result: PreslidingResult) -> None:
         Rx90Error: if a file cannot be written; the results are printed before.
     """
     resolution, entry = _resolution(result)
-    lines, plots = [f"resolution: {resolution}"], dict[str, Plot]()
-    document: dict[str, Any] = {"rig": result.rig.file.name, "resolution": entry}
+    common = result.rig.joint_scale_uncertainty
+    lines, plots = [f"resolution: {resolution}", SCALE.format(100.0 * common)], dict[str, Plot]()
+    document: dict[str, Any] = {
+        "rig": result.rig.file.name, "resolution": entry, "relative_uncertainty_of_all_torques": float(f"{common:.4g}"),
+    }  # fmt: skip
     if result.blocks:
         plots["loops"] = _loops_plot(result)
     if result.break_away:
         rows = by_rate(result.break_away)
         lines.append("break-away: " + ", ".join(f"{m:.3f} ± {e:.3f} Nm at {r:.3g} Nm/s" for r, m, e in rows))
-        names: tuple[str, ...] = ("rate_nm_s", "torque_nm", "standard_error_nm")
-        document["break_away"] = [dict(zip(names, row, strict=True)) for row in rows]
+        names: tuple[str, ...] = ("rate_nm_s", "torque_nm", "standard_error_nm", "standard_uncertainty_nm")
+        document["break_away"] = [
+            dict(zip(names, (*row, math.hypot(row[2], common * row[1])), strict=True)) for row in rows
+        ]
         each, (rates, means, errors) = np.array(result.break_away), np.array(rows).T
         marks: list[Mark] = [
             Dots(each[:, 0], each[:, 1], "each ramp", GREY),
@@ -193,6 +200,7 @@ def write_result(out: Path, result: PreslidingResult) -> None:
         result=result,
         plots=plots,
         resolution=resolution,
+        scale=SCALE.format(100.0 * common),
         drift=_drift_text(result.drift) if result.drift is not None else "",
     )
     write_text(out / "report.html", page)

@@ -228,6 +228,11 @@ class Rig(Declared):
         return self.gear_ratio * self.gear_efficiency
 
     @property
+    def joint_scale_uncertainty(self) -> float:
+        """Return the relative standard uncertainty of all torques at the joint: calibrated scale and efficiency."""
+        return math.hypot(self.scale_uncertainty, self.efficiency_uncertainty / self.gear_efficiency)
+
+    @property
     def joint_side_reason(self) -> str:
         """Return in words why intervals are wider on the joint's side of the gear."""
         efficiency, error = self.gear_efficiency, self.efficiency_uncertainty

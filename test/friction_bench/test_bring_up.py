@@ -43,7 +43,7 @@ class Hands:
     """
 
     def __init__(self, client: RigClient, board: str = "8051") -> None:
-        self.emulated: EmulatedRig = client.port.emulated  # type: ignore[attr-defined]
+        self.emulated: EmulatedRig = client.port.emulated
         self.board = BOARDS[board]
         self.meters: dict[str, float] = {}
         self.sense = "y"
@@ -199,11 +199,11 @@ def test_a_fault_of_the_firmware_is_found_by_its_step(
 ) -> None:
     """A firmware without one of its rules fails the steps that show it and no other; then no torque is applied."""
     *mutation, expected = FIRMWARE_FAULTS[name]
-    done = check(greeted(rig, board=mutant(*mutation)))  # type: ignore[arg-type]
+    done = check(greeted(rig, board=mutant(*mutation)))
     found = failed(done)
     assert [one.verdict for one in done.results[-2:]] == ["incomplete"] * 2
-    assert found.keys() == expected.keys()  # type: ignore[attr-defined]
-    for step, text in expected.items():  # type: ignore[attr-defined]
+    assert found.keys() == expected.keys()
+    for step, text in expected.items():
         assert text in found[step]
 
 
@@ -226,12 +226,12 @@ def test_nothing_is_switched_on_without_consent(answer: str | None, client: RigC
             meanwhile()
             return answer if "[Enter, or s" in question or answer is None else ""
 
-    client.port.emulated.board.switched_on()  # type: ignore[attr-defined]
+    client.port.emulated.board.switched_on()
     found = BringUp(client, Unwilling(client))
     assert found.run() == 1
     assert found.verdict == "incomplete"
     assert [one.verdict for one in found.results] == ["passed", *["incomplete"] * 8]
-    assert not client.port.emulated.board.switched_on()  # type: ignore[attr-defined]
+    assert not client.port.emulated.board.switched_on()
 
 
 def test_a_torque_stands_no_longer_than_said(client: RigClient) -> None:
@@ -336,7 +336,7 @@ def test_terminal_keeps_the_rig_alive_while_it_waits(rig: Rig, tmp_path: Path) -
         def until(text: bytes) -> None:
             nonlocal output
             while text not in output:
-                data = os.read(process.stdout.fileno(), 4096)  # type: ignore[union-attr]
+                data = os.read(process.stdout.fileno(), 4096)
                 assert data, output.decode()
                 output += data
 

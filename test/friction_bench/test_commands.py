@@ -108,6 +108,34 @@ def test_recorded_ramps_evaluate_to_the_same(ramps: Path, tmp_path: Path) -> Non
     assert again["coulomb"]["value"] == pytest.approx(before["coulomb"]["value"])
 
 
+def test_ramps_carry_the_calibration_of_the_rig_file_into_their_estimates(ramps: Path, tmp_path: Path) -> None:
+    """The same ramps with `scale_uncertainty` 0.05 in place of 0: the same values, and variances larger by (5 %)².
+
+    Of each load the exact fit's f_c, f_v and J; of the joint, their difference, f_c and f_v at the motor's side.
+    """
+    words, found = [], {}
+    for file in sorted(ramps.glob("ramp_*.csv")):
+        label, _, slope = file.read_text().splitlines()[0][2:].rpartition(", slope ")
+        option = "--loaded-file" if label.startswith("loaded") else "--no-load-file"
+        words += [option, f"{float(slope.removesuffix(' Nm/s'))!r}:{file}"]
+    shipped = config_path(SHIPPED_RIG).read_text()
+    assert shipped.count("scale_uncertainty: 0.003") == 1
+    for scale in (0.0, 0.05):
+        (tmp_path / f"{scale}.yaml").write_text(shipped.replace("ty: 0.003", f"ty: {scale}"))
+        out = tmp_path / f"out_{scale}"
+        assert run("friction_ramp", [*words, "--rig", str(tmp_path / f"{scale}.yaml"), "--output", str(out)]) == 0
+        written = estimates(out)
+        exact = {load: written[load]["exact, by covariance"] for load in ("no-load", "loaded")}
+        found[scale] = [*exact["no-load"].values(), *exact["loaded"].values(), *written["joint"]["motor_side"].values()]
+    assert len(found[0.0]) == 8
+    for without, with_scale in zip(found[0.0], found[0.05], strict=True):
+        assert with_scale["value"] == without["value"]
+        variance = without["standard_uncertainty"] ** 2 + (0.05 * without["value"]) ** 2
+        assert with_scale["standard_uncertainty"] ** 2 == pytest.approx(variance, rel=0.01)  # digits of the file
+        low, high = with_scale["interval_95"]
+        assert high - low >= 2 * 1.95 * variance**0.5
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -329,6 +357,18 @@ def test_break_away_falls_with_the_rate_as_scipy_has_it(measured: tuple[str, Pat
     if law == "LuGre":
         expected = [_largest_friction(rate) for rate in rates[[1, 3]]]
         assert torques[[1, 3]] == pytest.approx(expected, abs=0.05)
+
+
+def test_presliding_carries_the_calibration_into_its_torques(measured: tuple[str, Path]) -> None:
+    """Scale and efficiency of the rig file, 0.3 % and 0.01 of 0.97, add to each break-away's standard error."""
+    _, out = measured
+    found = estimates(out)
+    common = (0.003**2 + (0.01 / 0.97) ** 2) ** 0.5
+    assert found["relative_uncertainty_of_all_torques"] == pytest.approx(common, rel=1e-3)
+    for row in found["break_away"]:
+        variance = row["standard_error_nm"] ** 2 + (common * row["torque_nm"]) ** 2
+        assert row["standard_uncertainty_nm"] ** 2 == pytest.approx(variance, rel=1e-6)
+    assert "relative standard uncertainty of 1.1 %" in (out / "report.html").read_text()
 
 
 def _largest_friction(rate: float) -> float:
