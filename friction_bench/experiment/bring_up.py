@@ -132,11 +132,12 @@ class BringUp:
                 result.left_out.append("interrupted")
                 raise
             self._say("; ".join((result.verdict, *result.faults, *result.left_out)))
-            if self.lost or (number == 1 and result.faults):
+            if number == 1 and result.faults:
                 self._say(
                     "Nothing else can be checked before this is right. No answer: TXD and RXD exchanged, U5, another "
                     "baud rate, a processor without program, crystal or supply, a reset that is held."
                 )
+            if self.lost or (number == 1 and result.faults):
                 break
         return FAILED if self.lost else DONE if self.verdict == "passed" else VERDICT_NO
 
@@ -177,6 +178,7 @@ class BringUp:
         if self.client.port.now() > self._until:
             self._until = float("inf")
             self.client.request(Command.TORQUE, 0)
+            print(flush=True)  # the question stands in the line
             self._say(f"the torque is off again after {LONGEST_HOLD:g} s")
         return samples
 
@@ -266,7 +268,7 @@ class BringUp:
             client.end_code(torque)  # refused here, not in the first measurement
         lost, bad, first = client.lost_reports, client.bad_frames, self._listen(1)[0].report.bad_frames
         last = self._listen(LISTENED_TICKS)[-1].report.bad_frames
-        self._compare(f"of {LISTENED_TICKS} reports lost", "reports", 0, 0, client.lost_reports - lost)
+        self._compare(f"reports lost of {LISTENED_TICKS}", "reports", 0, 0, client.lost_reports - lost)
         self._compare("damaged frames", "frames", 0, 0, client.bad_frames - bad + (last - first) % 256)
 
     def _idle(self) -> None:

@@ -142,6 +142,6 @@ class Terminal:
                 meanwhile()
         line, newline, self._read = self._read.partition(b"\n")
         text = line.decode(errors="replace").strip() if line or newline else None
-        if self._echo:
+        if self._echo or text is None:
             print("(nobody answers)" if text is None else one_line(text), flush=True)
         return text
