@@ -10,8 +10,9 @@ import pytest
 from rig_conformance import Player
 
 from friction_bench.experiment.findings import BOARDS
-from friction_bench.rig.emulated import NativeBoard
+from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort
 from friction_bench.rig.messages import CommandResult
+from friction_bench.rig.plant import RigPlant, Shaft, turn
 from friction_bench.rig.rig_file import load_rig
 from rx90_emulator.cli import friction_bench as command_line
 
@@ -132,3 +133,46 @@ def test_pins_move_in_both_binaries(tmp_path: Path) -> None:
         plain_program, moved = ((tmp_path / folder / name).read_text() for folder in ("plain", "moved"))
         assert plain_program != moved
         assert len(plain_program) == pytest.approx(len(moved), rel=0.01)
+
+
+LEVER = 0.1, 0.0981, 0.05
+"""Of the page's weight: mass, kg, torque, Nm, and the angle between its stops, rad."""
+
+
+class Lever:
+    """A motor's shaft with the page's weight on a lever, between two stops; the rig's plant in every other respect."""
+
+    def __init__(self, plant: RigPlant, scale: float) -> None:
+        self.plant, self.scale, self.angle, self.speed = plant, scale, 0.0, 0.0
+        assert plant.parameters.coulomb > 0.0
+        self.shaft = Shaft(LEVER[0] * 0.1**2 + plant.parameters.rotor_inertia, 0.004, 1e-3)
+
+    def advance(self, command: float, dt: float) -> int:
+        """Turn the lever; the stops take its speed."""
+        before = int(self.angle * 504 / 6.2832)
+        torque = self.scale * command - LEVER[1]
+        self.angle, self.speed = turn(self.angle, self.speed, torque, self.shaft, dt)
+        if not 0.0 < self.angle < LEVER[2]:
+            self.angle, self.speed = min(max(self.angle, 0.0), LEVER[2]), 0.0
+        return abs(int(self.angle * 504 / 6.2832) - before)
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.92])
+def test_known_weight_finds_the_scale_within_the_page_s_uncertainty(
+    scale: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The page's program on a rig whose amplifier is off by 8 %: 255 tau / c is its scale within twice 0.35 %."""
+    rig = load_rig(ROOT / "config/rig/gm8224.yaml")
+    emulated = EmulatedRig(rig, 1)
+    monkeypatch.setattr(emulated.plant, "advance", Lever(emulated.plant, scale).advance)
+    monkeypatch.setattr("friction_bench.rig.serial_port.SerialPort", lambda *_: VirtualPort(emulated))
+    monkeypatch.chdir(ROOT)
+    exec(re.findall(r"```python\n(from pathlib.*?)```", PAGE, re.DOTALL)[0], {})
+    rows = [tuple(map(int, line.split())) for line in capsys.readouterr().out.splitlines()]
+    codes, counts = zip(*rows, strict=True)
+    changes = [k for k in range(1, len(rows)) if counts[k] != counts[k - 1]]
+    top = codes.index(max(codes))
+    up, down = codes[changes[0]], next(codes[k] for k in changes if k > top)
+    assert 5 <= up - down <= 15  # the friction, 0.004 Nm, hinders it once and helps once
+    measured = 255 * LEVER[1] / ((up + down) / 2)
+    assert measured == pytest.approx(scale * rig.dac_full_scale, rel=2 * 0.0035)
