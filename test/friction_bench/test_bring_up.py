@@ -75,6 +75,8 @@ class Hands:
             self.clamp(not question.startswith("Apply the torque"))
             if question.startswith("Turn it once"):
                 self.turn(-1 if "negative" in question else 1)
+                for _ in range(15):  # before Enter is pressed what the rig reported meanwhile is read
+                    meanwhile()
             return ""
         torque = 0.0
         for _ in range(8):  # what a meter averages
