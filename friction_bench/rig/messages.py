@@ -274,7 +274,7 @@ class HelloReply(NamedTuple):
 
 
 class Report(NamedTuple):
-    """The rig's state at one tick; tick (16 bits) and counts (24 bits) roll over; `dac` is below 0 for torque backward."""
+    """The rig's state at one tick; tick (16 bits) and counts (24 bits) roll over; `dac` below 0 is torque backward."""
 
     sequence: int
     tick: int
