@@ -30,7 +30,9 @@ MOVED_SHARE = 1e-3
 """Break-away is certain after two counts (one may be jitter at an edge) and this share of the ramp's angle
 (presliding moves the shaft a little before)."""
 SLIDING_COUNTS = 10.0
-"""The shaft slides from here on: presliding ends within one or two counts."""
+SLIDING_ANGLE = 0.1
+"""The shaft slides after both of these, counts and rad at the motor: presliding ends within one or two counts of a
+coarse encoder, and within some mrad of the joint."""
 MIN_READINGS = 15
 """Fewest readings of a sliding shaft that say something about friction and inertia."""
 ONSET_TICKS = 5
@@ -294,6 +296,11 @@ class SlidingWindow(NamedTuple):
     torque: Array
 
 
+def sliding_from(record: RampRecord) -> float:
+    """Return the angle from which the shaft slides, rad."""
+    return max(SLIDING_COUNTS * record.angle_step, SLIDING_ANGLE)
+
+
 def sliding_window(record: RampRecord) -> SlidingWindow:
     """Return where the shaft slides.
 
@@ -301,7 +308,7 @@ def sliding_window(record: RampRecord) -> SlidingWindow:
         IdentificationError: no break-away, saturation, or too few readings.
     """
     time, angle, _ = first_motion(record)
-    first = _stays_beyond(angle, max(SLIDING_COUNTS * record.angle_step, MOVED_SHARE * angle[-1]))
+    first = _stays_beyond(angle, max(sliding_from(record), MOVED_SHARE * angle[-1]))
     if time.size - first < MIN_READINGS:
         raise IdentificationError(
             f"{record.label}: {time.size - first} readings of a sliding shaft; "

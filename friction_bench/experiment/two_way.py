@@ -27,22 +27,20 @@ from friction_bench.experiment.identification import (
     interval,
 )
 from friction_bench.experiment.record import (
+    EARLIER_TICKS,
     MIN_READINGS,
-    MOVED_COUNTS,
-    MOVED_SHARE,
-    SLIDING_COUNTS,
+    ONSET_TICKS,
     RampModel,
     RampRecord,
     SlidingWindow,
-    break_away,
+    fit_break_away,
+    sliding_from,
 )
 from friction_bench.experiment.sliding_fit import fit_sliding
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.errors import IdentificationError
 
 WAYS = ("forward", "backward")
-REST_READINGS = 5
-"""Readings without motion after which the shaft stood still between two directions."""
 
 
 class Half(NamedTuple):
@@ -137,7 +135,7 @@ def halves(record: RampRecord) -> list[Half]:
         peak = first + int(np.argmax(counted.torque[first:last]))  # type: ignore[index]  # it has one
         before = found[-1].peak if found else 0
         turning = angle[before : peak + 1] - angle[before : peak + 1].min()
-        resting = np.flatnonzero(turning < max((MOVED_COUNTS - 0.5) * record.angle_step, MOVED_SHARE * turning[-1]))
+        resting = np.flatnonzero(turning < sliding_from(record))
         stopped, low = before + int(resting[0]), before + int(resting[-1])
         beyond = edges[edges.index(last) + 1] if last < sign.size else last
         top = low + int(np.argmax(angle[low:beyond]))
@@ -147,7 +145,7 @@ def halves(record: RampRecord) -> list[Half]:
 
 def _windows(half: Half) -> list[SlidingWindow]:
     """Return where the shaft slides, with rising and with falling torque: the largest velocity ends the first one."""
-    record, reach = half.record, SLIDING_COUNTS * half.record.angle_step
+    record, reach = half.record, sliding_from(half.record)
     angle = record.angle - record.angle[half.low]
     motion = np.arange(half.low, half.top + 1)
     sliding = motion[(angle[motion] >= reach) & (angle[half.top] - angle[motion] >= reach)]
@@ -185,27 +183,36 @@ def _friction(swings: Sequence[Half], scale: float) -> RampFriction:
 
 
 def _reversal(half: Half, friction: RampFriction) -> Reversal:
-    """Return stop and lag; the lag's moment is fitted to the motion where the shaft stood still, else its turning.
+    """Return stop and lag.
 
-    A shaft that stood still does not begin before the torque is at f_c of the new direction.
+    A shaft that turns where the torque exceeds f_c is carried on by its inertia, and turns at once, in the middle of
+    its slow readings. Another one rests until the torque is at f_c at least: that moment is fitted to the motion.
 
     Raises:
-        IdentificationError: if it does not move the other way.
+        IdentificationError: if it does not slide the other way.
     """
-    record, leg = half.record, slice(half.first - 1, half.peak + 1)
+    record, low = half.record, half.low
     assert record.torque is not None
     rising = slice(half.first, half.peak + 1)
     zero = float(np.mean(record.time[rising] + record.tick / 2 - record.torque[rising] / record.slope))
-    stop, turned = (float(record.time[k]) - zero for k in (half.stopped, half.low))
-    if half.low - half.stopped < REST_READINGS or half.low < half.first:
-        return Reversal(half.backward, stop, 0.5 * (stop + turned))
+    time, coulomb = record.time - zero, friction.coulomb.value
+    if half.peak - low < ONSET_TICKS:
+        raise IdentificationError(f"{record.label}: the shaft does not slide after the torque's change of sign")
+    stop, turned = float(time[half.stopped]), float(time[low + 1])
+    middle = 0.5 * (stop + turned)
+    if record.slope * middle > coulomb:
+        return Reversal(half.backward, stop, middle)
     assert friction.inertia is not None  # swings tell it
-    parts = friction.coulomb, friction.viscous, friction.inertia
-    model = RampModel(*(one.value for one in parts), slope=record.slope)
-    alone = replace(
-        record, time=record.time[leg], angle=record.angle[leg], torque=record.torque[leg], measured_torque=None
+    model = RampModel(coulomb, friction.viscous.value, friction.inertia.value, record.slope)
+    onset = slice(low - 1, low + ONSET_TICKS)
+    earliest = min(max(coulomb / record.slope, turned - EARLIER_TICKS * record.tick), turned - record.tick)
+    lag = fit_break_away(
+        time[onset],
+        record.angle[onset] - record.angle[half.first],
+        (earliest, turned),
+        lambda moment: replace(model, release=moment * record.slope - coulomb),
     )
-    return Reversal(half.backward, stop, break_away(alone, model))
+    return Reversal(half.backward, stop, lag)
 
 
 def _mean_lag(lags: Sequence[float], tick: float, slope: float, scale: float) -> tuple[IntervalEstimate, ...] | None:
