@@ -106,6 +106,16 @@ def test_a_shaft_turns_round_as_scipy_integrates_it(rig: Rig) -> None:
     assert speeds.min() < -5.0
 
 
+def test_back_emf_limits_torque_with_the_motion_and_not_against_it(rig: Rig) -> None:
+    """At 500 rad/s forward 24 V leave (24 - 22.5) / 2.6 A for torque forward; torque backward has all that it asks."""
+    plant = RigPlant(two_signs(rig, gain_error=0.0, torque_noise=0.0), 0)
+    plant.speed = 500.0
+    assert plant.motor_torque(0.15, 1e-3) == pytest.approx((24.0 - 0.045 * 500.0) / 2.6 * 0.045)
+    assert plant.motor_torque(-0.15, 1e-3) == -0.15
+    plant.speed = -500.0
+    assert plant.motor_torque(-0.15, 1e-3) == pytest.approx(-(24.0 - 0.045 * 500.0) / 2.6 * 0.045)
+
+
 def test_a_lugre_joint_turns_round_as_scipy_integrates_it(bipolar: Rig) -> None:
     """The shipped asymmetric LuGre joint, driven through zero in both directions, moves as equations 17 to 19 say."""
     joint = bipolar.plant.joint
