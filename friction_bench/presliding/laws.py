@@ -141,9 +141,10 @@ class FrictionLaw:
         """Return the friction element of a law with bristles, without damping, which the readings do not show."""
         assert self.bristles is not None
         ways = sliding, sliding.backward or sliding
-        coulomb, static = (max(way.tau_c, 1e-6) for way in ways), (max(way.tau_s, way.tau_c, 1e-6) for way in ways)
+        coulomb, back = (max(way.tau_c, 1e-6) for way in ways)
+        static, back_static = (max(way.tau_s, way.tau_c, 1e-6) for way in ways)
         others = sliding.omega_s, 1.0, math.exp(values[0]), 0.0, sliding.c2, math.inf, 1.0
-        lugre = FrictionElement(*coulomb, *static, *others)
+        lugre = FrictionElement(coulomb, back, static, back_static, *others)
         return replace(lugre, bristles=self.bristles(values[1:]))
 
     def fit(self, sliding: SlidingFriction, blocks: Sequence[LoopBlock]) -> list[float]:
