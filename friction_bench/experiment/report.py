@@ -254,11 +254,11 @@ def _add_both(
     lags: dict[str, list[str]],
 ) -> None:
     """Add what both directions show to the document and to the lines for the terminal."""
-    lines.append(f"{'both directions [95 %]':34}{'forward':>38}{'backward':>38}{'difference':>38}")
+    lines.append(f"{'both directions [95 %]':40}{'forward':>38}{'backward':>38}{'difference':>38}")
     directions: dict[str, Any] = {}
     for name, text, estimates in rows:
         cells = "".join(f"{f'{one.value:.4g} [{one.low:.4g}, {one.high:.4g}]':>38}" for one in estimates)
-        lines.append(f"{f'{name}: {text}':34}{cells}")
+        lines.append(f"{f'{name}: {text}':40}{cells}")
         entries = dict(zip((*WAYS, "difference"), map(_interval, estimates), strict=True))
         directions.setdefault(name, {})["coulomb" if text.startswith("f_c") else "viscous"] = entries
     document["directions"] = directions
