@@ -159,6 +159,47 @@ def _stage(drawing: schemdraw.Drawing, base: tuple[float, float]) -> None:
     drawing.add(elm.Label().label("+5V", "bottom", fontsize=9))
 
 
+def bridge(drawing: schemdraw.Drawing) -> None:
+    """Draw the bridge that takes the place of TIP120 and motor for torque of both signs."""
+    ends = []
+    for x, way, other, gate in ((0.0, "F", "R", "FORWARD"), (9.0, "R", "F", "BACKWARD")):
+        switch = drawing.add(
+            elm.PFet().at((x, 0)).anchor("drain").theta(0).reverse().label(f"Q4{way} IRF9540N", "right", fontsize=9)
+        )
+        drawing.add(elm.Vdd().at(switch.source).label("+24V"))
+        drawing.add(elm.Line().at(switch.gate).left().length(0.4))
+        node = drawing.add(elm.Dot()).center
+        drawing.add(elm.Resistor().at(node).up().length(1.6).label("1.0k, 12 V Zener", "top", fontsize=9))
+        drawing.add(elm.Label().label("+24V", "top", fontsize=9))
+        drawing.add(elm.Resistor().at(node).down().length(1.6).label("1.0k", "top", fontsize=9))
+        drawing.add(elm.Label().label(f"2N7000, gate: {gate}", "left", fontsize=9))
+        low = drawing.add(elm.Dot().at((x, -3.4)))
+        drawing.add(elm.Line().at(switch.drain).to(low.center))
+        lower = drawing.add(
+            elm.BjtNpn().at((x, -4.6)).anchor("collector").theta(0).label(f"Q1{other} TIP120", "right", fontsize=9)
+        )
+        drawing.add(elm.Line().at(low.center).to(lower.collector))
+        drawing.add(elm.Line().at(lower.base).left().length(0.4))
+        base = drawing.add(elm.Dot()).center
+        drawing.add(elm.Resistor().at(base).left().length(1.8).label("R7 1.0k", "top", fontsize=9))
+        drawing.add(elm.Label().label("U4B", "left", fontsize=9))
+        idle = "BACKWARD" if other == "F" else "FORWARD"
+        drawing.add(elm.Line().at(base).down().length(0.9))
+        drawing.add(elm.Label().label(f"Q2{other} to GND:\n10k STAGE_OFF\n10k {idle}", "left", fontsize=9))
+        drawing.add(elm.Line().at(lower.emitter).down().length(1.8))
+        ends.append((low.center, drawing.here))
+    (left, first), (right, second) = ends
+    drawing.add(elm.Motor().at(left).to(right).label("M", "center").label("left: motor +", "top", fontsize=9))
+    drawing.add(elm.Line().at(first).to(second))
+    drawing.add(elm.Dot().at(second))
+    drawing.add(elm.Line().at(second).right().length(1.2))
+    drawing.add(elm.Label().label("SENSE", "right", fontsize=9))
+    drawing.add(elm.Resistor().at(second).down().length(2).label("RS 0.100 Ω 5 W 1 %", "bottom", fontsize=9))
+    drawing.add(elm.Ground())
+    text = "D1 to D4 SB560: each motor terminal to +24V, and from GND; 470 µF 50 V from +24V to GND"
+    drawing.add(elm.Label().at((-2, 3.4)).label(text, "right", fontsize=9))
+
+
 def _sensing(drawing: schemdraw.Drawing) -> None:
     """Draw the sense amplifier, four wires to its resistor, and the ADC's reference."""
     third = _amplifier(drawing, (0.6, -6.6), "U4C")
@@ -257,9 +298,10 @@ def nano(drawing: schemdraw.Drawing) -> None:
 
 
 def main() -> None:
-    """Draw all three."""
+    """Draw all four."""
     schemdraw.use("svg")
-    for draw, name in ((processor, "rig_8051"), (power, "rig_power"), (nano, "rig_nano")):
+    drawings = (processor, "rig_8051"), (power, "rig_power"), (bridge, "rig_bridge"), (nano, "rig_nano")
+    for draw, name in drawings:
         with schemdraw.Drawing(
             file=str(IMAGES / f"{name}.svg"), show=False, fontsize=10, unit=2, bgcolor="white"
         ) as drawing:

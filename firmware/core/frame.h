@@ -6,7 +6,7 @@
 #include <stdint.h>
 
 #define FRAME_MAX_RX 8u   /* the longest command: type, sequence, four bytes of payload, CRC */
-#define FRAME_MAX_TX 17u  /* the longest answer before COBS */
+#define FRAME_MAX_TX 19u  /* the longest answer before COBS */
 
 extern uint8_t frame_rx[FRAME_MAX_RX];
 extern uint8_t frame_rx_length;      /* of the frame last accepted, without its CRC */

@@ -22,6 +22,11 @@ static uint8_t adc;
 static uint16_t level;           /* ramp's torque, 1/256 code */
 static uint16_t slope;           /* 1/256 code per tick */
 static uint8_t ramp_end;
+#if BIPOLAR
+static bool backward;            /* what the direction line says */
+static bool falling;             /* the ramp goes towards zero */
+static uint8_t turns;            /* of the ramp that are still to come */
+#endif
 #if HOLD_TICKS
 static uint8_t held;             /* ticks at the ramp's end */
 #endif
@@ -39,6 +44,18 @@ static void drive(uint8_t code)
     hal_dac(code);
 }
 
+#if BIPOLAR
+/* No code may stand on the DAC while the direction changes: it would be torque of the wrong sign. */
+static void steer(bool back)
+{
+    if (back == backward)
+        return;
+    backward = back;
+    drive(0);
+    hal_reverse(back);
+}
+#endif
+
 static void power_off(uint8_t next_state)
 {
     hal_stage(0);
@@ -55,6 +72,10 @@ static void trip(uint8_t bit)
 void rig_reset(uint8_t cause)
 {
     power_off(DISARMED);
+#if BIPOLAR
+    backward = 1;
+    steer(0);
+#endif
     frame_reset();
     fault = 0;
     hello_seen = 0;
@@ -97,16 +118,27 @@ static uint8_t set_torque(uint8_t code)
         return RESULT_STATE;
     if (code > TORQUE_LIMIT_CODE)
         return RESULT_RANGE;
+#if BIPOLAR
+    if (frame_rx[3] > 1u)
+        return RESULT_RANGE;
+    steer(frame_rx[3]);
+#endif
     drive(code);
     return RESULT_OK;
 }
 
-static uint8_t start_ramp(uint16_t step, uint8_t end)
+static uint8_t start_ramp(uint16_t step)
 {
+    const uint8_t end = frame_rx[4];
     if (state != ARMED || dac != 0)
         return RESULT_STATE;
     if (end == 0 || end > TORQUE_LIMIT_CODE || step == 0 || step > 0x1000u)
         return RESULT_RANGE;
+#if BIPOLAR
+    steer((frame_rx[5] & WAY_BACKWARD) != 0);
+    turns = frame_rx[5] & (uint8_t)~WAY_BACKWARD;
+    falling = 0;
+#endif
     slope = step;
     ramp_end = end;
 #if HOLD_TICKS
@@ -133,10 +165,11 @@ static uint8_t payload_length(uint8_t type)
 {
     switch (type) {
     case HELLO:
-    case TORQUE:
         return 1;
+    case TORQUE:
+        return 1 + BIPOLAR;
     case RAMP:
-        return 3;
+        return 3 + BIPOLAR;
     case LIMITS:
         return 4;
     default:
@@ -156,7 +189,7 @@ static uint8_t guarded(uint8_t type)
     case TORQUE:
         return set_torque(p[0]);
     case RAMP:
-        return start_ramp((uint16_t)(p[0] | (uint16_t)p[1] << 8), p[2]);
+        return start_ramp((uint16_t)(p[0] | (uint16_t)p[1] << 8));
     default: /* LIMITS */
         return set_limits((uint16_t)(p[0] | (uint16_t)p[1] << 8),
                           (uint16_t)(p[2] | (uint16_t)p[3] << 8));
@@ -256,9 +289,33 @@ static void advance_ramp(void)
     hal_stage(0);
     hal_stage(1);
 #endif
+#if BIPOLAR
+    if (falling) {
+        if (level >= (uint16_t)(slope + 0x80u)) {
+            level -= slope;
+            drive((uint8_t)(level >> 8));
+            return;
+        }
+        level = (uint16_t)(slope + 0x100u - level); /* through zero: as much beyond it as was to come */
+        falling = 0;
+        steer(!backward);
+    }
+#endif
     if ((uint8_t)(level >> 8) >= ramp_end) {
 #if HOLD_TICKS
         if (held++ < HOLD_TICKS) {
+            drive(ramp_end);
+            return;
+        }
+#endif
+#if BIPOLAR
+        if (turns) {
+            turns--;
+            falling = 1;
+#if HOLD_TICKS
+            held = 0;
+#endif
+            level = (uint16_t)((uint16_t)ramp_end << 8 | 0x80u);
             drive(ramp_end);
             return;
         }
@@ -290,7 +347,10 @@ static void send_hello(void)
     put16(12, ADC_FULL_SCALE);
     frame_tx[14] = TORQUE_LIMIT_CODE;
     frame_tx[15] = WATCHDOG_TICKS;
-    frame_send(15);
+    frame_tx[16] = (BIPOLAR ? BUILT_BIPOLAR : 0u) | (COUNTS_DOWN ? BUILT_COUNTS_DOWN : 0u)
+                   | (PULSED ? BUILT_PULSED : 0u) | (SCALE_UNIT == 100u ? BUILT_COARSE : 0u);
+    frame_tx[17] = HOLD_TICKS;
+    frame_send(17);
 }
 
 static void send_report(void)
@@ -304,6 +364,9 @@ static void send_report(void)
     frame_tx[9] = adc;
     frame_tx[10] = (uint8_t)(state | (hello_seen ? STATUS_HELLO : 0u)
                              | (state == ARMED || state == RAMPING ? STATUS_STAGE : 0u)
+#if BIPOLAR
+                             | (backward ? STATUS_BACKWARD : 0u)
+#endif
                              | (ramp_done ? STATUS_RAMP_DONE : 0u));
     frame_tx[11] = fault;
     frame_tx[12] = ack_sequence;

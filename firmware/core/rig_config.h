@@ -5,7 +5,7 @@
 #ifndef RIG_CONFIG_H
 #define RIG_CONFIG_H
 
-#define PROTOCOL_VERSION 1u
+#define PROTOCOL_VERSION 2u
 
 #ifndef COUNTS_PER_REV
 #define COUNTS_PER_REV 504u       /* rising edges of encoder channel A, motor shaft */
@@ -13,15 +13,20 @@
 #ifndef COUNTS_DOWN
 #define COUNTS_DOWN 0             /* 1: a decoder gives a pulse and a direction, and the counts go down backwards */
 #endif
+#ifndef BIPOLAR
+#define BIPOLAR 0                 /* 1: a stage for torque of both signs, the DAC's code and a direction line */
+#endif
 #define TICK_US 20000u            /* one report per tick; the timers of both boards count it: not to be given */
+#ifndef SCALE_UNIT
+#define SCALE_UNIT 10u            /* of both full scales, uNm: 10 or 100 */
+#endif
 #ifndef DAC_FULL_SCALE
-#define DAC_FULL_SCALE 20000u     /* motor torque at DAC code 255, unit 10 uNm: 0.2 Nm */
+#define DAC_FULL_SCALE 20000u     /* motor torque at DAC code 255, in SCALE_UNIT: 0.2 Nm */
 #endif
 #ifndef ADC_FULL_SCALE
-#define ADC_FULL_SCALE 25000u     /* motor torque at ADC code 255, unit 10 uNm: 0.25 Nm */
+#define ADC_FULL_SCALE 25000u     /* motor torque at ADC code 255, in SCALE_UNIT: 0.25 Nm */
 #endif
 
-/* A limit code of 239 says that the limit is lifted: the full scales are in units of 100 uNm then, not 10. */
 #ifndef TORQUE_LIMIT_CODE
 #define TORQUE_LIMIT_CODE 229u    /* 0.18 Nm: floor(0.18 / 0.2 * 255) */
 #endif
@@ -58,7 +63,16 @@
 #error "WATCHDOG_TICKS: accepted are 2 to 255; CURRENT_LIMIT_TICKS: 1 to 255"
 #endif
 #if DAC_FULL_SCALE < 1 || DAC_FULL_SCALE > 65535 || ADC_FULL_SCALE < 1 || ADC_FULL_SCALE > 65535
-#error "DAC_FULL_SCALE, ADC_FULL_SCALE: accepted are 1 to 65535, unit 10 uNm"
+#error "DAC_FULL_SCALE, ADC_FULL_SCALE: accepted are 1 to 65535, in SCALE_UNIT"
+#endif
+#if SCALE_UNIT != 10 && SCALE_UNIT != 100
+#error "SCALE_UNIT: accepted are 10 and 100, in uNm"
+#endif
+#if HOLD_TICKS > 254
+#error "HOLD_TICKS: accepted are 0 to 254"
+#endif
+#if BIPOLAR && !COUNTS_DOWN
+#error "BIPOLAR: accepted with COUNTS_DOWN=1, because a motor that turns back must count down"
 #endif
 #if MAX_SPEED < 1 || MAX_SPEED > 32767 || MAX_TRAVEL < 1 || MAX_TRAVEL > 32767
 #error "MAX_SPEED, MAX_TRAVEL: accepted are 1 to 32767"

@@ -3,7 +3,8 @@
  *   P3.0  RXD   P3.1  TXD        P3.2  encoder A (INT0, falling edge of the inverted signal), or the decoder's pulse
  *   P3.3  the decoder's direction, high is forward
  *   P3.4  power stage enable, active low: a reset sets all ports high, so off
- * DAC, ADC, direction and enable can be given to the compiler: -DSTAGE_OFF=P3_5; the rest is wired to the processor's
+ *   P3.5  a bipolar stage's direction, high is forward, as a reset leaves it
+ * DAC, ADC, directions and enable can be given to the compiler: -DSTAGE_OFF=P3_5; the rest is wired to the processor's
  * own functions. */
 #include <8051.h>
 #include <stdbool.h>
@@ -15,6 +16,15 @@
 #define RX_RING 8u
 #ifndef STAGE_OFF
 #define STAGE_OFF P3_4
+#endif
+#ifndef FORWARD
+#define FORWARD P3_5
+#endif
+#ifndef DEAD_TIME_US
+#define DEAD_TIME_US 50u     /* for which a bipolar stage is off, at least, before its direction changes and after */
+#endif
+#if DEAD_TIME_US < 3 || DEAD_TIME_US > 700
+#error "DEAD_TIME_US: accepted are 3 to 700"
 #endif
 #ifndef DIRECTION
 #define DIRECTION P3_3
@@ -129,7 +139,37 @@ uint8_t hal_tick(void)
 }
 
 void hal_dac(uint8_t code) { DAC_PORT = code; }
-void hal_stage(uint8_t on) { STAGE_OFF = !on; }
+#if BIPOLAR
+static bool stage_on;
+
+/* A turn of the loop takes at least three cycles of 1.085 us. */
+static void wait(void)
+{
+    uint8_t turns = DEAD_TIME_US / 3u + 1u;
+    do {
+        __asm__("nop");
+    } while (--turns);
+}
+
+/* No two transistors of one branch of the bridge may be on: the stage is off around the change. */
+void hal_reverse(uint8_t backward)
+{
+    STAGE_OFF = 1;
+    wait();
+    FORWARD = !backward;
+    wait();
+    STAGE_OFF = !stage_on;
+}
+#endif
+
+void hal_stage(uint8_t on)
+{
+#if BIPOLAR
+    stage_on = on;
+#endif
+    STAGE_OFF = !on;
+}
+
 uint8_t hal_adc(void) { return ADC_PORT; }
 uint8_t hal_rx_ready(void) { return rx_tail != rx_head; }
 

@@ -281,24 +281,37 @@ class JointFrictionEstimate(NamedTuple):
     joint_side_viscous: IntervalEstimate
 
 
+def difference(
+    high: RampFriction, low: RampFriction, scale: float, factors: tuple[float, float] = (1.0, 1.0)
+) -> tuple[IntervalEstimate, IntervalEstimate]:
+    """Return by how much f_c and f_v of one measurement exceed those of another on the same torque scale.
+
+    Args:
+        high: at the motor.
+        low: the other one, at the motor.
+        scale: relative standard uncertainty of what carries torques over, which scales the difference and counts once.
+        factors: by which it carries f_c and f_v over.
+    """
+    found = []
+    for index, factor in enumerate(factors):
+        value = (high.coulomb, high.viscous)[index].value - (low.coulomb, low.viscous)[index].value
+        variances = high.covariance[index, index], low.covariance[index, index]
+        random = math.sqrt(sum(variances))
+        shares = variances[0] ** 2 / high.freedom + variances[1] ** 2 / low.freedom
+        freedom = float(sum(variances)) ** 2 / shares if shares > 0.0 else math.inf
+        found.append(interval(value * factor, random * factor, freedom, scale))
+    return found[0], found[1]
+
+
 def joint_friction(unloaded: RampIdentification, loaded: RampIdentification, rig: Rig) -> JointFrictionEstimate:
     """Return f_joint = f_load - f_noload with propagated uncertainty.
 
     Both were measured on the same torque scale: its error scales the difference and counts once.
     The gear takes the torque to the joint's side with n eta, the viscous coefficient with n^2 eta.
     """
-    motor, joint = [], []
-    high, low = loaded.best, unloaded.best
-    values = high.coulomb.value - low.coulomb.value, high.viscous.value - low.viscous.value
-    for index, (value, factor) in enumerate(zip(values, (1.0, rig.gear_ratio), strict=True)):
-        scale = rig.joint_scale * factor
-        variances = high.covariance[index, index], low.covariance[index, index]
-        random = math.sqrt(sum(variances))
-        shares = variances[0] ** 2 / high.freedom + variances[1] ** 2 / low.freedom
-        freedom = float(sum(variances)) ** 2 / shares if shares > 0.0 else math.inf
-        motor.append(interval(value, random, freedom, rig.scale_uncertainty))
-        joint.append(interval(value * scale, random * scale, freedom, rig.joint_scale_uncertainty))
-    return JointFrictionEstimate(*motor, *joint)
+    factors = rig.joint_scale, rig.joint_scale * rig.gear_ratio
+    motor = difference(loaded.best, unloaded.best, rig.scale_uncertainty)
+    return JointFrictionEstimate(*motor, *difference(loaded.best, unloaded.best, rig.joint_scale_uncertainty, factors))
 
 
 class SourceFigures(NamedTuple):
@@ -374,6 +387,7 @@ class RampTestResult:
         joint, comparison: None where they cannot be found.
         failures: why a load that was run carries no estimate, one line each.
         as_source: by the source's own evaluation, where it was asked for.
+        way: the direction, where there are two.
     """
 
     parts: list[tuple[str, RampIdentification]]
@@ -381,6 +395,7 @@ class RampTestResult:
     comparison: FourWay | None
     failures: tuple[str, ...] = ()
     as_source: SourceEvaluation | None = None
+    way: str = ""
 
     @property
     def written(self) -> tuple[IntervalEstimate, IntervalEstimate]:
@@ -391,7 +406,7 @@ class RampTestResult:
     @property
     def unphysical(self) -> tuple[str, ...]:
         """Return what is no friction among the joint's estimates, or those of the one load: value, cause and remedy."""
-        of = "the joint's" if self.joint is not None else f"the {self.parts[0][0]}"
+        of = f"the joint's{' ' * bool(self.way)}{self.way}" if self.joint is not None else f"the {self.parts[0][0]}"
         single = [name for name, part in self.parts if part.exact is None]
         if single:
             remedy = (
@@ -408,13 +423,14 @@ class RampTestResult:
         )
 
 
-def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -> RampTestResult:
+def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False, way: str = "") -> RampTestResult:
     """Identify friction from all ramps of a measurement, and compare one ramp with the models.
 
     Args:
         records: all ramps.
         rig: on which they were run.
         as_source: also evaluate them as the source does.
+        way: their direction, in the names of the loads.
 
     Raises:
         IdentificationError: if no load carries an estimate.
@@ -423,6 +439,7 @@ def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -
     names, parts, refusals = _usable(
         [name for name in loads if loads[name]], lambda name: identify_ramps(loads[name], rig.scale_uncertainty)
     )
+    names = [f"{name} {way}".rstrip() for name in names]
     if not parts:
         raise refusals[0] if refusals else IdentificationError("no ramp to identify from")
     joint = joint_friction(parts[0], parts[1], rig) if len(parts) == 2 else None
@@ -434,4 +451,5 @@ def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -
         model = RampModel(coulomb, best.viscous.value, best.inertia.value, ramp.slope, release)
         comparison = compare(ramp.record, model, rig.gear_ratio)
     by_source = evaluate_as_source(loads) if as_source else None
-    return RampTestResult(list(zip(names, parts, strict=True)), joint, comparison, tuple(map(str, refusals)), by_source)
+    named = list(zip(names, parts, strict=True))
+    return RampTestResult(named, joint, comparison, tuple(map(str, refusals)), by_source, way)

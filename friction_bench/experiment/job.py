@@ -26,6 +26,7 @@ from friction_bench.experiment.session import (
     wait_for_rest,
 )
 from friction_bench.experiment.sliding_fit import fit_sliding
+from friction_bench.experiment.two_way import WAYS, evaluate_both_ways
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.messages import Command, RigError, State
 from friction_bench.rig.rig_file import TRAVEL_UNIT, RampPlan, Rig, load_rig
@@ -49,6 +50,10 @@ SLOPE_RATIO = 2.5
 MIN_SLIDING_READINGS = 300
 """Fewest readings of a sliding shaft at the fastest slope, all repeats together."""
 MAX_REPEATS = 20
+SWING_TURNS = 4
+"""Of a swing, at which the torque goes to its opposite end: two hysteresis loops."""
+SWINGS = 2
+"""Under each load."""
 LOADS = {False: "no-load", True: "loaded"}
 _CHOSEN_LOADS = {"none": (False,), "joint": (True,), "both": (False, True)}
 _RIG_OPTIONS = {
@@ -65,11 +70,13 @@ def run_ramp(
     loaded: bool,
     label: str,
     on_sample: Callable[[Sample], None] = lambda _: None,
+    turns: int = 0,
 ) -> RampRecord:
     """Arm the rig, run one ramp of `slope` Nm/s up to `end_torque` Nm and return its record.
 
     A ramp that comes near the limits of travel or speed is ended there. The rig is disarmed again when this returns,
-    and stopped when it raises.
+    and stopped when it raises. On a bipolar rig an end torque below 0 makes a ramp backward, and one with turns goes on
+    to the opposite end so many times: a swing.
 
     Raises:
         RigError: refused, faulted, lost or reset.
@@ -79,13 +86,16 @@ def run_ramp(
     end = client.end_code(end_torque)  # refused before anything is switched on
     wait_for_rest(client)
     with armed(client):
-        samples = _follow(client, client.start_ramp(slope, end_torque), on_sample)
-    samples = [sample for sample in samples if sample.report.dac < end]  # a held end torque is no ramp
+        samples = _follow(client, client.start_ramp(slope, end_torque, turns), on_sample)
+    if not turns:
+        samples = [sample for sample in samples if abs(sample.report.dac) < abs(end)]  # a held end torque is no ramp
     if len(samples) < 2:
         raise RigError(f"{label}: {len(samples)} readings during the ramp; accepted: at least 2")
     ticks, counts, dac, adc = sample_columns(samples)
-    time, angle = ticks * rig.tick - samples[0].time, (counts - counts[0]) * rig.angle_step
-    return RampRecord(time, angle, slope, rig.angle_step, rig.torque(dac), rig.measured_torque(adc), loaded, label)
+    way = -1.0 if end < 0 and not turns else 1.0
+    time, angle = ticks * rig.tick - samples[0].time, way * (counts - counts[0]) * rig.angle_step
+    torques = rig.torque(way * dac), rig.measured_torque(way * adc)
+    return RampRecord(time, angle, slope, rig.angle_step, *torques, loaded, label, way < 0.0, turns > 0)
 
 
 def _follow(client: RigClient, first: list[Sample], on_sample: Callable[[Sample], None]) -> list[Sample]:
@@ -183,21 +193,25 @@ def run(options: argparse.Namespace) -> int:
     else:
         records = _measure(options, rig, _plan(options, rig))
         origin = f"{len(records)} ramps on the {origin_of(options)}"
-    result = evaluate(records, rig, options.source)
-    write_result(out, result, rig, origin)
+    both = None
+    if any(record.backward or record.swing for record in records):
+        both = evaluate_both_ways(records, rig)
+    sides = both.sides if both is not None else [evaluate(records, rig, options.source)]
+    write_result(out, sides, rig, origin, both)
     print(one_line(f"report: {out / 'report.html'}"))
-    if result.failures:
+    if any(side.failures for side in sides) or (both is not None and both.failures):
         print("parameters for rx90_sim: not written, as a load carries no estimate", file=sys.stderr)
         return VERDICT_NO
-    coulomb, _ = result.written
-    if coulomb.value > 0.0:
-        write_friction(out / "friction.yaml", result, options.element, base)
+    positive = all(side.written[0].value > 0.0 for side in sides)
+    if positive:
+        write_friction(out / "friction.yaml", sides, options.element, base)
         print(one_line(f"parameters for rx90_sim: {out / 'friction.yaml'}"))
-    for text in result.unphysical:
+    unphysical = [text for side in sides for text in side.unphysical]
+    for text in unphysical:
         print(one_line(f"not physical: {text}"), file=sys.stderr)
-    if coulomb.value <= 0.0:
+    if not positive:
         print("parameters for rx90_sim: not written, as the Coulomb friction is not positive", file=sys.stderr)
-    return VERDICT_NO if result.unphysical else DONE
+    return VERDICT_NO if unphysical else DONE
 
 
 def _check(options: argparse.Namespace, base: FrictionFile) -> None:
@@ -221,6 +235,8 @@ def _check(options: argparse.Namespace, base: FrictionFile) -> None:
 def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
     if options.source and options.slopes:
         raise ConfigError("--slopes with --source; accepted: the rig file's, the first no-load, the second loaded")
+    if options.source and rig.bipolar:
+        raise ConfigError(f"--source on {rig.file.name}, a bipolar rig; accepted: a unipolar one, as the source's")
     slopes = tuple(options.slopes or rig.ramps.slopes)
     torque = options.end_torque
     if torque is not None and not 0.0 < torque <= rig.dac_full_scale:
@@ -237,12 +253,13 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
     """Run the ramps of all loads; each stands as a CSV file when it is over."""
     records: list[RampRecord] = []
     loads = _CHOSEN_LOADS[options.load]
-    with measuring(options, rig, options.output, sum(map(plan.duration, loads)), "ramps") as session:
+    seconds = sum(_seconds(plan, rig, loaded) for loaded in loads)
+    with measuring(options, rig, options.output, seconds, "ramps") as session:
         bar = session.bar
 
-        def one(slope: float, label: str) -> RampRecord:
+        def one(slope: float, label: str, way: float = 1.0, turns: int = 0) -> RampRecord:
             bar.set_postfix_str(label, refresh=False)
-            record = run_ramp(session.client, slope, plan.end(loaded), loaded, label, session.keep)
+            record = run_ramp(session.client, slope, way * plan.end(loaded), loaded, label, session.keep, turns)
             records.append(record)
             write_csv(record, options.output / f"ramp_{len(records):02d}.csv")
             return record
@@ -256,18 +273,39 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
             if chosen != plan:
                 text = f"{' and '.join(f'{slope:g}' for slope in slopes)} Nm/s, {chosen.repeats} repeats"
                 bar.write(f"{LOADS[loaded]}: {text}, by the first ramp", sys.stderr)
-                bar.total = round(bar.total + chosen.duration(loaded) - plan.duration(loaded), 1)
+                bar.total = round(bar.total + _seconds(chosen, rig, loaded) - _seconds(plan, rig, loaded), 1)
+            run_all.append(chosen)
             return chosen
+
+        def back_and_through_zero(chosen: RampPlan) -> None:
+            name = LOADS[loaded]
+            for repeat in range(1, chosen.repeats + 1):
+                for slope in sorted(chosen.slopes):
+                    one(slope, f"{name} {WAYS[1]} {slope:g} Nm/s #{repeat}", -1.0)
+            for repeat in range(1, SWINGS + 1):
+                slope = max(chosen.slopes)
+                one(slope, f"{name} through zero {slope:g} Nm/s #{repeat}", turns=SWING_TURNS)
 
         for loaded in loads:
             session.couple(loaded)
             try:
                 planned = replace(plan, slopes=(plan.slopes[loaded],)) if options.source else plan
+                run_all: list[RampPlan] = []
                 run_planned(one, planned, loaded, choose)
+                if rig.bipolar:
+                    back_and_through_zero(run_all[0])
             except IdentificationError as error:  # what was measured before stands, and is evaluated
                 bar.write(f"{error}; no more ramps", sys.stderr)
                 break
     return records
+
+
+def _seconds(plan: RampPlan, rig: Rig, loaded: bool) -> float:
+    """Return how long all ramps and swings under a load take, s."""
+    if not rig.bipolar:
+        return plan.duration(loaded)
+    swing = (1 + 2 * SWING_TURNS) * plan.end(loaded) / max(plan.slopes) + (1 + SWING_TURNS) * plan.hold
+    return 2.0 * plan.duration(loaded) + SWINGS * swing
 
 
 def _read(options: argparse.Namespace, rig: Rig) -> list[RampRecord]:

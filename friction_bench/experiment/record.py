@@ -30,7 +30,9 @@ MOVED_SHARE = 1e-3
 """Break-away is certain after two counts (one may be jitter at an edge) and this share of the ramp's angle
 (presliding moves the shaft a little before)."""
 SLIDING_COUNTS = 10.0
-"""The shaft slides from here on: presliding ends within one or two counts."""
+SLIDING_ANGLE = 0.1
+"""The shaft slides after both of these, counts and rad at the motor: presliding ends within one or two counts of a
+coarse encoder, and within some mrad of the joint."""
 MIN_READINGS = 15
 """Fewest readings of a sliding shaft that say something about friction and inertia."""
 ONSET_TICKS = 5
@@ -101,6 +103,8 @@ class RampRecord:
         measured_torque: by the current, Nm, shape (n,), None if unknown.
         loaded: the revolute joint was coupled.
         label: names the ramp in messages and plots.
+        backward: angle and torques count backward, so that they rise as those of any ramp.
+        swing: the torque goes through zero, up and down at the slope; angle and torques have their signs.
     """
 
     time: Array
@@ -111,6 +115,8 @@ class RampRecord:
     measured_torque: Array | None = None
     loaded: bool = False
     label: str = "ramp"
+    backward: bool = False
+    swing: bool = False
 
     def __post_init__(self) -> None:
         if self.time.ndim != 1 or self.time.size < 2 or self.time.shape != self.angle.shape:
@@ -160,7 +166,8 @@ def _rows(path: Path, split: Callable[[str], list[str]]) -> list[tuple[int, list
 def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) -> RampRecord:
     """Read a CSV file with a header of `time` (s) and `counts`, and perhaps `torque`, `measured_torque` (Nm).
 
-    Lines that start with # are comments.
+    Lines that start with # are comments. A ramp whose torque, or, without it, whose counts end below 0 is one backward;
+    one whose torque has both signs is a swing.
 
     Raises:
         RecordError: naming line and column of what cannot be used.
@@ -177,9 +184,22 @@ def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) 
         elif name in CSV_COLUMNS[:2]:
             lacking = f"column {quoted(name)} is missing, found {quoted(', '.join(header)[:80])}"
             raise RecordError(f"{path}: {lacking}; accepted: {', '.join(CSV_COLUMNS)}")
-    torque, measured = columns.get("torque"), columns.get("measured_torque")
+    counts, torque, measured = columns["counts"], columns.get("torque"), columns.get("measured_torque")
+    swing = torque is not None and bool(torque.min(initial=0.0) < 0.0 < torque.max(initial=0.0))
+    leading = counts - counts[0] if torque is None else torque
+    backward = not swing and leading.size > 0 and bool(leading[-1] < 0.0)
+    way = -1.0 if backward else 1.0
     return RampRecord(
-        columns["time"], columns["counts"] * angle_step, slope, angle_step, torque, measured, loaded, path.name
+        columns["time"],
+        way * counts * angle_step,
+        slope,
+        angle_step,
+        torque if torque is None else way * torque,
+        measured if measured is None else way * measured,
+        loaded,
+        path.name,
+        backward,
+        swing,
     )
 
 
@@ -198,8 +218,10 @@ def write_csv(record: RampRecord, path: Path) -> None:
     Raises:
         Rx90Error: if the file cannot be written.
     """
-    counts = np.rint(record.angle / record.angle_step).astype(int)
-    columns = (record.time, counts, record.torque, record.measured_torque)
+    way = -1 if record.backward else 1
+    counts = way * np.rint(record.angle / record.angle_step).astype(int)
+    torques = (None if torque is None else way * torque for torque in (record.torque, record.measured_torque))
+    columns = (record.time, counts, *torques)
     known = {name: column.tolist() for name, column in zip(CSV_COLUMNS, columns, strict=True) if column is not None}
     write_table(path, f"{record.label}, slope {record.slope!r} Nm/s", known)
 
@@ -274,6 +296,11 @@ class SlidingWindow(NamedTuple):
     torque: Array
 
 
+def sliding_from(record: RampRecord) -> float:
+    """Return the angle from which the shaft slides, rad."""
+    return max(SLIDING_COUNTS * record.angle_step, SLIDING_ANGLE)
+
+
 def sliding_window(record: RampRecord) -> SlidingWindow:
     """Return where the shaft slides.
 
@@ -281,7 +308,7 @@ def sliding_window(record: RampRecord) -> SlidingWindow:
         IdentificationError: no break-away, saturation, or too few readings.
     """
     time, angle, _ = first_motion(record)
-    first = _stays_beyond(angle, max(SLIDING_COUNTS * record.angle_step, MOVED_SHARE * angle[-1]))
+    first = _stays_beyond(angle, max(sliding_from(record), MOVED_SHARE * angle[-1]))
     if time.size - first < MIN_READINGS:
         raise IdentificationError(
             f"{record.label}: {time.size - first} readings of a sliding shaft; "

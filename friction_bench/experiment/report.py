@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +18,10 @@ from friction_bench.experiment.identification import (
     RampIdentification,
     RampTestResult,
     SourceEvaluation,
+    interval,
     slopes_of,
 )
+from friction_bench.experiment.two_way import WAYS, SwingResult, TwoWayResult
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
 from rx90_common.friction import FrictionElement
@@ -83,6 +87,20 @@ def _comparison_plot(comparison: FourWay) -> Plot:
     return Plot(panels, share_x=True)
 
 
+def _hysteresis_plot(both: TwoWayResult) -> Plot:
+    """Show the hysteresis of each load: the swings' torque over the mean velocity of SMOOTHING readings."""
+    panels = []
+    for load, records in both.records.items():
+        marks: list[Mark] = []
+        for k, record in enumerate(records):
+            assert record.torque is not None  # a swing is one by its torque
+            _, velocity = measured_velocity(record)
+            middle = record.torque[SMOOTHING // 2 :][: velocity.size]
+            marks.append(Curve(velocity[: middle.size], middle, f"swing {k + 1}", COLOURS[k], 0.8))
+        panels.append(Panel(marks, load, "motor velocity, rad/s", "motor torque, Nm"))
+    return Plot(panels, columns=2, height=3.2)
+
+
 def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
     return {
         "value": float(f"{estimate.value:.6g}"),
@@ -106,26 +124,59 @@ def _source_lines(found: SourceEvaluation) -> list[str]:
     return lines
 
 
-def write_result(out: Path, result: RampTestResult, rig: Rig, origin: str) -> None:
+def _rows_of_both(both: TwoWayResult) -> list[tuple[str, str, list[IntervalEstimate]]]:
+    """Return load with method, quantity with unit, and its estimates forward, backward and of the difference."""
+    best = [dict(side.parts) for side in both.sides]
+    pairs = {
+        f"{load}, ramps": ([part[f"{load} {way}"].best for part, way in zip(best, WAYS, strict=True)], found)
+        for load, found in both.differences.items()
+    }
+    pairs |= {f"{load}, through zero": ([*swing.friction], swing.difference) for load, swing in both.swings.items()}
+    return [
+        (name, text, [*(getattr(one, key) for one in friction), found[index]])
+        for name, (friction, found) in pairs.items()
+        for index, (key, text) in enumerate((("coulomb", "f_c, Nm"), ("viscous", "f_v, Nm s/rad")))
+    ]
+
+
+def _lag_lines(swing: SwingResult) -> list[str]:
+    """Return for each direction how long after the torque's change of sign the shaft moved, in words."""
+    lines = []
+    for way, found in zip(WAYS, swing.lags, strict=True):
+        if found is None:
+            lines.append(f"to {way}: no reversal")
+            continue
+        lag, torque = (f"{one.value:.4g} [{one.low:.4g}, {one.high:.4g}]" for one in found)
+        number = sum(WAYS[one.backward] == way for one in swing.reversals)
+        lines.append(f"to {way}: {lag} s, at {torque} Nm ({number} reversals)")
+    return lines
+
+
+def write_result(
+    out: Path, sides: Sequence[RampTestResult], rig: Rig, origin: str, both: TwoWayResult | None = None
+) -> None:
     """Write report.html and estimates.yaml, with every estimate, in a folder, and print the estimates.
 
     Args:
         out: the folder.
-        result: of the measurement.
+        sides: the result of the measurement, of each direction where there are two.
         rig: on which it was made.
         origin: of the data, in one line.
+        both: what both directions together show.
 
     Raises:
         Rx90Error: if a file cannot be written.
     """
     rows: list[tuple[str, str, RampFriction]] = [
         (name, text, friction)
+        for result in sides
         for name, part in result.parts
         for key, text in METHODS.items()
         if (friction := getattr(part, key)) is not None
     ]
+    first = sides[0]
     document: dict[str, Any] = {"units": {"coulomb": "Nm", "viscous": "Nm s/rad", "inertia": "kg m2"}}
-    lines = _source_lines(result.as_source) if result.as_source is not None else []
+    lines = _source_lines(first.as_source) if first.as_source is not None else []
     lines += [f"{'':34}{'f_c, Nm [95 %]':>34}{'f_v, Nm s/rad [95 %]':>40}"]
 
     def add(title: str, coulomb: IntervalEstimate, viscous: IntervalEstimate) -> dict[str, Any]:
@@ -138,27 +189,42 @@ def write_result(out: Path, result: RampTestResult, rig: Rig, origin: str) -> No
         if friction.inertia is not None:
             entry["inertia"] = _interval(friction.inertia)
         document.setdefault(name, {})[method] = entry
-    plots = {name: _velocity_plot(part) for name, part in result.parts}
-    if result.joint is not None:
-        document["joint"] = {
-            "motor_side": add("joint, at the motor", *result.joint[:2]),
-            "joint_side": add("joint, joint side", *result.joint[2:]),
-        }
+    plots = {name: _velocity_plot(part) for result in sides for name, part in result.parts}
+    for result in sides:
+        if result.joint is not None:
+            name = f"joint {result.way}".rstrip()
+            document[name] = {
+                "motor_side": add(f"{name}, at the motor", *result.joint[:2]),
+                "joint_side": add(f"{name}, joint side", *result.joint[2:]),
+            }
+            plots[f"load {result.way}"] = _load_plot(result)
+    if any(result.joint is not None for result in sides):
         lines.append(f"joint side: {rig.joint_side_reason}")
-        plots["load"] = _load_plot(result)
-    if result.as_source is not None:
-        document["as_source"] = {name: one._asdict() for name, one in result.as_source.loads.items()}
-        document["as_source"]["f_joint"] = result.as_source.joint
-    if result.comparison is not None:
-        for pair in result.comparison.pairs:
+    if first.as_source is not None:
+        document["as_source"] = {name: one._asdict() for name, one in first.as_source.loads.items()}
+        document["as_source"]["f_joint"] = first.as_source.joint
+    if first.comparison is not None:
+        for pair in first.comparison.pairs:
             band = f", source ± {pair.band:g} %" if pair.band else ""
             lines.append(f"{pair.first} - {pair.second}: {pair.worst:.2g} % worst{band}")
-        plots["comparison"] = _comparison_plot(result.comparison)
-    unused = [*result.failures, *(reason for _, part in result.parts for reason in part.unused)]
+        plots["comparison"] = _comparison_plot(first.comparison)
+    unused = [reason for result in sides for reason in result.failures]
+    unused += [reason for result in sides for _, part in result.parts for reason in part.unused]
+    both_rows, lags = [], dict[str, list[str]]()
+    if both is not None:
+        unused += both.failures
+        both_rows, lags = _rows_of_both(both), {load: _lag_lines(one) for load, one in both.swings.items()}
+        _add_both(document, lines, both_rows, both, lags)
+        if both.records:
+            plots["hysteresis"] = _hysteresis_plot(both)
     page = render_page(
         "friction_bench.experiment",
         "friction_report.html.j2",
-        result=result,
+        sides=sides,
+        first=first,
+        both=both,
+        both_rows=both_rows,
+        lags=lags,
         rig=rig,
         origin=origin,
         rows=rows,
@@ -167,25 +233,52 @@ def write_result(out: Path, result: RampTestResult, rig: Rig, origin: str) -> No
         static=STATIC,
         unused=unused,
         source_states=SOURCE_STATES,
-        two_slopes=all(part.exact is not None for _, part in result.parts),
+        two_slopes=all(part.exact is not None for result in sides for _, part in result.parts),
     )
     write_text(out / "report.html", page)
     document |= {
         "tau_s": {"identifiable": False, "reason": STATIC},
         "not_used": unused,
-        "not_physical": [*result.unphysical],
+        "not_physical": [text for result in sides for text in result.unphysical],
     }
     write_text(out / "estimates.yaml", yaml_text(document))
     lines.append(f"static friction tau_s: {STATIC}")
     print("\n".join([*lines, *(f"not used: {reason}" for reason in unused)]))
 
 
-def write_friction(path: Path, result: RampTestResult, element: str, base: FrictionFile) -> None:
+def _add_both(
+    document: dict[str, Any],
+    lines: list[str],
+    rows: list[tuple[str, str, list[IntervalEstimate]]],
+    both: TwoWayResult,
+    lags: dict[str, list[str]],
+) -> None:
+    """Add what both directions show to the document and to the lines for the terminal."""
+    lines.append(f"{'both directions [95 %]':40}{'forward':>38}{'backward':>38}{'difference':>38}")
+    directions: dict[str, Any] = {}
+    for name, text, estimates in rows:
+        cells = "".join(f"{f'{one.value:.4g} [{one.low:.4g}, {one.high:.4g}]':>38}" for one in estimates)
+        lines.append(f"{f'{name}: {text}':40}{cells}")
+        entries = dict(zip((*WAYS, "difference"), map(_interval, estimates), strict=True))
+        directions.setdefault(name, {})["coulomb" if text.startswith("f_c") else "viscous"] = entries
+    document["directions"] = directions
+    for load, swing in both.swings.items():
+        lines += [
+            f"{load}: lag time, from the torque's change of sign to the velocity's, {text}" for text in lags[load]
+        ]
+        document.setdefault("lag_time_s", {})[load] = {
+            way: [float(f"{one.lag:.4g}") for one in swing.reversals if WAYS[one.backward] == way] for way in WAYS
+        }
+
+
+def write_friction(path: Path, sides: Sequence[RampTestResult], element: str, base: FrictionFile) -> None:
     """Write friction parameters for rx90_sim; a viscous friction that is not physical is 0 there, and assumed.
+
+    An element has one viscous friction: of two directions it is the mean.
 
     Args:
         path: file to write.
-        result: of the measurement.
+        sides: the result of the measurement, of each direction where there are two.
         element: name of the friction element that the measured joint stands for.
         base: the friction file to put that element into.
 
@@ -193,25 +286,39 @@ def write_friction(path: Path, result: RampTestResult, element: str, base: Frict
         ConfigError: if the Coulomb friction is not positive.
         Rx90Error: if the file cannot be written.
     """
-    coulomb, viscous = result.written
+    (coulomb, viscous), (back, back_viscous) = sides[0].written, sides[-1].written
+    if len(sides) > 1:
+        # Not less than either's: the torque scale is the same error in both.
+        mean, error = (viscous.value + back_viscous.value) / 2, max(viscous.error, back_viscous.error)
+        viscous = interval(mean, error, math.inf, 0.0)
     # Assumed are c0 and c1, a presliding of 0.1 mrad with critical-like damping, and tau_s, as much above tau_c as in
     # the element that is replaced.
     assumed = base.elements[element]
     stiffness = coulomb.value / STIFFNESS_SHARE
-    static = coulomb.value * assumed.tau_s_positive / assumed.tau_c_positive
-    tau_c, tau_s, c0, c1, c2 = (
-        float(f"{value:.6g}") for value in (coulomb.value, static, stiffness, 1e-3 * stiffness, max(viscous.value, 0.0))
+    rise = assumed.tau_s_positive / assumed.tau_c_positive
+    both = coulomb.value, back.value, rise * coulomb.value, rise * back.value
+    tau_c, back_c, tau_s, back_s, c0, c1, c2 = (
+        float(f"{value:.6g}") for value in (*both, stiffness, 1e-3 * stiffness, max(viscous.value, 0.0))
     )
-    tau_s = max(tau_s, tau_c)
-    measured = FrictionElement(tau_c, tau_c, tau_s, tau_s, 0.05, 1.0, c0, c1, c2, 1.0)
+    tau_s, back_s = max(tau_s, tau_c), max(back_s, back_c)
+    measured = FrictionElement(tau_c, back_c, tau_s, back_s, 0.05, 1.0, c0, c1, c2, 1.0)
     assumption: dict[str, Any] = {"provenance": "assumed", "identifiable": False}
     identified, of_c2 = "tau_c and c2", {"provenance": "identified", **_interval(viscous)}
     if viscous.value <= 0.0:
         identified = "tau_c"
-        of_c2 = {**assumption, "value": c2, "estimate": _interval(viscous), "reason": result.unphysical[-1]}
+        of_c2 = {
+            **assumption,
+            "value": c2,
+            "estimate": _interval(viscous),
+            "reason": [text for side in sides for text in side.unphysical][-1],
+        }
     source = f"ramp test on the friction rig: {identified} of {element} identified, the rest assumed"
+    of_tau_c: dict[str, Any] = {"tau_c": {"provenance": "identified", **_interval(coulomb)}}
+    if len(sides) > 1:
+        pair = {"tau_c_positive": coulomb, "tau_c_negative": back}
+        of_tau_c = {name: {"provenance": "identified", **_interval(one)} for name, one in pair.items()}
     parameters = {
-        "tau_c": {"provenance": "identified", **_interval(coulomb)},
+        **of_tau_c,
         "c2": of_c2,
         "tau_s": {"provenance": "assumed", "value": tau_s, "identifiable": False, "reason": STATIC},
         **{name: assumption.copy() for name in ("omega_s", "delta", "c0", "c1", "omega_d")},

@@ -184,10 +184,13 @@ def readings_series(samples: list[Sample], rig: Rig) -> list[JointSeries]:
 
 
 def sample_columns(samples: list[Sample]) -> tuple[Array, Array, Array, Array]:
-    """Return ticks, counts, DAC and ADC codes of readings, each of shape (n,)."""
+    """Return ticks, counts, DAC and ADC codes of readings, each of shape (n,).
+
+    The ADC sees the size of the current; its sign is that of the code until the reading.
+    """
     rows = [(s.tick, s.counts, s.report.dac, s.report.adc) for s in samples]
     ticks, counts, dac, adc = np.array(rows, dtype=np.float64).T
-    return ticks, counts, dac, adc
+    return ticks, counts, dac, np.where(np.concatenate((dac[:1], dac[:-1])) < 0.0, -adc, adc)
 
 
 def refuse_fault(sample: Sample) -> None:
@@ -243,9 +246,9 @@ def near_limits(rig: Rig, counts: Array) -> Mask:
         counts: of the encoder since the rig was armed, shape (n,).
     """
     travel, speed = rig.limit_codes()
-    moved = counts - counts[0]
-    before = np.concatenate((np.zeros(SPEED_TICKS), moved))[: moved.size]
-    too_fast = moved - before > LIMITS_SHARE * speed * SPEED_TICKS
+    moved = np.abs(counts - counts[0])
+    before = np.concatenate((np.zeros(SPEED_TICKS), counts - counts[0]))[: moved.size]
+    too_fast = np.abs(counts - counts[0] - before) > LIMITS_SHARE * speed * SPEED_TICKS
     return np.asarray((moved > LIMITS_SHARE * travel * TRAVEL_UNIT) | too_fast)
 
 

@@ -65,6 +65,7 @@ class Run(NamedTuple):
         profile: of the torque.
         rate: of a ramp in codes a tick, of a pull its speed in rad/s.
         stiffness: of a pull, Nm/rad.
+        backward: the profile and its readings are counted the other way.
     """
 
     kind: str
@@ -72,6 +73,7 @@ class Run(NamedTuple):
     profile: Profile
     rate: float = 0.0
     stiffness: float = 0.0
+    backward: bool = False
 
 
 @dataclass
@@ -99,10 +101,12 @@ class Campaign:
     def __post_init__(self) -> None:
         self.slide = motions.SLIDE / self.rig.joint_step  # counts
         self.fastest = 0.9 * self.rig.speed_limit / self.rig.gear_ratio  # rad/s of the joint, with a reserve
+        self.ways = (False, True) if self.rig.bipolar else (False,)
 
-    def of(self, kind: str) -> list[tuple[Run, Trace]]:
-        """Return the experiments of a kind that have been run."""
-        return [(run, trace) for run, trace in self.done if run.kind == kind]
+    def of(self, kind: str, backward: bool = False) -> list[tuple[Run, Trace]]:
+        """Return the experiments of a kind and direction that have been run, counted in that direction."""
+        chosen = [(run, trace) for run, trace in self.done if run.kind == kind and run.backward is backward]
+        return [(run, trace.mirrored) for run, trace in chosen] if backward else chosen
 
     def left(self) -> float:
         """Return how long what is not done yet may take, s, for a joint that breaks away at half of the torque."""
@@ -110,37 +114,38 @@ class Campaign:
             self._pull_ticks(speed, stiffness) for speed in PULL_SPEEDS * self.fastest for stiffness in PULL_STIFFNESSES
         ]
         ticks = {
-            "loops": self.blocks * 420.0,
-            "sweep": 2 * SWEEP_SPEEDS.size * SPEED_TICKS + 80,
+            "loops": self.blocks * (650.0 if self.rig.bipolar else 420.0),
+            "sweep": len(self.ways) * (2 * SWEEP_SPEEDS.size * SPEED_TICKS + 80),
             "stick_slip": sum(pulls),
             "drift": 2 * HALF_CYCLE_TICKS * self.cycles + 120,
         }
-        whole = sum(REPEATS * 130.0 / rate + 25.0 for rate in RATES) + sum(ticks[kind] for kind in self.kinds)
+        ramps = sum(REPEATS * 130.0 / rate + 25.0 for rate in RATES)
+        whole = len(self.ways) * ramps + sum(ticks[kind] for kind in self.kinds)
         return max(whole * self.rig.tick - float(sum(trace.time[-1] for _, trace in self.done)), 0.0)
 
-    def _slid(self) -> list[tuple[float, Trace]]:
+    def _slid(self, backward: bool = False) -> list[tuple[float, Trace]]:
         """Return the ramps on which the joint broke away, each with its rate."""
-        return [(run.rate, trace) for run, trace in self.of("ramps") if trace.counts.max() >= self.slide]
+        return [(run.rate, trace) for run, trace in self.of("ramps", backward) if trace.counts.max() >= self.slide]
 
-    def slowest_ramps(self) -> list[Trace]:
-        """Return the ramps of the slowest rate at which the joint breaks away.
+    def slowest_ramps(self, backward: bool = False) -> list[Trace]:
+        """Return the ramps of the slowest rate at which the joint breaks away in a direction.
 
         Raises:
             IdentificationError: if there are none.
         """
-        ramps = self._slid()
+        ramps = self._slid(backward)
         if not ramps:
             raise IdentificationError("the joint breaks away on no ramp")
         slowest = min(rate for rate, _ in ramps)
         return [trace for rate, trace in ramps if rate == slowest]
 
-    def break_away_code(self) -> float:
-        """Return the code at which the joint breaks away on the slowest of the ramps on which it does.
+    def break_away_code(self, backward: bool = False) -> float:
+        """Return the size of the code at which the joint breaks away on the slowest of the ramps on which it does.
 
         Raises:
             IdentificationError: if there are none.
         """
-        return float(np.median([break_away_code(trace, self.slide) for trace in self.slowest_ramps()]))
+        return float(np.median([break_away_code(trace, self.slide) for trace in self.slowest_ramps(backward)]))
 
     def runs(self, limit: int) -> Iterator[Run]:
         """Yield one experiment after the other, each when those before it are done.
@@ -151,24 +156,31 @@ class Campaign:
         Raises:
             IdentificationError: if the joint does not break away, or too early for small cycles in whole codes.
         """
-        for rate in RATES:
-            for repeat in range(REPEATS):
-                label = f"ramp, {rate:g} codes a tick, {repeat + 1}"
-                yield Run("ramps", label, motions.ramp(rate, self.slide, limit), rate)
-                break_away_code(self.done[-1][1], self.slide)  # refused now, if the joint sticks
+        for backward in self.ways:
+            for rate in RATES:
+                for repeat in range(REPEATS):
+                    label = f"ramp{' backward' * backward}, {rate:g} codes a tick, {repeat + 1}"
+                    profile = motions.ramp(rate, self.slide, limit)
+                    yield Run("ramps", label, motions.mirrored(profile) if backward else profile, rate, 0.0, backward)
+                    break_away_code(self.of("ramps", backward)[-1][1], self.slide)  # refused now, if the joint sticks
         rig, slow = self.rig, self.break_away_code()
         start = int(_SLIDE_START * slow)
         counts = rig.tick / rig.joint_step  # per tick, of 1 rad/s
         if "loops" in self.kinds:
             stride = max(1, round(slow / _STRIDES))
+            back = int(self.break_away_code(True)) if self.rig.bipolar else None
             for block in range(self.blocks):
-                codes = motions.loop_codes(int(slow), block, stride)
+                codes = motions.loop_codes(int(slow), block, stride, back)
                 yield Run("loops", f"loops, block {block + 1}", motions.after_slide(start, self.slide, limit, codes))
         if "sweep" in self.kinds:
             speeds = SWEEP_SPEEDS * self.fastest
             wanted = [float(speed) * rig.tick / rig.joint_step for speed in (*speeds, *speeds[::-1])]
             gain = _USUAL_INERTIA * _BANDWIDTH / rig.joint_code / counts
-            yield Run("sweep", "sweep", motions.speeds(start, wanted, SPEED_TICKS, gain, limit, rig.tick))
+            for backward in self.ways:
+                begin = int(_SLIDE_START * self.break_away_code(backward))
+                profile = motions.speeds(begin, wanted, SPEED_TICKS, gain, limit, rig.tick)
+                turned = motions.mirrored(profile) if backward else profile
+                yield Run("sweep", f"sweep{' backward' * backward}", turned, backward=backward)
         if "stick_slip" in self.kinds:
             for stiffness in PULL_STIFFNESSES:
                 for speed in (PULL_SPEEDS * self.fastest).tolist():
@@ -204,6 +216,9 @@ class Campaign:
         for _, trace in self.of("sweep"):
             result.readings = sliding_readings(trace)
             result.sliding = attempt(fit_sliding_friction, result.readings)
+        for _, trace in self.of("sweep", True):
+            result.readings_backward = sliding_readings(trace)
+            result.sliding_backward = attempt(fit_sliding_friction, result.readings_backward)
         ramps = self._slid()
         if ramps:
             slow = self.break_away_code()
@@ -211,11 +226,14 @@ class Campaign:
             result.deflection = float(np.median(moved)) * self.rig.joint_step
             if result.sliding is not None:
                 result.break_away = [break_away_torque(*ramp, result.sliding.inertia) for ramp in ramps]
+                inertia = result.sliding.inertia
+                result.break_away_backward = [break_away_torque(*ramp, inertia) for ramp in self._slid(True)]
             for _, trace in self.of("drift"):
                 result.drift = attempt(evaluate_drift, trace, *turning_codes(slow), slow)
         result.blocks = [LoopBlock.of(trace) for _, trace in self.of("loops")]
         if result.blocks and result.readings is not None:
-            result.choice = attempt(choose, result.blocks, result.readings, result.drift, on_fit)
+            parts = result.blocks, result.readings, result.drift, on_fit, result.readings_backward
+            result.choice = attempt(choose, *parts)
         result.pulls = [evaluate_pull(trace, run.rate, run.stiffness) for run, trace in self.of("stick_slip")]
         return result
 

@@ -75,7 +75,7 @@ class LoopBlock:
         code = trace.code
         ends = np.flatnonzero(np.diff(code) != 0.0)
         slid = int(np.flatnonzero((code[:-1] > 0.0) & (code[1:] == 0.0))[0]) + 1
-        first = slid + int(np.argmax(code[slid:] > 0.0)) - 1  # the last reading at rest
+        first = slid + int(np.argmax(code[slid:] != 0.0)) - 1  # the last reading at rest
         readings = ends[(ends > first) & (np.diff(ends, prepend=-1) >= DWELL_TICKS)]
         angle, torque = settled(trace.counts)[first:] * trace.angle_step, code[readings] * trace.torque_step
         return cls(angle, readings - first, torque, trace.tick)
@@ -123,12 +123,13 @@ class FrictionLaw:
         """Return the torque at each of the readings of blocks, Nm, each of shape (k,)."""
         if self.bristles is None:
             # It balances the torque at rest, and slides where it moves.
-            static, found = sliding.tau_s if self.stribeck else sliding.tau_c, []
+            ways = sliding, sliding.backward or sliding
+            (static, back), found = ((way.tau_s if self.stribeck else way.tau_c) for way in ways), []
             for block in blocks:
                 before = np.concatenate(([block.readings[0] - DWELL_TICKS], block.readings[:-1]))
                 moved = block.angle[block.readings] - block.angle[np.maximum(before, 0)]
-                still = np.clip(block.torque, -static, static)
-                found.append(np.where(moved == 0.0, still, static * np.sign(moved)))
+                still = np.clip(block.torque, -back, static)
+                found.append(np.where(moved == 0.0, still, np.where(moved > 0.0, static, -back)))
             return found
         joint, found = joint_record(self.element(values, sliding), 1.0, blocks[0].tick, 0), []
         for block in blocks:
@@ -139,10 +140,11 @@ class FrictionLaw:
     def element(self, values: Sequence[float], sliding: SlidingFriction) -> FrictionElement:
         """Return the friction element of a law with bristles, without damping, which the readings do not show."""
         assert self.bristles is not None
-        coulomb, static = max(sliding.tau_c, 1e-6), max(sliding.tau_s, sliding.tau_c, 1e-6)
-        lugre = FrictionElement(
-            coulomb, coulomb, static, static, sliding.omega_s, 1.0, math.exp(values[0]), 0.0, sliding.c2, math.inf, 1.0
-        )
+        ways = sliding, sliding.backward or sliding
+        coulomb, back = (max(way.tau_c, 1e-6) for way in ways)
+        static, back_static = (max(way.tau_s, way.tau_c, 1e-6) for way in ways)
+        others = sliding.omega_s, 1.0, math.exp(values[0]), 0.0, sliding.c2, math.inf, 1.0
+        lugre = FrictionElement(coulomb, back, static, back_static, *others)
         return replace(lugre, bristles=self.bristles(values[1:]))
 
     def fit(self, sliding: SlidingFriction, blocks: Sequence[LoopBlock]) -> list[float]:
@@ -244,6 +246,7 @@ def choose(
     readings: SlidingReadings,
     drift: DriftResult | None,
     on_fit: Callable[[], object] = lambda: None,
+    backward: SlidingReadings | None = None,
 ) -> Choice:
     """Choose the law.
 
@@ -252,6 +255,7 @@ def choose(
         readings: of the sliding joint, in the order of time.
         drift: under small cycles, None if it was not measured.
         on_fit: called after each of FITS fits.
+        backward: readings of the joint sliding backward, counted that way, where loops go through zero.
 
     Raises:
         IdentificationError: if there is too little to compare.
@@ -259,6 +263,8 @@ def choose(
     if len(blocks) < MIN_BLOCKS:
         raise IdentificationError(f"{len(blocks)} blocks of loops; accepted: at least {MIN_BLOCKS}")
     sliding = {stribeck: fit_sliding_friction(readings, stribeck) for stribeck in (False, True)}
+    if backward is not None:
+        sliding = {key: replace(one, backward=fit_sliding_friction(backward, key)) for key, one in sliding.items()}
     held_out = {stribeck: _sliding_errors(readings, stribeck) for stribeck in (False, True)}
     scores = with_refutations(
         [_score(law, blocks, sliding[law.stribeck], held_out[law.stribeck], on_fit) for law in LAWS]

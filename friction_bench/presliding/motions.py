@@ -1,8 +1,9 @@
 """How the rig is moved: profiles of torque, which the host follows tick by tick, and the readings that come of them.
 
-Codes are those of the DAC. Torque goes one way only, from zero to the motor's limit: a motion is turned round by taking
-torque away, and it is the bent bristles that drive it back. So loops lie between zero and break-away, and no sliding
-joint is reversed.
+Codes are those of the DAC. On a unipolar rig torque goes one way only, from zero to the motor's limit: a motion is
+turned round by taking torque away, and it is the bent bristles that drive it back. So loops lie between zero and
+break-away, and no sliding joint is reversed. On a bipolar one codes below 0 are torque backward: loops go through zero,
+and what slides forward slides backward, too, by the same profiles counted the other way.
 
 The host answers each report at once with the protocol's TORQUE command. A code that it sends reaches the DAC some 15 ms
 after the reading that it answers (the report's 9 ms on the line at 19200 baud, the command's 4 ms, the firmware's
@@ -14,7 +15,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
@@ -47,6 +48,14 @@ _LEVELS = (
 )
 """Where blocks of loops turn round, in parts of the break-away torque: large loops with inner ones, which begin and end
 at the same torque, so that a law with a memory of its own closes them there."""
+_LEVELS_THROUGH_ZERO = (
+    (0.85, -0.85, 0.85, -0.85, 0.0),
+    (0.8, -0.5, 0.3, -0.5, 0.8, -0.8, 0.0),
+    (0.9, -0.9, 0.4, -0.4, 0.4, -0.9, 0.0),
+    (-0.85, 0.85, -0.3, 0.6, -0.3, 0.85, -0.85, 0.0),
+    (0.5, -0.5, 0.75, -0.75, 0.88, -0.88, 0.0),
+)
+"""The same for torque of both signs, in parts of each direction's break-away torque: whole loops with inner ones."""
 
 Profile: TypeAlias = Generator[int, Sample, None]
 """Yields the code to put on the DAC, and is sent the reading that follows."""
@@ -80,6 +89,11 @@ class Trace:
         ticks, counts, code, _ = sample_columns(samples)
         time = (ticks - ticks[0]) * rig.tick
         return cls(label, time, counts - counts[0], code, rig.joint_step, rig.joint_code, rig.tick)
+
+    @property
+    def mirrored(self) -> Trace:
+        """Return the same readings counted the other way."""
+        return replace(self, counts=-self.counts, code=-self.code)
 
     @property
     def held(self) -> Array:
@@ -130,6 +144,15 @@ def follow(
     return Trace.of(label, samples, client.rig)
 
 
+def mirrored(profile: Profile) -> Profile:
+    """Follow a profile backward: it gives and sees everything counted the other way."""
+    code = next(profile)
+    with contextlib.suppress(StopIteration):  # the profile's end
+        while True:
+            sample = yield -code
+            code = profile.send(replace(sample, counts=-sample.counts))
+
+
 def ramp(rate: float, counts: float, limit: int) -> Profile:
     """Raise the torque by `rate` codes a tick until the joint has moved by so many counts, or up to `limit`."""
     first = yield 0
@@ -164,11 +187,18 @@ def _raised(code: int, limit: int) -> int:
     return code + 1
 
 
-def loop_codes(break_away: int, block: int, stride: int) -> Iterator[int]:
-    """Yield the codes of a block of loops below break-away, in strides of so many codes, each held for a dwell."""
-    code = 0
-    for share in _LEVELS[block % len(_LEVELS)]:
-        level = math.floor(share * break_away)
+def loop_codes(break_away: int, block: int, stride: int, backward: int | None = None) -> Iterator[int]:
+    """Yield the codes of a block of loops below break-away, in strides of so many codes, each held for a dwell.
+
+    Args:
+        break_away: code at which the joint breaks away.
+        block: number of the block.
+        stride: codes.
+        backward: size of the code at which it breaks away backward; None for loops that do not go through zero.
+    """
+    code, levels = 0, _LEVELS if backward is None else _LEVELS_THROUGH_ZERO
+    for share in levels[block % len(levels)]:
+        level = math.floor(share * break_away) if share >= 0.0 else -math.floor(-share * (backward or 0))
         while code != level:
             code += max(-stride, min(stride, level - code))
             yield from [code] * DWELL_TICKS

@@ -38,7 +38,7 @@ class PreslidingResult:
         origin: of the readings, in words.
         rig: on which they were taken.
         deflection: of the joint up to break-away, rad, on the slowest ramps; None if it does not break away.
-        break_away: the torque's rate, Nm/s, and the largest friction before sliding, Nm, of each ramp.
+        break_away: the torque's rate, Nm/s, and the largest friction before sliding, Nm, of each ramp; backward apart.
         failures: why a part that was run carries nothing, one line each.
     """
 
@@ -46,8 +46,11 @@ class PreslidingResult:
     rig: Rig
     deflection: float | None = None
     break_away: list[tuple[float, float]] = field(default_factory=list)
+    break_away_backward: list[tuple[float, float]] = field(default_factory=list)
     sliding: SlidingFriction | None = None
+    sliding_backward: SlidingFriction | None = None
     readings: SlidingReadings | None = None
+    readings_backward: SlidingReadings | None = None
     blocks: list[LoopBlock] = field(default_factory=list)
     choice: Choice | None = None
     pulls: list[Pull] = field(default_factory=list)
@@ -127,6 +130,50 @@ def _drift_text(drift: DriftResult) -> str:
     return f"{mean:.3g} counts a cycle [{least:.3g}, {largest:.3g}], {law}: {drift.verdict.value} ({drift.reason})"
 
 
+def _add_directions(
+    result: PreslidingResult, lines: list[str], document: dict[str, Any], plots: dict[str, Plot]
+) -> None:
+    """Add break-away and sliding of each direction to the lines for the terminal, the document and the plots."""
+    common = result.rig.joint_scale_uncertainty
+    ramps = {"": result.break_away, " backward": result.break_away_backward}
+    marks: list[Mark] = []
+    for colour, (way, torques) in zip(COLOURS[1:], ramps.items(), strict=False):
+        if not torques:
+            continue
+        rows = by_rate(torques)
+        lines.append(f"break-away{way}: " + ", ".join(f"{m:.3f} ± {e:.3f} Nm at {r:.3g} Nm/s" for r, m, e in rows))
+        names: tuple[str, ...] = ("rate_nm_s", "torque_nm", "standard_error_nm", "standard_uncertainty_nm")
+        document[f"break_away{way}".replace(" ", "_")] = [
+            dict(zip(names, (*row, math.hypot(row[2], common * row[1])), strict=True)) for row in rows
+        ]
+        each, (rates, means, errors) = np.array(torques), np.array(rows).T
+        marks.append(Dots(each[:, 0], each[:, 1], f"each ramp{way}", GREY))
+        marks.append(Dots(rates, means, f"mean and standard error{way}", colour, errors))
+    if marks:
+        panel = Panel(marks, "", "rate of the torque, Nm/s", "break-away, Nm", x_scale="log")
+        plots["break_away"] = Plot([panel], height=2.8)
+    sweeps = {
+        "": (result.sliding, result.readings),
+        " backward": (result.sliding_backward, result.readings_backward),
+    }
+    marks = []
+    for colour, (way, (s, readings)) in zip(COLOURS, sweeps.items(), strict=False):
+        if s is None or readings is None:
+            continue
+        lines.append(
+            f"sliding{way}: tau_c {s.tau_c:.3f} Nm, tau_s {s.tau_s:.3f} Nm, omega_s {s.omega_s:.3f} rad/s, "
+            f"c2 {s.c2:.3f} Nm s/rad, inertia {s.inertia:.3f} kg m2"
+        )
+        names = ("tau_c", "tau_s", "omega_s", "c2", "inertia")
+        document[f"sliding{way}".replace(" ", "_")] = {name: float(f"{getattr(s, name):.5g}") for name in names}
+        speed = np.linspace(0.0, 1.02 * float(readings.speed.max()), 300)
+        rest = readings.torque - s.inertia * readings.acceleration
+        marks.append(Dots(readings.speed, rest, f"readings{way}", colour))
+        marks.append(Curve(speed, s.torque(speed), f"fitted{way}", INK, 1.2, "dashed" if way else "solid"))
+    if marks:
+        plots["sliding"] = Plot([Panel(marks, "", "speed of the joint, rad/s", "friction, Nm")], height=2.8)
+
+
 def write_result(out: Path, result: PreslidingResult) -> None:
     """Print the results and write report.html and estimates.yaml, joint side, in a folder.
 
@@ -141,34 +188,7 @@ def write_result(out: Path, result: PreslidingResult) -> None:
     }  # fmt: skip
     if result.blocks:
         plots["loops"] = _loops_plot(result)
-    if result.break_away:
-        rows = by_rate(result.break_away)
-        lines.append("break-away: " + ", ".join(f"{m:.3f} ± {e:.3f} Nm at {r:.3g} Nm/s" for r, m, e in rows))
-        names: tuple[str, ...] = ("rate_nm_s", "torque_nm", "standard_error_nm", "standard_uncertainty_nm")
-        document["break_away"] = [
-            dict(zip(names, (*row, math.hypot(row[2], common * row[1])), strict=True)) for row in rows
-        ]
-        each, (rates, means, errors) = np.array(result.break_away), np.array(rows).T
-        marks: list[Mark] = [
-            Dots(each[:, 0], each[:, 1], "each ramp", GREY),
-            Dots(rates, means, "mean and standard error", COLOURS[1], errors),
-        ]
-        panel = Panel(marks, "", "rate of the torque, Nm/s", "break-away, Nm", x_scale="log")
-        plots["break_away"] = Plot([panel], height=2.8)
-    if result.sliding is not None and result.readings is not None:
-        s, readings = result.sliding, result.readings
-        lines.append(
-            f"sliding: tau_c {s.tau_c:.3f} Nm, tau_s {s.tau_s:.3f} Nm, omega_s {s.omega_s:.3f} rad/s, "
-            f"c2 {s.c2:.3f} Nm s/rad, inertia {s.inertia:.3f} kg m2"
-        )
-        names = ("tau_c", "tau_s", "omega_s", "c2", "inertia")
-        document["sliding"] = {name: float(f"{getattr(s, name):.5g}") for name in names}
-        speed = np.linspace(0.0, 1.02 * float(readings.speed.max()), 300)
-        marks = [
-            Dots(readings.speed, readings.torque - s.inertia * readings.acceleration, "readings", COLOURS[0]),
-            Curve(speed, s.torque(speed), "fitted", INK, 1.2),
-        ]
-        plots["sliding"] = Plot([Panel(marks, "", "speed of the joint, rad/s", "friction, Nm")], height=2.8)
+    _add_directions(result, lines, document, plots)
     if result.choice is not None:
         choice = result.choice
         lines.append(f"{'law':22}{'loops, mNm RMS':>16}{'sliding, mNm RMS':>18}")
@@ -178,6 +198,10 @@ def write_result(out: Path, result: PreslidingResult) -> None:
         lines.append(f"law of friction: {choice.text}")
         refuted = {score.law.name: score.refuted for score in choice.scores if score.refuted}
         document["law"] = {"verdict": choice.text, "left": [law.name for law in choice.left], "refuted": refuted}
+        fitted = {score.law.name: score.values[0] for score in choice.scores if score.law.bristles is not None}
+        stiffness = {law.name: float(f"{np.exp(fitted[law.name]):.4g}") for law in choice.left if law.name in fitted}
+        lines += [f"stiffness c0 of {name}: {value:g} Nm/rad" for name, value in stiffness.items()]
+        document["law"]["c0_nm_per_rad"] = stiffness
     if result.pulls:
         slips = [f"{pull.speed:.3f} rad/s at {pull.stiffness:g} Nm/rad" for pull in result.pulls if pull[2]]
         lines.append(f"stick-slip: {len(slips)} of {len(result.pulls)}" + (f": {', '.join(slips)}" if slips else ""))

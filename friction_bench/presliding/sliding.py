@@ -94,7 +94,7 @@ def sliding_readings(trace: Trace) -> SlidingReadings:
 class SlidingFriction:
     """Steady sliding, joint side: tau_c + (tau_s - tau_c) exp(-v / omega_s) + c2 v, and the inertia, kg m^2.
 
-    `spread` is the standard deviation of a reading about it, Nm.
+    `spread` is the standard deviation of a reading about it, Nm; `backward` the friction that way, where it is known.
     """
 
     tau_c: float
@@ -103,6 +103,7 @@ class SlidingFriction:
     c2: float
     inertia: float
     spread: float
+    backward: SlidingFriction | None = None
 
     def torque(self, speed: Array) -> Array:
         """Return the friction at forward speeds, Nm."""

@@ -12,14 +12,12 @@ from typing import NamedTuple
 
 from rx90_common.base.errors import REFUSED, FailureError
 
-PROTOCOL_VERSION = 1
-HIGHEST_END = 239
-"""The limit code of a firmware that was built with the torque limit lifted, where ramps may end.
-Its full scales are in units of 100 uNm instead of 10."""
+PROTOCOL_VERSION = 2
 MAX_DECODED = 32
 """Longest frame before COBS, in bytes; what is longer is noise."""
 
-_HELLO = struct.Struct("<BBBHHHHBB")
+_HELLO = struct.Struct("<BBBHHHHBBBB")
+_BIPOLAR, _COUNTS_DOWN, _PULSED, _COARSE = (1 << bit for bit in range(4))
 _REPORT = struct.Struct("<HHBBBBBBBB")
 
 
@@ -132,7 +130,10 @@ class Command(IntEnum):
     LIMITS = 0x08
 
 
-_PAYLOADS = {Command.HELLO: "<B", Command.TORQUE: "<B", Command.RAMP: "<HB", Command.LIMITS: "<HH"}
+_PAYLOADS = {Command.HELLO: "<B", Command.TORQUE: "<BB", Command.RAMP: "<HBB", Command.LIMITS: "<HH"}
+BACKWARD = 0x80
+"""In the last byte of a bipolar rig's RAMP: its first end is backward; the other bits are the number of its turns."""
+MOST_TURNS = BACKWARD - 1
 
 
 def payload_of(command: Command, *values: int) -> bytes:
@@ -140,10 +141,11 @@ def payload_of(command: Command, *values: int) -> bytes:
 
     Args:
         command: what the host sends.
-        values: HELLO: protocol version. TORQUE: DAC code. RAMP: slope in 1/256 DAC code per tick, and the code at which
-            it ends. LIMITS: travel in units of 256 counts, speed in counts per tick.
+        values: HELLO: protocol version. TORQUE: DAC code; on a bipolar rig also 1 for backward, else 0. RAMP: slope in
+            1/256 DAC code per tick, and the code at which it ends; on a bipolar rig also BACKWARD or 0, plus how often
+            it turns to the opposite end. LIMITS: travel in units of 256 counts, speed in counts per tick.
     """
-    return struct.pack(_PAYLOADS.get(command, "<"), *values)
+    return struct.pack(_PAYLOADS.get(command, "<")[: 1 + len(values)], *values)
 
 
 class Answer(IntEnum):
@@ -216,6 +218,8 @@ class ResetCause(IntEnum):
     BROWN_OUT = 4
 
 
+STAGES = ("unipolar", "bipolar")
+"""Of the power stage: torque of one sign, or of both."""
 PROCESSORS = ("native", "mcs51", "avr")
 """What the firmware runs on, by its number."""
 
@@ -229,6 +233,8 @@ class HelloReply(NamedTuple):
         adc_full_scale: motor torque at ADC code 255, Nm.
         torque_limit_code: the highest DAC code the firmware accepts.
         watchdog_ticks: ticks of silence after which the stage goes off.
+        built: what else it was built with, as bits.
+        hold_ticks: for which it holds the end torque of a ramp.
     """
 
     version: int
@@ -240,6 +246,23 @@ class HelloReply(NamedTuple):
     adc_full_scale: float
     torque_limit_code: int
     watchdog_ticks: int
+    built: int
+    hold_ticks: int
+
+    @property
+    def stage(self) -> str:
+        """Return which signs the torque has."""
+        return STAGES[bool(self.built & _BIPOLAR)]
+
+    @property
+    def counts_down(self) -> bool:
+        """Return whether the counts go down when the motor turns back."""
+        return bool(self.built & _COUNTS_DOWN)
+
+    @property
+    def pulsed(self) -> bool:
+        """Return whether the stage goes off for a moment in each tick of a ramp."""
+        return bool(self.built & _PULSED)
 
     @property
     def text(self) -> str:
@@ -251,7 +274,7 @@ class HelloReply(NamedTuple):
 
 
 class Report(NamedTuple):
-    """The rig's state at one tick; tick (16 bits) and counts (24 bits) roll over."""
+    """The rig's state at one tick; tick (16 bits) and counts (24 bits) roll over; `dac` below 0 is torque backward."""
 
     sequence: int
     tick: int
@@ -276,10 +299,13 @@ class Report(NamedTuple):
 
 def parse_hello(frame: Frame) -> HelloReply | None:
     """Return the greeting in `frame`, None if it is something else."""
-    if frame.type != Answer.HELLO_REPLY or len(frame.payload) != _HELLO.size:
+    if frame.type != Answer.HELLO_REPLY or not frame.payload:
         return None
-    hello = HelloReply(*_HELLO.unpack(frame.payload))
-    unit = 1e-4 if hello.torque_limit_code == HIGHEST_END else 1e-5
+    if frame.payload[0] == PROTOCOL_VERSION and len(frame.payload) != _HELLO.size:
+        return None
+    # Of another version the first byte alone is known: enough to say which one it is.
+    hello = HelloReply(*_HELLO.unpack(frame.payload[: _HELLO.size].ljust(_HELLO.size, b"\0")))
+    unit = 1e-4 if hello.built & _COARSE else 1e-5
     return hello._replace(dac_full_scale=hello.dac_full_scale * unit, adc_full_scale=hello.adc_full_scale * unit)
 
 
@@ -288,6 +314,7 @@ def parse_report(frame: Frame) -> Report | None:
     if frame.type != Answer.REPORT or len(frame.payload) != _REPORT.size:
         return None
     tick, low, high, dac, adc, status, fault, ack, result, bad = _REPORT.unpack(frame.payload)
-    counts, (greeted, stage_on, ramp_done) = low | high << 16, (bool(status & bit) for bit in (4, 8, 16))
+    counts, (greeted, stage_on, ramp_done, back) = low | high << 16, (bool(status & bit) for bit in (4, 8, 16, 32))
+    dac = -dac if back else dac
     state, faults = State(status & 3), Fault(fault & 15)
     return Report(frame.sequence, tick, counts, dac, adc, state, greeted, stage_on, ramp_done, faults, ack, result, bad)

@@ -33,15 +33,20 @@ BRISTLE_STEPS = 20
 
 
 class Shaft(NamedTuple):
-    """What turns, at the motor: inertia, kg m², Coulomb friction, Nm, and viscous friction, Nm s/rad."""
+    """What turns, at the motor: inertia, kg m², Coulomb friction, Nm, and viscous friction, Nm s/rad.
+
+    `more_coulomb` and `more_viscous` are by how much friction is greater backward.
+    """
 
     inertia: float
     coulomb: float
     viscous: float
+    more_coulomb: float = 0.0
+    more_viscous: float = 0.0
 
 
 def shaft_of(rig: Rig, loaded: bool) -> Shaft:
-    """Return what turns at the motor of an emulated rig, sliding forward; without the friction of a LuGre joint.
+    """Return what turns at the motor of an emulated rig, without the friction of a LuGre joint.
 
     Raises:
         RigInputError: if the rig file describes no plant.
@@ -54,23 +59,29 @@ def shaft_of(rig: Rig, loaded: bool) -> Shaft:
     own = p.viscous * (1.0 + p.warming) if loaded else p.viscous
     if not loaded or not isinstance(p.joint, JointFriction):
         return Shaft(inertia, p.coulomb, own)
-    viscous = own + p.joint.viscous / (rig.joint_scale * rig.gear_ratio)
-    return Shaft(inertia, p.coulomb + p.joint.coulomb / rig.joint_scale, viscous)
+    forward, backward = (
+        (p.coulomb + coulomb / rig.joint_scale, own + viscous / (rig.joint_scale * rig.gear_ratio))
+        for coulomb, viscous in map(p.joint.of, (False, True))
+    )
+    return Shaft(inertia, *forward, backward[0] - forward[0], backward[1] - forward[1])
 
 
 @kernel
 def turn(angle: float, speed: float, torque: float, shaft: Shaft, dt: float) -> tuple[float, float]:
     """Advance J w' = torque - f_v w - f_c sgn w over `dt` with a constant torque, exactly.
 
-    Returns angle and speed. A body that comes to rest stays there unless the torque exceeds f_c.
+    Returns angle and speed. A body that comes to rest stays there unless the torque exceeds f_c of its direction.
     """
     left = dt
     for _ in range(2):  # at most one reversal: torque is constant
         sign = 1.0 if speed > 0.0 or (speed == 0.0 and torque > 0.0) else -1.0
-        if speed == 0.0 and abs(torque) <= shaft.coulomb:
+        coulomb, viscous = shaft.coulomb, shaft.viscous
+        if sign < 0.0:
+            coulomb, viscous = coulomb + shaft.more_coulomb, viscous + shaft.more_viscous
+        if speed == 0.0 and abs(torque) <= coulomb:
             return angle, 0.0
-        final = (torque - sign * shaft.coulomb) / shaft.viscous
-        tau = shaft.inertia / shaft.viscous
+        final = (torque - sign * coulomb) / viscous
+        tau = shaft.inertia / viscous
         run = left
         stops = speed * final < 0.0
         if stops:
@@ -209,8 +220,10 @@ class RigPlant:
         if p.ramp_error:
             self._ramp_gain = 1.0 + p.ramp_error * next(self._noise)
         if p.joint_spread and isinstance(p.joint, JointFriction):
-            drawn = max(0.0, 1.0 + p.joint_spread * next(self._noise)) * p.joint.coulomb / self.rig.joint_scale
-            self._shafts[True] = self._shafts[True]._replace(coulomb=p.coulomb + drawn)
+            drawn = max(0.0, 1.0 + p.joint_spread * next(self._noise))
+            forward, backward = (drawn * p.joint.of(way)[0] / self.rig.joint_scale for way in (False, True))
+            changed = {"coulomb": p.coulomb + forward, "more_coulomb": backward - forward}
+            self._shafts[True] = self._shafts[True]._replace(**changed)
 
     def _normals(self) -> Iterator[float]:
         while True:
@@ -219,14 +232,16 @@ class RigPlant:
     def motor_torque(self, command: float, dt: float) -> float:
         """Return the torque, Nm, that the amplifier makes of `command` over `dt`.
 
-        The supply limits the current against the back-EMF; the transistor stage cannot pull it below zero.
+        The supply limits the current against the back-EMF; no stage makes torque against its direction line, which a
+        unipolar one does not have.
         """
         p = self.parameters
-        if command <= 0.0:
+        if command == 0.0:
             return 0.0
+        way = math.copysign(1.0, command)
         noise = p.torque_noise * math.sqrt(1e-3 / dt) * next(self._noise) if p.torque_noise else 0.0
-        highest = (p.supply - p.torque_constant * self.speed) / p.resistance * p.torque_constant
-        return max(0.0, min(self._gain * self._ramp_gain * command + noise, highest))
+        highest = (p.supply - p.torque_constant * way * self.speed) / p.resistance * p.torque_constant
+        return way * max(0.0, min(self._gain * self._ramp_gain * way * command + noise, highest))
 
     def advance(self, command: float, dt: float) -> int:
         """Hold the commanded torque, Nm, for `dt` seconds; return the encoder counts in that time.
@@ -247,5 +262,5 @@ class RigPlant:
         return edges if self.rig.counts_down else abs(edges)
 
     def current_reading(self) -> float:
-        """Return what the current sense amplifier shows, as motor torque, Nm."""
-        return max(0.0, self.torque + self.parameters.adc_noise * next(self._noise))
+        """Return what the current sense amplifier shows, as motor torque, Nm: its size, whatever the direction."""
+        return max(0.0, abs(self.torque) + self.parameters.adc_noise * next(self._noise))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
@@ -21,9 +21,11 @@ from friction_bench.rig.rig_file import Rig, load_rig
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 TOOLS = {
+    "native": (("cc",), "gcc"),
     "mcs51": (("sdcc",), "sdcc sdcc-ucsim"),
     "avr": (("avr-gcc", "avr-objcopy"), "gcc-avr avr-libc libsimavr-dev"),
 }
+BINARIES = {"native": "librig_native.so", "mcs51": "rig_mcs51.ihx", "avr": "rig_avr.hex"}
 SIMULATORS = {"mcs51": ucsim, "avr": simavr}
 
 
@@ -34,13 +36,13 @@ def require(target: str, present: bool) -> None:
         (pytest.fail if os.environ.get("RIG_FIRMWARE_REQUIRED") else pytest.skip)(message)
 
 
-def make_firmware(target: str, sources: Path, out: Path) -> Path:
+def make_firmware(target: str, sources: Path, out: Path, defines: str = "") -> Path:
     """Build a target's binary by the firmware's own Makefile."""
     require(target, all(shutil.which(program) for program in TOOLS[target][0]))
-    command = ["make", "-s", "-C", str(sources), target, f"OUT={out}"]
+    command = ["make", "-s", "-C", str(sources), target, f"OUT={out}", f"DEFINES={defines}"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    return out / {"mcs51": "rig_mcs51.ihx", "avr": "rig_avr.hex"}[target]
+    return out / BINARIES[target]
 
 
 @pytest.fixture(scope="session")
@@ -48,6 +50,13 @@ def firmware(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """Return a builder of a target's binary, once a session."""
     out = tmp_path_factory.mktemp("firmware")
     return cache(lambda target: make_firmware(target, REPOSITORY / "firmware", out))
+
+
+@pytest.fixture(scope="session")
+def bipolar_firmware(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Return a builder of a target's binary for torque of both signs, once a session."""
+    out, defines = tmp_path_factory.mktemp("bipolar"), "-DBIPOLAR=1 -DCOUNTS_DOWN=1"
+    return cache(lambda target: make_firmware(target, REPOSITORY / "firmware", out, defines))
 
 
 @pytest.fixture
@@ -80,7 +89,7 @@ def make_board(firmware: Callable[[str], Path], shim: Callable[[str], Path]) -> 
 
         def make(target: str, seed: int = 1, binary: Path | None = None) -> Any:
             if target == "native":
-                return NativeBoard()
+                return NativeBoard(library=binary)
             binary = binary or firmware(target)
             if target == "mcs51":
                 require(target, ucsim.simulator() is not None)
@@ -132,13 +141,13 @@ def mutate(folder: Path, file: str, old: str, new: str) -> Path:
 
 
 @pytest.fixture
-def mutant(tmp_path: Path) -> Callable[[str, str, str], NativeBoard]:
+def mutant(tmp_path: Path) -> Callable[..., NativeBoard]:
     """Return a builder of a native board whose firmware has one text replaced."""
 
-    def build(file: str, old: str, new: str) -> NativeBoard:
+    def build(file: str, old: str, new: str, figures: Mapping[str, int] | None = None) -> NativeBoard:
         sources = mutate(tmp_path / "mutant", file, old, new)
         library = tmp_path / "mutant.so"
-        compile_core(sources, library, {})
+        compile_core(sources, library, figures or {})
         return NativeBoard(library=library)
 
     return build

@@ -108,13 +108,28 @@ def test_a_library_made_with_other_figures_follows_them(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "define", ["TORQUE_LIMIT_CODE=241", "CURRENT_LIMIT_CODE=255", "WATCHDOG_TICKS=1", "MAX_SPEED=0"]
+    "define",
+    [
+        "TORQUE_LIMIT_CODE=241",
+        "CURRENT_LIMIT_CODE=255",
+        "WATCHDOG_TICKS=1",
+        "MAX_SPEED=0",
+        "SCALE_UNIT=50",
+        "BIPOLAR=1",
+    ],
 )
 def test_a_figure_out_of_range_ends_the_build_with_its_name(define: str, tmp_path: Path) -> None:
     """A figure that the firmware could not keep is refused by the compiler with its name and what is accepted."""
     done = make("native", tmp_path, f"-D{define}")
     assert done.returncode != 0
     assert re.search(rf'#error "[^"]*{define.partition("=")[0]}[^"]*accepted', done.stderr)
+
+
+def test_command_for_torque_of_both_signs_builds_what_the_rig_file_asks_for() -> None:
+    """The figures of the page's command are those of the shipped bipolar rig file."""
+    (words,) = (words for words in re.findall(r'make firmware DEFINES="([^"]*)"', PAGE) if "BIPOLAR" in words)
+    figures = {name: int(value) for name, value in re.findall(r"-D(\w+)=(\d+)u?", words)}
+    assert figures == load_rig(ROOT / "config/rig/bipolar.yaml").firmware_figures
 
 
 @pytest.mark.firmware

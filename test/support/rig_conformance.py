@@ -9,6 +9,7 @@ import yaml
 
 from friction_bench.rig.emulated import NativeBoard
 from friction_bench.rig.messages import (
+    PROTOCOL_VERSION,
     Command,
     CommandResult,
     Frame,
@@ -23,6 +24,7 @@ from friction_bench.rig.messages import (
 )
 
 TRANSCRIPTS = sorted((Path(__file__).parents[1] / "friction_bench" / "transcripts").glob("*.yaml"))
+BIPOLAR_TRANSCRIPTS = sorted(TRANSCRIPTS[0].parent.glob("bipolar/*.yaml"))
 TORQUE_LIMIT_CODE = 229
 
 
@@ -73,7 +75,7 @@ class Player:
         """Let a millisecond pass, and hold the board to what must be true at every instant."""
         self.board.run(1000, self.edges, self.adc)
         self.clock += 1
-        if self.board.stage_on and self.board.dac > TORQUE_LIMIT_CODE:
+        if self.board.stage_on and abs(self.board.dac) > TORQUE_LIMIT_CODE:
             raise MismatchError(f"the DAC shows {self.board.dac} with the stage on")
         for frame in self.decoder.feed(self.board.read()):
             report = parse_report(frame)
@@ -128,7 +130,7 @@ class Player:
     def do_greet(self, _: None) -> None:
         """Greet the board a few milliseconds after power-up."""
         self.do_run(5)
-        self.do_send({"hello": 1})
+        self.do_send({"hello": PROTOCOL_VERSION})
         self.do_run(60)
         self.do_expect({"greeted": True, "result": "OK"})
 
@@ -190,6 +192,12 @@ class Player:
         found = {"dac": self.board.dac, "stage": self.board.stage_on}
         if found != value:
             raise MismatchError(f"pins {found}")
+
+    def do_built(self, value: dict[str, Any]) -> None:
+        """The greeting must say this of how the firmware was built."""
+        found = {name: getattr(self.hello, name, None) for name in value}
+        if found != value:
+            raise MismatchError(f"built {found}")
 
     def do_expect(self, value: dict[str, Any]) -> None:
         """The last report, and the pins with it, must show this."""

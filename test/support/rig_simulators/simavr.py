@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import subprocess
 import weakref
+from collections.abc import Callable
 from pathlib import Path
 
 SHIM = Path(__file__).with_name("simavr_board.c")
@@ -34,7 +35,7 @@ class SimavrBoard:
     def __init__(self, library: Path, firmware: Path) -> None:
         self._lib = ctypes.CDLL(str(library))
         self._lib.board_new.restype = ctypes.c_void_p
-        for name in ("board_dac", "board_worst_dac", "board_stage"):
+        for name in ("board_dac", "board_worst_dac", "board_stage", "board_reversed"):
             getattr(self._lib, name).restype = ctypes.c_uint8
         flash = read_intel_hex(firmware)
         self._board = ctypes.c_void_p(self._lib.board_new(flash, len(flash)))
@@ -60,8 +61,9 @@ class SimavrBoard:
 
     @property
     def dac(self) -> int:
-        """Return the code on the DAC."""
-        return int(self._lib.board_dac(self._board))
+        """Return the code on the DAC, below 0 where A1 says backward."""
+        code = int(self._lib.board_dac(self._board))
+        return -code if self._lib.board_reversed(self._board) else code
 
     @property
     def stage_on(self) -> bool:
@@ -71,6 +73,16 @@ class SimavrBoard:
     def worst_dac(self) -> int:
         """Return the highest DAC code seen with the stage on since the last call."""
         return int(self._lib.board_worst_dac(self._board))
+
+    def trace_until(self, done: Callable[[SimavrBoard], bool]) -> list[tuple[float, int, bool, bool]]:
+        """Let microseconds pass until `done`; return time, s, DAC, backward and stage after each of them."""
+        seen = []
+        for us in range(20_000):
+            self.run(1, 0, 0)
+            seen.append((us * 1e-6, self.dac, bool(self._lib.board_reversed(self._board)), self.stage_on))
+            if done(self):
+                return seen
+        raise RuntimeError("it did not come about")
 
     def close(self) -> None:
         """End the simulation."""

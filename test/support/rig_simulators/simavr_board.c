@@ -11,7 +11,7 @@
 #define LINE 4096u
 #define CYCLES_PER_US 16u
 #define BYTE_CYCLES (CYCLES_PER_US * 10000000u / 19200u)
-enum { PINB_DDR = 0x24, PORTB = 0x25, DDRD = 0x2a, PORTD = 0x2b };
+enum { PINB_DDR = 0x24, PORTB = 0x25, DDRC = 0x27, PORTC = 0x28, DDRD = 0x2a, PORTD = 0x2b };
 
 struct board {
     avr_t *avr;
@@ -72,6 +72,13 @@ uint8_t board_stage(const struct board *board)
 {
     const uint8_t *io = board->avr->data;
     return (io[PINB_DDR] & 0x10) && !(io[PORTB] & 0x10);
+}
+
+/* A1, the direction of a bipolar stage; an input on boards without one. */
+uint8_t board_reversed(const struct board *board)
+{
+    const uint8_t *io = board->avr->data;
+    return (io[DDRC] & 0x02) && !(io[PORTC] & 0x02);
 }
 
 /* Pins that are still inputs read as zero: the DAC's inputs have pull-downs. */

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import tempfile
 import termios
+from collections.abc import Callable
 from pathlib import Path
 
 SHIM = Path(__file__).with_name("ucsim_poll.c")
@@ -132,9 +133,19 @@ class UcsimBoard:
 
     def instructions(self, count: int) -> None:
         """Execute single instructions, for a look at what happens within microseconds of power-up."""
-        lines = [f"step {count}", "expr sim_ticks", "expr port1_odr", "expr port3_odr"]
+        lines = ["expr uart0_check_often=1", f"step {count}", "expr sim_ticks", "expr port1_odr", "expr port3_odr"]
         *_, self._clock, self._dac, self._port3 = self._console(lines)
         self._target = float(self._clock)
+
+    def trace_until(self, done: Callable[[UcsimBoard], bool]) -> list[tuple[float, int, bool, bool]]:
+        """Execute single instructions until `done`; return time, s, DAC, backward and stage after each of them."""
+        seen = []
+        for _ in range(8000):
+            self.instructions(1)
+            seen.append((self.time, self.dac, not self._port3 & 0x20, self.stage_on))
+            if done(self):
+                return seen
+        raise RuntimeError("it did not come about")
 
     def clock_when(self, address: int, value: int, not_before: int = 0) -> int:
         """Run until the byte of internal RAM at `address` is `value`; return the clock then.
@@ -156,8 +167,9 @@ class UcsimBoard:
 
     @property
     def dac(self) -> int:
-        """Return the code on the DAC."""
-        return self._dac & 0xFF
+        """Return the code on the DAC, below 0 where P3.5 says backward: low, which it is never without that line."""
+        code = self._dac & 0xFF
+        return code if self._port3 & 0x20 else -code
 
     @property
     def stage_on(self) -> bool:

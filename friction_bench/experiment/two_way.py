@@ -1,0 +1,290 @@
+"""Both directions of a bipolar rig: f_c and f_v of each, their difference, and what a torque through zero shows.
+
+Ramps backward are evaluated as those forward, counted the other way. A swing is a torque that goes up and down between
+both ends without a pause: its sliding stretches give f_c, f_v and J of each direction once more, now with falling
+torque, too, so that one slope tells J; and where it passes zero, the lag time until the shaft moves the other way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from friction_bench.experiment.identification import (
+    INCONSISTENT,
+    IntervalEstimate,
+    RampFriction,
+    RampTestResult,
+    UnphysicalError,
+    difference,
+    evaluate,
+    interval,
+)
+from friction_bench.experiment.record import (
+    EARLIER_TICKS,
+    MIN_READINGS,
+    ONSET_TICKS,
+    RampModel,
+    RampRecord,
+    SlidingWindow,
+    fit_break_away,
+    sliding_from,
+)
+from friction_bench.experiment.sliding_fit import fit_sliding
+from friction_bench.rig.rig_file import Rig
+from rx90_common.base.errors import IdentificationError
+
+WAYS = ("forward", "backward")
+
+
+class Half(NamedTuple):
+    """The stretch of a swing with torque of one sign, counted in its direction.
+
+    Attributes:
+        record: all of the swing; angle and torques are positive in this direction.
+        backward: the direction.
+        first: the first reading with this torque.
+        peak: that of the largest torque.
+        stopped: from which the shaft no longer slides the other way.
+        low: after which it slides this way; between them joints bend and spring back.
+        top: where it has turned farthest.
+    """
+
+    record: RampRecord
+    backward: bool
+    first: int
+    peak: int
+    stopped: int
+    low: int
+    top: int
+
+
+class Reversal(NamedTuple):
+    """A passage of the torque through zero.
+
+    Attributes:
+        backward: the torque's direction after it.
+        stop: when the shaft ended its old motion, s after the torque was zero, below 0 before it.
+        lag: when it began to move in the torque's direction, s after the torque was zero.
+    """
+
+    backward: bool
+    stop: float
+    lag: float
+
+
+@dataclass(frozen=True)
+class SwingResult:
+    """What the swings under one load show; pairs are of WAYS.
+
+    Attributes:
+        friction: from the sliding stretches.
+        difference: forward less backward, of f_c, Nm, and f_v, Nm s/rad.
+        lags: mean lag time, s, and the torque then, Nm; None without a reversal to that direction.
+        reversals: each of them.
+    """
+
+    friction: tuple[RampFriction, RampFriction]
+    difference: tuple[IntervalEstimate, IntervalEstimate]
+    lags: tuple[tuple[IntervalEstimate, ...] | None, ...]
+    reversals: tuple[Reversal, ...]
+
+
+@dataclass(frozen=True)
+class TwoWayResult:
+    """The result of a measurement in both directions.
+
+    Attributes:
+        sides: forward and backward, by the ramps; one of them where the other carries no estimate.
+        differences: f_c and f_v forward less backward by the ramps, by load.
+        swings: by load.
+        records: of the swings.
+        failures: why one carries nothing, one line each.
+    """
+
+    sides: list[RampTestResult]
+    differences: dict[str, tuple[IntervalEstimate, IntervalEstimate]]
+    swings: dict[str, SwingResult]
+    records: dict[str, list[RampRecord]]
+    failures: tuple[str, ...]
+
+
+def halves(record: RampRecord) -> list[Half]:
+    """Return the stretches of a swing with torque of one sign, in the order of time."""
+    assert record.torque is not None  # it is a swing by its torque
+    sign = np.sign(record.torque)
+    known = np.flatnonzero(sign)
+    sign = sign[known[np.maximum(np.searchsorted(known, np.arange(sign.size), "right") - 1, 0)]]
+    edges = [0, *(np.flatnonzero(np.diff(sign)) + 1).tolist(), sign.size]
+    found: list[Half] = []
+    for first, last in pairwise(edges):
+        way = float(sign[first])
+        counted = replace(
+            record,
+            angle=way * record.angle,
+            torque=way * record.torque,
+            measured_torque=None if record.measured_torque is None else way * record.measured_torque,
+        )
+        angle = counted.angle
+        peak = first + int(np.argmax(counted.torque[first:last]))  # type: ignore[index]  # it has one
+        before = found[-1].peak if found else 0
+        turning = angle[before : peak + 1] - angle[before : peak + 1].min()
+        resting = np.flatnonzero(turning < sliding_from(record))
+        stopped, low = before + int(resting[0]), before + int(resting[-1])
+        beyond = edges[edges.index(last) + 1] if last < sign.size else last
+        top = low + int(np.argmax(angle[low:beyond]))
+        found.append(Half(counted, way < 0.0, first, peak, stopped, low, top))
+    return found
+
+
+def _windows(half: Half) -> list[SlidingWindow]:
+    """Return where the shaft slides, with rising and with falling torque: the largest velocity ends the first one."""
+    record, reach = half.record, sliding_from(half.record)
+    angle = record.angle - record.angle[half.low]
+    motion = np.arange(half.low, half.top + 1)
+    sliding = motion[(angle[motion] >= reach) & (angle[half.top] - angle[motion] >= reach)]
+    parts = (sliding[sliding <= half.peak], sliding[sliding >= half.peak])
+    assert record.torque is not None
+    return [
+        SlidingWindow(record, record.time[part], angle[part], record.torque[part])
+        for part in parts
+        if part.size >= MIN_READINGS
+    ]
+
+
+def _friction(swings: Sequence[Half], scale: float) -> RampFriction:
+    """Fit f_c, f_v and J to the sliding stretches of one direction; an uneven scatter widens the intervals.
+
+    Raises:
+        IdentificationError: if there are none, or the result is not physical.
+    """
+    windows = [window for half in swings for window in _windows(half)]
+    if len(windows) < 2:
+        raise IdentificationError(
+            f"{len(windows)} stretches of a sliding shaft in the swings; accepted: at least 2, "
+            "by a larger end torque or a smaller slope"
+        )
+    fit = fit_sliding(windows)
+    _, viscous, inertia = fit.values.tolist()
+    if not (viscous > 0.0 and inertia > 0.0):
+        raise UnphysicalError(
+            f"the swings give a viscous friction of {viscous:.3g} Nm s/rad and an inertia of {inertia:.3g} kg m²; "
+            "accepted: > 0, by more repeats"
+        )
+    square, freedom = fit.chi_square()
+    uneven = float(stats.chi2.sf(square, freedom)) < INCONSISTENT
+    return RampFriction.of(fit.values, fit.covariance * (square / freedom if uneven else 1.0), scale)
+
+
+def _reversal(half: Half, friction: RampFriction) -> Reversal:
+    """Return stop and lag.
+
+    A shaft that turns where the torque exceeds f_c is carried on by its inertia, and turns at once, in the middle of
+    its slow readings. Another one rests until the torque is at f_c at least: that moment is fitted to the motion.
+
+    Raises:
+        IdentificationError: if it does not slide the other way.
+    """
+    record, low = half.record, half.low
+    assert record.torque is not None
+    rising = slice(half.first, half.peak + 1)
+    zero = float(np.mean(record.time[rising] + record.tick / 2 - record.torque[rising] / record.slope))
+    time, coulomb = record.time - zero, friction.coulomb.value
+    if half.peak - low < ONSET_TICKS:
+        raise IdentificationError(f"{record.label}: the shaft does not slide after the torque's change of sign")
+    stop, turned = float(time[half.stopped]), float(time[low + 1])
+    middle = 0.5 * (stop + turned)
+    if record.slope * middle > coulomb:
+        return Reversal(half.backward, stop, middle)
+    assert friction.inertia is not None  # swings tell it
+    model = RampModel(coulomb, friction.viscous.value, friction.inertia.value, record.slope)
+    onset = slice(low - 1, low + ONSET_TICKS)
+    earliest = min(max(coulomb / record.slope, turned - EARLIER_TICKS * record.tick), turned - record.tick)
+    lag = fit_break_away(
+        time[onset],
+        record.angle[onset] - record.angle[half.first],
+        (earliest, turned),
+        lambda moment: replace(model, release=moment * record.slope - coulomb),
+    )
+    return Reversal(half.backward, stop, lag)
+
+
+def _mean_lag(lags: Sequence[float], tick: float, slope: float, scale: float) -> tuple[IntervalEstimate, ...] | None:
+    """Return the mean lag, s, and the torque then, Nm, by their scatter and the torque's steps; None without lags."""
+    if not lags:
+        return None
+    scatter = float(np.std(lags, ddof=1)) / math.sqrt(len(lags)) if len(lags) > 1 else 0.0
+    # The torque rises in steps of a tick, which are those of all reversals alike.
+    mean, error = float(np.mean(lags)), math.hypot(scatter, tick / math.sqrt(12.0))
+    freedom = math.inf if scatter == 0.0 else (len(lags) - 1) * (error / scatter) ** 4
+    return interval(mean, error, freedom, 0.0), interval(slope * mean, slope * error, freedom, scale)
+
+
+def identify_swings(records: Sequence[RampRecord], scale_uncertainty: float) -> SwingResult:
+    """Identify friction of each direction and the lag times from swings of one slope.
+
+    Args:
+        records: at least one.
+        scale_uncertainty: relative standard uncertainty of the torque scale, which both directions share.
+
+    Raises:
+        IdentificationError: if one direction carries no estimate.
+    """
+    found = [halves(record) for record in records]
+    forward, backward = (
+        _friction([half for one in found for half in one if half.backward is way], scale_uncertainty)
+        for way in (False, True)
+    )
+    reversals = []
+    for one in found:
+        for half in one[1:]:  # the first begins at rest, and reverses nothing
+            try:
+                reversals.append(_reversal(half, backward if half.backward else forward))
+            except IdentificationError:  # the swing ended before the shaft moved
+                continue
+    by_way = [[one.lag for one in reversals if one.backward is way] for way in (False, True)]
+    lags = [_mean_lag(some, records[0].tick, records[0].slope, scale_uncertainty) for some in by_way]
+    both = difference(forward, backward, scale_uncertainty)
+    return SwingResult((forward, backward), both, tuple(lags), tuple(reversals))
+
+
+def evaluate_both_ways(records: Sequence[RampRecord], rig: Rig) -> TwoWayResult:
+    """Evaluate ramps forward and backward, and swings.
+
+    Args:
+        records: of all of them, under one load or two.
+        rig: on which they were run.
+
+    Raises:
+        IdentificationError: if neither direction carries an estimate.
+    """
+    sides, failures, refused = [], list[str](), list[IdentificationError]()
+    for way, name in enumerate(WAYS):
+        ramps = [record for record in records if not record.swing and record.backward is bool(way)]
+        try:
+            sides.append(evaluate(ramps, rig, way=name))
+        except IdentificationError as error:
+            refused.append(error)
+            failures.append(f"{name}: {error}")
+    if not sides:
+        raise refused[0]
+    differences, swings, kept = {}, {}, dict[str, list[RampRecord]]()
+    parts = [dict(side.parts) for side in sides]
+    for load, loaded in (("no-load", False), ("loaded", True)):
+        both = [part[f"{load} {name}"] for part, name in zip(parts, WAYS, strict=False) if f"{load} {name}" in part]
+        if len(both) == len(WAYS):
+            differences[load] = difference(both[0].best, both[1].best, rig.scale_uncertainty)
+        chosen = [record for record in records if record.swing and record.loaded is loaded]
+        if chosen:
+            kept[load] = chosen
+            try:
+                swings[load] = identify_swings(chosen, rig.scale_uncertainty)
+            except IdentificationError as error:
+                failures.append(f"{load}, through zero: {error}")
+    return TwoWayResult(sides, differences, swings, kept, tuple(failures))
