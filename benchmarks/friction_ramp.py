@@ -172,6 +172,16 @@ class QuickRig:
         self._rng = np.random.default_rng(self.seed)
         self.gain = 1.0 + self.plant.gain_error * self._rng.standard_normal()
 
+    def _drawn(self, loaded: bool) -> tuple[float, Shaft]:
+        """Draw what differs from ramp to ramp: the torque's gain, and the shaft with its joint's Coulomb friction."""
+        gain, shaft, plant = self.gain, shaft_of(self.rig, loaded), self.plant
+        if plant.ramp_error:
+            gain *= 1.0 + plant.ramp_error * self._rng.standard_normal()
+        if loaded and plant.joint_spread and isinstance(plant.joint, JointFriction):
+            more = plant.joint_spread * self._rng.standard_normal() * plant.joint.coulomb / self.rig.joint_scale
+            shaft = shaft._replace(coulomb=shaft.coulomb + more)
+        return gain, shaft
+
     def ramp(self, slope: float, end_torque: float, loaded: bool, label: str) -> RampRecord:
         """Return one ramp; it ends, as that of the host, where the rig file's speed or travel is nearly reached."""
         rig, plant = self.rig, self.plant
@@ -180,12 +190,13 @@ class QuickRig:
         command = rig.torque(1) * ((128 + ticks * step) // RAMP_FRACTION)
         noise = plant.torque_noise * self._rng.standard_normal((ticks.size, SLICES))
         joint = plant.joint
+        gain, shaft = self._drawn(loaded)
         element = joint if isinstance(joint, FrictionElement) else FrictionElement(1, 1, 1, 1, 1, 1, 1, 0, 0)
         angle, motor = _ramp(
-            self.gain * command,
+            gain * command,
             noise,
             (plant.torque_constant, plant.resistance, plant.supply),
-            shaft_of(rig, loaded),
+            shaft,
             (rig.gear_ratio, rig.gear_efficiency, plant.load_inertia + plant.joint_inertia),
             joint_record(element, rig.gear_ratio, SLICE, self.seed),
             loaded and isinstance(joint, FrictionElement),

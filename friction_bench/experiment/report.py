@@ -7,7 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from friction_bench.experiment.four_way import EXPERIMENT, SMOOTHING, FourWay, measured_velocity
+from friction_bench.experiment.four_way import (
+    EXPERIMENT,
+    FIXED_STEP,
+    SETTLED,
+    SMOOTHING,
+    SOURCE_SLOPE,
+    SOURCE_START,
+    STICTION,
+    FourWay,
+    measured_velocity,
+)
 from friction_bench.experiment.identification import (
     SAME_SLOPE,
     SOURCE_STATES,
@@ -83,6 +93,24 @@ def _comparison_plot(comparison: FourWay) -> Plot:
     return Plot(panels, share_x=True)
 
 
+def _sensor_plot(comparison: FourWay) -> Plot:
+    """Show the models under the source's own input: velocities, and what else the block diagram's sensor gives."""
+    sensor = comparison.as_source
+    velocities = [
+        Curve(sensor.time, velocity, name, COLOURS[k + 1], 1.4, _DASHES[k])
+        for k, (name, velocity) in enumerate(comparison.source_velocities.items())
+    ]
+    others = (
+        ("position", sensor.position, "rad"),
+        ("acceleration", sensor.acceleration, "rad/s²"),
+        ("reaction torque", sensor.reaction, "Nm"),
+    )
+    panels = [Panel(velocities, "velocity", "time, s", "motor velocity, rad/s")]
+    for name, values, unit in others:
+        panels.append(Panel([Curve(sensor.time, values, "block diagram", COLOURS[1])], name, "time, s", unit))
+    return Plot(panels)
+
+
 def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
     return {
         "value": float(f"{estimate.value:.6g}"),
@@ -151,9 +179,12 @@ def write_result(out: Path, result: RampTestResult, rig: Rig, origin: str) -> No
         document["as_source"]["f_joint"] = result.as_source.joint
     if result.comparison is not None:
         for pair in result.comparison.pairs:
-            band = f", source ± {pair.band:g} %" if pair.band else ""
-            lines.append(f"{pair.first} - {pair.second}: {pair.worst:.2g} % worst{band}")
+            band = f"; source: ± {pair.band:g} %, {'kept' if pair.within else 'not kept'}" if pair.band else ""
+            lines.append(
+                f"{pair.first} - {pair.second}: {pair.worst:.2g} % worst, {pair.sliding:.2g} % while sliding{band}"
+            )
         plots["comparison"] = _comparison_plot(result.comparison)
+        plots["sensor"] = _sensor_plot(result.comparison)
     unused = [*result.failures, *(reason for _, part in result.parts for reason in part.unused)]
     page = render_page(
         "friction_bench.experiment",
@@ -164,6 +195,7 @@ def write_result(out: Path, result: RampTestResult, rig: Rig, origin: str) -> No
         rows=rows,
         plots=plots,
         smoothing=SMOOTHING,
+        models={"step": FIXED_STEP, "settled": SETTLED, "slope": SOURCE_SLOPE, "start": SOURCE_START, "slip": STICTION},
         static=STATIC,
         unused=unused,
         source_states=SOURCE_STATES,
