@@ -261,6 +261,9 @@ class _Ramps:
         self.windows = windows
         self.step, self.tick = windows[0].record.angle_step, windows[0].record.tick
         self.variance = self.step**2 / 12
+        slopes = np.array([window.record.slope for window in windows])
+        self.repeats = [slopes == slope for slope in np.unique(slopes)]
+        self.freedom = len(windows) - len(self.repeats)
         self.spread = np.zeros(2)
         """Variances of alpha and beta from ramp to ramp."""
 
@@ -313,19 +316,22 @@ class _Ramps:
         return math.exp(float(minimize_scalar(misfit, bounds=(best - 2.0, best + 2.0), method="bounded").x))
 
     def between(self, point: _Point, noise: float) -> Array:
-        """Return the variances of alpha and beta from ramp to ramp, by restricted maximum likelihood.
+        """Return the variances of alpha and beta from ramp to ramp of one slope, by restricted maximum likelihood.
 
-        They are 0 of two ramps, which do not show them.
+        Each slope has an alpha and a beta of its own here, so that what the model lacks is no difference of repeats.
+        The variances are 0 where no slope was run twice.
         """
-        if len(self.windows) < 3:
+        if self.freedom == 0:
             return np.zeros(2)
         grams = np.array([gram for gram, _, _ in self.parts(point, noise)])
         size = np.abs(point.shared[:2])
 
         def misfit(logarithms: Array) -> float:
             loose, determinants = _loosened(grams, (size * np.exp(logarithms)) ** 2)
-            fitted = _solve(loose.sum(axis=0), [1, 2, 3], np.zeros(3), np.zeros(3))[2]
-            return float(determinants.sum()) - 2.0 * fitted
+            sums = (loose[of_slope].sum(axis=0) for of_slope in self.repeats)
+            return float(determinants.sum()) - 2.0 * sum(
+                _solve(one, [1, 2], np.zeros(2), np.zeros(2))[2] for one in sums
+            )
 
         low, high = np.log(SPREADS)
         middle = np.full(2, (low + high) / 2)
@@ -438,7 +444,7 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
     ramps.spread, spread = np.zeros(2), np.sqrt(ramps.spread) / np.abs(best.shared[:2])
     _, within = ramps.fit(best, best.stribeck, noise).friction()
     share = np.clip(1.0 - np.diag(within) / np.diag(total), 1e-9, 1.0)
-    freedom = max(len(windows) - 2, 1) / share**2
+    freedom = max(ramps.freedom, 1) / share**2
     likely = 1.0 - float(weights[0])
     values, covariance = np.asarray(values), np.asarray(covariance)
     return RampsFit(values, covariance, freedom, spread, likely, best.speeds, best.shared, grams)

@@ -62,6 +62,10 @@ class UcsimBoard:
             env={**os.environ, "LD_PRELOAD": str(library)},
             text=True,
         )
+        self.adc_port = 2
+        """Port of the current sense."""
+        self.levels = 0xFF
+        """What is on the pins of P3 between two edges."""
         self._target = 0.0
         self._clock = 0
         self._dac = 0
@@ -107,13 +111,17 @@ class UcsimBoard:
         steps = max(1, round((self._target - self._clock) / CLOCKS_PER_INSTRUCTION))
         # The simulator looks for input every million instructions, unless told.
         self._listen = LISTEN_SLICES if self._pending() else max(0, self._listen - 1)
-        lines = [f"expr uart0_check_often={min(self._listen, 1)}", f"set hw port[2] {adc}"]
+        lines = [
+            f"expr uart0_check_often={min(self._listen, 1)}",
+            f"set hw port[{self.adc_port}] {adc}",
+            f"set hw port[3] {self.levels}",
+        ]
         for _ in range(edges):
             lines += [
                 f"step {max(1, steps // (edges + 1))}",
-                "set hw port[3] 0xfb",
+                f"set hw port[3] {self.levels & 0xFB}",
                 "step 4",
-                "set hw port[3] 0xff",
+                f"set hw port[3] {self.levels}",
             ]
         lines += [
             f"step {max(1, steps // (edges + 1))}",
@@ -129,6 +137,10 @@ class UcsimBoard:
             ["reset", "expr sim_ticks", "expr port1_odr", "expr port3_odr"]
         )
         self._target = float(self._clock)
+
+    def port(self, number: int) -> int:
+        """Return what the program writes to a port."""
+        return self._console([f"expr port{number}_odr"])[-1] & 0xFF
 
     def instructions(self, count: int) -> None:
         """Execute single instructions, for a look at what happens within microseconds of power-up."""
