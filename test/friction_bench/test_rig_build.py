@@ -128,11 +128,11 @@ def at_torque(player: Player, code: int) -> None:
 
 @pytest.mark.firmware
 def test_moved_pins_of_the_8051_act_and_the_old_ones_do_not(tmp_path: Path, make_board: Callable[..., Any]) -> None:
-    """In s51 the program drives DAC and stage at the moved pins, reads ADC and direction there, and nothing at the old."""
+    """In s51 the program drives DAC and stage and reads ADC and direction at the moved pins, none at the old ones."""
     defines = "-DSTAGE_OFF=P3_6 -DDIRECTION=P3_5 -DDAC_PORT=P2 -DADC_PORT=P1 -DCOUNTS_DOWN=1"
     assert make("mcs51", tmp_path, defines).returncode == 0
     board = make_board("mcs51", binary=tmp_path / "rig_mcs51.ihx")
-    board.adc_port = 1
+    board.adc_port, board.dac_port, board.stage = 1, 2, 0x40
     player = Player(board)
     player.adc = 77
     assert board.port(3) & 0x40  # active low: off

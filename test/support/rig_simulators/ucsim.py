@@ -62,8 +62,8 @@ class UcsimBoard:
             env={**os.environ, "LD_PRELOAD": str(library)},
             text=True,
         )
-        self.adc_port = 2
-        """Port of the current sense."""
+        self.adc_port, self.dac_port, self.stage = 2, 1, 0x10
+        """Ports of current sense and DAC, and the bit of P3 that switches the stage off."""
         self.levels = 0xFF
         """What is on the pins of P3 between two edges."""
         self._target = 0.0
@@ -126,7 +126,7 @@ class UcsimBoard:
         lines += [
             f"step {max(1, steps // (edges + 1))}",
             "expr sim_ticks",
-            "expr port1_odr",
+            f"expr port{self.dac_port}_odr",
             "expr port3_odr",
         ]
         *_, self._clock, self._dac, self._port3 = self._console(lines)
@@ -134,7 +134,7 @@ class UcsimBoard:
     def reset(self) -> None:
         """Pull the reset pin; uCsim's reset leaves the clock running."""
         *_, self._clock, self._dac, self._port3 = self._console(
-            ["reset", "expr sim_ticks", "expr port1_odr", "expr port3_odr"]
+            ["reset", "expr sim_ticks", f"expr port{self.dac_port}_odr", "expr port3_odr"]
         )
         self._target = float(self._clock)
 
@@ -144,7 +144,7 @@ class UcsimBoard:
 
     def instructions(self, count: int) -> None:
         """Execute single instructions, for a look at what happens within microseconds of power-up."""
-        lines = [f"step {count}", "expr sim_ticks", "expr port1_odr", "expr port3_odr"]
+        lines = [f"step {count}", "expr sim_ticks", f"expr port{self.dac_port}_odr", "expr port3_odr"]
         *_, self._clock, self._dac, self._port3 = self._console(lines)
         self._target = float(self._clock)
 
@@ -173,8 +173,8 @@ class UcsimBoard:
 
     @property
     def stage_on(self) -> bool:
-        """Return whether the power stage is enabled: P3.4 low."""
-        return not self._port3 & 0x10
+        """Return whether the power stage is enabled: its bit of P3 low."""
+        return not self._port3 & self.stage
 
     def close(self) -> None:
         """End the simulator: one that is left behind takes a whole core."""
