@@ -62,6 +62,19 @@ def test_published_friction_lies_within_the_spread_of_the_ramps(measured: Path) 
     assert joint == pytest.approx(0.0846, abs=3 * math.hypot(*errors.values()))
 
 
+def test_the_four_velocities_differ_where_the_source_s_do(measured: Path) -> None:
+    """The experiment stays within 7 % and 10 % of the models; they differ by per cents before break-away, not after."""
+    pairs = yaml.safe_load((measured / "estimates.yaml").read_text())["comparison"]
+    found = {(pair["first"], pair["second"]): pair for pair in pairs}
+    assert 0.1 < found["experiment", "block diagram"]["sliding"] < found["experiment", "block diagram"]["worst"] + 1e-9
+    assert found["experiment", "block diagram"]["worst"] < 10.0
+    assert found["experiment", "multibody"]["worst"] < 7.0
+    models = found["block diagram", "multibody"]
+    assert models["worst"] > 1.0
+    assert models["sliding"] < 0.1
+    assert models["within"] is (models["worst"] <= 2.0)
+
+
 def test_without_spread_the_source_states_its_own_figures(tmp_path: Path, check_report: Callable[[Path], None]) -> None:
     """Where ramps do not differ, a and b are the published ones, and 0.231 - 0.147 = 0.084 Nm to a unit at the end."""
     out = tmp_path / "out"
