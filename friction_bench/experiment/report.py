@@ -183,7 +183,8 @@ def write_result(out: Path, result: RampTestResult, rig: Rig, origin: str) -> No
             lines.append(
                 f"{pair.first} - {pair.second}: {pair.worst:.2g} % worst, {pair.sliding:.2g} % while sliding{band}"
             )
-            document.setdefault("comparison", []).append({**pair._asdict(), "within": pair.within})
+            figures = {name: float(f"{getattr(pair, name):.4g}") for name in ("worst", "rms", "sliding")}
+            document.setdefault("comparison", []).append({**pair._asdict(), **figures, "within": pair.within})
         plots["comparison"] = _comparison_plot(result.comparison)
         plots["sensor"] = _sensor_plot(result.comparison)
     unused = [*result.failures, *(reason for _, part in result.parts for reason in part.unused)]
