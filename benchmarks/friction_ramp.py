@@ -1,12 +1,13 @@
 """Known friction in, known friction out: bias and coverage of the ramp test's estimates.
 
-    python -m benchmarks.friction_ramp grid|random [--rigs 200] [--seed 1]
+    python -m benchmarks.friction_ramp grid|random|spread [--rigs 200] [--seed 1]
 
 grid: whole measurements on a grid of emulated rigs with the real firmware, in virtual time, each with a noise of its
 own; also prints what the source's f_c is high by. random: rigs with Coulomb-viscous and with LuGre joints, with
 friction, inertia and noise of their own, measured as the command `friction_ramp` does it, without and with the joint,
 ramps planned from the first one; prints what the source's formula f_c = m b / a gives on the same ramps, and every
-refusal. These ramps are run without firmware and line: the same plant and the same staircase, compiled, so that a ramp
+refusal. spread: whole measurements on the source's rig, whose torque and joint differ from ramp to ramp. The ramps of
+random and spread are run without firmware and line: the same plant and the same staircase, compiled, so that a ramp
 costs milliseconds instead of seconds. The firmware's ramp in rig.c is written again here in three lines; a test holds
 readings against those of the rig with the real firmware.
 
@@ -36,7 +37,7 @@ from friction_bench.rig.plant import SLICE, RigJoint, Shaft, joint_record, shaft
 from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, JointFriction, PlantParameters, Rig, load_rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import Rx90Error
-from rx90_common.base.share import config_path
+from rx90_common.base.share import SOURCE_RIG, config_path
 from rx90_common.friction.element import FrictionElement
 from rx90_common.kernels.compiled import kernel
 
@@ -55,6 +56,7 @@ QUANTITIES = ("coulomb", "viscous")
 COVERAGE = (0.90, 0.99)
 BIAS = 0.01
 KINDS = ("Coulomb-viscous", "LuGre")
+SPREAD = "source's rig"
 HEAVIEST = 0.11
 """Break-away torque of the heaviest random rigs, Nm: the ramps end at 0.15 and 0.16 Nm."""
 SLICES = 20
@@ -172,6 +174,16 @@ class QuickRig:
         self._rng = np.random.default_rng(self.seed)
         self.gain = 1.0 + self.plant.gain_error * self._rng.standard_normal()
 
+    def _drawn(self, loaded: bool) -> tuple[float, Shaft]:
+        """Draw what differs from ramp to ramp: the torque's gain, and the shaft with its joint's Coulomb friction."""
+        gain, shaft, plant = self.gain, shaft_of(self.rig, loaded), self.plant
+        if plant.ramp_error:
+            gain *= 1.0 + plant.ramp_error * self._rng.standard_normal()
+        if loaded and plant.joint_spread and isinstance(plant.joint, JointFriction):
+            more = plant.joint_spread * self._rng.standard_normal() * plant.joint.coulomb / self.rig.joint_scale
+            shaft = shaft._replace(coulomb=shaft.coulomb + more)
+        return gain, shaft
+
     def ramp(self, slope: float, end_torque: float, loaded: bool, label: str) -> RampRecord:
         """Return one ramp; it ends, as that of the host, where the rig file's speed or travel is nearly reached."""
         rig, plant = self.rig, self.plant
@@ -180,12 +192,13 @@ class QuickRig:
         command = rig.torque(1) * ((128 + ticks * step) // RAMP_FRACTION)
         noise = plant.torque_noise * self._rng.standard_normal((ticks.size, SLICES))
         joint = plant.joint
+        gain, shaft = self._drawn(loaded)
         element = joint if isinstance(joint, FrictionElement) else FrictionElement(1, 1, 1, 1, 1, 1, 1, 0, 0)
         angle, motor = _ramp(
-            self.gain * command,
+            gain * command,
             noise,
             (plant.torque_constant, plant.resistance, plant.supply),
-            shaft_of(rig, loaded),
+            shaft,
             (rig.gear_ratio, rig.gear_efficiency, plant.load_inertia + plant.joint_inertia),
             joint_record(element, rig.gear_ratio, SLICE, self.seed),
             loaded and isinstance(joint, FrictionElement),
@@ -278,7 +291,7 @@ def truth_of(rig: Rig, loaded: bool) -> Array:
 def random_experiment(job: tuple[int, int, str]) -> Outcome:
     """Measure one random rig."""
     seed, number, kind = job
-    rig = random_rig(seed, number, kind)
+    rig = load_rig(config_path(SOURCE_RIG)) if kind == SPREAD else random_rig(seed, number, kind)
     outcome = Outcome()
     try:
         result = evaluate(measure(rig, 10_000 * seed + number), rig)
@@ -347,10 +360,10 @@ def measure_grid() -> list[str]:
     return [*wrong, "the source's bias"] if off >= BIAS else wrong
 
 
-def measure_random(rigs: int, seed: int) -> list[str]:
-    """Print and merge the figures of random rigs, so many of each kind; return what is not accepted."""
+def measure_random(rigs: int, seed: int, kinds: tuple[str, ...]) -> list[str]:
+    """Print and merge the figures of rigs, so many of each kind; return what is not accepted."""
     figures, wrong, rows = {}, [], []
-    for kind in KINDS:
+    for kind in kinds:
         outcomes = in_processes(random_experiment, [(seed, number, kind) for number in range(rigs)], kind, 4)
         names = dict.fromkeys(name for outcome in outcomes for name in outcome.hits)
         for name in sorted(names, key=lambda name: ("source" in name, name)):
@@ -377,11 +390,13 @@ def main() -> int:
     """Measure what is asked for; return 1 if a figure is not what is accepted."""
     options = arguments(
         __doc__,
-        ("what", ("grid", "random"), "which rigs"),
+        ("what", ("grid", "random", "spread"), "which rigs"),
         ("--rigs", 200, "random ones of each kind"),
         ("--seed", 1, "of random rigs"),
     )
-    return accepted(measure_grid() if options.what == "grid" else measure_random(options.rigs, options.seed))
+    if options.what == "grid":
+        return accepted(measure_grid())
+    return accepted(measure_random(options.rigs, options.seed, KINDS if options.what == "random" else (SPREAD,)))
 
 
 if __name__ == "__main__":

@@ -13,19 +13,19 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import stats
 
 from friction_bench.experiment.asymptote import RampFit, ShortRampError, fit_asymptote
 from friction_bench.experiment.four_way import FourWay, compare
 from friction_bench.experiment.record import RampModel, RampRecord, break_away, sliding_window
 from friction_bench.experiment.sliding_fit import RampsFit, fit_sliding
+from friction_bench.rig.plant import shaft_of
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import VERDICT_NO, IdentificationError
 
 LEVEL = 0.95
-INCONSISTENT = 0.01
-"""Below this p-value the intervals come from the repeats' scatter, not from the fits' covariances."""
 SAME_SLOPE = 0.02
 """Slopes closer than this, relative, are one slope."""
 
@@ -53,23 +53,23 @@ class RampFriction:
     """Coulomb friction f_c, Nm, viscous friction f_v, Nm s/rad, inertia J, kg m², at the motor.
 
     `inertia` is None where one slope alone was run. The covariance is that of random errors, without the torque
-    scale's: `covariance` in the order f_c, f_v (and J), `freedom` its degrees of freedom.
+    scale's: `covariance` in the order f_c, f_v (and J), `freedom` the degrees of freedom of its diagonal.
     """
 
     coulomb: IntervalEstimate
     viscous: IntervalEstimate
     inertia: IntervalEstimate | None
     covariance: Array
-    freedom: float = math.inf
+    freedom: Array
 
     @classmethod
-    def of(cls, values: Array, covariance: Array, scale: float, freedom: float = math.inf) -> RampFriction:
+    def of(cls, values: Array, covariance: Array, scale: float, freedom: ArrayLike = math.inf) -> RampFriction:
         """Return the friction with intervals, for a relative uncertainty of the torque scale."""
-        errors = np.sqrt(np.diag(covariance))
+        errors, freedoms = np.sqrt(np.diag(covariance)), np.broadcast_to(np.asarray(freedom, float), values.shape)
         coulomb, viscous, *inertia = (
-            interval(float(v), float(e), freedom, scale) for v, e in zip(values, errors, strict=True)
+            interval(float(v), float(e), float(f), scale) for v, e, f in zip(values, errors, freedoms, strict=True)
         )
-        return cls(coulomb, viscous, inertia[0] if inertia else None, covariance, freedom)
+        return cls(coulomb, viscous, inertia[0] if inertia else None, covariance, freedoms)
 
 
 @dataclass(frozen=True)
@@ -100,9 +100,12 @@ class RampIdentification:
 
     Attributes:
         source: the source's f_c = m b / a and f_v = m / a, mean over the ramps long enough for it; None without any.
-        exact: fit of all ramps, intervals from its covariance; None with one slope.
-        repeated: the same, intervals from the scatter of the repeats; None with fewer than 2 repeats.
-        consistency: p-value of the chi-square test of the ramps' scatter against the fit's covariance.
+        exact: fit of all ramps, intervals from its covariance, in which is what differs from ramp to ramp; None with
+            one slope.
+        repeated: by each repeat alone, intervals from their scatter, to compare; None with fewer than 2 repeats.
+        consistency: p-value of the chi-square test of ramps that do not differ but for torque noise and counts.
+        spread: standard deviations from ramp to ramp of the torque's scale and of f_c, relative, shape (2,); None with
+            one slope.
         stribeck: probability that the friction falls with the velocity after break-away; None with one slope.
         unused: why each ramp was left out that could not be used, one line each.
     """
@@ -112,21 +115,16 @@ class RampIdentification:
     exact: RampFriction | None
     repeated: RampFriction | None
     consistency: float
+    spread: Array | None
     stribeck: float | None
     unused: tuple[str, ...]
 
     @property
     def best(self) -> RampFriction:
-        """Return the exact estimate, else the source's.
-
-        Its interval is the covariance's, unless the repeats scatter more than that can explain.
-        """
-        if self.exact is None:
-            assert self.source is not None  # one of them there is: identify_ramps refuses otherwise
-            return self.source
-        if self.repeated is not None and self.consistency < INCONSISTENT:
-            return self.repeated
-        return self.exact
+        """Return the exact estimate, else the source's."""
+        found = self.exact or self.source
+        assert found is not None  # one of them there is: identify_ramps refuses otherwise
+        return found
 
 
 def interval(value: float, random: float, freedom: float, scale: float) -> IntervalEstimate:
@@ -207,9 +205,10 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
     return RampIdentification(
         ramps=tuple(ramps),
         source=_by_source(ramps, scale_uncertainty),
-        exact=RampFriction.of(fit.values, fit.covariance, scale_uncertainty),
+        exact=RampFriction.of(fit.values, fit.covariance, scale_uncertainty, fit.freedom),
         repeated=_by_repeats(fit, ramps, scale_uncertainty),
         consistency=float(stats.chi2.sf(*fit.chi_square())),
+        spread=fit.spread,
         stribeck=fit.stribeck,
         unused=tuple(map(str, unused)),
     )
@@ -233,7 +232,7 @@ def _one_slope(
         time = time[time >= fit.window[0]]
         ramps.append(UsedRamp(record, fit.break_away, time, fit.a * time - fit.b, fit))
     why = tuple(map(str, (*unused, *reasons)))
-    return RampIdentification(tuple(ramps), _by_source(ramps, scale), None, None, 1.0, None, why)
+    return RampIdentification(tuple(ramps), _by_source(ramps, scale), None, None, 1.0, None, None, why)
 
 
 def _asymptote(record: RampRecord, T: float) -> RampFit | None:
@@ -245,16 +244,22 @@ def _asymptote(record: RampRecord, T: float) -> RampFit | None:
 
 
 def _by_source(ramps: Sequence[UsedRamp], scale: float) -> RampFriction | None:
-    """Return the source's f_c = m b / a and f_v = m / a (equations 4 and 5), mean over the ramps with an asymptote."""
+    """Return the source's f_c = m b / a and f_v = m / a (equations 4 and 5), mean over the ramps with an asymptote.
+
+    Of several ramps of one slope the covariance is that of their scatter, in which is what differs from ramp to ramp;
+    else that of their fits, as ramps of other slopes differ by J a, too.
+    """
     fits = [(ramp.slope, ramp.asymptote) for ramp in ramps if ramp.asymptote is not None]
     if not fits:
         return None
+    values = np.array([source_formulas(fit.a, fit.b, m) for m, fit in fits])
+    if len(fits) > 1 and len(slopes_of(ramps)) == 1:
+        return RampFriction.of(values.mean(axis=0), np.cov(values.T) / len(fits), scale, len(fits) - 1)
     covariance = np.zeros((2, 2))
     for m, fit in fits:
         to_friction = m * np.array([[-fit.b / fit.a**2, 1 / fit.a], [-1 / fit.a**2, 0.0]])
         covariance += to_friction @ fit.covariance @ to_friction.T / len(fits) ** 2
-    values = np.array([source_formulas(fit.a, fit.b, m) for m, fit in fits]).mean(axis=0)
-    return RampFriction.of(values, covariance, scale)
+    return RampFriction.of(values.mean(axis=0), covariance, scale)
 
 
 def _by_repeats(fit: RampsFit, ramps: Sequence[UsedRamp], scale: float) -> RampFriction | None:
@@ -297,7 +302,7 @@ def difference(
         value = (high.coulomb, high.viscous)[index].value - (low.coulomb, low.viscous)[index].value
         variances = high.covariance[index, index], low.covariance[index, index]
         random = math.sqrt(sum(variances))
-        shares = variances[0] ** 2 / high.freedom + variances[1] ** 2 / low.freedom
+        shares = variances[0] ** 2 / high.freedom[index] + variances[1] ** 2 / low.freedom[index]
         freedom = float(sum(variances)) ** 2 / shares if shares > 0.0 else math.inf
         found.append(interval(value * factor, random * factor, freedom, scale))
     return found[0], found[1]
@@ -410,8 +415,8 @@ class RampTestResult:
         single = [name for name, part in self.parts if part.exact is None]
         if single:
             remedy = (
-                f"{' and '.join(single)} had one slope: f_c contains J a, whose size is unknown, and no interval "
-                "contains what differs from ramp to ramp; run two slopes, and each several times"
+                f"{' and '.join(single)} had one slope: f_c contains J a, whose size is unknown, and a single ramp "
+                "does not show what differs from ramp to ramp; run two slopes, and each several times"
             )
         else:
             remedy = "the difference of the loads is below what they tell; run more repeats, or more load"
@@ -443,13 +448,26 @@ def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False, w
     if not parts:
         raise refusals[0] if refusals else IdentificationError("no ramp to identify from")
     joint = joint_friction(parts[0], parts[1], rig) if len(parts) == 2 else None
-    comparison, best = None, parts[-1].best
-    if best.inertia is not None and best.inertia.value > 0.0:  # without it there is no model of the ramps
-        ramp = min(parts[-1].ramps, key=lambda ramp: ramp.slope)
-        coulomb = best.coulomb.value
-        release = max(ramp.break_away * ramp.slope - coulomb, 0.0)
-        model = RampModel(coulomb, best.viscous.value, best.inertia.value, ramp.slope, release)
-        comparison = compare(ramp.record, model, rig.gear_ratio)
+    comparison = _compare_models(parts[-1], rig)
     by_source = evaluate_as_source(loads) if as_source else None
     named = list(zip(names, parts, strict=True))
     return RampTestResult(named, joint, comparison, tuple(map(str, refusals)), by_source, way)
+
+
+def _compare_models(part: RampIdentification, rig: Rig) -> FourWay | None:
+    """Compare the slowest ramp with the models; None where neither ramps nor rig file say what turns.
+
+    With one slope the inertia is unknown, and the models have that of an emulated rig's file.
+    """
+    best, ramp = part.best, min(part.ramps, key=lambda ramp: ramp.slope)
+    if best.inertia is not None:
+        inertia = best.inertia.value
+    elif rig.plant is not None:
+        inertia = shaft_of(rig, ramp.record.loaded).inertia
+    else:
+        return None
+    if not (inertia > 0.0 and best.coulomb.value > 0.0 and best.viscous.value > 0.0):
+        return None
+    release = max(ramp.break_away * ramp.slope - best.coulomb.value, 0.0)
+    model = RampModel(best.coulomb.value, best.viscous.value, inertia, ramp.slope, release)
+    return compare(ramp.record, model, rig.gear_ratio)

@@ -9,7 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from friction_bench.experiment.four_way import EXPERIMENT, SMOOTHING, FourWay, measured_velocity
+from friction_bench.experiment.four_way import (
+    EXPERIMENT,
+    FIXED_STEP,
+    SETTLED,
+    SMOOTHING,
+    SOURCE_SLOPE,
+    SOURCE_START,
+    STICTION,
+    FourWay,
+    measured_velocity,
+)
 from friction_bench.experiment.identification import (
     SAME_SLOPE,
     SOURCE_STATES,
@@ -99,6 +109,24 @@ def _hysteresis_plot(both: TwoWayResult) -> Plot:
             marks.append(Curve(velocity[: middle.size], middle, f"swing {k + 1}", COLOURS[k], 0.8))
         panels.append(Panel(marks, load, "motor velocity, rad/s", "motor torque, Nm"))
     return Plot(panels, columns=2, height=3.2)
+
+
+def _sensor_plot(comparison: FourWay) -> Plot:
+    """Show the models under the source's own input: velocities, and what else the block diagram's sensor gives."""
+    sensor = comparison.as_source
+    velocities = [
+        Curve(sensor.time, velocity, name, COLOURS[k + 1], 1.4, _DASHES[k])
+        for k, (name, velocity) in enumerate(comparison.source_velocities.items())
+    ]
+    others = (
+        ("position", sensor.position, "rad"),
+        ("acceleration", sensor.acceleration, "rad/s²"),
+        ("reaction torque", sensor.reaction, "Nm"),
+    )
+    panels = [Panel(velocities, "velocity", "time, s", "motor velocity, rad/s")]
+    for name, values, unit in others:
+        panels.append(Panel([Curve(sensor.time, values, "block diagram", COLOURS[1])], name, "time, s", unit))
+    return Plot(panels)
 
 
 def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
@@ -205,9 +233,14 @@ def write_result(
         document["as_source"]["f_joint"] = first.as_source.joint
     if first.comparison is not None:
         for pair in first.comparison.pairs:
-            band = f", source ± {pair.band:g} %" if pair.band else ""
-            lines.append(f"{pair.first} - {pair.second}: {pair.worst:.2g} % worst{band}")
+            band = f"; source: ± {pair.band:g} %, {'kept' if pair.within else 'not kept'}" if pair.band else ""
+            lines.append(
+                f"{pair.first} - {pair.second}: {pair.worst:.2g} % worst, {pair.sliding:.2g} % while sliding{band}"
+            )
+            figures = {name: float(f"{getattr(pair, name):.4g}") for name in ("worst", "rms", "sliding")}
+            document.setdefault("comparison", []).append({**pair._asdict(), **figures, "within": pair.within})
         plots["comparison"] = _comparison_plot(first.comparison)
+        plots["sensor"] = _sensor_plot(first.comparison)
     unused = [reason for result in sides for reason in result.failures]
     unused += [reason for result in sides for _, part in result.parts for reason in part.unused]
     both_rows, lags = [], dict[str, list[str]]()
@@ -230,6 +263,7 @@ def write_result(
         rows=rows,
         plots=plots,
         smoothing=SMOOTHING,
+        models={"step": FIXED_STEP, "settled": SETTLED, "slope": SOURCE_SLOPE, "start": SOURCE_START, "slip": STICTION},
         static=STATIC,
         unused=unused,
         source_states=SOURCE_STATES,

@@ -7,9 +7,11 @@ with T = J / f_v, is part of the fit. With alpha = 1 / f_v, beta = f_c / f_v, ka
 parameters the angle is linear in all but T, the Stribeck velocity w_s and the exponent e.
 
 Residuals are whitened by a Kalman filter (`whiten`); the intensity of the torque noise is estimated by restricted
-maximum likelihood. T is found by Gauss-Newton steps. What the Stribeck effect is, the data seldom tell: all of a grid
-of w_s and e, and no effect at all, are averaged by their marginal likelihoods (Bayesian model averaging), so that the
-intervals contain that ignorance.
+maximum likelihood. Ramps differ: the torque's scale and the friction are not quite the same in each, so alpha and beta
+of a ramp are those of all plus an error of its own, whose variances are estimated by restricted maximum likelihood, too
+(a linear mixed model). T is found by Gauss-Newton steps. What the Stribeck effect is, the data seldom tell: all of a
+grid of w_s and e, and no effect at all, are averaged by their marginal likelihoods (Bayesian model averaging), so that
+the intervals contain that ignorance.
 
 Units: w in rad/s at the motor; tau, f_c and delta_s in Nm, f_v in Nm s/rad, J in kg m²; hence alpha in rad/(s Nm),
 beta and kappa in rad/s, T in s.
@@ -23,7 +25,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 
 from friction_bench.experiment.record import SlidingWindow
 from rx90_common.base.arrays import Array
@@ -47,6 +49,10 @@ STEPS = 3
 """Gauss-Newton steps without a Stribeck effect; the second already changes less than the noise."""
 STRIBECK_STEPS = 2
 """Further steps for each assumption with a Stribeck effect."""
+SHORTEST = 0.01
+"""Least time constant T in ticks: the command's steps, whose sizes differ by a code, still show T far below a tick."""
+SPREADS = (1e-5, 0.3)
+"""Standard deviations of alpha and of beta from ramp to ramp, relative, between which they are sought."""
 _ANGLE, _SPEED = 5, 6
 """Of the rows of `_derivatives`, those to angle and velocity at the beginning; the others belong to all ramps."""
 
@@ -156,6 +162,8 @@ class RampsFit:
     Attributes:
         values: f_c (Nm), f_v (Nm s/rad), J (kg m²), shape (3,).
         covariance: theirs, shape (3, 3).
+        freedom: degrees of freedom of each variance, shape (3,): few where it comes from the ramps' differences.
+        spread: standard deviations, relative, of the torque's scale and of f_c from ramp to ramp, shape (2,).
         stribeck: probability that there is a Stribeck effect.
         velocities: fitted velocity of each ramp at the readings of its window, rad/s.
         point: alpha, beta, T, kappa of the likeliest assumption about the Stribeck effect.
@@ -164,6 +172,8 @@ class RampsFit:
 
     values: Array
     covariance: Array
+    freedom: Array
+    spread: Array
     stribeck: float
     velocities: list[Array]
     point: Array
@@ -177,7 +187,9 @@ class RampsFit:
 
     def chi_square(self) -> tuple[float, int]:
         """Return by how much alphas and betas of each ramp's own would fit better, and the degrees of freedom."""
-        square = slope = curvature = 0.0
+        total = self.grams.sum(axis=0)
+        square = -float(total[1:4, 0] @ np.linalg.solve(total[1:4, 1:4], total[1:4, 0]))
+        slope = curvature = 0.0
         for gram in self.grams:
             by_own = np.linalg.solve(gram[1:3, 1:3], gram[1:3, [0, 3]])
             square += float(gram[1:3, 0] @ by_own[:, 0])
@@ -249,6 +261,11 @@ class _Ramps:
         self.windows = windows
         self.step, self.tick = windows[0].record.angle_step, windows[0].record.tick
         self.variance = self.step**2 / 12
+        slopes = np.array([window.record.slope for window in windows])
+        self.repeats = [slopes == slope for slope in np.unique(slopes)]
+        self.freedom = len(windows) - len(self.repeats)
+        self.spread = np.zeros(2)
+        """Variances of alpha and beta from ramp to ramp."""
 
     def grid(self) -> list[Stribeck]:
         """Return the assumptions about a Stribeck effect, from the slowest that a reading resolves."""
@@ -278,7 +295,10 @@ class _Ramps:
         return point
 
     def noise(self, point: _Point) -> float:
-        """Return the intensity of the torque noise by restricted maximum likelihood, after any Stribeck effect."""
+        """Return the intensity of the torque noise by restricted maximum likelihood, after any Stribeck effect.
+
+        Alpha and beta are each ramp's own here: what differs between ramps is no torque noise.
+        """
         T = float(point.shared[2])
         halves = []
         for window, whole in zip(self.windows, self._columns(replace(point, stribeck=Stribeck())), strict=True):
@@ -289,12 +309,34 @@ class _Ramps:
 
         def misfit(logarithm: float) -> float:
             parts = [_reduced(*half, T, math.exp(logarithm), self.variance) for half in halves]
-            gram = np.sum([part[0] for part in parts], axis=0)
-            return sum(part[2] for part in parts) - 2.0 * _solve(gram, [1, 2], np.zeros(2), np.zeros(2))[2]
+            return sum(part[2] - 2.0 * _solve(part[0], [1, 2], np.zeros(2), np.zeros(2))[2] for part in parts)
 
         # Below the quantisation the likelihood is flat: the minimum is bracketed first.
         best = min(NOISE_RANGE, key=misfit)
         return math.exp(float(minimize_scalar(misfit, bounds=(best - 2.0, best + 2.0), method="bounded").x))
+
+    def between(self, point: _Point, noise: float) -> Array:
+        """Return the variances of alpha and beta from ramp to ramp of one slope, by restricted maximum likelihood.
+
+        Each slope has an alpha and a beta of its own here, so that what the model lacks is no difference of repeats.
+        The variances are 0 where no slope was run twice.
+        """
+        if self.freedom == 0:
+            return np.zeros(2)
+        grams = np.array([gram for gram, _, _ in self.parts(point, noise)])
+        size = np.abs(point.shared[:2])
+
+        def misfit(logarithms: Array) -> float:
+            loose, determinants = _loosened(grams, (size * np.exp(logarithms)) ** 2)
+            sums = (loose[of_slope].sum(axis=0) for of_slope in self.repeats)
+            return float(determinants.sum()) - 2.0 * sum(
+                _solve(one, [1, 2], np.zeros(2), np.zeros(2))[2] for one in sums
+            )
+
+        low, high = np.log(SPREADS)
+        middle = np.full(2, (low + high) / 2)
+        found = minimize(misfit, middle, method="L-BFGS-B", bounds=[(low, high)] * 2).x
+        return np.asarray((size * np.exp(found)) ** 2)
 
     def _columns(self, point: _Point) -> list[Array]:
         """Return the rows of `derivatives` for each ramp."""
@@ -316,23 +358,44 @@ class _Ramps:
         prior = np.zeros(4)
         if point.stribeck.velocity:
             prior[3] = 1.0 / (RISE_PRIOR_SD * max(abs(float(point.shared[1])), 1e-9)) ** 2
-        gram = np.sum([part[0] for part in parts], axis=0)
-        change, covariance, evidence = _solve(gram, used, prior[indices], point.shared[indices])
-        evidence -= sum(part[2] for part in parts) / 2
-        starts = point.starts + [part[1][:, 0] - part[1][:, used] @ change for part in parts]
+        grams = np.array([gram for gram, _, _ in parts])
+        loose, determinants = _loosened(grams, self.spread)
+        change, covariance, evidence = _solve(loose.sum(axis=0), used, prior[indices], point.shared[indices])
+        evidence -= (sum(part[2] for part in parts) + float(determinants.sum())) / 2
         shared, T = point.shared.copy(), point.shared[2]
         shared[indices] += change
-        shared[2] = np.clip(shared[2], max(T / 2, self.tick / 4), 2 * T)
-        speeds = []
-        for window, before, start in zip(self.windows, point.speeds, starts, strict=True):
-            final = shared[0] * window.torque - shared[1] - shared[3] * point.stribeck.share(before)
-            speeds.append(respond(window.time, final, start[1], shared[2])[1])
+        shared[2] = np.clip(shared[2], max(T / 2, SHORTEST * self.tick), 2 * T)
+        # What alpha and beta of each ramp differ by: the best linear prediction from what the change leaves.
+        left = grams[:, 1:3, 0] - grams[:, 1:3, used] @ change
+        root = np.sqrt(self.spread)
+        inner = np.eye(2) + root[:, None] * grams[:, 1:3, 1:3] * root
+        own = root * np.linalg.solve(inner, (root * left)[:, :, None])[:, :, 0]
+        starts, speeds = np.empty_like(point.starts), []
+        for k, (window, before) in enumerate(zip(self.windows, point.speeds, strict=True)):
+            by_row = parts[k][1]
+            starts[k] = point.starts[k] + by_row[:, 0] - by_row[:, used] @ change - by_row[:, 1:3] @ own[k]
+            alpha, beta = shared[:2] + own[k]
+            final = alpha * window.torque - beta - shared[3] * point.stribeck.share(before)
+            speeds.append(respond(window.time, final, starts[k, 1], shared[2])[1])
         return _Point(point.stribeck, shared, starts, speeds, covariance, evidence)
 
 
 def _speed(window: SlidingWindow, ends: slice) -> float:
     """Return the mean velocity between two readings, rad/s."""
     return float(np.diff(window.angle[ends])[0] / np.diff(window.time[ends])[0])
+
+
+def _loosened(grams: Array, spread: Array) -> tuple[Array, Array]:
+    """Return grams of ramps whose alpha and beta have errors of their own, and the log determinants that these add.
+
+    Args:
+        grams: of each ramp (see `_reduced`), shape (K, 5, 5).
+        spread: variances of the errors of alpha and beta, shape (2,).
+    """
+    root = np.sqrt(spread)
+    left = grams[:, :, 1:3] * root
+    inner = np.eye(2) + root[:, None] * grams[:, 1:3, 1:3] * root
+    return grams - left @ np.linalg.solve(inner, left.swapaxes(1, 2)), np.linalg.slogdet(inner)[1]
 
 
 def _solve(gram: Array, used: list[int], prior: Array, at: Array) -> tuple[Array, Array, float]:
@@ -363,6 +426,7 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
     point = ramps.start()
     for _ in range(2):
         noise = ramps.noise(point)
+        ramps.spread = ramps.between(point, noise)
         point = ramps.fit(point, Stribeck(), noise)
     grid = ramps.grid()
     fits = [point, *(ramps.fit(point, stribeck, noise) for stribeck in grid)]
@@ -375,5 +439,12 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
     covariance = sum(w * (c + np.outer(v - values, v - values)) for w, v, c in used)
     best = fits[int(np.argmax(weights))]
     grams = np.array([gram for gram, _, _ in ramps.parts(best, noise)])
+    # Of a variance the part that the ramps' differences make is known as well as they are (Satterthwaite).
+    _, total = best.friction()
+    ramps.spread, spread = np.zeros(2), np.sqrt(ramps.spread) / np.abs(best.shared[:2])
+    _, within = ramps.fit(best, best.stribeck, noise).friction()
+    share = np.clip(1.0 - np.diag(within) / np.diag(total), 1e-9, 1.0)
+    freedom = max(ramps.freedom, 1) / share**2
     likely = 1.0 - float(weights[0])
-    return RampsFit(np.asarray(values), np.asarray(covariance), likely, best.speeds, best.shared, grams)
+    values, covariance = np.asarray(values), np.asarray(covariance)
+    return RampsFit(values, covariance, freedom, spread, likely, best.speeds, best.shared, grams)

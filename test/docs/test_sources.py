@@ -169,10 +169,14 @@ def test_each_doi_is_one_and_leads_to_itself() -> None:
 
 
 def test_every_report_names_the_glossary() -> None:
-    """The frame of all reports names the page with terms and works, and the page is there."""
+    """The frame names the page with terms and works, the page is there, and each report is written into the frame."""
     frame = render_page("rx90_common.report", "page.html.j2")
     assert str(WORKS.relative_to(ROOT)) in frame.partition("<footer>")[2].partition("</footer>")[0]
     assert WORKS.is_file()
+    pages = [page for package in PACKAGES for page in (ROOT / package).rglob("*.html.j2") if page.name[0] != "_"]
+    without = [page.name for page in pages if not page.read_text().startswith('{% extends "page.html.j2" %}')]
+    assert sorted(without) == ["page.html.j2", "plot.html.j2"]
+    assert len(pages) >= 10
 
 
 def test_pages_on_the_rig_say_that_nothing_has_run_on_hardware() -> None:

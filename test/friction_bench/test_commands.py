@@ -60,9 +60,9 @@ def ramps(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_report_page_and_estimates_are_complete(ramps: Path, check_report: Callable[[Path], None]) -> None:
-    """Page: plots of both loads, overlay, comparison, the source's bands. YAML: intervals of loads and joint."""
+    """Page: plots of loads, overlay, comparison, sensor, the source's bands. YAML: intervals of loads and joint."""
     page = (ramps / "report.html").read_text()
-    assert page.count('<figure class="plot">') == 4
+    assert page.count('<figure class="plot">') == 5
     for text in ("no-load", "loaded", "multibody", "closed form", "± 10", "± 7", "± 2", "joint side"):
         assert text in page
     check_report(ramps / "report.html")

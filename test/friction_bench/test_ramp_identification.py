@@ -20,8 +20,8 @@ from scipy.optimize import minimize_scalar
 
 from benchmarks.friction_ramp import QuickRig, random_rig, truth_of
 from friction_bench.experiment.asymptote import _solve, fit_asymptote
-from friction_bench.experiment.four_way import integrate_equation_3, simulate_multibody
 from friction_bench.experiment.identification import (
+    RampFriction,
     RampIdentification,
     evaluate,
     identify_ramps,
@@ -29,18 +29,25 @@ from friction_bench.experiment.identification import (
     source_formulas,
 )
 from friction_bench.experiment.job import plan_from, run_ramp
-from friction_bench.experiment.record import RampModel, RampRecord, RecordError, read_csv, read_text, write_csv
-from friction_bench.experiment.sliding_fit import whiten
+from friction_bench.experiment.record import (
+    RampModel,
+    RampRecord,
+    RecordError,
+    read_csv,
+    read_text,
+    sliding_window,
+    write_csv,
+)
+from friction_bench.experiment.sliding_fit import fit_sliding, whiten
 from friction_bench.rig.plant import Shaft, shaft_of, turn
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.share import config_path
+from rx90_common.base.share import SOURCE_RIG, config_path
 
 TICK = 0.02
 STEP = math.tau / 504
 MODEL = RampModel(coulomb=0.05, viscous=0.02, inertia=3e-3, slope=0.05)
-MODELS = [RampModel(0.03, 6.4e-4, 1.3e-5, 0.02), RampModel(0.07, 8.0e-4, 6.3e-5, 0.05), MODEL]
 
 
 def ideal_record(model: RampModel, duration: float, **changes: Any) -> RampRecord:
@@ -262,10 +269,7 @@ def test_quick_ramps_are_those_of_the_rig_with_its_firmware(kind: str) -> None:
 
 
 def test_joint_friction_is_the_difference_and_carries_its_scale(rig: Rig) -> None:
-    """f_joint is right within 3 standard uncertainties; a common scale error does not widen it twice.
-
-    The four velocities of a loaded ramp lie in the source's bands: models 0.1 %, experiment 7 % and 10 %.
-    """
+    """f_joint is right within 3 standard uncertainties; a common scale error does not widen it twice."""
     records = [record for loaded in (False, True) for record in measure(rig, 5, 3, (0.02, 0.05), 0.155, loaded)]
     result = evaluate(records, replace(rig, efficiency_uncertainty=0.0))
     (_, unloaded), (_, loaded) = result.parts
@@ -275,21 +279,28 @@ def test_joint_friction_is_the_difference_and_carries_its_scale(rig: Rig) -> Non
         assert estimate.value == pytest.approx(truth, abs=3 * estimate.error)
         assert estimate.error < 0.01 * truth
     assert joint.coulomb.error < math.hypot(unloaded.best.coulomb.error, loaded.best.coulomb.error)
-    worst = [pair.worst for pair in result.comparison.pairs]  # experiment with three models, then these
-    assert len(worst) == 6
-    assert worst[0] < 10.0
-    assert worst[1] < 7.0
-    assert max(worst[3:]) < 0.1
-    assert all(pair.within for pair in result.comparison.pairs)
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_models_and_closed_form_agree_to_a_tenth_of_a_per_cent(model: RampModel) -> None:
-    """Equation 3 integrated, the joint in Pinocchio and the closed form differ by less than 0.1 %."""
-    time = np.linspace(0.0, 3 * model.break_away_time + 10 * model.time_constant, 80)
-    closed = model.velocity(time)
-    assert np.abs(integrate_equation_3(model, time) - closed).max() < 1e-3 * closed[-1]
-    assert np.abs(simulate_multibody(model, 31.0, time) - closed).max() < 1e-3 * closed[-1]
+def test_intervals_contain_what_differs_from_ramp_to_ramp() -> None:
+    """On the source's rig, whose torque and joint differ from ramp to ramp, most 95 % intervals hold f_c, f_v and J.
+
+    At 95 % fewer than 37 of 42 would happen once in 60 times; without the differences in the covariance half hold.
+    Of f_c and f_v the differences make nearly all of the variance, which is known as well as 8 ramps of 2 slopes tell.
+    """
+    rig = load_rig(config_path(SOURCE_RIG))
+    truth, hits, spreads, freedoms = truth_of(rig, True), [], [], []
+    for seed in range(14):
+        quick = QuickRig(rig, seed)
+        records = [quick.ramp(slope, 1.65, True, f"{slope} {k}") for k in range(4) for slope in (0.25, 0.61)]
+        fit = fit_sliding([sliding_window(record) for record in records])
+        best = RampFriction.of(fit.values, fit.covariance, rig.scale_uncertainty, fit.freedom)
+        estimates = (best.coulomb, best.viscous, best.inertia)
+        hits += [one.low <= value <= one.high for one, value in zip(estimates, truth, strict=True)]
+        spreads.append(fit.spread)
+        freedoms.append(fit.freedom)
+    assert sum(hits) >= 37
+    assert np.median(freedoms, axis=0)[:2] == pytest.approx((8 - 2, 8 - 2), rel=0.1)
+    assert np.median(spreads, axis=0) == pytest.approx((0.02, 0.05 * (truth[0] - 0.1462) / truth[0]), rel=0.35)
 
 
 @pytest.mark.parametrize(("speed", "torque"), [(5.0, 0.1), (5.0, -0.1), (-3.0, 0.02), (0.0, 0.04), (0.0, 0.06)])

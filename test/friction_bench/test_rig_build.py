@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rig_conformance import Player
@@ -191,3 +193,67 @@ def test_known_weight_finds_the_scale_within_the_page_s_uncertainty(
     assert 5 <= up - down <= 15  # the friction, 0.004 Nm, hinders it once and helps once
     measured = 255 * LEVER[1] / ((up + down) / 2)
     assert measured == pytest.approx(scale * rig.dac_full_scale, rel=2 * 0.0035)
+
+
+def at_torque(player: Player, code: int) -> None:
+    """Greet, arm and ask for a torque."""
+    player.do_greet(None)
+    player.do_send("arm")
+    player.do_beat(60)
+    player.do_send({"torque": code})
+    player.do_beat(60)
+    assert player.reports[-1].result == CommandResult.OK
+
+
+@pytest.mark.firmware
+def test_moved_pins_of_the_8051_act_and_the_old_ones_do_not(tmp_path: Path, make_board: Callable[..., Any]) -> None:
+    """In s51 the program drives DAC and stage and reads ADC and direction at the moved pins, none at the old ones."""
+    defines = "-DSTAGE_OFF=P3_6 -DDIRECTION=P3_5 -DDAC_PORT=P2 -DADC_PORT=P1 -DCOUNTS_DOWN=1"
+    assert make("mcs51", tmp_path, defines).returncode == 0
+    board = make_board("mcs51", binary=tmp_path / "rig_mcs51.ihx")
+    board.adc_port, board.dac_port, board.stage = 1, 2, 0x40
+    player = Player(board)
+    player.adc = 77
+    assert board.port(3) & 0x40  # active low: off
+    at_torque(player, 90)
+    assert (board.port(2), board.port(1)) == (90, 0xFF)
+    assert (board.port(3) & 0x40, board.port(3) & 0x10) == (0, 0x10)
+    assert player.reports[-1].adc == 77
+    player.do_edges(1)
+    counted = []
+    for levels in (0xFF, 0xFF & ~0x08, 0xFF & ~0x20):  # forward; the old direction's pin low; the moved one low
+        board.levels = levels
+        player.do_beat(60)
+        before = player.reports[-1].counts
+        player.do_beat(60)
+        counted.append((player.reports[-1].counts - before + 2**23) % 2**24 - 2**23)
+    assert counted[0] > 20
+    assert counted[1] > 20
+    assert counted[2] < -20
+    player.do_edges(0)
+    player.do_send("stop")
+    player.do_run(60)
+    assert board.port(2) == 0
+    assert board.port(3) & 0x40
+
+
+@pytest.mark.firmware
+def test_moved_pins_of_the_nano_act_and_the_old_ones_do_not(tmp_path: Path, make_board: Callable[..., Any]) -> None:
+    """In simavr the program switches the stage at A1, reads the current at A6, and leaves pin 12 an input."""
+    assert make("avr", tmp_path, "-DSTAGE_PIN=15 -DADC_CHANNEL=6").returncode == 0
+    board = make_board("avr", binary=tmp_path / "rig_avr.hex")
+    board.sense(6)
+    player = Player(board)
+    player.adc = 77
+    player.do_run(50)
+    direction, port, direction_b = 0x27, 0x28, 0x24  # DDRC, PORTC, DDRB
+    assert board.register(direction) & 2
+    assert board.register(port) & 2  # active low: off
+    at_torque(player, 90)
+    assert board.register(port) & 2 == 0
+    assert board.register(direction_b) & 0x10 == 0
+    assert (board.dac, player.reports[-1].adc) == (90, 77)
+    player.do_send("stop")
+    player.do_run(60)
+    assert board.register(port) & 2
+    assert board.dac == 0

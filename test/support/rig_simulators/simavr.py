@@ -35,7 +35,7 @@ class SimavrBoard:
     def __init__(self, library: Path, firmware: Path) -> None:
         self._lib = ctypes.CDLL(str(library))
         self._lib.board_new.restype = ctypes.c_void_p
-        for name in ("board_dac", "board_worst_dac", "board_stage", "board_reversed"):
+        for name in ("board_dac", "board_worst_dac", "board_stage", "board_reversed", "board_register"):
             getattr(self._lib, name).restype = ctypes.c_uint8
         flash = read_intel_hex(firmware)
         self._board = ctypes.c_void_p(self._lib.board_new(flash, len(flash)))
@@ -69,6 +69,14 @@ class SimavrBoard:
     def stage_on(self) -> bool:
         """Return whether the power stage is enabled."""
         return bool(self._lib.board_stage(self._board))
+
+    def register(self, address: int) -> int:
+        """Return a register of the data space."""
+        return int(self._lib.board_register(self._board, address))
+
+    def sense(self, channel: int) -> None:
+        """Put the current sense on another of the converter's channels."""
+        self._lib.board_sense(self._board, channel)
 
     def worst_dac(self) -> int:
         """Return the highest DAC code seen with the stage on since the last call."""

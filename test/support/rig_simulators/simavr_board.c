@@ -81,6 +81,15 @@ uint8_t board_reversed(const struct board *board)
     return (io[DDRC] & 0x02) && !(io[PORTC] & 0x02);
 }
 
+/* A register of the data space: what a moved pin does. */
+uint8_t board_register(const struct board *board, uint16_t address) { return board->avr->data[address]; }
+
+/* The channel on which the current is sensed. */
+void board_sense(struct board *board, uint8_t channel)
+{
+    board->adc = avr_io_getirq(board->avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0 + channel);
+}
+
 /* Pins that are still inputs read as zero: the DAC's inputs have pull-downs. */
 uint8_t board_dac(const struct board *board)
 {

@@ -63,6 +63,10 @@ class UcsimBoard:
             env={**os.environ, "LD_PRELOAD": str(library)},
             text=True,
         )
+        self.adc_port, self.dac_port, self.stage = 2, 1, 0x10
+        """Ports of current sense and DAC, and the bit of P3 that switches the stage off."""
+        self.levels = 0xFF
+        """What is on the pins of P3 between two edges."""
         self._target = 0.0
         self._clock = 0
         self._dac = 0
@@ -108,18 +112,22 @@ class UcsimBoard:
         steps = max(1, round((self._target - self._clock) / CLOCKS_PER_INSTRUCTION))
         # The simulator looks for input every million instructions, unless told.
         self._listen = LISTEN_SLICES if self._pending() else max(0, self._listen - 1)
-        lines = [f"expr uart0_check_often={min(self._listen, 1)}", f"set hw port[2] {adc}"]
+        lines = [
+            f"expr uart0_check_often={min(self._listen, 1)}",
+            f"set hw port[{self.adc_port}] {adc}",
+            f"set hw port[3] {self.levels}",
+        ]
         for _ in range(edges):
             lines += [
                 f"step {max(1, steps // (edges + 1))}",
-                "set hw port[3] 0xfb",
+                f"set hw port[3] {self.levels & 0xFB}",
                 "step 4",
-                "set hw port[3] 0xff",
+                f"set hw port[3] {self.levels}",
             ]
         lines += [
             f"step {max(1, steps // (edges + 1))}",
             "expr sim_ticks",
-            "expr port1_odr",
+            f"expr port{self.dac_port}_odr",
             "expr port3_odr",
         ]
         *_, self._clock, self._dac, self._port3 = self._console(lines)
@@ -127,13 +135,18 @@ class UcsimBoard:
     def reset(self) -> None:
         """Pull the reset pin; uCsim's reset leaves the clock running."""
         *_, self._clock, self._dac, self._port3 = self._console(
-            ["reset", "expr sim_ticks", "expr port1_odr", "expr port3_odr"]
+            ["reset", "expr sim_ticks", f"expr port{self.dac_port}_odr", "expr port3_odr"]
         )
         self._target = float(self._clock)
 
+    def port(self, number: int) -> int:
+        """Return what the program writes to a port."""
+        return self._console([f"expr port{number}_odr"])[-1] & 0xFF
+
     def instructions(self, count: int) -> None:
         """Execute single instructions, for a look at what happens within microseconds of power-up."""
-        lines = ["expr uart0_check_often=1", f"step {count}", "expr sim_ticks", "expr port1_odr", "expr port3_odr"]
+        lines = ["expr uart0_check_often=1", f"step {count}", "expr sim_ticks", f"expr port{self.dac_port}_odr"]
+        lines.append("expr port3_odr")
         *_, self._clock, self._dac, self._port3 = self._console(lines)
         self._target = float(self._clock)
 
@@ -173,8 +186,8 @@ class UcsimBoard:
 
     @property
     def stage_on(self) -> bool:
-        """Return whether the power stage is enabled: P3.4 low."""
-        return not self._port3 & 0x10
+        """Return whether the power stage is enabled: its bit of P3 low."""
+        return not self._port3 & self.stage
 
     def close(self) -> None:
         """End the simulator: one that is left behind takes a whole core."""
