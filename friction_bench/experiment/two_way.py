@@ -14,10 +14,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from friction_bench.experiment.identification import (
-    INCONSISTENT,
     IntervalEstimate,
     RampFriction,
     RampTestResult,
@@ -159,7 +157,7 @@ def _windows(half: Half) -> list[SlidingWindow]:
 
 
 def _friction(swings: Sequence[Half], scale: float) -> RampFriction:
-    """Fit f_c, f_v and J to the sliding stretches of one direction; an uneven scatter widens the intervals.
+    """Fit f_c, f_v and J to the sliding stretches of one direction.
 
     Raises:
         IdentificationError: if there are none, or the result is not physical.
@@ -177,9 +175,7 @@ def _friction(swings: Sequence[Half], scale: float) -> RampFriction:
             f"the swings give a viscous friction of {viscous:.3g} Nm s/rad and an inertia of {inertia:.3g} kg m²; "
             "accepted: > 0, by more repeats"
         )
-    square, freedom = fit.chi_square()
-    uneven = float(stats.chi2.sf(square, freedom)) < INCONSISTENT
-    return RampFriction.of(fit.values, fit.covariance * (square / freedom if uneven else 1.0), scale)
+    return RampFriction.of(fit.values, fit.covariance, scale, fit.freedom)
 
 
 def _reversal(half: Half, friction: RampFriction) -> Reversal:
