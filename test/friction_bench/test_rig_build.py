@@ -116,6 +116,10 @@ def test_a_library_made_with_other_figures_follows_them(tmp_path: Path) -> None:
         "MAX_SPEED=0",
         "SCALE_UNIT=50",
         "BIPOLAR=1",
+        "BIPOLAR=2 -DCOUNTS_DOWN=1",
+        "COUNTS_DOWN=2",
+        "PULSED=2",
+        "COUNTS_PER_REV=70000",
     ],
 )
 def test_a_figure_out_of_range_ends_the_build_with_its_name(define: str, tmp_path: Path) -> None:
@@ -123,6 +127,45 @@ def test_a_figure_out_of_range_ends_the_build_with_its_name(define: str, tmp_pat
     done = make("native", tmp_path, f"-D{define}")
     assert done.returncode != 0
     assert re.search(rf'#error "[^"]*{define.partition("=")[0]}[^"]*accepted', done.stderr)
+
+
+def test_a_misspelt_figure_ends_the_build(tmp_path: Path) -> None:
+    """A name that no source knows would leave the shipped limit in force: it is refused, with the names there are."""
+    done = make("native", tmp_path, "-DTORQUE_LIMITCODE=100u")
+    assert done.returncode != 0
+    assert re.search(r"DEFINES: TORQUE_LIMITCODE; accepted: .*TORQUE_LIMIT_CODE", done.stderr)
+    assert not list(tmp_path.iterdir())
+
+
+def test_other_figures_build_anew(tmp_path: Path) -> None:
+    """The library of a first build is replaced when the figures are others, and left alone when they are the same."""
+    library = tmp_path / "librig_native.so"
+    for defines, limit in (("", 229), ("-DTORQUE_LIMIT_CODE=100u", 100)):
+        assert make("native", tmp_path, defines).returncode == 0
+        player = Player(NativeBoard(library=library))
+        player.do_greet(None)
+        assert player.hello is not None
+        assert player.hello.torque_limit_code == limit
+    built = library.stat().st_mtime_ns
+    assert make("native", tmp_path, "-DTORQUE_LIMIT_CODE=100u").returncode == 0
+    assert library.stat().st_mtime_ns == built
+
+
+@pytest.mark.firmware
+@pytest.mark.parametrize(
+    ("defines", "name"),
+    [
+        ("-DDAC_PORT=P2", "ADC_PORT"),
+        ("-DSTAGE_OFF=P3_3 -DCOUNTS_DOWN=1", "DIRECTION"),
+        ("-DFORWARD=P3_4 -DBIPOLAR=1 -DCOUNTS_DOWN=1", "FORWARD"),
+        ("-DHOLD_TICKS=50 -DBIPOLAR=1 -DCOUNTS_DOWN=1", "HOLD_TICKS"),
+    ],
+)
+def test_a_pin_for_two_signals_ends_the_build(defines: str, name: str, tmp_path: Path) -> None:
+    """On the 8051, two signals on one pin or port, which would drive against each other, are refused by name."""
+    done = make("mcs51", tmp_path, defines)
+    assert done.returncode != 0
+    assert re.search(rf'#error "[^"]*{name}[^"]*accepted', done.stderr)
 
 
 def test_command_for_torque_of_both_signs_builds_what_the_rig_file_asks_for() -> None:
@@ -135,6 +178,8 @@ def test_command_for_torque_of_both_signs_builds_what_the_rig_file_asks_for() ->
 @pytest.mark.firmware
 def test_pins_move_in_both_binaries(tmp_path: Path) -> None:
     """With other pins both boards' programs still build, as large as before, and are others."""
+    moved_8051 = "-DSTAGE_OFF=P3_6 -DFORWARD=P3_7"
+    assert make("all", tmp_path / "all", moved_8051).returncode == 0  # the AVR's pins have names of their own
     pins = {
         "mcs51": "-DSTAGE_OFF=P3_6 -DDIRECTION=P3_5 -DDAC_PORT=P2 -DADC_PORT=P1 -DCOUNTS_DOWN=1",
         "avr": "-DSTAGE_PIN=15 -DADC_CHANNEL=6",
