@@ -168,11 +168,20 @@ def test_a_pin_for_two_signals_ends_the_build(defines: str, name: str, tmp_path:
     assert re.search(rf'#error "[^"]*{name}[^"]*accepted', done.stderr)
 
 
-def test_command_for_torque_of_both_signs_builds_what_the_rig_file_asks_for() -> None:
-    """The figures of the page's command are those of the shipped bipolar rig file."""
-    (words,) = (words for words in re.findall(r'make firmware DEFINES="([^"]*)"', PAGE) if "BIPOLAR" in words)
+@pytest.mark.parametrize(
+    ("page", "name", "rig_file"),
+    [
+        ("howto/rig_build.md", "BIPOLAR", "bipolar.yaml"),
+        ("howto/rig_wiring.md", "COUNTS_DOWN", "presliding.yaml"),
+        ("explanation/rig_measurement.md", "PULSED", "source.yaml"),
+    ],
+)
+def test_commands_of_the_pages_build_what_the_rig_files_ask_for(page: str, name: str, rig_file: str) -> None:
+    """The figures of each page's command are those of the shipped rig file, whose host refuses any other firmware."""
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    (words,) = (words for words in re.findall(r'make firmware DEFINES="([^"]*)"', text) if name in words)
     figures = {name: int(value) for name, value in re.findall(r"-D(\w+)=(\d+)u?", words)}
-    assert figures == load_rig(ROOT / "config/rig/bipolar.yaml").firmware_figures
+    assert figures == load_rig(ROOT / "config/rig" / rig_file).firmware_figures
 
 
 @pytest.mark.firmware
