@@ -103,18 +103,20 @@ class UcsimBoard:
             return b""
 
     def run(self, slice_us: int, edges: int, adc: int) -> None:
-        """Let time pass with these encoder edges and this ADC code."""
+        """Let time pass with these encoder edges, below 0 backward by the decoder's line, and this ADC code."""
+        idle, edges = (0xFF, edges) if edges >= 0 else (0xF7, -edges)
         self._target += slice_us * CRYSTAL_MHZ
         steps = max(1, round((self._target - self._clock) / CLOCKS_PER_INSTRUCTION))
         # The simulator looks for input every million instructions, unless told.
         self._listen = LISTEN_SLICES if self._pending() else max(0, self._listen - 1)
         lines = [f"expr uart0_check_often={min(self._listen, 1)}", f"set hw port[2] {adc}"]
+        lines += [f"set hw port[3] {idle}"] if edges else []
         for _ in range(edges):
             lines += [
                 f"step {max(1, steps // (edges + 1))}",
-                "set hw port[3] 0xfb",
+                f"set hw port[3] {idle & 0xFB}",
                 "step 4",
-                "set hw port[3] 0xff",
+                f"set hw port[3] {idle}",
             ]
         lines += [
             f"step {max(1, steps // (edges + 1))}",
