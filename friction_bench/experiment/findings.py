@@ -54,7 +54,7 @@ BOARDS = {
     ),
 }
 """By the words of --board."""
-BIPOLAR_BOARDS = {**BOARDS, "8051": BOARDS["8051"]._replace(off=2.92)}
+BIPOLAR_BOARDS = {**BOARDS, "8051": BOARDS["8051"]._replace(off=2.87)}
 """With a stage for torque of both signs: on the source's board the enable feeds two bases."""
 HIGH = 5.0
 """Of a direction line, V."""

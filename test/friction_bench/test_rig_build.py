@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from rig_conformance import Player
 
-from friction_bench.experiment.findings import BOARDS
+from friction_bench.experiment.findings import BIPOLAR_BOARDS, BOARDS
 from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort
 from friction_bench.rig.messages import CommandResult
 from friction_bench.rig.plant import RigPlant, Shaft, turn
@@ -66,6 +66,12 @@ def test_points_of_the_boards_are_those_of_their_drawings() -> None:
         1.0 / r["R9"] + 1.0 / r["R8"] + 1.0 / (r["R6"] + r["R5"])
     )
     assert source.off == pytest.approx(off, rel=5e-3)
+    pull_up = 4.7e3  # of the bipolar stage, whose STAGE_OFF feeds two bases
+    off = (5.0 / pull_up + 2.0 * base / r["R8"] + diode / (r["R6"] + r["R5"])) / (
+        1.0 / pull_up + 2.0 / r["R8"] + 1.0 / (r["R6"] + r["R5"])
+    )
+    assert BIPOLAR_BOARDS["8051"].off == pytest.approx(off, rel=5e-3)
+    assert "| R9 | 4.7 kΩ, because STAGE_OFF feeds two bases |" in PAGE
     r = parts("rig_nano.svg")
     load = r["R1"] + r["R2"]
     assert nano.set_point == pytest.approx(5.0 * 255 / 256 * load / (10e3 + load), rel=2e-3)
