@@ -299,21 +299,21 @@ def test_moved_pins_of_the_8051_act_and_the_old_ones_do_not(tmp_path: Path, make
 
 @pytest.mark.firmware
 def test_moved_pins_of_the_nano_act_and_the_old_ones_do_not(tmp_path: Path, make_board: Callable[..., Any]) -> None:
-    """In simavr the program switches the stage at A1, reads the current at A6, and leaves pin 12 an input."""
-    assert make("avr", tmp_path, "-DSTAGE_PIN=15 -DADC_CHANNEL=6").returncode == 0
+    """In simavr the program switches the stage at A2, reads the current at A6, and leaves pin 12 an input."""
+    assert make("avr", tmp_path, "-DSTAGE_PIN=16 -DADC_CHANNEL=6").returncode == 0
     board = make_board("avr", binary=tmp_path / "rig_avr.hex")
     board.sense(6)
     player = Player(board)
     player.adc = 77
     player.do_run(50)
     direction, port, direction_b = 0x27, 0x28, 0x24  # DDRC, PORTC, DDRB
-    assert board.register(direction) & 2
-    assert board.register(port) & 2  # active low: off
+    assert board.register(direction) & 4
+    assert board.register(port) & 4  # active low: off
     at_torque(player, 90)
-    assert board.register(port) & 2 == 0
+    assert board.register(port) & 4 == 0
     assert board.register(direction_b) & 0x10 == 0
     assert (board.dac, player.reports[-1].adc) == (90, 77)
     player.do_send("stop")
     player.do_run(60)
-    assert board.register(port) & 2
+    assert board.register(port) & 4
     assert board.dac == 0
