@@ -61,6 +61,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       "right")  # fmt: skip
     bags.add_argument("--prior", type=POSITIVE, metavar="SHARE", help="with --excitation: let the inertials of the "
                       "description count, with this relative standard deviation (they do not)")  # fmt: skip
+    bags.add_argument("--bandwidth", type=POSITIVE, metavar="HZ", help="with --excitation: of the low-pass of the "
+                      "positions, a third of it for torques (of a few, the widest that predicts as well as the "
+                      "best)")  # fmt: skip
     bags.add_argument("--friction", metavar="FILE", help="a given friction file, or a shipped one "
                       "(robots/tx40/friction.yaml): it is "
                       "held against the --validation bags, and nothing is identified")  # fmt: skip
@@ -93,7 +96,7 @@ _UNUSED = (
     ("excitation", "worst_torque_tolerance tip_tolerance", "with excitation runs",
      "--torque-tolerance and --total-torque-tolerance"),
     ("check sweeps", "bristles", _WITHOUT, "with --excitation BAG ..., or --bristle-kinds for micro-oscillations"),
-    ("check sweeps", "load_part payload prior total_torque_tolerance", _WITHOUT, "with --excitation BAG ..."),
+    ("check sweeps", "load_part payload prior bandwidth total_torque_tolerance", _WITHOUT, "with --excitation BAG ..."),
     ("check", "folder sliding presliding output bristle_kinds", "with --friction",
      "--validation BAG ... alone, for nothing is identified or written"),
 )  # fmt: skip
@@ -141,7 +144,7 @@ def main(options: argparse.Namespace) -> int:
         confirmed = job.run_excitation(
             options.excitation, robot, options.validation, wider(total, joint), options.output,
             bristles=options.bristles, payload=options.payload, load_part=options.load_part,
-            prior=options.prior, force=options.force,
+            prior=options.prior, bandwidth=options.bandwidth, force=options.force,
         )  # fmt: skip
     if confirmed:
         return DONE

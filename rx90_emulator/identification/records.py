@@ -21,7 +21,7 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.identification.robot import BagLayout
 
@@ -79,6 +79,8 @@ class JointRecord:
         sha256: digest of the bag.
         missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
+        no_velocity: why the velocities are differences of positions; empty where they were recorded.
+        shocks: begin and end of times whose torque is not the arm's, s.
     """
 
     names: tuple[str, ...]
@@ -90,6 +92,8 @@ class JointRecord:
     sha256: str
     missing: int = 0
     outliers: int = 0
+    no_velocity: str = "none were recorded"
+    shocks: tuple[tuple[float, float], ...] = ()
 
     @property
     def bag(self) -> BagSource:
@@ -184,12 +188,14 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         if most > _MAX_VALUE or 0.0 < most < least:
             accepted = f"{least:g} to {_MAX_VALUE:g}" if least else f"up to {_MAX_VALUE:g}"
             raise IdentificationError(f"{where}: the largest {name} is {most:.3g}; accepted: {accepted}")
+    no_velocity = JointRecord.no_velocity
     if "velocity" not in fields:
         fields["velocity"] = _differentiated(time, fields["position"])
     else:
         velocity, fewest = fields["velocity"], min(_MIN_DISTINCT_VELOCITIES, len(time) / 4)
         poor = [k for k, column in enumerate(velocity.T) if len(np.unique(column)) < fewest]
         velocity[:, poor] = _differentiated(time, fields["position"][:, poor])
+        no_velocity = f"those of {listed([layout.messages[k] for k in poor])} have few values" if poor else ""
         _check_velocity(where, layout, time, fields["position"], velocity)
     joints = layout.joint_side(fields)
     columns = time, joints["position"], joints["velocity"], joints["effort"]
@@ -198,7 +204,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         count = len(time) // size
         columns = tuple(v[: count * size].reshape(count, size, *v.shape[1:]).mean(axis=1) for v in columns)
     outliers = len(series.stamp_ns) - len(kept)
-    return JointRecord(layout.names, *columns, path, digest(path), _missing(series.time), outliers)
+    return JointRecord(layout.names, *columns, path, digest(path), _missing(series.time), outliers, no_velocity)
 
 
 def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:

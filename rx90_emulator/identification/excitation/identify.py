@@ -15,6 +15,7 @@ from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
+from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
 from rx90_emulator.identification.excitation.checks import check_signs, check_zeros
 from rx90_emulator.identification.excitation.choice import stages
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
@@ -34,6 +35,7 @@ from rx90_emulator.identification.excitation.known_payload import (
 from rx90_emulator.identification.excitation.payload import Payload, payloads_of
 from rx90_emulator.identification.excitation.physical import make_consistent
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, described_inertials
+from rx90_emulator.identification.excitation.recording import recording_notes, short_note, without_shocks
 from rx90_emulator.identification.excitation.result import (
     ExcitationIdentification,
     TorqueValidation,
@@ -63,6 +65,7 @@ def identify_excitation(
     payloads: Mapping[str, Payload] = _NO_PAYLOADS,
     load_part: bool = False,
     prior: float | None = None,
+    bandwidth: float | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ExcitationIdentification:
     """Identify the dynamics of an arm from runs in which all joints move, without plateaus of constant velocity.
@@ -81,6 +84,8 @@ def identify_excitation(
         load_part: whether they tell load parts of the friction in place of the gains, which then count as right.
         prior: relative standard deviation of the description's inertials, where they are to count; by default they do
             not, but for what no run tells.
+        bandwidth: of the low-pass of the positions, Hz; the torque gets a third. By default the widest of a few that
+            predicts as well as the best of them (`bandwidths.choose_bandwidths`).
         progress: called with the name of each step before it, `count_steps` times.
 
     Returns:
@@ -104,13 +109,14 @@ def identify_excitation(
     source = RecordedRobot.load(robot, everything, massless=True)
     records = read_records(by_use, source, progress)
     progress("filters and equations")
-    bandwidths = Bandwidths.of(records["excitation"])
+    records, notes = _shocks_left_out(records, source)
 
-    def equations(some: Sequence[JointRecord]) -> ExcitationProblem:
+    def equations(some: Sequence[JointRecord], bandwidths: Bandwidths) -> ExcitationProblem:
         runs = [run for record in some for run in _filtered(record, source, bandwidths)]
         return ExcitationProblem.of(source.arm, runs, [carried[run.source.path] for run in runs])
 
-    problem = equations(records["excitation"])
+    bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
+    notes = (*notes, *recording_notes(records["excitation"], bandwidths), *short_note(problem))
     _check_motion(problem, source)
     check_signs(problem)
     zeros = check_zeros(problem, source.zero)
@@ -138,7 +144,7 @@ def identify_excitation(
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
-        other = equations([record])
+        other = equations([record], bandwidths)
         for change in changes:
             other = change(other)
         predicted = predicted_torque(friction, other)
@@ -161,8 +167,18 @@ def identify_excitation(
         zeros=zeros,
         gains=gains,
         loads=loads,
+        notes=notes,
         bags=tuple((use, record.bag) for use, some in records.items() for record in some),
     )
+
+
+def _shocks_left_out(
+    records: Mapping[str, Sequence[JointRecord]], robot: RecordedRobot
+) -> tuple[dict[str, list[JointRecord]], tuple[str, ...]]:
+    """Return the records of each use with the times of their shocks, and in words what was found."""
+    found = {use: [without_shocks(one, robot.arm.element_matrix) for one in some] for use, some in records.items()}
+    texts = tuple(text for pairs in found.values() for _, said in pairs for text in said)
+    return {use: [record for record, _ in pairs] for use, pairs in found.items()}, texts
 
 
 def count_steps(bags: int, validation: int, *, bristles: bool = False, payloads: bool = False) -> int:

@@ -243,7 +243,7 @@ class ExcitationProblem:
         kept = []
         for number, one in enumerate(runs):
             rests, passes = element_states(one, arm.element_matrix)
-            joint, place = np.nonzero(~(rests @ acts).T)
+            joint, place = np.nonzero(~(rests @ acts).T & one.whole)
             time, reversal = one.time[one.rows[place]], (passes @ acts)[place, joint]
             kept.append((np.full(len(joint), number), joint, place, time, reversal))
         run, joint, place, time, reversal = (np.concatenate(parts) for parts in zip(*kept, strict=True))

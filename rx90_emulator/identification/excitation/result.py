@@ -79,6 +79,7 @@ class ExcitationIdentification:
         zeros: which encoder zeros seem wrong.
         gains: of the drives, by which the recorded torques were multiplied; None without a known payload.
         loads: the friction's load parts, whose torque the problem's is less of; None where they were not asked for.
+        notes: what of the recordings was left out or bridged, and what they cannot tell.
     """
 
     robot: RecordedRobot
@@ -96,6 +97,7 @@ class ExcitationIdentification:
     zeros: ZeroCheck
     gains: DriveGains | None = None
     loads: LoadParts | None = None
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def speeds(self) -> tuple[SpeedResiduals, ...]:

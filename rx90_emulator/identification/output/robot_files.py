@@ -388,7 +388,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         "not_determined": list(result.undetermined),
         "misfits": misfits(result.speeds),
         "drifts": [one.text for one in result.trends],
-        "remarks": [*friction.remarks, *gain_warnings(result)],
+        "remarks": [*result.notes, *friction.remarks, *gain_warnings(result)],
         "correlation": {
             "names": list(friction.names),
             "matrix": [[None if math.isnan(share) else round(share, 3) for share in row] for row in correlation],
@@ -412,6 +412,9 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
 
 def _torques(run: RunTorques) -> dict[str, Any]:
     columns = zip(run.rms.tolist(), run.share.tolist(), run.chi_square.tolist(), strict=True)
-    figures = (_rounded(dict(zip(("rms", "relative", "chi_square"), row, strict=True))) for row in columns)
+    figures = [_rounded(dict(zip(("rms", "relative", "chi_square"), row, strict=True))) for row in columns]
+    for row in figures:  # of torques that were smoothed before, which have next to no noise, it tells nothing
+        if row.get("chi_square", 0.0) > LARGEST:
+            del row["chi_square"]
     joints = {name: row for name, row in zip(run.names, figures, strict=True) if "rms" in row}
     return {"relative": six_digits(run.total_share), "joints": joints}

@@ -169,6 +169,9 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     width, places = max(8, *(len(run.source.path.name) + 9 for _, run in runs)), [max(10, len(n) + 2) for n in joints]
     lines += _table(["torque RMS", *joints, "all"], [width, *places, 8], fits)
     lines += [result.zeros.text] if result.zeros.text else []
+    bandwidths = result.problem.runs[0].bandwidths
+    lines.append(f"low-pass: {bandwidths.position:.3g} Hz, torques {bandwidths.torque:.3g} Hz: {bandwidths.reason}")
+    lines += [note if note.startswith("warning") else f"recording: {note}" for note in result.notes]
     lines.append(f"model: {kept_parts(result)}; last step of the choice: {result.model.reason}")
     lines.append(f"closed loop: {result.instruments.remark}")
     if gains := gain_texts(result):
