@@ -84,7 +84,7 @@ def choose_bandwidths(
     tried = [(widest, equations(records, widest)), *_narrower(widest, records, equations)]
     compared = tried[-1][1]
     candidates = [_Candidate.of(*one, compared) for one in tried]
-    best, reason = _best(candidates, compared), widest.reason
+    best, reason = candidates[_best(candidates, compared)], widest.reason
     if len(candidates) > 1:
         figures = ", ".join(f"{100.0 * one.share:.3g} % with {one.bandwidths.position:.3g} Hz" for one in candidates)
         below, position = compared.runs[0].bandwidths.torque, best.bandwidths.position
@@ -95,15 +95,35 @@ def choose_bandwidths(
     if silent:
         reason += f"; velocities are differences of positions, for {silent}"
     else:
-        recorded = best.bandwidths._replace(recorded_velocity=True)
-        other, differences = _Candidate.of(recorded, equations(records, recorded), compared), best
-        best = _best([differences, other], compared)
-        reason += (
-            f"; recorded velocities predict it to {100.0 * other.share:.3g} %, differences of positions to "
-            f"{100.0 * differences.share:.3g} %: {'differences' if best is differences else 'they'} are used"
-        )
+        best, velocity = _better_velocity(records, equations, best, compared)
+        reason += f"; {velocity}"
     chosen = best.bandwidths._replace(reason=reason)
     return chosen, replace(best.problem, runs=tuple(replace(run, bandwidths=chosen) for run in best.problem.runs))
+
+
+def _better_velocity(
+    records: Sequence[JointRecord], equations: Equations, best: _Candidate, compared: ExcitationProblem
+) -> tuple[_Candidate, str]:
+    """Return the candidate itself, or that with recorded velocities if it predicts better, and which one, in words.
+
+    Both predict the same torques, each from its own motion: a noisy one predicts worse.
+    """
+    other, recorded = compared.runs[0].bandwidths, best.bandwidths._replace(recorded_velocity=True)
+    twin = equations(records, other._replace(recorded_velocity=True))
+    problem = twin if other == best.bandwidths else equations(records, recorded)
+    second = _Candidate.of(recorded, problem, twin)
+    first_key, second_key = (
+        (one.run * len(one.arm.names) + one.joint) * max(len(run.rows) for run in compared.runs) + one.place
+        for one in (compared, twin)
+    )
+    # Where an element stops in one motion, it need not in the other.
+    _, rows, its = np.intersect1d(first_key, second_key, assume_unique=True, return_indices=True)
+    pair = replace(best, residual=best.residual[rows]), replace(second, residual=second.residual[its])
+    better = _best(pair, compared, rows) == 1
+    size = float(np.linalg.norm(compared.torque[rows]))
+    differences, velocities = (100.0 * float(np.linalg.norm(one.residual)) / size for one in pair)
+    text = f"from recorded velocities it is predicted to {velocities:.3g} %, from differences of positions to "
+    return pair[better], f"{text}{differences:.3g} %: {'the former' if better else 'differences'} are used"
 
 
 def _narrower(
@@ -124,20 +144,19 @@ def _narrower(
         yield bandwidths, problem
 
 
-def _best(candidates: Sequence[_Candidate], compared: ExcitationProblem) -> _Candidate:
-    """Return the first candidate whose error is not clearly larger than the least, joints alike."""
-    joints = np.unique(compared.joint)
-    least = np.ones(joints.max() + 1)  # of each joint: the RMS of the candidate that predicts it best
-    for joint in joints.tolist():
-        rows = compared.joint == joint
-        least[joint] = max(min(float(np.sqrt(np.mean(one.residual[rows] ** 2))) for one in candidates), 1e-12)
-    block = time_blocks(compared)
-    squares = [np.bincount(block, (one.residual / least[compared.joint]) ** 2) for one in candidates]
+def _best(candidates: Sequence[_Candidate], compared: ExcitationProblem, rows: Index | slice = slice(None)) -> int:
+    """Return the first candidate whose error of these rows is not clearly larger than the least, joints alike."""
+    joint, block = compared.joint[rows], time_blocks(compared)[rows]
+    least = np.ones(joint.max() + 1)  # of each joint: the RMS of the candidate that predicts it best
+    for number in np.unique(joint).tolist():
+        own = joint == number
+        least[number] = max(min(float(np.sqrt(np.mean(one.residual[own] ** 2))) for one in candidates), 1e-12)
+    squares = [np.bincount(block, (one.residual / least[joint]) ** 2) for one in candidates]
     best = min(squares, key=np.sum)
-    for one, own in zip(candidates, squares, strict=True):
+    for number, own in enumerate(squares):
         more, deviation = float(np.sum(own - best)), float(np.std(own - best, ddof=1) * math.sqrt(len(own)))
         if own.sum() <= _ACCEPTED_RATIO**2 * best.sum() or more <= _ACCEPTED_SE * deviation:
-            return one
+            return number
     raise AssertionError  # the best one is no larger than itself
 
 

@@ -143,7 +143,8 @@ def smoothed_above(records: Sequence[JointRecord]) -> float | None:
         for column in power.T:
             typical = np.array([np.median(part) for part in np.split(column, edges[1:])])
             fourfold = np.interp(4.0 * band, band, np.log(np.maximum(typical, 1e-300)), right=np.inf)
-            steep = (fourfold < np.log(np.maximum(typical, 1e-300) * _SMOOTHED_FALL)) & (band > 0.0)
+            # Below the fourth frequency the window itself falls.
+            steep = (fourfold < np.log(np.maximum(typical, 1e-300) * _SMOOTHED_FALL)) & (band >= frequency[4])
             found.append(float(band[steep][0]) if steep.any() else np.inf)
     edge = float(np.median(found)) if found else np.inf
     return edge if np.isfinite(edge) else None

@@ -17,11 +17,11 @@ import pinocchio as pin
 import pytest
 import yaml
 from foreign_arms import Curve, drive_torque, urdf_text, write
-from scipy.signal import fftconvolve
+from scipy.signal import butter, fftconvolve, sosfiltfilt
 from terminal import Terminal
 
 import rx90_emulator as rx
-from rx90_common.base.errors import INTERRUPTED, REFUSED, VERDICT_NO
+from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
@@ -227,6 +227,10 @@ def test_an_interrupt_leaves_nothing(
         (["run", "--output", "identified"], "identified/report.html exists; accepted: another name, or --force"),
         (["run", "--output", "arm.urdf"], "arm.urdf is no folder; accepted"),
         (["run", "--output", "nowhere/deep"], "nowhere does not exist"),
+        (
+            ["run", "--bandwidth", "60"],
+            "bandwidths of 60 and 20 Hz at 100 samples per second; accepted: up to 45 and 22",
+        ),
         (["run", "--torque-delay", "0.01"], "--torque-delay 0.01 with --excitation; accepted: 0"),
         (["nowhere"], "nowhere: no such bag"),
         (["still"], "no joint moves in any run; accepted"),
@@ -249,6 +253,24 @@ def test_what_cannot_be_identified_is_refused(
     assert len(said) == 1, said
     assert re.search(message, said[0]), said[0]
     assert sorted(bench.folder.rglob("*")) == before
+
+
+def test_a_slow_log_of_smoothed_torques_is_identified_with_a_warning(
+    bench: Bench, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """50 samples per second, torques behind a zero-phase low-pass of 5 Hz: all files, what is lost, Coulomb to 10 %."""
+    motion = fourier(8, 30.0)
+    low_pass = butter(2, 5.0, fs=RATE, output="sos")
+    torque = sosfiltfilt(low_pass, bench.torque(motion), axis=0)
+    write(bench.folder / "smooth", "/joint_states", NAMES, 0.5 * RATE, [values[::2] for values in (*motion, torque)])
+    folder = bench.folder / "smooth_identified"
+    assert bench.identify("--excitation", bench.folder / "smooth", "--output", folder) == DONE
+    said = capsys.readouterr().out
+    assert "warning: smooth: 50 samples per second do not tell motion above 15 Hz" in said
+    assert "recording: the torques were smoothed before they were recorded" in said
+    friction = yaml.safe_load((folder / "parameters.yaml").read_text(encoding="utf-8"))["friction"]
+    for name, curve in zip(NAMES, CURVES, strict=True):
+        assert friction[name]["tau_c_positive"]["value"] == pytest.approx(curve.tau_c_positive, rel=0.1)
 
 
 def test_python_writes_what_the_command_does(outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
