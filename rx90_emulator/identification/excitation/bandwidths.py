@@ -95,35 +95,37 @@ def choose_bandwidths(
     if silent:
         reason += f"; velocities are differences of positions, for {silent}"
     else:
-        best, velocity = _better_velocity(records, equations, best, compared)
+        better, velocity = _recorded_velocity(records, equations, candidates[-1], compared)
         reason += f"; {velocity}"
+        if better:
+            recorded = best.bandwidths._replace(recorded_velocity=True)
+            best = replace(best, bandwidths=recorded, problem=equations(records, recorded))
     chosen = best.bandwidths._replace(reason=reason)
     return chosen, replace(best.problem, runs=tuple(replace(run, bandwidths=chosen) for run in best.problem.runs))
 
 
-def _better_velocity(
-    records: Sequence[JointRecord], equations: Equations, best: _Candidate, compared: ExcitationProblem
-) -> tuple[_Candidate, str]:
-    """Return the candidate itself, or that with recorded velocities if it predicts better, and which one, in words.
+def _recorded_velocity(
+    records: Sequence[JointRecord], equations: Equations, first: _Candidate, compared: ExcitationProblem
+) -> tuple[bool, str]:
+    """Return whether recorded velocities predict better than differences of positions, and how well both do, in words.
 
-    Both predict the same torques, each from its own motion: a noisy one predicts worse.
+    Both predict the same torques below the narrowest bandwidth, each from its own motion: a noisy one predicts worse.
     """
-    other, recorded = compared.runs[0].bandwidths, best.bandwidths._replace(recorded_velocity=True)
-    twin = equations(records, other._replace(recorded_velocity=True))
-    problem = twin if other == best.bandwidths else equations(records, recorded)
-    second = _Candidate.of(recorded, problem, twin)
+    recorded = compared.runs[0].bandwidths._replace(recorded_velocity=True)
+    twin = equations(records, recorded)
+    second = _Candidate.of(recorded, twin, twin)
     first_key, second_key = (
         (one.run * len(one.arm.names) + one.joint) * max(len(run.rows) for run in compared.runs) + one.place
         for one in (compared, twin)
     )
     # Where an element stops in one motion, it need not in the other.
     _, rows, its = np.intersect1d(first_key, second_key, assume_unique=True, return_indices=True)
-    pair = replace(best, residual=best.residual[rows]), replace(second, residual=second.residual[its])
+    pair = replace(first, residual=first.residual[rows]), replace(second, residual=second.residual[its])
     better = _best(pair, compared, rows) == 1
     size = float(np.linalg.norm(compared.torque[rows]))
     differences, velocities = (100.0 * float(np.linalg.norm(one.residual)) / size for one in pair)
     text = f"from recorded velocities it is predicted to {velocities:.3g} %, from differences of positions to "
-    return pair[better], f"{text}{differences:.3g} %: {'the former' if better else 'differences'} are used"
+    return better, f"{text}{differences:.3g} %: {'the former' if better else 'differences'} are used"
 
 
 def _narrower(

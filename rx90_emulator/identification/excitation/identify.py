@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -196,6 +197,7 @@ def _filtered(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths)
     return filter_record(record, bandwidths, _setpoints(record), 0.5 * robot.plant_period)
 
 
+@lru_cache(8)  # equations are made of the same records for several bandwidths
 def _setpoints(record: JointRecord) -> Array | None:
     """Return a simulated bag's set-points at the record's times, shape (m, n); None where they do not cover it."""
     series = read_joint_states(record.source, _REFERENCE, record.names)
