@@ -228,7 +228,7 @@ def test_an_interrupt_leaves_nothing(
         (["run", "--output", "arm.urdf"], "arm.urdf is no folder; accepted"),
         (["run", "--output", "nowhere/deep"], "nowhere does not exist"),
         (
-            ["run", "--bandwidth", "60"],
+            ["run", "--bandwidth=60"],
             "bandwidths of 60 and 20 Hz at 100 samples per second; accepted: up to 45 and 22",
         ),
         (["run", "--torque-delay", "0.01"], "--torque-delay 0.01 with --excitation; accepted: 0"),
