@@ -74,7 +74,9 @@ def estimate_of(columns: StandardColumns, theta: Array) -> BaseEstimate:
     """Return the base parameters of standard ones, known to 1e-7 of the torque."""
     groups = BaseGroups.of(columns)
     known = np.eye(len(groups.names))
-    return BaseEstimate(groups.combination, groups.combination @ theta, 1e-14 * known, 1e7 * known)
+    return BaseEstimate(
+        groups.combination, groups.combination @ theta, 1e7 * known, np.ones(len(known), dtype=np.bool_)
+    )
 
 
 def identified(
@@ -290,7 +292,7 @@ def test_noisy_tx40_stays_a_robot() -> None:
     base = rows[:, list(groups.leading)]
     noise = 0.01 * np.sqrt(np.mean((rows @ theta) ** 2))
     found = np.linalg.lstsq(base, rows @ theta + noise * rng.standard_normal(360), rcond=None)[0]
-    estimate = BaseEstimate(groups.combination, found, noise**2 * np.linalg.inv(base.T @ base), base / noise)
+    estimate = BaseEstimate(groups.combination, found, base / noise, np.ones(len(found), dtype=np.bool_))
     urdf = RobotFiles.named("tx40").urdf
     blank = re.sub(r"<inertial>.*?</inertial>", "", urdf.read_text(), flags=re.DOTALL)
     for text in (urdf.read_text(), blank):
