@@ -200,7 +200,8 @@ class InertialPrior:
         bodies: the links that share the parameters, at least one for each joint; their pseudo-inertias are positive
             definite.
         known: parameters of the bodies that stay, summed for each joint, shape (n, 10).
-        rotors: inertia of each rotor that has a column, seen at its joint, kg m^2, > 0, shape (k,).
+        rotors: inertia of each rotor that has a column, seen at its joint, kg m^2, shape (k,); 0 for all of them
+            where the torque has no part of theirs.
         springs: amplitude of each spring that has a column, Nm, shape (s,); 0 for one of which nothing is known.
         guessed: which bodies, and then rotors, the description does not have, shape (b + k,).
         replaced: in words, what is not taken from the URDF, and what stands in its place.
@@ -221,7 +222,7 @@ class InertialPrior:
         cls,
         urdf: Path | str,
         joints: Sequence[str],
-        rotors: ArrayLike = (),
+        rotors: ArrayLike | None = (),
         springs: ArrayLike = (),
         known: Collection[str] = (),
     ) -> InertialPrior:
@@ -231,7 +232,8 @@ class InertialPrior:
             urdf: file, or its text.
             joints: n names from base to tip.
             rotors: inertia of the rotors of the first k joints, seen at these, kg m^2, shape (k,); 0 for one of which
-                nothing is known: it begins at the mean moment of inertia of its joint's body.
+                nothing is known: it begins at the mean moment of inertia of its joint's body. None for torques that
+                hold nothing of rotors.
             springs: as the attribute.
             known: links whose <inertial> is known and stays, such as a tool that was weighed.
 
@@ -265,13 +267,15 @@ class InertialPrior:
                 )
         kept = {body.link for body in bodies}
         dropped = tuple(body.link for body in free if body.pseudo.any() and body.link not in kept)
-        begun, amplitudes = (np.array(values, dtype=np.float64).reshape(-1) for values in (rotors, springs))
+        sizes: ArrayLike = np.zeros(len(names)) if rotors is None else rotors
+        begun, amplitudes = (np.array(values, dtype=np.float64).reshape(-1) for values in (sizes, springs))
         for what, values in (("rotor inertias", begun), ("springs", amplitudes)):
             if len(values) > len(names) or not np.isfinite(values).all() or (values < 0.0).any():
                 accepted = f"finite numbers >= 0, at most {len(names)}"
                 raise IdentificationError(f"{what} {values.tolist()}; accepted: {accepted}")
-        guesses = np.append(np.array(guessed, dtype=bool), begun == 0.0)
-        for i in np.flatnonzero(begun == 0.0).tolist():
+        unknown = (begun == 0.0) if rotors is not None else np.zeros(len(begun), dtype=np.bool_)
+        guesses = np.append(np.array(guessed, dtype=bool), unknown)
+        for i in np.flatnonzero(unknown).tolist():
             total = np.sum([inertial_parameters(body.pseudo) for body in bodies if body.joint == i], axis=0)
             begun[i] = total[[4, 6, 9]].mean()
             words.append(f"rotor of {names[i]}: begins at {begun[i]:.3g} kg m^2, the mean moment of its link")
@@ -302,6 +306,8 @@ _MAX_NULL_ENTRY = 1e-6  # of a parameter in the mapping's null space, to be dete
 _MIN_SINGULAR_VALUE = 1e-9  # of the mapping, relative: less is rounding
 _MIN_STEP_VALUE = 1e-14  # the same of the equations of a step
 _OPEN_SHARE = 0.5  # of the prior's variance of a mass: where the runs leave more of it, the prior decides
+FAR = 2.0
+"""Standard deviations, RMS, from which on bodies are far from the base parameters."""
 _TOOL = "tool"  # the link that a tool file adds: its inertial is known
 _ROWS, _COLUMNS = np.tril_indices(4)
 _BASIS = np.zeros((10, 4, 4))  # of symmetric matrices: the sum of an element's squares is that of its entries
@@ -338,7 +344,7 @@ class ConsistentInertias:
     Attributes:
         prior: where they began.
         pseudo: of each body, in the frame of its joint, shape (b, 4, 4).
-        rotors: kg m^2, > 0, shape (k,).
+        rotors: kg m^2, > 0 where the torque holds theirs, else 0, shape (k,).
         parameters: the standard parameters, bodies that stay included, shape (P,).
         base: their base parameters, shape (p,).
         shift: base parameters less the identified ones, shape (p,).
@@ -364,15 +370,49 @@ class Consistency:
 
     Attributes:
         inertias: nearest to the identified base parameters.
+        shares: RMS residual over RMS torque, all joints together: with the base parameters, with the inertias.
         added: torque that the shift of the base parameters adds; 0 for a joint without rows, here and below.
         before: residuals with the base parameters as identified.
         after: residuals with the shifted ones.
     """
 
     inertias: ConsistentInertias
+    shares: tuple[float, float]
     added: Array
     before: Array
     after: Array
+
+    @property
+    def text(self) -> str:
+        """Return in words how far the bodies are from the base parameters, and what that costs."""
+        before, after = self.shares
+        return (
+            f"bodies in the files: {self.inertias.distance:.2g} standard deviations from the base parameters (RMS; up "
+            f"to about 1 is noise); torque RMS of the fitted runs {after:.1%} with them, {before:.1%} without"
+        )
+
+    @property
+    def open_text(self) -> str:
+        """Return in words which masses the runs do not tell, and where these bodies stay; "" if there are none."""
+        prior, words = self.inertias.prior, []
+        for guessed, near in ((False, "the description's"), (True, "plausible ones, ellipsoids along the links")):
+            bodies = zip(prior.bodies, prior.guessed, self.inertias.open, strict=False)
+            links = [body.link for body, guess, one in bodies if one and guess == guessed]
+            words += [f"{listed(links, 100)} stay near {near}"] if links else []
+        return f"masses that the runs do not tell: {'; '.join(words)}" if words else ""
+
+    @property
+    def warning(self) -> str:
+        """Return a warning if the bodies are far from the base parameters, else ""."""
+        if self.inertias.distance <= FAR:
+            return ""
+        before, after = self.shares
+        return (
+            f"the bodies in the files are {self.inertias.distance:.3g} standard deviations from the base parameters "
+            f"(RMS; up to {FAR:g} passes): torque RMS {after:.1%} in place of {before:.1%}. No bodies near the "
+            "description have these: is a known tool, a payload, a zero or the sign of a torque another one, or do "
+            "the torques hold no rotors (--no-rotors)?"
+        )
 
 
 def make_consistent(
@@ -391,7 +431,8 @@ def make_consistent(
     """
     count, arm, fit = len(problem.names), problem.arm, friction.fit
     description: Path | str = Path(str(options.urdf))
-    rotors: ArrayLike = np.zeros(len(arm.names)) if options.rotor_inertia is None else options.rotor_inertia
+    rotors: ArrayLike | None = np.zeros(len(arm.names)) if options.rotor_inertia is None else options.rotor_inertia
+    rotors = rotors if problem.columns.rotors else None
     known: tuple[str, ...] = ()
     if robot.setup is not None:
         description, rotors = robot.setup.robot.urdf, robot.setup.drives.rotor_inertia
@@ -400,10 +441,13 @@ def make_consistent(
     information = base_information(problem, linear_columns(friction, problem)[1], fit)
     estimate = BaseEstimate(problem.base.combination, fit.value[:count], information, fit.determined[:count])
     inertias = consistent_inertias(estimate, prior)
-    residual, added = problem.torque - friction.predicted, problem.regressor @ inertias.shift
+    residual, change = problem.torque - friction.predicted, problem.regressor @ inertias.shift
     rows = np.maximum(np.bincount(problem.joint, minlength=len(arm.names)), 1)
-    squares = [np.bincount(problem.joint, one**2, len(arm.names)) for one in (added, residual, residual - added)]
-    return Consistency(inertias, *(np.sqrt(one / rows) for one in squares))
+    squares = [np.bincount(problem.joint, one**2, len(arm.names)) for one in (change, residual, residual - change)]
+    size = float(np.linalg.norm(problem.torque))
+    shares = float(np.linalg.norm(residual)) / size, float(np.linalg.norm(residual - change)) / size
+    added, before, after = (np.sqrt(one / rows) for one in squares)
+    return Consistency(inertias, shares, added, before, after)
 
 
 def base_information(problem: ExcitationProblem, friction: Array, fit: LinearFit) -> Array:
@@ -517,28 +561,20 @@ class _Search:
             slopes = np.append(slopes, np.where(self._positive, self.behind / self._begun - 1.0, 0.0))
             tangent = self._tangent(factors)
             rows, sides = np.vstack([tangent, np.diag(near)]), np.append(residual, near * slopes)
-            size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-            step = -np.linalg.lstsq(rows / size, sides, rcond=_MIN_STEP_VALUE)[0] / size
+            size, step = np.linalg.norm(rows, axis=0), np.zeros(rows.shape[1])
+            there = size > 0.0  # all but the rotors and offsets that no row holds
+            step[there] = -np.linalg.lstsq(rows[:, there] / size[there], sides, rcond=_MIN_STEP_VALUE)[0] / size[there]
             moves = np.tensordot(step[:count].reshape(-1, 10), _BASIS, 1)
-            # Along the step the minimised sum is that of a square and of logarithms of these.
             stretch = np.append(np.linalg.eigvalsh(moves), step[count:])
-            its = np.append(np.repeat(weights[:count:10], 4), weights[count:])
+            own = np.append(np.repeat(weights[:count:10], 4), weights[count:])
             change = tangent @ step
-            start = float(residual @ change + (weights * slopes) @ step)
-
-            def slope(length: float, its=its, stretch=stretch, change=change, start=start) -> float:  # type: ignore[no-untyped-def]
-                pull = its @ (length * stretch**2 / (1.0 + length * stretch))
-                return float(start + length * change @ change + pull)
-
-            shrinks = float(-np.min(stretch[its > 0.0], initial=0.0))
-            length = min(_LONGEST_STEP, _STEP_SHARE / max(shrinks, 1e-300))
-            if slope(length) > 0.0:
-                length = float(brentq(slope, 0.0, length))
+            gain = -float(residual @ change + (weights * slopes) @ step)
+            length = _best_length(gain, float(change @ change), own, stretch)
             shares = np.where(self._positive, self.behind, 1.0)
             self.pseudo = factors @ (np.eye(4) + length * moves) @ turned
             self.pseudo = 0.5 * (self.pseudo + np.swapaxes(self.pseudo, 1, 2))
             self.behind = self.behind + length * shares * step[count:]
-            if -start < _DECREMENT * float(residual @ residual + weights.sum()):
+            if gain < _DECREMENT * float(residual @ residual + weights.sum()):
                 break
 
     def open_masses(self, weight: float) -> Mask:
@@ -553,3 +589,21 @@ class _Search:
             left = np.sum((mass @ inverse[own]) ** 2) / np.sum((mass / near[own]) ** 2)
             found.append(bool(left > _OPEN_SHARE))
         return np.array(found)
+
+
+def _best_length(gain: float, square: float, weights: Array, stretch: Array) -> float:
+    """Return how far to go in a direction, in Newton steps.
+
+    Args:
+        gain: minus the slope of the minimised sum where it begins.
+        square: of the change of the residual over one step.
+        weights: of the logarithms, shape (k,).
+        stretch: change over one step of what these are of, 1 where it begins, shape (k,).
+    """
+
+    def slope(length: float) -> float:
+        return float(length * square - gain + weights @ (length * stretch**2 / (1.0 + length * stretch)))
+
+    shrinks = -float(np.min(stretch[weights > 0.0], initial=0.0))
+    longest = min(_LONGEST_STEP, _STEP_SHARE / max(shrinks, 1e-300))
+    return longest if slope(longest) <= 0.0 else float(brentq(slope, 0.0, longest))
