@@ -398,7 +398,7 @@ class Consistency:
         for guessed, near in ((False, "the description's"), (True, "plausible ones, ellipsoids along the links")):
             bodies = zip(prior.bodies, prior.guessed, self.inertias.open, strict=False)
             links = [body.link for body, guess, one in bodies if one and guess == guessed]
-            words += [f"{listed(links, 100)} stay near {near}"] if links else []
+            words += [f"{listed(links, 100)} stay{'s' * (len(links) == 1)} near {near}"] if links else []
         return f"masses that the runs do not tell: {'; '.join(words)}" if words else ""
 
     @property
