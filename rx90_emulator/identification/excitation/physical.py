@@ -350,7 +350,7 @@ class ConsistentInertias:
         shift: base parameters less the identified ones, shape (p,).
         distance: length of the shift in standard deviations, RMS: at most about 1 within the noise.
         alone: which standard parameters the data determine by themselves, not only as part of a sum, shape (P,).
-        open: bodies whose mass the prior decides rather than the data, shape (b,).
+        open: joints of which the prior, rather than the data, decides the mass of the bodies, shape (n,).
     """
 
     prior: InertialPrior
@@ -393,12 +393,12 @@ class Consistency:
 
     @property
     def open_text(self) -> str:
-        """Return in words which masses the runs do not tell, and where these bodies stay; "" if there are none."""
+        """Return in words at which joints the runs tell no mass, and where it stays; "" if there are none."""
         prior, words = self.inertias.prior, []
-        for guessed, near in ((False, "the description's"), (True, "plausible ones, ellipsoids along the links")):
-            bodies = zip(prior.bodies, prior.guessed, self.inertias.open, strict=False)
-            links = [body.link for body, guess, one in bodies if one and guess == guessed]
-            words += [f"{listed(links, 100)} stay{'s' * (len(links) == 1)} near {near}"] if links else []
+        real = {body.joint for body, guess in zip(prior.bodies, prior.guessed, strict=False) if not guess}
+        for described, near in ((True, "the description's"), (False, "plausible ones, ellipsoids along the links")):
+            joints = [name for k, name in enumerate(prior.joints) if self.inertias.open[k] and (k in real) == described]
+            words += [f"what {listed(joints)} move{'s' * (len(joints) == 1)} stays near {near}"] if joints else []
         return f"masses that the runs do not tell: {'; '.join(words)}" if words else ""
 
     @property
@@ -578,17 +578,17 @@ class _Search:
                 break
 
     def open_masses(self, weight: float) -> Mask:
-        """Return which bodies' masses have more than half of the variance left that the prior would give alone."""
-        factors = np.linalg.cholesky(self.pseudo)
-        near = np.sqrt(weight * self._share)
+        """Return at which joints the data leave more than half of the variance that the prior gives the mass alone."""
+        factors, near = np.linalg.cholesky(self.pseudo), np.sqrt(weight * self._share)
         inverse = np.linalg.pinv(np.vstack([self._tangent(factors), np.diag(near)]))
-        found = []
-        for b, factor in enumerate(factors):
-            own = slice(10 * b, 10 * b + 10)
-            mass = (factor @ _BASIS @ factor.T)[:, 3, 3]
-            left = np.sum((mass @ inverse[own]) ** 2) / np.sum((mass / near[own]) ** 2)
-            found.append(bool(left > _OPEN_SHARE))
-        return np.array(found)
+        # A step's change of the mass that moves with each joint.
+        masses = (factors[:, None] @ _BASIS @ np.swapaxes(factors, 1, 2)[:, None])[:, :, 3, 3]
+        moved = np.zeros((len(self._known) // 10, len(near)))
+        for b, joint in enumerate(self._joint):
+            moved[joint, 10 * b : 10 * b + 10] = masses[b]
+        count = 10 * len(self._joint)
+        alone = np.sum((moved[:, :count] / near[:count]) ** 2, axis=1)
+        return np.asarray(np.sum((moved @ inverse) ** 2, axis=1) > _OPEN_SHARE * alone)
 
 
 def _best_length(gain: float, square: float, weights: Array, stretch: Array) -> float:

@@ -342,6 +342,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         versions: of interpreter and libraries.
     """
     friction, bandwidths = result.friction, result.problem.runs[0].bandwidths
+    bodies = result.consistency.inertias
     chosen, other = "instrumental variables", "least squares"
     if not result.instruments.biased:
         chosen, other = other, chosen
@@ -387,14 +388,10 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             for one in result.validations
         },
         "bodies": {
-            "distance": six_digits(result.consistency.inertias.distance),
+            "distance": six_digits(bodies.distance),
             "relative_error": six_digits(result.consistency.shares[1]),
             "masses_not_determined": [
-                body.link
-                for body, one in zip(
-                    result.consistency.inertias.prior.bodies, result.consistency.inertias.open, strict=True
-                )
-                if one
+                name for name, one in zip(bodies.prior.joints, bodies.open.tolist(), strict=True) if one
             ],
         },
         "estimator": chosen,
