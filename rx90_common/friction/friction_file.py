@@ -21,8 +21,8 @@ FRICTION = Group(
     keys={
         "elements": Entries("Elements by joint; joint_5_6 turns with joints 5 and 6 together.", of=ELEMENT),
         "joints": Entries(
-            "What torques hold beside links and friction, by joint, where no drives file says it; the simulation takes "
-            "nothing of it, rx90_identify --friction adds it to what the URDF predicts.",
+            "What torques hold beside links and friction, by joint, where no drives file says it. The simulation takes "
+            "nothing of it; rx90_identify --friction adds it to what the URDF predicts.",
             default={},
             of=Group(
                 "One joint.",

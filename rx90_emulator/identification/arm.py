@@ -115,7 +115,7 @@ class RigidArm:
         return rigid_torque(self.model, self.rotor, self.spring, position, velocity, acceleration) + self.offset
 
     def with_joints(self, joints: Mapping[str, Mapping[str, float]]) -> RigidArm:
-        """Return the arm with what the `joints` block of a friction file adds to its torque.
+        """Return the arm with the offsets of a friction file's `joints`, and the rotors and springs that it states.
 
         Raises:
             IdentificationError: for a joint that is none of the arm's.
@@ -127,8 +127,8 @@ class RigidArm:
             np.array([joints.get(name, {}).get(key, 0.0) for name in self.names])
             for key in ("offset", "rotor_inertia", "spring")
         )
-        rotor = self.rotor + self.coupling.T @ np.diag(rotors) @ self.coupling
-        return replace(self, rotor=rotor, spring=self.spring + spring, offset=offset)
+        rotor = self.coupling.T @ np.diag(rotors) @ self.coupling if rotors.any() else self.rotor
+        return replace(self, rotor=rotor, spring=spring if spring.any() else self.spring, offset=offset)
 
     def regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return the derivative of the torque by the links' inertial parameters, shape (m, n, 10 n).

@@ -184,8 +184,8 @@ def check_friction(
 ) -> tuple[Validation, ...]:
     """Compare the torques that a friction file predicts along recorded motions with the recorded ones.
 
-    The rest of the arm is as `robot` describes it: links, rotors, coupling, spring; offsets, rotors and springs in the
-    file's `joints` are added.
+    The rest of the arm is as `robot` describes it: links, rotors, coupling, spring. Offsets in the file's `joints` are
+    added; rotors and springs there take the place of those of `robot`.
 
     Args:
         friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.

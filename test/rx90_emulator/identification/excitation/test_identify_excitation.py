@@ -193,7 +193,7 @@ def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Call
 
 
 def test_offsets_and_rotors_of_a_friction_file_count(bench: Bench, outcome: Outcome, tmp_path: Path) -> None:
-    """Torques with offsets and rotors are predicted by the file that states them, and not by the same without."""
+    """Torques with offsets and rotors are predicted by the file that states them, whatever options say of rotors."""
     motion, offset, rotor = fourier(2, 20.0), np.array([6.0, -3.0]), np.array([2.0, 1.0])
     torque = bench.torque(motion) + offset + rotor * np.gradient(motion[1], 1.0 / RATE, axis=0)
     bag = write(tmp_path / "bag", "/joint_states", NAMES, RATE, (*motion, torque))
@@ -209,7 +209,8 @@ def test_offsets_and_rotors_of_a_friction_file_count(bench: Bench, outcome: Outc
             with pytest.raises(rx.Rx90Error, match=r"yaml: joint 'wrist' is none of this arm; accepted: shoulder"):
                 rx.check_friction(place, [bag], rx.RobotOptions(urdf=bench.urdf))
         else:
-            (check,) = rx.check_friction(place, [bag], rx.RobotOptions(urdf=bench.urdf))
+            robot = rx.RobotOptions(urdf=bench.urdf, rotor_inertia=[9.0, 9.0] if block else None)
+            (check,) = rx.check_friction(place, [bag], robot)
             shares.append(check.largest_share)
     assert shares[0] < 0.05
     assert shares[1] > 0.15
