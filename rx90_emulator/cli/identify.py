@@ -59,6 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     bags.add_argument("--load-part", action="store_true", help="with --payload: let the payloads tell how friction "
                       "grows with the load, each element's load part, in place of the drive gains, which count as "
                       "right")  # fmt: skip
+    bags.add_argument("--no-rotors", action="store_true", help="with --excitation and --urdf: leave the inertias of "
+                      "rotors out, for torques of sensors between gear and link")  # fmt: skip
     bags.add_argument("--prior", type=POSITIVE, metavar="SHARE", help="with --excitation: let the inertials of the "
                       "description count, with this relative standard deviation (they do not)")  # fmt: skip
     bags.add_argument("--bandwidth", type=POSITIVE, metavar="HZ", help="with --excitation: of the low-pass of the "
@@ -96,7 +98,7 @@ _UNUSED = (
     ("excitation", "worst_torque_tolerance tip_tolerance", "with excitation runs",
      "--torque-tolerance and --total-torque-tolerance"),
     ("check sweeps", "bristles", _WITHOUT, "with --excitation BAG ..., or --bristle-kinds for micro-oscillations"),
-    ("check sweeps", "load_part payload prior bandwidth total_torque_tolerance", _WITHOUT, "with --excitation BAG ..."),
+    ("check sweeps", "load_part payload prior bandwidth no_rotors total_torque_tolerance", _WITHOUT, "with --excitation BAG ..."),
     ("check", "folder sliding presliding output bristle_kinds", "with --friction",
      "--validation BAG ... alone, for nothing is identified or written"),
 )  # fmt: skip
@@ -144,7 +146,7 @@ def main(options: argparse.Namespace) -> int:
         confirmed = job.run_excitation(
             options.excitation, robot, options.validation, wider(total, joint), options.output,
             bristles=options.bristles, payload=options.payload, load_part=options.load_part,
-            prior=options.prior, bandwidth=options.bandwidth, force=options.force,
+            prior=options.prior, rotors=not options.no_rotors, bandwidth=options.bandwidth, force=options.force,
         )  # fmt: skip
     if confirmed:
         return DONE

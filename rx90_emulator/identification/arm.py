@@ -9,9 +9,9 @@ import os
 import sys
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,7 @@ class RigidArm:
         rotor: the rotors' share of the mass matrix, shape (n, n), kg m^2.
         spring: amplitude k of a gravity-compensation spring on each joint, torque -k sin(q), Nm, shape (n,).
         coupling: motor turns per joint turn without the gears, shape (n, n).
+        offset: constant torque of each joint, Nm, shape (n,) or the same for all.
     """
 
     names: tuple[str, ...]
@@ -54,6 +55,7 @@ class RigidArm:
     rotor: Array
     spring: Array
     coupling: Array
+    offset: Array | float = 0.0
 
     @classmethod
     def from_setup(cls, setup: Setup) -> RigidArm:
@@ -110,7 +112,23 @@ class RigidArm:
 
     def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return what the drives give at the joints without friction, Nm, all arrays of shape (m, n)."""
-        return rigid_torque(self.model, self.rotor, self.spring, position, velocity, acceleration)
+        return rigid_torque(self.model, self.rotor, self.spring, position, velocity, acceleration) + self.offset
+
+    def with_joints(self, joints: Mapping[str, Mapping[str, float]]) -> RigidArm:
+        """Return the arm with the offsets of a friction file's `joints`, and the rotors and springs that it states.
+
+        Raises:
+            IdentificationError: for a joint that is none of the arm's.
+        """
+        for name in joints:
+            if name not in self.names:
+                raise IdentificationError(f"joint {quoted(name)} is none of this arm; accepted: {listed(self.names)}")
+        offset, rotors, spring = (
+            np.array([joints.get(name, {}).get(key, 0.0) for name in self.names])
+            for key in ("offset", "rotor_inertia", "spring")
+        )
+        rotor = self.coupling.T @ np.diag(rotors) @ self.coupling if rotors.any() else self.rotor
+        return replace(self, rotor=rotor, spring=spring if spring.any() else self.spring, offset=offset)
 
     def regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return the derivative of the torque by the links' inertial parameters, shape (m, n, 10 n).

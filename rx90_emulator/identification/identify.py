@@ -184,7 +184,8 @@ def check_friction(
 ) -> tuple[Validation, ...]:
     """Compare the torques that a friction file predicts along recorded motions with the recorded ones.
 
-    The rest of the arm is as `robot` describes it: links, rotors, coupling, spring.
+    The rest of the arm is as `robot` describes it: links, rotors, coupling, spring. Offsets in the file's `joints` are
+    added; rotors and springs there take the place of those of `robot`.
 
     Args:
         friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.
@@ -214,6 +215,10 @@ def check_friction(
             said = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
             raise IdentificationError(f"{where}: {said}")
     refuse_parts(file.elements, "a validation by recorded torques", f"{where}: elements.", held=("bristles",))
+    try:
+        source = replace(source, arm=source.arm.with_joints(file.joints))
+    except IdentificationError as error:
+        raise IdentificationError(f"{where}: {error}") from error
     records = read_records(by_use, source, progress)["validation"]
     return _validations(source, lugre, None, records, tolerances, progress)
 

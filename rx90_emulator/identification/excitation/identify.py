@@ -65,6 +65,7 @@ def identify_excitation(
     bristles: bool = False,
     payloads: Mapping[str, Payload] = _NO_PAYLOADS,
     load_part: bool = False,
+    rotors: bool = True,
     prior: float | None = None,
     bandwidth: float | None = None,
     progress: Callable[[str], None] = lambda _: None,
@@ -83,6 +84,7 @@ def identify_excitation(
         payloads: known bodies at the last link, by name or path of the bag; runs that are not named carry none. Runs
             with and without one tell the drive gains.
         load_part: whether they tell load parts of the friction in place of the gains, which then count as right.
+        rotors: whether the recorded torques hold those of the rotors; those of sensors between gear and link do not.
         prior: relative standard deviation of the description's inertials, where they are to count; by default they do
             not, but for what no run tells.
         bandwidth: of the low-pass of the positions, Hz; the torque gets a third. By default the widest of a few that
@@ -107,6 +109,7 @@ def identify_excitation(
         raise IdentificationError(
             f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
         )
+    _check_rotors(robot, rotors=rotors)
     source = RecordedRobot.load(robot, everything, massless=True)
     records = read_records(by_use, source, progress)
     progress("filters and equations")
@@ -114,7 +117,7 @@ def identify_excitation(
 
     def equations(some: Sequence[JointRecord], bandwidths: Bandwidths) -> ExcitationProblem:
         runs = [run for record in some for run in _filtered(record, source, bandwidths)]
-        return ExcitationProblem.of(source.arm, runs, [carried[run.source.path] for run in runs])
+        return ExcitationProblem.of(source.arm, runs, [carried[run.source.path] for run in runs], rotors=rotors)
 
     bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
     notes = (*notes, *recording_notes(records["excitation"], bandwidths), *short_note(problem))
@@ -186,6 +189,13 @@ def count_steps(bags: int, validation: int, *, bristles: bool = False, payloads:
     """Return how often `identify_excitation` calls `progress` for so many bags and validation runs."""
     choices = 1 + payloads  # of the friction's parts: known payloads take one for the drive gains or load parts
     return bags + 2 * validation + 3 + choices * (1 + stages(ALL_PARTS if bristles else WITHOUT_BRISTLES))
+
+
+def _check_rotors(robot: RobotOptions, *, rotors: bool) -> None:
+    """Refuse a model without rotors for an arm whose drives' torques move them."""
+    if not rotors and (robot.urdf is None or robot.rotor_inertia is not None):
+        given = "without --urdf" if robot.urdf is None else "with --rotor-inertia"
+        raise IdentificationError(f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears")
 
 
 def _filtered(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths) -> tuple[FilteredRun, ...]:

@@ -38,10 +38,12 @@ class StandardColumns:
     Args:
         arm: kinematics and couplings, and which joints have a spring of the torque -k sin(q); of its inertias and of
             the springs' sizes nothing is used.
+        rotors: whether the torque holds that of the rotors: sensors between gear and link do not feel it, and their
+            columns are 0.
     """
 
-    def __init__(self, arm: RigidArm) -> None:
-        self.arm = arm
+    def __init__(self, arm: RigidArm, *, rotors: bool = True) -> None:
+        self.arm, self.rotors = arm, rotors
         self.springs = np.flatnonzero(arm.spring).tolist()
 
     @property
@@ -61,7 +63,7 @@ class StandardColumns:
         n, turns = len(self.arm.names), self.arm.coupling
         links = self.arm.regressor(position, velocity, acceleration)
         # Motor j turns with row j of the coupling; its inertia acts back on every joint of that row.
-        rotors = (acceleration @ turns.T)[:, None, :] * turns.T
+        rotors = (acceleration @ turns.T)[:, None, :] * turns.T * self.rotors
         springs = np.sin(position)[:, :, None] * np.eye(n)[:, self.springs]
         offsets = np.broadcast_to(np.eye(n), (len(position), n, n))
         return np.concatenate([links, rotors, springs, offsets], axis=2)
@@ -69,7 +71,7 @@ class StandardColumns:
     def values(self) -> Array:
         """Return the parameters as the arm's description has them, shape (P,): a prior. Offsets are 0."""
         inverse = np.linalg.inv(self.arm.coupling)
-        rotors = np.diag(inverse.T @ self.arm.rotor @ inverse)
+        rotors = np.diag(inverse.T @ self.arm.rotor @ inverse) * self.rotors
         parts = self.arm.inertial, rotors, self.arm.spring[self.springs], np.zeros(len(self.arm.names))
         return np.concatenate(parts)
 
@@ -221,7 +223,12 @@ class ExcitationProblem:
 
     @classmethod
     def of(
-        cls, arm: RigidArm, runs: Sequence[FilteredRun], payloads: Sequence[Payload | None] | None = None
+        cls,
+        arm: RigidArm,
+        runs: Sequence[FilteredRun],
+        payloads: Sequence[Payload | None] | None = None,
+        *,
+        rotors: bool = True,
     ) -> ExcitationProblem:
         """Stack the equations of runs.
 
@@ -229,6 +236,7 @@ class ExcitationProblem:
             arm: kinematics, couplings and elements; springs are sought on the joints on which it has one.
             runs: of this arm.
             payloads: of each run; by default none.
+            rotors: as in `StandardColumns`.
 
         Raises:
             IdentificationError: for runs of other joints, and if no joint moves.
@@ -238,7 +246,7 @@ class ExcitationProblem:
                 there, wanted = ", ".join(one.names), ", ".join(arm.names)
                 raise IdentificationError(f"{one.source.path}: joints {there}; accepted: {wanted}")
         carried = (None,) * len(runs) if payloads is None else tuple(payloads)
-        columns = StandardColumns(arm)
+        columns = StandardColumns(arm, rotors=rotors)
         acts = arm.element_matrix != 0.0
         kept = []
         for number, one in enumerate(runs):

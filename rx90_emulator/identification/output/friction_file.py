@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
+from types import MappingProxyType
 from typing import Any
 
 from rx90_common.base.config import check_numbers
@@ -26,6 +27,7 @@ _REMARKS = """\
 """
 _LARGEST = {"Nm": 1e6, "rad/s": 1e4, "1": 1e3, "Nm/rad": 1e12, "Nm s/rad": 1e9, "Nm (s/rad)^alpha": 1e6}
 """Of values with these units: orders of magnitude beyond any arm's, and no result of a fit that went well."""
+_NO_JOINTS: Mapping[str, Mapping[str, float]] = MappingProxyType({})
 _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
 
 
@@ -45,6 +47,7 @@ def elements_text(
     fallback_name: str | None,
     now: datetime | None = None,
     result: FrictionIdentification | None = None,
+    joints: Mapping[str, Mapping[str, float]] = _NO_JOINTS,
 ) -> str:
     """Return the text of a file with these elements.
 
@@ -54,6 +57,7 @@ def elements_text(
         fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
         now: date of the identification; by default the present.
         result: from sweeps, whose use of the bags, goodness of fit and kinds of bristles go into the file.
+        joints: what torques hold beside links and friction, as `FrictionFile.joints`.
 
     Raises:
         IdentificationError: for a value that no arm has, or that is no number.
@@ -91,7 +95,7 @@ def elements_text(
     source = f"{len(labels)} bags, {date}; omega_d is not identified"
     source += "" if fallback_name is None else f", it is that of {fallback_name}"
     about = {name: {"note": text} for name, text in notes.items()}
-    return FrictionFile(rounded, "identified", source, identification, about=about).text(_REMARKS)
+    return FrictionFile(rounded, "identified", source, identification, about=about, joints=joints).text(_REMARKS)
 
 
 def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:

@@ -282,6 +282,7 @@ def excitation_page(
         by_speed=_speed_plot(result),
         misfits=misfits(result.speeds),
         closed_loop=result.instruments.remark,
+        bodies_warnings=summary.bodies_warnings(result),
         other="least squares" if result.instruments.biased else "instruments",
         gains=list(zip(gains, gains.values(), constants or [""] * len(gains), strict=True)),
         by_time=_time_plot(result.torques, friction.blocks.length),

@@ -19,6 +19,7 @@ from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import Criterion, largest, verdict
 
+_NEGATIVE = 3.0  # deviations below 0, from which on a rotor inertia is no chance
 _CONFIRMED = ("confirmed", "NOT CONFIRMED")
 _Value = TypeVar("_Value", bound=Hashable)
 
@@ -174,11 +175,12 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     lines += [note if note.startswith("warning") else f"recording: {note}" for note in result.notes]
     lines.append(f"model: {kept_parts(result)}; last step of the choice: {result.model.reason}")
     lines.append(f"closed loop: {result.instruments.remark}")
+    lines += filter(None, (result.consistency.text, result.consistency.open_text))
     if gains := gain_texts(result):
         factors = (f"{name} {' +- '.join(text) or '1 (the payload does not tell it)'}" for name, text in gains.items())
         text = f"drive gains, true over recorded torque: {', '.join(factors)}"
         lines.append(f"{text}; all values are for torques multiplied by them")
-    lines += [f"warning: {warning}" for warning in gain_warnings(result)]
+    lines += [f"warning: {warning}" for warning in (*gain_warnings(result), *bodies_warnings(result))]
     lines += [] if result.loads is None else [result.loads.remark(names)]
     lines += [f"misfit: {text}" for text in misfits(result.speeds)]
     lines += [f"drift: {one.text}" for one in result.trends]
@@ -186,7 +188,9 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         limits, run = check.tolerances, check.torques
         total = Criterion("torque RMS of all joints", run.total_share, limits.total, digits=1)
         worst = largest("largest", run.names, run.share, limits.joint, digits=1)
-        lines.append(verdict(f"validation {run.source.path}", check.passed, _CONFIRMED, (total, worst)))
+        bodies = Criterion("with the files' bodies", check.consistent.total_share, limits.total, digits=1)
+        far = f"{result.consistency.inertias.distance:.2g} standard deviations from the base parameters"
+        lines.append(verdict(f"validation {run.source.path}", check.passed, _CONFIRMED, (total, worst), (bodies, far)))
     return "\n".join(lines)
 
 
@@ -228,6 +232,25 @@ def gain_warnings(result: ExcitationIdentification) -> list[str]:
             "that of the identified ones: inertias, which all joints share, and torques there can be off by as much"
         )
     return lines
+
+
+def bodies_warnings(result: ExcitationIdentification) -> list[str]:
+    """Return whether the bodies in the files are far from the base parameters, and which rotors are below 0."""
+    found = [result.consistency.warning] if result.consistency.warning else []
+    rotors = {f"Ia_{k}": name for k, name in enumerate(result.problem.arm.names, 1)}
+    below = [
+        f"{rotors[one.group]} {' +- '.join(one.estimate.texts())} kg m^2"
+        for one in result.base
+        if one.group in rotors
+        and one.estimate.identifiable
+        and one.estimate.value < -_NEGATIVE * one.estimate.deviation
+    ]
+    if below:
+        found.append(
+            f"rotor inertias came out below 0: {', '.join(below)}; torques of sensors between gear and link hold no "
+            "rotors (--no-rotors)"
+        )
+    return found
 
 
 _SHOWN = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1", "load.driving", "load.driven")

@@ -192,6 +192,48 @@ def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Call
     check_report(outcome.folder / "report.html")
 
 
+def test_offsets_and_rotors_of_a_friction_file_count(bench: Bench, outcome: Outcome, tmp_path: Path) -> None:
+    """Torques with offsets and rotors are predicted by the file that states them, whatever options say of rotors."""
+    motion, offset, rotor = fourier(2, 20.0), np.array([6.0, -3.0]), np.array([2.0, 1.0])
+    torque = bench.torque(motion) + offset + rotor * np.gradient(motion[1], 1.0 / RATE, axis=0)
+    bag = write(tmp_path / "bag", "/joint_states", NAMES, RATE, (*motion, torque))
+    file = yaml.safe_load((outcome.folder / "friction.yaml").read_text(encoding="utf-8"))
+    file.pop("joints", None)
+    pairs = zip(NAMES, offset.tolist(), rotor.tolist(), strict=True)
+    joints = {name: {"offset": constant, "rotor_inertia": inertia} for name, constant, inertia in pairs}
+    shares = []
+    for block in ({"joints": joints}, {}, {"joints": {"wrist": {"offset": 1.0}}}):
+        place = tmp_path / f"friction_{len(shares)}.yaml"
+        place.write_text(yaml.dump(file | block), encoding="utf-8")
+        if "wrist" in block.get("joints", {}):
+            with pytest.raises(rx.Rx90Error, match=r"yaml: joint 'wrist' is none of this arm; accepted: shoulder"):
+                rx.check_friction(place, [bag], rx.RobotOptions(urdf=bench.urdf))
+        else:
+            robot = rx.RobotOptions(urdf=bench.urdf, rotor_inertia=[9.0, 9.0] if block else None)
+            (check,) = rx.check_friction(place, [bag], robot)
+            shares.append(check.largest_share)
+    assert shares[0] < 0.05
+    assert shares[1] > 0.15
+
+
+def test_bodies_are_told_on_the_terminal(outcome: Outcome) -> None:
+    """Distance and error of the files' bodies stand in the summary, in the verdict and in the parameters."""
+    found = yaml.safe_load((outcome.folder / "parameters.yaml").read_text(encoding="utf-8"))["bodies"]
+    distance = f"{found['distance']:.2g} standard deviations from the base parameters"
+    assert f"bodies in the files: {distance}" in outcome.said
+    assert re.search(rf"with the files' bodies \d+\.\d% \(limit 10%\), {re.escape(distance)}", outcome.said)
+    assert f"{found['relative_error']:.1%} with them" in outcome.said
+    assert "warning: the bodies" not in outcome.said
+
+
+def test_torques_without_rotors_of_this_robot_are_refused(bench: Bench) -> None:
+    """A model without rotors is for other arms' torques behind the gears: with rotors given it is refused."""
+    given = rx.RobotOptions(urdf=bench.urdf, rotor_inertia=[1.0, 1.0])
+    for robot, words in ((rx.RobotOptions(), "without --urdf"), (given, "with --rotor-inertia")):
+        with pytest.raises(rx.Rx90Error, match=f"^--no-rotors {words}; accepted: "):
+            rx.identify_excitation([bench.folder / "run"], robot, rotors=False)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("place", ["identify_excitation", "excitation_page", "write_folder"])
 def test_an_interrupt_leaves_nothing(
