@@ -5,6 +5,7 @@ Records -> sliding regime -> presliding regime -> kinds of bristles by predictio
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.element import SIGNS
@@ -29,8 +30,9 @@ from rx90_emulator.identification.estimates import (
     IdentifiedElement,
     ParameterEstimate,
 )
+from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.experiments.folder import IdentificationBags, read_emulated, read_index
-from rx90_emulator.identification.options import RobotOptions, ValidationTolerances
+from rx90_emulator.identification.options import NO_TOLERANCES, GivenTolerances, RobotOptions
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
 from rx90_emulator.identification.presliding.kinds import ElementKind, choose_kinds
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
@@ -43,7 +45,6 @@ _RATES = {"sliding": 250.0, "presliding": None, "excitation": 1000.0, "validatio
 motion holds nothing near 1 kHz."""
 _MAX_TRAVEL_SHARE = 2.0  # of a joint's range: more travel is explained by no offset of its zero
 _DEFAULT_ROBOT = RobotOptions()
-_DEFAULT_TOLERANCES = ValidationTolerances()
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +131,7 @@ def shown_parameters(result: FrictionIdentification) -> tuple[str, ...]:
 def identify_friction(
     bags: IdentificationBags | Path | str,
     robot: RobotOptions = _DEFAULT_ROBOT,
-    tolerances: ValidationTolerances = _DEFAULT_TOLERANCES,
+    tolerances: GivenTolerances = NO_TOLERANCES,
     progress: Callable[[str], None] = lambda _: None,
     *,
     bristle_kinds: bool = False,
@@ -140,7 +141,8 @@ def identify_friction(
     Args:
         bags: by use, or a folder that `rx90_experiment` wrote.
         robot: that the bags come from; by default this project's.
-        tolerances: what counts as agreement with the validation bags.
+        tolerances: what counts as agreement with the validation bags; those that are not given
+            are as with `check_friction`.
         progress: called with the name of each step before it: each bag, the two fits, each kind of bristles of each
             joint, each validation.
         bristle_kinds: whether the kind of each joint's bristles is chosen by cross-validation over its
@@ -170,7 +172,7 @@ def identify_friction(
         )
     records = read_records(by_use, source, progress)
     result = identify_records(records["sliding"], records["presliding"], source, progress, bristle_kinds=bristle_kinds)
-    checks = _validations(source, result.lugre, result.sliding, records["validation"], tolerances, progress)
+    checks = _validations(records["validation"], progress, source, result.lugre, tolerances, sliding=result.sliding)
     used = tuple((use, record.bag) for use, some in records.items() for record in some)
     return replace(result, bags=used, validations=checks, truth=truth)
 
@@ -179,7 +181,7 @@ def check_friction(
     friction: FrictionFile | Path | str,
     bags: Sequence[Path | str],
     robot: RobotOptions = _DEFAULT_ROBOT,
-    tolerances: ValidationTolerances = _DEFAULT_TOLERANCES,
+    tolerances: GivenTolerances = NO_TOLERANCES,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Validation, ...]:
     """Compare the torques that a friction file predicts along recorded motions with the recorded ones.
@@ -190,7 +192,9 @@ def check_friction(
         friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.
         bags: one or more runs, none of them twice.
         robot: that the bags come from; by default this project's.
-        tolerances: what counts as agreement.
+        tolerances: what counts as agreement, all or some by name; of those that are not given 10 % of the torque of all
+            joints and 30 % of each joint's, and for a bag with set-points of this project's controller, along which the
+            closed loop is run, those of ValidationTolerances().
         progress: called twice for each bag, before it is read and before it is compared.
 
     Returns:
@@ -215,21 +219,39 @@ def check_friction(
             raise IdentificationError(f"{where}: {said}")
     refuse_parts(file.elements, "a validation by recorded torques", f"{where}: elements.", held=("bristles",))
     records = read_records(by_use, source, progress)["validation"]
-    return _validations(source, lugre, None, records, tolerances, progress)
+    return _validations(records, progress, source, lugre, tolerances, bandwidths=_bandwidths(file, where))
+
+
+def _bandwidths(file: FrictionFile, where: str) -> Bandwidths | None:
+    """Return the bandwidths of the runs that a friction file was identified from; None where it does not say.
+
+    Raises:
+        IdentificationError: for values that are none.
+    """
+    found = (file.identification or {}).get("bandwidths")
+    if found is None:
+        return None
+    values = [found.get(name) for name in ("position", "torque")] if isinstance(found, Mapping) else []
+    numbers = [float(one) for one in values if isinstance(one, float | int) and 0.0 < one < math.inf]
+    if len(numbers) != 2:
+        raise IdentificationError(
+            f"{where}: identification.bandwidths is {plain(str(found))}; accepted: position and torque above 0 Hz"
+        )
+    return Bandwidths(numbers[0], numbers[1], "those of the identified runs")
 
 
 def _validations(
-    robot: RecordedRobot,
-    lugre: tuple[FrictionElement, ...],
-    sliding: SlidingFit | None,
     records: Sequence[JointRecord],
-    tolerances: ValidationTolerances,
     progress: Callable[[str], None],
+    robot: RecordedRobot,
+    elements: tuple[FrictionElement, ...],
+    tolerances: GivenTolerances,
+    **how: Any,
 ) -> tuple[Validation, ...]:
     checks = []
     for record in records:
         progress(record.source.name)
-        checks.append(validate(robot, lugre, sliding, record, tolerances))
+        checks.append(validate(robot, elements, record, tolerances, **how))
     return tuple(checks)
 
 

@@ -233,6 +233,19 @@ class ExcitationProblem:
         Raises:
             IdentificationError: for runs of other joints, and if no joint moves.
         """
+        bare = cls.without_columns(arm, runs, payloads)
+        regressor, payload = bare.through(np.eye(len(arm.names)))
+        return replace(bare, torque=bare.torque - payload, payload=payload, regressor=regressor)
+
+    @classmethod
+    def without_columns(
+        cls, arm: RigidArm, runs: Sequence[FilteredRun], payloads: Sequence[Payload | None] | None = None
+    ) -> ExcitationProblem:
+        """Return the rows of runs with their torque, payloads included, and no regressor; arguments as in `of`.
+
+        Raises:
+            IdentificationError: as `of`.
+        """
         for one in runs:
             if one.names != arm.names:
                 there, wanted = ", ".join(one.names), ", ".join(arm.names)
@@ -251,10 +264,8 @@ class ExcitationProblem:
             raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
         empty = np.empty((len(run), 0))
         bare = cls(arm, tuple(runs), columns, BaseGroups.of(columns), run, joint, place, time, reversal,
-                   carried, empty, empty, empty, empty)  # fmt: skip
-        recorded = bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0]
-        regressor, payload = bare.through(np.eye(len(arm.names)))
-        return replace(bare, torque=recorded - payload, payload=payload, regressor=regressor)
+                   carried, np.zeros(len(run)), empty, empty, empty)  # fmt: skip
+        return replace(bare, torque=bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0])
 
     def __len__(self) -> int:
         return len(self.run)

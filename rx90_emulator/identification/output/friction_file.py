@@ -15,6 +15,7 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.estimates import LARGEST, PARAMETERS, IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.records import BagSource
 
@@ -45,6 +46,7 @@ def elements_text(
     fallback_name: str | None,
     now: datetime | None = None,
     result: FrictionIdentification | None = None,
+    bandwidths: Bandwidths | None = None,
 ) -> str:
     """Return the text of a file with these elements.
 
@@ -54,6 +56,7 @@ def elements_text(
         fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
         now: date of the identification; by default the present.
         result: from sweeps, whose use of the bags, goodness of fit and kinds of bristles go into the file.
+        bandwidths: of excitation runs, which a validation of the file filters with again.
 
     Raises:
         IdentificationError: for a value that no arm has, or that is no number.
@@ -71,6 +74,8 @@ def elements_text(
             notes[name] = f"{before}as its c0 those of {fallback_name}, assumed"
     bags = {label: {"path": str(b.path), "sha256": b.sha256, "recorded": b.recorded} for b, label in labels.items()}
     identification: dict[str, Any] = {"date": date, "bags": bags}
+    if bandwidths is not None:
+        identification["bandwidths"] = {"position": float(bandwidths.position), "torque": float(bandwidths.torque)}
     if result is not None:
         usage, fits = result.sliding.usage, zip(names, result.sliding.quality, strict=True)
         identification["sweeps"] = {labels[use.bag]: use.text(names) for use in usage if use.bag in labels}

@@ -234,7 +234,11 @@ def robot_texts(
     texts = {
         FILES["urdf"]: with_inertials(urdf.read_text(encoding="utf-8"), bodies, remark),
         FILES["friction"]: elements_text(
-            elements, result.elements, result.robot.fallback_name or ASSUMED_BRISTLES, now
+            elements,
+            result.elements,
+            result.robot.fallback_name or ASSUMED_BRISTLES,
+            now,
+            bandwidths=result.problem.runs[0].bandwidths,
         ),
     }
     if base is None:
@@ -367,6 +371,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
                 "confirmed": one.passed,
                 **_torques(one.torques),
                 "relative_with_consistent_inertias": six_digits(one.consistent.total_share),
+                "by_files": _torques(one.files),
             }
             for one in result.validations
         },

@@ -33,6 +33,7 @@ from rx90_emulator.identification.excitation.result import (
     torque_noise,
     trends,
 )
+from rx90_emulator.identification.output.summary import unseen_verdict
 from rx90_emulator.identification.records import BagSource
 
 RATE = 100.0
@@ -168,7 +169,43 @@ def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
     assert (good.torques.chi_square < 1.2).all()
     assert (bad.torques.chi_square > 100.0).all()
     assert good.consistent.total_share < 1.1 * good.torques.total_share
-    assert all(f"{check.torques.total_share:.1%}" in outcome.said for check in (good, bad))
+    assert all(
+        f"{one.total_share:.1%}" in outcome.said for check in (good, bad) for one in (check.torques, check.files)
+    )
+
+
+def test_a_check_of_the_written_files_gives_the_same_numbers(bench: Bench, outcome: Outcome) -> None:
+    """Of the unseen runs `check_friction` finds the RMS errors that the identification found, and the same verdicts.
+
+    Offsets, of some mNm here, stand in no file: they may change a share by a ten-thousandth.
+    """
+    robot = rx.RobotOptions(urdf=outcome.folder / "robot.urdf",
+                            rotor_inertia=outcome.result.consistency.inertias.rotors.tolist())  # fmt: skip
+    runs = [bench.folder / "unseen", bench.folder / "stiff"]
+    checks = rx.check_friction(outcome.folder / "friction.yaml", runs, robot)
+    for check, first in zip(checks, outcome.result.validations, strict=True):
+        np.testing.assert_allclose(check.rms_share, first.files.share, atol=5e-4)
+        assert check.torque.total_share == pytest.approx(first.files.total_share, abs=5e-4)
+        assert check.passed == first.passed
+        assert [one.limit for one in check.criteria[:2]] == [one.limit for one in first.criteria[:2]]
+
+
+def test_the_verdict_names_what_decided(outcome: Outcome) -> None:
+    """Of a run that is not confirmed the first quantity is beyond its limit, with joint, value and limit."""
+    good, bad = outcome.result.validations
+    line = next(one for one in outcome.said.splitlines() if one.startswith(f"validation {bad.torques.source.path}"))
+    decided, kept = line.partition("NOT CONFIRMED: ")[2].partition("; within the limits ")[::2]
+    assert f"torque RMS of all joints {bad.torques.total_share:.2%} (limit 10%)" in decided
+    for part in decided.split("), "):
+        value, limit = (float(text) for text in re.findall(r"([\d.]+)%", part))
+        assert value > limit
+    for part in kept.split("), ") if kept else []:
+        value, limit = (float(text) for text in re.findall(r"([\d.]+)%", part))
+        assert value <= limit
+    # A verdict that the files alone decide says so.
+    alone = replace(good, files=bad.files)
+    assert not alone.passed
+    assert "NOT CONFIRMED: torque RMS of all joints by the files" in unseen_verdict(alone)
 
 
 def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Callable[[Path], None]) -> None:
@@ -293,9 +330,9 @@ def test_shares_and_chi_square_are_those_of_the_noise() -> None:
     both = RunTorques(("hinge", "rest"), run.source, (*run.joints, empty), np.array([0.5, 0.5]))
     assert np.isnan(both.share[1])
     assert both.total_share == pytest.approx(run.share[0])
-    assert TorqueValidation(both, both, rx.ExcitationTolerances()).passed
-    assert not TorqueValidation(both, both, rx.ExcitationTolerances(total=0.01)).passed
-    assert not TorqueValidation(both, both, rx.ExcitationTolerances(joint=0.01)).passed
+    assert TorqueValidation(both, both, rx.ExcitationTolerances(), both).passed
+    assert not TorqueValidation(both, both, rx.ExcitationTolerances(total=0.01), both).passed
+    assert not TorqueValidation(both, both, rx.ExcitationTolerances(joint=0.01), both).passed
 
 
 def test_torques_without_noise_have_no_chi_square(outcome: Outcome) -> None:
