@@ -44,6 +44,7 @@ _RATES = {"sliding": 250.0, "presliding": None, "excitation": 1000.0, "validatio
 """Hz that records are averaged to, by use: plateaus are averaged anyway, a validation looks below 40 Hz, and an arm's
 motion holds nothing near 1 kHz."""
 _MAX_TRAVEL_SHARE = 2.0  # of a joint's range: more travel is explained by no offset of its zero
+_MAX_SHARED = 0.02  # of a validation's travel: two runs on a noiseless engine may begin alike
 _DEFAULT_ROBOT = RobotOptions()
 
 
@@ -294,14 +295,29 @@ def read_records(
                     "accepted: angles of the joints in rad, or of the motors with their --gear"
                 )
         records[use].append(record)
-    used = {record.sha256: record.source for use, some in records.items() if use != "validation" for record in some}
+    used = [record for use, some in records.items() if use != "validation" for record in some]
     for record in records["validation"]:
-        if record.sha256 in used:
-            other = "" if used[record.sha256] == record.source else f" as {used[record.sha256]}"
-            raise IdentificationError(
-                f"{record.source}: also used for the identification{other}; accepted: another bag for the validation"
-            )
+        _check_unseen(record, used)
     return records
+
+
+def _check_unseen(record: JointRecord, used: Sequence[JointRecord]) -> None:
+    """Refuse a validation bag of which a bag that is identified from has a part, under whatever name and stamps.
+
+    Raises:
+        IdentificationError: naming both bags and the share.
+    """
+    for other in used:
+        shared = 1.0 if record.sha256 == other.sha256 else 0.0
+        if not shared and record.content is not None and other.content is not None:
+            shared = record.content.shared(other.content)
+        if shared > _MAX_SHARED:
+            name = "" if other.source == record.source else f" as {other.source}"
+            part = "" if shared > 0.999 else f"{shared:.0%} of its motion "
+            raise IdentificationError(
+                f"{record.source}: {part}also used for the identification{name}; accepted: another bag for the "
+                "validation"
+            )
 
 
 def identify_records(

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +66,37 @@ class BagSource:
         return datetime.fromtimestamp(self.begin, timezone.utc).isoformat(timespec="seconds")
 
 
+_CONTENT_DECIMALS = 6  # of rad and Nm: what is written with fewer digits is the same
+_CONTENT_ROWS = 3  # samples one after the other that are alike by no chance
+_HASH_SEED = 7
+
+
+class Content(NamedTuple):
+    """What a log holds, whatever its name, stamps and format: to find what two logs have in common.
+
+    Attributes:
+        marks: a number for a few samples from each on, equal where positions and efforts are, shape (m,).
+        travel: that these samples belong to, rad, shape (m,).
+    """
+
+    marks: NDArray[np.uint64]
+    travel: Array
+
+    @classmethod
+    def of(cls, position: Array, effort: Array) -> Content:
+        """Return that of positions and efforts as a log has them, each of shape (m, n)."""
+        values = np.round(np.hstack([position, effort]), _CONTENT_DECIMALS) + 0.0
+        factor = np.random.default_rng(_HASH_SEED).integers(1, 2**63, (_CONTENT_ROWS, values.shape[1]), np.uint64)
+        numbers, count = values.view(np.uint64), max(0, len(values) - _CONTENT_ROWS + 1)
+        terms = [(numbers[k : k + count] * (2 * row + 1)).sum(axis=1, dtype=np.uint64) for k, row in enumerate(factor)]
+        marks = np.stack([one ^ (one >> np.uint64(31)) for one in terms]).sum(axis=0, dtype=np.uint64)
+        return cls(marks, np.abs(np.diff(position, axis=0, prepend=position[:1])).sum(axis=1)[:count])
+
+    def shared(self, other: Content) -> float:
+        """Return which share of its travel another log holds, too."""
+        return float(self.travel[np.isin(self.marks, other.marks)].sum() / max(self.travel.sum(), 1e-300))
+
+
 @dataclass(frozen=True, eq=False)
 class JointRecord:
     """What the arm did and what the drives gave, at the joints, in one bag; finite numbers alone.
@@ -79,6 +111,7 @@ class JointRecord:
         sha256: digest of the bag.
         missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
+        content: what other logs are compared with; None for one that was not read.
     """
 
     names: tuple[str, ...]
@@ -90,6 +123,7 @@ class JointRecord:
     sha256: str
     missing: int = 0
     outliers: int = 0
+    content: Content | None = None
 
     @property
     def bag(self) -> BagSource:
@@ -191,6 +225,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         poor = [k for k, column in enumerate(velocity.T) if len(np.unique(column)) < fewest]
         velocity[:, poor] = _differentiated(time, fields["position"][:, poor])
         _check_velocity(where, layout, time, fields["position"], velocity)
+    content = Content.of(fields["position"], fields["effort"])
     joints = layout.joint_side(fields)
     columns = time, joints["position"], joints["velocity"], joints["effort"]
     size = 1 if rate is None or len(time) < 2 else round((len(time) - 1) / (time[-1] - time[0]) / rate)
@@ -198,7 +233,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         count = len(time) // size
         columns = tuple(v[: count * size].reshape(count, size, *v.shape[1:]).mean(axis=1) for v in columns)
     outliers = len(series.stamp_ns) - len(kept)
-    return JointRecord(layout.names, *columns, path, digest(path), _missing(series.time), outliers)
+    return JointRecord(layout.names, *columns, path, digest(path), _missing(series.time), outliers, content)
 
 
 def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:

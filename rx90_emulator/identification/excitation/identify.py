@@ -173,7 +173,7 @@ def _unseen(
     problem: ExcitationProblem,
     predicted: Array,
     consistency: Consistency,
-    by_files: Array,
+    files: Array,
     limits: ExcitationTolerances,
 ) -> TorqueValidation:
     """Return the verdict of a run by three predictions of its r rows: identified, with consistent bodies, by files."""

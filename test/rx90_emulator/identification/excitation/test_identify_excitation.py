@@ -57,11 +57,12 @@ class Bench:
         curves = [curve.scaled(factor) for curve in CURVES]
         return drive_torque(self.model, np.eye(2), curves, motion, RATE)
 
-    def bag(self, name: str, seed: int, factor: float = 1.0, seconds: float = 20.0) -> Path:
-        """Write a run."""
+    def bag(self, name: str, seed: int, factor: float = 1.0, seconds: float = 20.0, first: int = 0) -> Path:
+        """Write a run, from a sample on; its stamps begin at 0."""
         motion = fourier(seed, seconds)
         noise = NOISE * np.random.default_rng(seed).normal(size=motion[0].shape)
-        return write(self.folder / name, "/joint_states", NAMES, RATE, (*motion, self.torque(motion, factor) + noise))
+        values = (*motion, self.torque(motion, factor) + noise)
+        return write(self.folder / name, "/joint_states", NAMES, RATE, [one[first:] for one in values])
 
     def identify(self, *words: object) -> int:
         """Run the command."""
@@ -91,6 +92,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     bench.bag("run", 1)
     bench.bag("unseen", 2)
     bench.bag("stiff", 3, 1.8)
+    bench.bag("later", 1, seconds=30.0, first=1600)
     position, velocity = fourier(4, 20.0)
     for name, moves in (("still", [0.0, 0.0]), ("half", [1.0, 0.0])):
         motion = position * moves, velocity * moves
@@ -259,6 +261,7 @@ def test_an_interrupt_leaves_nothing(
     [
         (["run", "run"], "given twice for --excitation; accepted: each bag once"),
         (["run", "--validation", "run"], "run: also used for the identification; accepted: another bag"),
+        (["run", "--validation", "unseen", "later"], r"later: 2\d% of its motion also used .* as \S+run; accepted"),
         (["run", "--sliding", "run"], "run with --excitation; accepted: --validation BAG"),
         (["run", "--bristle-kinds"], "--bristle-kinds with excitation runs; accepted"),
         (["run", "--output", "identified"], "identified/report.html exists; accepted: another name, or --force"),
