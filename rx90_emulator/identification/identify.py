@@ -211,7 +211,7 @@ def check_friction(
         raise IdentificationError("no bag to hold the friction against; accepted: --validation BAG ...")
     check_given_once(by_use)
     file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
-    source = RecordedRobot.load(robot, by_use["validation"])
+    source = RecordedRobot.load(robot, by_use["validation"], follow=True)
     names, where = source.arm.element_names, str(file.path or "--friction")
     lugre = file.select(names)
     for name in file.elements:
@@ -287,7 +287,7 @@ def read_records(
     records: dict[str, list[JointRecord]] = {use: [] for use in bags}
     for use, path, layout in layouts:
         progress(path.name)
-        record = read_record(path, layout, _RATES[use])
+        record = read_record(path, layout, _RATES[use]).of_joints(robot.arm.names)
         for name, travel, width in zip(record.names, np.ptp(record.position, axis=0), robot.arm.ranges(), strict=True):
             if 0.0 < _MAX_TRAVEL_SHARE * width < travel:  # degrees, or a motor's angles
                 raise IdentificationError(

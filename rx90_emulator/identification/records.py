@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import NamedTuple
@@ -125,6 +125,14 @@ class JointRecord:
     outliers: int = 0
     content: Content | None = None
 
+    def of_joints(self, names: Sequence[str]) -> JointRecord:
+        """Return the record with its joints in another order, in which all of them are."""
+        if tuple(names) == self.names:
+            return self
+        place = [self.names.index(name) for name in names]
+        position, velocity, torque = (values[:, place] for values in (self.position, self.velocity, self.torque))
+        return replace(self, names=tuple(names), position=position, velocity=velocity, torque=torque)
+
     @property
     def bag(self) -> BagSource:
         """Return the bag, with the figures of what was read of it."""
@@ -196,8 +204,11 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     """
     path = Path(path)
     series = read_joint_states(
-        path, layout.topic, layout.messages, record_time=layout.record_time, mapping=layout.mapping
+        path, layout.topic, (*layout.messages, *layout.followed), record_time=layout.record_time, mapping=layout.mapping
     )
+    own = len(layout.messages)
+    if layout.followed and series.effort is not None:  # whatever it is
+        series = replace(series, effort=np.where(np.arange(series.effort.shape[1]) < own, series.effort, 0.0))
     where = f"{path}: {series.topic}"
     for name in ("position", "effort"):
         values = series.fields.get(name)
@@ -226,14 +237,17 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         velocity[:, poor] = _differentiated(time, fields["position"][:, poor])
         _check_velocity(where, layout, time, fields["position"], velocity)
     content = Content.of(fields["position"], fields["effort"])
-    joints = layout.joint_side(fields)
-    columns = time, joints["position"], joints["velocity"], joints["effort"]
+    joints = layout.joint_side({name: values[:, :own] for name, values in fields.items()})
+    together = {name: np.hstack([values, fields[name][:, own:]]) for name, values in joints.items()}
+    columns = time, together["position"], together["velocity"], together["effort"]
     size = 1 if rate is None or len(time) < 2 else round((len(time) - 1) / (time[-1] - time[0]) / rate)
     if size > 1:
         count = len(time) // size
         columns = tuple(v[: count * size].reshape(count, size, *v.shape[1:]).mean(axis=1) for v in columns)
     outliers = len(series.stamp_ns) - len(kept)
-    return JointRecord(layout.names, *columns, path, digest(path), _missing(series.time), outliers, content)
+    return JointRecord(
+        (*layout.names, *layout.followed), *columns, path, digest(path), _missing(series.time), outliers, content
+    )
 
 
 def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
@@ -290,6 +304,6 @@ def _check_velocity(where: str, layout: BagLayout, time: Array, position: Array,
         factor = float(distance[:, k] @ integral[:, k] / power[k])
         if not 1.0 / _MAX_VELOCITY_RATIO < factor < _MAX_VELOCITY_RATIO:
             raise IdentificationError(
-                f"{where}: the velocity of {quoted(layout.messages[k])} is {factor:.3g} times the change of its "
-                "position; accepted: rad and rad/s, of the same sign"
+                f"{where}: the velocity of {quoted((*layout.messages, *layout.followed)[k])} is {factor:.3g} times the "
+                "change of its position; accepted: rad and rad/s, of the same sign"
             )

@@ -74,6 +74,12 @@ class ZeroCheck:
     after: float
     of: str = ""
 
+    def of_joints(self, some: Mask) -> ZeroCheck:
+        """Return what it says of some of the joints, shape (n,)."""
+        names = tuple(name for name, one in zip(self.names, some.tolist(), strict=True) if one)
+        arrays = {name: getattr(self, name)[some] for name in ("zero", "error", "deviation", "told")}
+        return replace(self, names=names, **arrays)
+
     @property
     def text(self) -> str:
         """Return it in words; empty where nothing speaks against the zeros."""
@@ -215,12 +221,12 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
     none = np.zeros(len(arm.names))
     stride = max(1, math.ceil(len(instants.torque) / _MAX_INSTANTS))
     search = _Search(Instants(**{one.name: getattr(instants, one.name)[::stride] for one in fields(Instants)}), arm)
-    turned = none
-    for _ in arm.names:
+    turned, own = none, np.flatnonzero(arm.identified).tolist()
+    for _ in own:
         # By the scatter that the better angles leave: with wrong ones all of it passes for noise.
         better = (
             best
-            for best in (search.best(trials, turned) for trials in quarter_turns(turned, range(len(none))) if trials)
+            for best in (search.best(trials, turned) for trials in quarter_turns(turned, own) if trials)
             if search.fit(turned, search.weight(best)).squares - search.fit(best, search.weight(best)).squares
             > _CHI2_DROP
         )
@@ -229,11 +235,15 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
             break
         turned = found
     small, deviation = search.small(turned)
-    sure = (np.abs(small) > np.maximum(SMALLEST, _SIGNIFICANT_SD * deviation)) & (np.abs(small) < _MAX_SMALL_ERROR)
+    sure = (
+        arm.identified
+        & (np.abs(small) > np.maximum(SMALLEST, _SIGNIFICANT_SD * deviation))
+        & (np.abs(small) < _MAX_SMALL_ERROR)
+    )
     shift = turned + np.where(sure, small, 0.0)
     told = deviation < _UNINFORMATIVE_SHARE * _ZERO_PRIOR_SD
     check = ZeroCheck(arm.names, none if zero is None else zero, none, deviation, told, 0.0, 0.0)
-    return check_of(check, shift, search.left, search.torque)
+    return check_of(check, shift, search.left, search.torque).of_joints(arm.identified)
 
 
 class _Fit(NamedTuple):
@@ -248,7 +258,9 @@ class _Search:
 
     def __init__(self, instants: Instants, arm: RigidArm) -> None:
         self._at, self._arm = instants, arm
-        self._usable = ~(~instants.sliding @ (arm.element_matrix != 0.0))  # joints on which no element sticks, (m, n)
+        self._usable = (
+            ~(~instants.sliding @ (arm.element_matrix != 0.0)) & arm.identified
+        )  # joints on which no element sticks, (m, n)
         self._row, self._joint = np.nonzero(self._usable)
         self._cluster = np.unique(instants.plateau[self._row] * len(arm.names) + self._joint, return_inverse=True)[1]
         self._friction = _friction(instants.velocity, arm.element_matrix)[self._usable]

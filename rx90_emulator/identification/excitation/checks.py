@@ -69,7 +69,7 @@ def check_zeros(problem: ExcitationProblem, zero: Array | None = None) -> ZeroCh
     """
     none = np.zeros(len(problem.arm.names))
     search = _Search(problem)
-    told = search.told()
+    told = search.told() & problem.arm.identified
     quarters = search.quarter_turned(told)
     small, deviation = search.small(quarters, told)
     shift = quarters + small

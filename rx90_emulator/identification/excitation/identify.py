@@ -99,7 +99,7 @@ def identify_excitation(
         raise IdentificationError(
             f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
         )
-    source = RecordedRobot.load(robot, everything, massless=True)
+    source = RecordedRobot.load(robot, everything, massless=True, follow=True)
     records = read_records(by_use, source, progress)
     progress("filters and equations")
     bandwidths = Bandwidths.of(records["excitation"])

@@ -387,7 +387,8 @@ def make_consistent(
     """
     count, arm, fit = len(problem.names), problem.arm, friction.fit
     description: Path | str = Path(str(options.urdf))
-    rotors: ArrayLike = np.zeros(len(arm.names)) if options.rotor_inertia is None else options.rotor_inertia
+    n = len(arm.names)
+    rotors: ArrayLike = problem.columns.values()[10 * n : 11 * n]
     known: tuple[str, ...] = ()
     if robot.setup is not None:
         description, rotors = robot.setup.robot.urdf, robot.setup.drives.rotor_inertia

@@ -100,7 +100,7 @@ class BaseGroups:
         """Find the groups of an arm, from random positions, velocities and accelerations (always the same ones)."""
         rng, names = np.random.default_rng(_SEED), columns.names
         motion = (rng.uniform(-width, width, (_RANDOM_MOTIONS, len(columns.arm.names))) for width in (np.pi, 2.0, 5.0))
-        matrix = columns.torque(*motion).reshape(-1, len(names))
+        matrix = columns.torque(*motion)[:, columns.arm.identified].reshape(-1, len(names))
         size = np.linalg.norm(matrix, axis=0)
         basis, chosen = np.zeros((len(matrix), 0)), []
         for k in sorted(range(len(names)), key=lambda k: (names[k].startswith(_REGROUPED_KINDS), k)):
@@ -256,7 +256,7 @@ class ExcitationProblem:
         kept = []
         for number, one in enumerate(runs):
             rests, passes = element_states(one, arm.element_matrix)
-            joint, place = np.nonzero(~(rests @ acts).T)
+            joint, place = np.nonzero((~(rests @ acts) & arm.identified).T)
             time, reversal = one.time[one.rows[place]], (passes @ acts)[place, joint]
             kept.append((np.full(len(joint), number), joint, place, time, reversal))
         run, joint, place, time, reversal = (np.concatenate(parts) for parts in zip(*kept, strict=True))

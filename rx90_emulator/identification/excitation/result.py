@@ -280,7 +280,7 @@ def written_arm(problem: ExcitationProblem, consistency: Consistency) -> tuple[R
 
 
 def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorques, ...]:
-    """Return the torques of each bag of a problem; pieces of a bag with gaps are put together.
+    """Return the torques of each bag of a problem, of its identified joints; pieces of a bag are put together.
 
     Args:
         problem: the equations.
@@ -291,12 +291,13 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
     pieces: dict[str, list[int]] = {}
     for number, run in enumerate(problem.runs):
         pieces.setdefault(str(run.source.path), []).append(number)
-    found = []
+    found, own = [], np.flatnonzero(problem.arm.identified).tolist()
+    names = tuple(problem.arm.names[j] for j in own)
     for numbers in pieces.values():
         mine, runs = np.isin(problem.run, numbers), [problem.runs[number] for number in numbers]
-        joints = [JointTorque(*table[:, mine & (problem.joint == j)]) for j in range(len(problem.arm.names))]
-        noise = np.sqrt(np.mean([torque_noise(run) ** 2 for run in runs], axis=0))
-        found.append(RunTorques(problem.arm.names, runs[0].source, tuple(joints), noise))
+        joints = [JointTorque(*table[:, mine & (problem.joint == j)]) for j in own]
+        noise = np.sqrt(np.mean([torque_noise(run) ** 2 for run in runs], axis=0))[own]
+        found.append(RunTorques(names, runs[0].source, tuple(joints), noise))
     return tuple(found)
 
 

@@ -378,9 +378,11 @@ def _friction_plot(result: ExcitationIdentification) -> Plot:
     """
     problem, marks = result.problem, {}
     residual = problem.torque - result.friction.predicted
+    joints = np.flatnonzero(problem.arm.identified)
     for number, curve in enumerate(result.friction.curves()):
         own: list[Mark] = [Level(0.0, colour=_DIFFERENCE), Level(0.0, colour=_DIFFERENCE, upright=True)]
-        rows = np.flatnonzero((problem.joint == number) & ~problem.reversal)
+        mine_alone = number < len(joints)  # a coupled element has no joint of its own
+        rows = np.flatnonzero((problem.joint == joints[number]) & ~problem.reversal) if mine_alone else joints[:0]
         velocity, left = problem.velocity[rows, number], residual[rows]
         low, high = (curve.velocity.min(), curve.velocity.max()) if len(curve.velocity) else (0.0, 0.0)
         points = []

@@ -146,7 +146,7 @@ def measured_summary(result: MeasuredComparison) -> str:
 
 def excitation_summary(result: ExcitationIdentification) -> str:
     """Return friction with deviations, goodness of fit, the model that was kept, and what was left out and why."""
-    names, joints = result.problem.arm.element_names, result.problem.arm.names
+    names, joints = result.problem.arm.element_names, result.torques[0].names
     shown = [friction_columns(one.estimates) for one in result.elements]
     columns = list(dict.fromkeys(name for row in shown for name, one in row.items() if one.identifiable))
     rows = [[name, *(_with_deviation(row.get(c)) for c in columns)] for name, row in zip(names, shown, strict=True)]
@@ -156,6 +156,8 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         f"not identified: {parameters} of {elements}: {reasons[0] if len(reasons) == 1 else 'reasons in the report'}"
         for parameters, elements, reasons in lacking(result)
     ]
+    if followed := ", ".join(result.robot.followed):
+        lines.append(f"not identified, along their recorded motion: {followed}")
     if unknown := ", ".join(result.undetermined):
         lines.append(f"not determined by these runs: {unknown}; the files take them from the description")
     runs = [("fitted", run) for run in result.torques]

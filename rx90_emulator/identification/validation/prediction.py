@@ -172,7 +172,7 @@ def written_torque(
 
 
 def torque_prediction(problem: ExcitationProblem, predicted: Array) -> TorquePrediction:
-    """Return recorded and predicted torques of a problem's rows as series of all joints.
+    """Return recorded and predicted torques of a problem's rows as series of its identified joints.
 
     Args:
         problem: r rows.
@@ -183,7 +183,8 @@ def torque_prediction(problem: ExcitationProblem, predicted: Array) -> TorquePre
     recorded = np.concatenate([run.parallel(run.torque) for run in problem.runs])
     known, compared = recorded.copy(), np.zeros(shape, dtype=np.bool_)
     recorded[at], known[at], compared[at] = problem.torque + problem.payload, predicted + problem.payload, True
-    return TorquePrediction(time, recorded, known, compared)
+    own = problem.arm.identified
+    return TorquePrediction(time, recorded[:, own], known[:, own], compared[:, own])
 
 
 def validate(
@@ -220,7 +221,8 @@ def validate(
     # With sweeps, these have been asked already.
     zeros = check_zeros(record_instants(record, robot.arm), robot.arm, robot.zero) if sliding is None else None
     torque = torque_prediction(problem, predicted)
-    return Validation(record.names, torque, tip_time, distance, tolerances, str(record.source), zeros)
+    names = tuple(name for name in record.names if name not in robot.followed)
+    return Validation(names, torque, tip_time, distance, tolerances, str(record.source), zeros)
 
 
 def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationProblem) -> Array:

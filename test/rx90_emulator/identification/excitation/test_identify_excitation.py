@@ -305,6 +305,43 @@ def test_python_writes_what_the_command_does(outcome: Outcome, tmp_path: Path, m
     assert "shoulder" in rx.excitation_summary(outcome.result)
 
 
+def test_a_joint_that_is_not_identified_follows_the_bag(tmp_path: Path) -> None:
+    """Beside a wrist that swings, whose torque is not used, shoulder and elbow are predicted to their noise.
+
+    The check of the written files follows it, too. Where the bag does not hold the wrist, which is then held at 0, the
+    difference is many times the noise.
+    """
+    names, urdf = [*NAMES, "wrist"], tmp_path / "arm.urdf"
+    urdf.write_text(urdf_text(names, ["0 1 0"] * 3, [5.0, 3.0, 2.5]), encoding="utf-8")
+    model = pin.buildModelFromXML(urdf.read_text(encoding="utf-8"))
+    for name, seed in (("run", 1), ("unseen", 2)):
+        motion = tuple(
+            np.column_stack([a, 1.5 * b[:, 0]]) for a, b in zip(fourier(seed, 20), fourier(9 + seed, 20), strict=True)
+        )
+        torque = drive_torque(model, np.eye(3), [*CURVES, STILL], motion, RATE)
+        torque += NOISE * np.random.default_rng(seed).normal(size=torque.shape)
+        torque[:, 2] = 7.0  # tells nothing
+        write(tmp_path / name, "/joint_states", names, RATE, (*motion, torque))
+        bare = [values[:, :2] for values in (*motion, torque)]
+        write(tmp_path / f"{name}_bare", "/joint_states", NAMES, RATE, bare)
+    robot = rx.RobotOptions(urdf=urdf, joints=NAMES)
+    result = rx.identify_excitation([tmp_path / "run"], robot, [tmp_path / "unseen"])
+    (check,) = result.validations
+    assert check.torques.names == tuple(NAMES)
+    assert (check.torques.chi_square < 1.3).all()
+    assert "not identified, along their recorded motion: wrist" in rx.excitation_summary(result)
+    for one, curve in zip(result.elements, CURVES, strict=True):
+        estimate = one.estimates["tau_c_positive"]
+        assert abs(estimate.value - curve.tau_c_positive) < 4.0 * estimate.deviation
+    rx.write_excitation(result, tmp_path / "identified")
+    written = replace(robot, urdf=tmp_path / "identified" / "robot.urdf",
+                      rotor_inertia=result.consistency.inertias.rotors[:2].tolist())  # fmt: skip
+    (again,) = rx.check_friction(tmp_path / "identified" / "friction.yaml", [tmp_path / "unseen"], written)
+    np.testing.assert_allclose(again.rms_share, check.files.share, atol=5e-4)
+    held = rx.identify_excitation([tmp_path / "run_bare"], robot, [tmp_path / "unseen_bare"])
+    assert (held.validations[0].torques.share > 5.0 * check.torques.share).all()
+
+
 def series(friction: Array, noise: float, rng: np.random.Generator) -> RunTorques:
     """Return one joint that swings for 120 s, whose friction torque differs from the predicted one."""
     time = np.arange(0.0, 120.0, 0.1)
