@@ -68,7 +68,7 @@ class RigidArm:
     @classmethod
     def from_urdf(
         cls,
-        urdf: Path,
+        urdf: Path | str,
         joints: Sequence[str] | None = None,
         coupling: ArrayLike | None = None,
         rotor_inertia: ArrayLike | None = None,
@@ -93,6 +93,7 @@ class RigidArm:
         Raises:
             IdentificationError: for a URDF that cannot be used, an unknown joint or a wrong shape.
         """
+        urdf = Path(urdf)
         model = joint_model(urdf, joints, massless=massless)
         names = tuple(str(name) for name in model.names)[1:]
         if followed:

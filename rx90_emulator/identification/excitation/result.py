@@ -106,6 +106,15 @@ class ExcitationIdentification:
         return residuals_by_speed(self.problem, self.problem.torque - self.friction.predicted)
 
     @property
+    def base_covariance(self) -> Array:
+        """Return the covariance of the base parameters in the order of `base`, SI units, shape (b, b).
+
+        Infinite on the diagonal where these runs do not determine one.
+        """
+        count = len(self.base)
+        return self.friction.fit.covariance[:count, :count]
+
+    @property
     def undetermined(self) -> tuple[str, ...]:
         """Return the names of base parameters that these runs do not determine."""
         return tuple(one.name for one in self.base if not one.estimate.identifiable)

@@ -157,18 +157,28 @@ def written_torque(
     """
     along = []
     for run in problem.runs:
-        # Finer than the samples: within one of them at a reversal the bristles go a part of their way.
-        fine = max(1, math.ceil(1.0 / run.rate / _BRISTLE_STEP_S))
-        inputs = run.velocity @ arm.element_matrix.T
-        share = (np.arange(fine) + 0.5)[:, None] / fine
-        between = inputs[:-1, None] + share * np.diff(inputs, axis=0)[:, None]
-        steps = np.full(fine * len(between), 1.0 / (run.rate * fine))
-        mean = prescribed_torque(elements, between.reshape(len(steps), -1), steps).reshape(between.shape)
-        # The mean of the two steps around a sample belongs to its time.
-        friction = np.concatenate([mean[:1, 0], 0.5 * (mean[:-1, -1] + mean[1:, 0]), mean[-1:, -1]])
+        friction = element_torque(elements, run.velocity @ arm.element_matrix.T, 1.0 / run.rate)
         rigid = arm.torque(run.position, run.velocity, run.acceleration)
         along.append((rigid + friction @ arm.element_matrix + offset)[:, :, None])
     return problem.rows_of(along)[:, 0]
+
+
+def element_torque(elements: Sequence[FrictionElement], velocity: Array, step: float) -> Array:
+    """Return the friction torque of elements at samples, from undeflected bristles on, Nm, shape (m, e).
+
+    Args:
+        elements: e elements, of which nothing but friction law and bristles is seen.
+        velocity: of each at the samples, linear between them, rad/s, shape (m, e).
+        step: between the samples, s.
+    """
+    # Finer than the samples: within one of them at a reversal the bristles go a part of their way.
+    fine = max(1, math.ceil(step / _BRISTLE_STEP_S))
+    share = (np.arange(fine) + 0.5)[:, None] / fine
+    between = velocity[:-1, None] + share * np.diff(velocity, axis=0)[:, None]
+    steps = np.full(fine * len(between), step / fine)
+    mean = prescribed_torque(elements, between.reshape(len(steps), -1), steps).reshape(between.shape)
+    # The mean of the two steps around a sample belongs to its time.
+    return np.concatenate([mean[:1, 0], 0.5 * (mean[:-1, -1] + mean[1:, 0]), mean[-1:, -1]])
 
 
 def torque_prediction(problem: ExcitationProblem, predicted: Array) -> TorquePrediction:
