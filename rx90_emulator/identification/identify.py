@@ -219,7 +219,10 @@ def check_friction(
             said = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
             raise IdentificationError(f"{where}: {said}")
     refuse_parts(file.elements, "a validation by recorded torques", f"{where}: elements.", held=("bristles",))
-    records = read_records(by_use, source, progress)["validation"]
+    currents = (file.identification or {}).get("unit") == "A"
+    records = read_records(by_use, source, progress, currents=currents)["validation"]
+    if currents and any(record.unit == "Nm" for record in records):
+        raise IdentificationError(f"{where}: its torques are in A; accepted: bags with efforts in A")
     return _validations(records, progress, source, lugre, tolerances, bandwidths=_bandwidths(file, where))
 
 
@@ -269,7 +272,11 @@ def check_given_once(bags: Mapping[str, Sequence[Path]]) -> None:
 
 
 def read_records(
-    bags: Mapping[str, Sequence[Path]], robot: RecordedRobot, progress: Callable[[str], None]
+    bags: Mapping[str, Sequence[Path]],
+    robot: RecordedRobot,
+    progress: Callable[[str], None],
+    *,
+    currents: bool = False,
 ) -> dict[str, list[JointRecord]]:
     """Return the records of bags by use, all read before anything is fitted, so that a bad one is refused soon.
 
@@ -277,6 +284,7 @@ def read_records(
         bags: by use, such as sliding or validation; no bag twice for the same use.
         robot: that they come from.
         progress: called with the name of each bag before it is read.
+        currents: whether efforts in A without torque constants are taken as they are, in all bags or in none.
 
     Raises:
         IdentificationError: for angles that no joint of the robot goes through, and for a validation bag whose content,
@@ -287,7 +295,7 @@ def read_records(
     records: dict[str, list[JointRecord]] = {use: [] for use in bags}
     for use, path, layout in layouts:
         progress(path.name)
-        record = read_record(path, layout, _RATES[use]).of_joints(robot.arm.names)
+        record = read_record(path, layout, _RATES[use], currents=currents).of_joints(robot.arm.names)
         for name, travel, width in zip(record.names, np.ptp(record.position, axis=0), robot.arm.ranges(), strict=True):
             if 0.0 < _MAX_TRAVEL_SHARE * width < travel:  # degrees, or a motor's angles
                 raise IdentificationError(
@@ -295,6 +303,11 @@ def read_records(
                     "accepted: angles of the joints in rad, or of the motors with their --gear"
                 )
         records[use].append(record)
+    units = {record.unit: record.source for some in records.values() for record in some}
+    if len(units) > 1:
+        raise IdentificationError(
+            f"{units['A']}: its efforts are in A, those of {units['Nm']} in Nm; accepted: one unit"
+        )
     used = [record for use, some in records.items() if use != "validation" for record in some]
     for record in records["validation"]:
         _check_unseen(record, used)

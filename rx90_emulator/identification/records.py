@@ -6,6 +6,7 @@ record = read_record("bag", layout)
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
@@ -49,6 +50,7 @@ class BagSource:
         missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
         begin: stamp of the first sample, s.
+        unit: of the torques: Nm, or A where they are currents that no constant makes torques of.
     """
 
     path: Path
@@ -57,6 +59,7 @@ class BagSource:
     missing: int
     outliers: int
     begin: float = 0.0
+    unit: str = "Nm"
 
     @property
     def recorded(self) -> str:
@@ -112,6 +115,7 @@ class JointRecord:
         missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
         content: what other logs are compared with; None for one that was not read.
+        unit: of the torques, as in BagSource.
     """
 
     names: tuple[str, ...]
@@ -124,6 +128,7 @@ class JointRecord:
     missing: int = 0
     outliers: int = 0
     content: Content | None = None
+    unit: str = "Nm"
 
     def of_joints(self, names: Sequence[str]) -> JointRecord:
         """Return the record with its joints in another order, in which all of them are."""
@@ -137,7 +142,18 @@ class JointRecord:
     def bag(self) -> BagSource:
         """Return the bag, with the figures of what was read of it."""
         duration = float(self.time[-1] - self.time[0])
-        return BagSource(self.source, self.sha256, duration, self.missing, self.outliers, float(self.time[0]))
+        return BagSource(
+            self.source, self.sha256, duration, self.missing, self.outliers, float(self.time[0]), self.unit
+        )
+
+
+def in_unit(text: str, unit: str) -> str:
+    """Return a text on torques in Nm, and on what is made of them, for torques in another unit: kg m^2 are Nm s^2."""
+    if unit == "Nm":
+        return text
+    for si, other in (("Nm", ""), ("kg m\\^2", " s^2"), ("kg m", " s^2/m"), ("kg", " s^2/m^2")):
+        text = re.sub(rf"\b{si}(?![\w^])", f"{unit}{other}", text)
+    return text
 
 
 def check_joints(records: Sequence[JointRecord], names: Sequence[str]) -> None:
@@ -185,7 +201,9 @@ def digest(path: Path | str) -> str:
     return whole.hexdigest()
 
 
-def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) -> JointRecord:
+def read_record(
+    path: Path | str, layout: BagLayout, rate: float | None = None, *, currents: bool = False
+) -> JointRecord:
     """Read one bag.
 
     Messages with a NaN and spikes of a single sample are left out and counted; messages that are missing in a steady
@@ -196,6 +214,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         path: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a table.
         layout: what the messages hold.
         rate: if given, block means of as many samples as leave about this rate, Hz.
+        currents: whether efforts in A without torque constants are taken as they are.
 
     Raises:
         BagError: if the bag cannot be read, is empty, or has no such topic or names.
@@ -217,7 +236,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     if not np.nan_to_num(series.fields["effort"]).any():
         raise IdentificationError(f"{where} carries effort 0 throughout; accepted: measured efforts")
     unit = series.units["effort"]
-    if unit != "Nm" and (unit != "A" or layout.torque_constant is None):
+    if unit != "Nm" and (unit != "A" or (layout.torque_constant is None and not currents)):
         raise IdentificationError(
             f"{where}: its efforts are in {plain(unit)}; accepted: Nm, or A with --torque-constant"
         )
@@ -245,9 +264,8 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         count = len(time) // size
         columns = tuple(v[: count * size].reshape(count, size, *v.shape[1:]).mean(axis=1) for v in columns)
     outliers = len(series.stamp_ns) - len(kept)
-    return JointRecord(
-        (*layout.names, *layout.followed), *columns, path, digest(path), _missing(series.time), outliers, content
-    )
+    names, kind = (*layout.names, *layout.followed), "A" if unit == "A" and layout.torque_constant is None else "Nm"
+    return JointRecord(names, *columns, path, digest(path), _missing(series.time), outliers, content, kind)
 
 
 def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:

@@ -100,7 +100,7 @@ def identify_excitation(
             f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
         )
     source = RecordedRobot.load(robot, everything, massless=True, follow=True)
-    records = read_records(by_use, source, progress)
+    records = read_records(by_use, source, progress, currents=True)
     progress("filters and equations")
     bandwidths = Bandwidths.of(records["excitation"])
 

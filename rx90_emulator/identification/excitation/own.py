@@ -90,7 +90,7 @@ def excitation_problem(
         raise IdentificationError("no excitation run; accepted: one or more")
     check_given_once(paths)
     source = RecordedRobot.load(robot, paths["excitation"], massless=True, follow=True)
-    records = read_records(paths, source, lambda _: None)["excitation"]
+    records = read_records(paths, source, lambda _: None, currents=True)["excitation"]
     chosen = bandwidths or Bandwidths.of(records)
     return ExcitationProblem.of(source.arm, [run for one in records for run in filtered_runs(one, source, chosen)])
 

@@ -106,6 +106,11 @@ class ExcitationIdentification:
         return residuals_by_speed(self.problem, self.problem.torque - self.friction.predicted)
 
     @property
+    def unit(self) -> str:
+        """Return the unit of the torques: Nm, or A without torque constants; all values are in its scale."""
+        return self.problem.runs[0].source.unit
+
+    @property
     def base_covariance(self) -> Array:
         """Return the covariance of the base parameters in the order of `base`, SI units, shape (b, b).
 

@@ -15,6 +15,7 @@ from rx90_emulator.identification.excitation.law import Part
 from rx90_emulator.identification.excitation.result import ExcitationIdentification, TorqueValidation, misfits
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.presliding.kinds import decisions
+from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import verdict
@@ -109,7 +110,7 @@ def check_summary(checks: Sequence[Validation]) -> str:
         lines += _table(head, (_width(8, check.names), 10, 11, 11, 12), rows)
         lines += [check.zeros.text] if check.zeros is not None and check.zeros.text else []
         lines.append(validation_verdict(check))
-    return "\n".join(lines)
+    return in_unit("\n".join(lines), checks[0].unit)
 
 
 def measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
@@ -186,7 +187,15 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     lines += [f"drift: {one.text}" for one in result.trends]
     for check in result.validations:
         lines.append(unseen_verdict(check))
-    return "\n".join(lines)
+    return in_unit("\n".join([*in_currents(result), *lines]), result.unit)
+
+
+def in_currents(result: ExcitationIdentification) -> list[str]:
+    """Return a warning where torques are currents, which no simulation may take for torques; else nothing."""
+    if result.unit == "Nm":
+        return []
+    return [f"warning: efforts in {result.unit} and no torque constants: friction, inertias and the files are in that "
+            "scale, and no simulation should load them"]  # fmt: skip
 
 
 def unseen_verdict(check: TorqueValidation) -> str:

@@ -61,6 +61,7 @@ class Validation:
         tolerances: what counts as agreement.
         source: the bag.
         zeros: what the torques say of the encoders' zeros, where a given friction is held against the bag.
+        unit: of the torques, which are currents where the friction was identified from currents.
     """
 
     names: tuple[str, ...]
@@ -70,6 +71,7 @@ class Validation:
     tolerances: ValidationTolerances
     source: str
     zeros: ZeroCheck | None = None
+    unit: str = "Nm"
 
     rms = property(attrgetter("torque.rms"), doc="RMS torque difference, Nm, shape (n,); NaN for a joint at rest.")
     worst = property(attrgetter("torque.worst"), doc="Largest torque difference, Nm, shape (n,); NaN as in `rms`.")
@@ -232,7 +234,7 @@ def validate(
     zeros = check_zeros(record_instants(record, robot.arm), robot.arm, robot.zero) if sliding is None else None
     torque = torque_prediction(problem, predicted)
     names = tuple(name for name in record.names if name not in robot.followed)
-    return Validation(names, torque, tip_time, distance, tolerances, str(record.source), zeros)
+    return Validation(names, torque, tip_time, distance, tolerances, str(record.source), zeros, record.unit)
 
 
 def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationProblem) -> Array:

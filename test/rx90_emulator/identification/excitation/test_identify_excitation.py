@@ -342,6 +342,40 @@ def test_a_joint_that_is_not_identified_follows_the_bag(tmp_path: Path) -> None:
     assert (held.validations[0].torques.share > 5.0 * check.torques.share).all()
 
 
+def test_currents_without_constants_stay_currents(bench: Bench, outcome: Outcome, tmp_path: Path) -> None:
+    """Efforts in A give A, A s/rad and A s^2 in summary, report and files, half the numbers of 2 Nm/A, and no Nm.
+
+    A check of the file takes currents alone; bags in Nm are refused.
+    """
+    position, velocity = fourier(1, 20.0)
+    torque = bench.torque((position, velocity)) + NOISE * np.random.default_rng(1).normal(size=position.shape)
+    time = np.arange(len(position)) / RATE
+    columns = np.column_stack([time, position, velocity, torque / 2.0])
+    np.savetxt(tmp_path / "run.csv", columns, delimiter=",", header="t,q1,q2,v1,v2,i1,i2", comments="")
+    fields = (("position", "q", "rad"), ("velocity", "v", "rad/s"), ("effort", "i", "A"))
+    content = {name: {"columns": [f"{letter}1", f"{letter}2"], "unit": unit} for name, letter, unit in fields}
+    text = yaml.safe_dump({"time": {"column": "t", "unit": "s"}, "names": NAMES, **content})
+    (tmp_path / "run.yaml").write_text(text, encoding="utf-8")
+    result = rx.identify_excitation([tmp_path / "run.csv"], rx.RobotOptions(urdf=bench.urdf))
+    for one, other in zip(result.elements, outcome.result.elements, strict=True):
+        for name in ("tau_c_positive", "c2"):
+            assert one.estimates[name].value == pytest.approx(0.5 * other.estimates[name].value, rel=0.01)
+    said = rx.excitation_summary(result)
+    assert "warning: efforts in A and no torque constants" in said
+    rx.write_excitation(result, tmp_path / "identified")
+    texts = {path.name: path.read_text(encoding="utf-8") for path in (tmp_path / "identified").iterdir()}
+    page = re.sub(r"<(script|style).*?</\1>", "", texts["report.html"], flags=re.DOTALL)
+    for shown in (said, page, texts["friction.yaml"], texts["parameters.yaml"]):
+        assert not re.search(r"\bNm\b", shown)
+    assert "A (s/rad)" in page
+    assert "unit: A s^2\n" in texts["parameters.yaml"]
+    robot = rx.RobotOptions(urdf=tmp_path / "identified" / "robot.urdf")
+    (check,) = rx.check_friction(tmp_path / "identified" / "friction.yaml", [tmp_path / "run.csv"], robot)
+    assert check.unit == "A"
+    with pytest.raises(rx.Rx90Error, match="its torques are in A; accepted: bags with efforts in A"):
+        rx.check_friction(tmp_path / "identified" / "friction.yaml", [bench.folder / "run"], robot)
+
+
 def series(friction: Array, noise: float, rng: np.random.Generator) -> RunTorques:
     """Return one joint that swings for 120 s, whose friction torque differs from the predicted one."""
     time = np.arange(0.0, 120.0, 0.1)
