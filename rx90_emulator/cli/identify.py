@@ -13,7 +13,7 @@ from typing import Any
 from rx90_common.base.errors import DONE, VERDICT_NO, IdentificationError
 from rx90_common.base.quoting import one_line
 from rx90_emulator.cli.options import POSITIVE, add_arm_arguments, place
-from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions, ValidationTolerances
+from rx90_emulator.identification.options import EMULATED, RECORDED, ExcitationTolerances, RobotOptions
 
 _USAGE = """\
 rx90_identify FOLDER --output FILE [options]          (FOLDER of excitation runs: --output FOLDER)
@@ -75,17 +75,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     result.add_argument("--report", type=place, metavar="FILE", help="report to write (beside the friction file, "
                         ".html; with --friction none)")  # fmt: skip
     result.add_argument("--force", action="store_true", help="replace files that exist")
-    limits, wider = ValidationTolerances(), ExcitationTolerances()
+    own = "where a bag holds set-points of this project's controller"
     result.add_argument("--torque-tolerance", type=POSITIVE, metavar="SHARE",
-                        help=f"RMS difference over RMS torque, of each joint ({limits.torque}; with --excitation "
-                        f"{wider.joint})")  # fmt: skip
+                        help=f"RMS difference over RMS torque, of each joint ({RECORDED.torque}; without --excitation "
+                        f"{EMULATED.torque} {own})")  # fmt: skip
     result.add_argument("--total-torque-tolerance", type=POSITIVE, metavar="SHARE",
-                        help=f"with --excitation: the same of all joints together ({wider.total})")  # fmt: skip
+                        help=f"the same of all joints together ({RECORDED.total})")  # fmt: skip
     result.add_argument("--worst-torque-tolerance", type=POSITIVE, metavar="SHARE",
-                        help=f"without --excitation: largest difference over largest torque, of each joint "
-                        f"({limits.worst_torque})")  # fmt: skip
+                        help="without --excitation: largest difference over largest torque, of each joint (any; "
+                        f"{EMULATED.worst_torque} {own})")  # fmt: skip
     result.add_argument("--tip-tolerance", type=POSITIVE, metavar="M",
-                        help=f"without --excitation: largest distance of the tips, m ({limits.tip})")  # fmt: skip
+                        help=f"without --excitation: largest distance of the tips, m ({EMULATED.tip})")  # fmt: skip
     add_arm_arguments(parser)
 
 
@@ -98,7 +98,7 @@ _UNUSED = (
     ("excitation", "worst_torque_tolerance tip_tolerance", "with excitation runs",
      "--torque-tolerance and --total-torque-tolerance"),
     ("check sweeps", "bristles", _WITHOUT, "with --excitation BAG ..., or --bristle-kinds for micro-oscillations"),
-    ("check sweeps", "load_part payload prior bandwidth no_rotors total_torque_tolerance", _WITHOUT, "with --excitation BAG ..."),
+    ("check sweeps", "load_part payload prior bandwidth no_rotors", _WITHOUT, "with --excitation BAG ..."),
     ("check", "folder sliding presliding output bristle_kinds", "with --friction",
      "--validation BAG ... alone, for nothing is identified or written"),
 )  # fmt: skip
@@ -124,12 +124,9 @@ def main(options: argparse.Namespace) -> int:
     from rx90_emulator.identification import job
 
     robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
-    limits, wider = ValidationTolerances, ExcitationTolerances
-    tolerances = limits(
-        options.torque_tolerance or limits.torque,
-        options.worst_torque_tolerance or limits.worst_torque,
-        options.tip_tolerance or limits.tip,
-    )
+    limits = {"torque": options.torque_tolerance, "total": options.total_torque_tolerance,
+              "worst_torque": options.worst_torque_tolerance, "tip": options.tip_tolerance}  # fmt: skip
+    tolerances = {name: value for name, value in limits.items() if value is not None}
     if what == "check":
         confirmed = job.run_check(
             options.friction, options.validation, robot, tolerances, options.report, force=options.force
@@ -142,9 +139,9 @@ def main(options: argparse.Namespace) -> int:
     else:
         if options.load_part and options.payload is None:
             raise IdentificationError("--load-part without --payload; accepted: with --payload FILE")
-        total, joint = options.total_torque_tolerance or wider.total, options.torque_tolerance or wider.joint
+        wider = ExcitationTolerances(tolerances.get("total", RECORDED.total), tolerances.get("torque", RECORDED.torque))
         confirmed = job.run_excitation(
-            options.excitation, robot, options.validation, wider(total, joint), options.output,
+            options.excitation, robot, options.validation, wider, options.output,
             bristles=options.bristles, payload=options.payload, load_part=options.load_part,
             prior=options.prior, rotors=not options.no_rotors, bandwidth=options.bandwidth, force=options.force,
         )  # fmt: skip

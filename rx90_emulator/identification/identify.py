@@ -5,6 +5,7 @@ Records -> sliding regime -> presliding regime -> kinds of bristles by predictio
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.element import SIGNS
@@ -29,8 +30,9 @@ from rx90_emulator.identification.estimates import (
     IdentifiedElement,
     ParameterEstimate,
 )
+from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.experiments.folder import IdentificationBags, read_emulated, read_index
-from rx90_emulator.identification.options import RobotOptions, ValidationTolerances
+from rx90_emulator.identification.options import NO_TOLERANCES, GivenTolerances, RobotOptions
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
 from rx90_emulator.identification.presliding.kinds import ElementKind, choose_kinds
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
@@ -42,8 +44,8 @@ _RATES = {"sliding": 250.0, "presliding": None, "excitation": 1000.0, "validatio
 """Hz that records are averaged to, by use: plateaus are averaged anyway, a validation looks below 40 Hz, and an arm's
 motion holds nothing near 1 kHz."""
 _MAX_TRAVEL_SHARE = 2.0  # of a joint's range: more travel is explained by no offset of its zero
+_MAX_SHARED = 0.02  # of a validation's travel: two runs on a noiseless engine may begin alike
 _DEFAULT_ROBOT = RobotOptions()
-_DEFAULT_TOLERANCES = ValidationTolerances()
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +132,7 @@ def shown_parameters(result: FrictionIdentification) -> tuple[str, ...]:
 def identify_friction(
     bags: IdentificationBags | Path | str,
     robot: RobotOptions = _DEFAULT_ROBOT,
-    tolerances: ValidationTolerances = _DEFAULT_TOLERANCES,
+    tolerances: GivenTolerances = NO_TOLERANCES,
     progress: Callable[[str], None] = lambda _: None,
     *,
     bristle_kinds: bool = False,
@@ -140,7 +142,8 @@ def identify_friction(
     Args:
         bags: by use, or a folder that `rx90_experiment` wrote.
         robot: that the bags come from; by default this project's.
-        tolerances: what counts as agreement with the validation bags.
+        tolerances: what counts as agreement with the validation bags; those that are not given
+            are as with `check_friction`.
         progress: called with the name of each step before it: each bag, the two fits, each kind of bristles of each
             joint, each validation.
         bristle_kinds: whether the kind of each joint's bristles is chosen by cross-validation over its
@@ -170,7 +173,7 @@ def identify_friction(
         )
     records = read_records(by_use, source, progress)
     result = identify_records(records["sliding"], records["presliding"], source, progress, bristle_kinds=bristle_kinds)
-    checks = _validations(source, result.lugre, result.sliding, records["validation"], tolerances, progress)
+    checks = _validations(records["validation"], progress, source, result.lugre, tolerances, sliding=result.sliding)
     used = tuple((use, record.bag) for use, some in records.items() for record in some)
     return replace(result, bags=used, validations=checks, truth=truth)
 
@@ -179,7 +182,7 @@ def check_friction(
     friction: FrictionFile | Path | str,
     bags: Sequence[Path | str],
     robot: RobotOptions = _DEFAULT_ROBOT,
-    tolerances: ValidationTolerances = _DEFAULT_TOLERANCES,
+    tolerances: GivenTolerances = NO_TOLERANCES,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Validation, ...]:
     """Compare the torques that a friction file predicts along recorded motions with the recorded ones.
@@ -191,7 +194,9 @@ def check_friction(
         friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.
         bags: one or more runs, none of them twice.
         robot: that the bags come from; by default this project's.
-        tolerances: what counts as agreement.
+        tolerances: what counts as agreement, all or some by name; of those that are not given 10 % of the torque of all
+            joints and 30 % of each joint's, and for a bag with set-points of this project's controller, along which the
+            closed loop is run, those of ValidationTolerances().
         progress: called twice for each bag, before it is read and before it is compared.
 
     Returns:
@@ -207,7 +212,7 @@ def check_friction(
         raise IdentificationError("no bag to hold the friction against; accepted: --validation BAG ...")
     check_given_once(by_use)
     file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
-    source = RecordedRobot.load(robot, by_use["validation"])
+    source = RecordedRobot.load(robot, by_use["validation"], follow=True)
     names, where = source.arm.element_names, str(file.path or "--friction")
     lugre = file.select(names)
     for name in file.elements:
@@ -219,22 +224,43 @@ def check_friction(
         source = replace(source, arm=source.arm.with_joints(file.joints))
     except IdentificationError as error:
         raise IdentificationError(f"{where}: {error}") from error
-    records = read_records(by_use, source, progress)["validation"]
-    return _validations(source, lugre, None, records, tolerances, progress)
+    currents = (file.identification or {}).get("unit") == "A"
+    records = read_records(by_use, source, progress, currents=currents)["validation"]
+    if currents and any(record.unit == "Nm" for record in records):
+        raise IdentificationError(f"{where}: its torques are in A; accepted: bags with efforts in A")
+    return _validations(records, progress, source, lugre, tolerances, bandwidths=_bandwidths(file, where))
+
+
+def _bandwidths(file: FrictionFile, where: str) -> Bandwidths | None:
+    """Return the bandwidths of the runs that a friction file was identified from; None where it does not say.
+
+    Raises:
+        IdentificationError: for values that are none.
+    """
+    found = (file.identification or {}).get("bandwidths")
+    if found is None:
+        return None
+    values = [found.get(name) for name in ("position", "torque")] if isinstance(found, Mapping) else []
+    numbers = [float(one) for one in values if isinstance(one, float | int) and 0.0 < one < math.inf]
+    if len(numbers) != 2:
+        raise IdentificationError(
+            f"{where}: identification.bandwidths is {plain(str(found))}; accepted: position and torque above 0 Hz"
+        )
+    return Bandwidths(numbers[0], numbers[1], "those of the identified runs")
 
 
 def _validations(
-    robot: RecordedRobot,
-    lugre: tuple[FrictionElement, ...],
-    sliding: SlidingFit | None,
     records: Sequence[JointRecord],
-    tolerances: ValidationTolerances,
     progress: Callable[[str], None],
+    robot: RecordedRobot,
+    elements: tuple[FrictionElement, ...],
+    tolerances: GivenTolerances,
+    **how: Any,
 ) -> tuple[Validation, ...]:
     checks = []
     for record in records:
         progress(record.source.name)
-        checks.append(validate(robot, lugre, sliding, record, tolerances))
+        checks.append(validate(robot, elements, record, tolerances, **how))
     return tuple(checks)
 
 
@@ -251,7 +277,11 @@ def check_given_once(bags: Mapping[str, Sequence[Path]]) -> None:
 
 
 def read_records(
-    bags: Mapping[str, Sequence[Path]], robot: RecordedRobot, progress: Callable[[str], None]
+    bags: Mapping[str, Sequence[Path]],
+    robot: RecordedRobot,
+    progress: Callable[[str], None],
+    *,
+    currents: bool = False,
 ) -> dict[str, list[JointRecord]]:
     """Return the records of bags by use, all read before anything is fitted, so that a bad one is refused soon.
 
@@ -259,6 +289,7 @@ def read_records(
         bags: by use, such as sliding or validation; no bag twice for the same use.
         robot: that they come from.
         progress: called with the name of each bag before it is read.
+        currents: whether efforts in A without torque constants are taken as they are, in all bags or in none.
 
     Raises:
         IdentificationError: for angles that no joint of the robot goes through, and for a validation bag whose content,
@@ -269,7 +300,7 @@ def read_records(
     records: dict[str, list[JointRecord]] = {use: [] for use in bags}
     for use, path, layout in layouts:
         progress(path.name)
-        record = read_record(path, layout, _RATES[use])
+        record = read_record(path, layout, _RATES[use], currents=currents).of_joints(robot.arm.names)
         for name, travel, width in zip(record.names, np.ptp(record.position, axis=0), robot.arm.ranges(), strict=True):
             if 0.0 < _MAX_TRAVEL_SHARE * width < travel:  # degrees, or a motor's angles
                 raise IdentificationError(
@@ -277,14 +308,34 @@ def read_records(
                     "accepted: angles of the joints in rad, or of the motors with their --gear"
                 )
         records[use].append(record)
-    used = {record.sha256: record.source for use, some in records.items() if use != "validation" for record in some}
+    units = {record.unit: record.source for some in records.values() for record in some}
+    if len(units) > 1:
+        raise IdentificationError(
+            f"{units['A']}: its efforts are in A, those of {units['Nm']} in Nm; accepted: one unit"
+        )
+    used = [record for use, some in records.items() if use != "validation" for record in some]
     for record in records["validation"]:
-        if record.sha256 in used:
-            other = "" if used[record.sha256] == record.source else f" as {used[record.sha256]}"
-            raise IdentificationError(
-                f"{record.source}: also used for the identification{other}; accepted: another bag for the validation"
-            )
+        _check_unseen(record, used)
     return records
+
+
+def _check_unseen(record: JointRecord, used: Sequence[JointRecord]) -> None:
+    """Refuse a validation bag of which a bag that is identified from has a part, under whatever name and stamps.
+
+    Raises:
+        IdentificationError: naming both bags and the share.
+    """
+    for other in used:
+        shared = 1.0 if record.sha256 == other.sha256 else 0.0
+        if not shared and record.content is not None and other.content is not None:
+            shared = record.content.shared(other.content)
+        if shared > _MAX_SHARED:
+            name = "" if other.source == record.source else f" as {other.source}"
+            part = "" if shared > 0.999 else f"{shared:.0%} of its motion "
+            raise IdentificationError(
+                f"{record.source}: {part}also used for the identification{name}; accepted: another bag for the "
+                "validation"
+            )
 
 
 def identify_records(

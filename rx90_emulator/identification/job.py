@@ -22,10 +22,10 @@ from rx90_emulator.identification.experiments.folder import IdentificationBags, 
 from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction
 from rx90_emulator.identification.options import (
     ExcitationTolerances,
+    GivenTolerances,
     MeasuredLayout,
     MeasuredTolerances,
     RobotOptions,
-    ValidationTolerances,
 )
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.report import check_page, excitation_page, measured_page, report_page
@@ -112,7 +112,7 @@ def _checked_targets(output: Path, report: Path | str | None, *, force: bool) ->
 def run_identification(
     bags: IdentificationBags | Path,
     robot: RobotOptions,
-    tolerances: ValidationTolerances,
+    tolerances: GivenTolerances,
     output: Path,
     report: Path | None = None,
     *,
@@ -142,7 +142,7 @@ def run_check(
     friction: str,
     bags: Sequence[Path],
     robot: RobotOptions,
-    tolerances: ValidationTolerances,
+    tolerances: GivenTolerances,
     report: Path | None = None,
     *,
     force: bool = False,

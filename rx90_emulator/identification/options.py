@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
+from typing import TypeAlias
 
 from rx90_common.base.errors import ConfigError
 
@@ -82,7 +84,7 @@ class _Tolerances:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not 0.0 < value < math.inf:
+            if not value > 0.0:
                 raise ConfigError(f"{name} is {value}; accepted: a positive number")
 
 
@@ -92,13 +94,19 @@ class ValidationTolerances(_Tolerances):
 
     Attributes:
         torque: RMS difference of a joint's torque over the RMS torque that was recorded.
-        worst_torque: largest difference over the largest recorded torque.
+        worst_torque: largest difference over the largest recorded torque; infinite where it does not count.
         tip: largest distance of the tip positions, m.
+        total: RMS difference of the torques of all joints over their RMS recorded torque.
     """
 
     torque: float = 0.05
     worst_torque: float = 0.15
     tip: float = 1e-4
+    total: float = 0.1
+
+
+EMULATED = ValidationTolerances()
+"""What holds for a bag with set-points of this project's controller, along which the closed loop is run, too."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +120,17 @@ class ExcitationTolerances(_Tolerances):
 
     total: float = 0.1
     joint: float = 0.3
+
+
+RECORDED = ValidationTolerances(
+    torque=ExcitationTolerances.joint, worst_torque=math.inf, total=ExcitationTolerances.total
+)
+"""What holds for all other bags: those of excitation runs, so that both validations judge alike."""
+
+
+GivenTolerances: TypeAlias = ValidationTolerances | Mapping[str, float]
+"""All of them, or some by the names of the attributes; the others then are EMULATED's or RECORDED's."""
+NO_TOLERANCES: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)

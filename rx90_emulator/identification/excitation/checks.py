@@ -18,7 +18,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.law import COULOMB, VISCOUS, ElementShape, joint_columns
 from rx90_emulator.identification.excitation.least_squares import solve, time_blocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.zeros import SMALLEST, STEP, ZeroCheck, encoder_error, quarter_turns
+from rx90_emulator.identification.zeros import SMALLEST, STEP, ZeroCheck, check_of, quarter_turns
 
 _WRONG_SIGN_SE = 6.0  # deviations
 
@@ -69,14 +69,18 @@ def check_zeros(problem: ExcitationProblem, zero: Array | None = None) -> ZeroCh
     """
     none = np.zeros(len(problem.arm.names))
     search = _Search(problem)
-    told = search.told()
+    told = search.told() & problem.arm.identified
     quarters = search.quarter_turned(told)
     small, deviation = search.small(quarters, told)
     shift = quarters + small
-    squares = [float(np.mean(values**2)) for values in (problem.torque, search.residual(none), search.residual(shift))]
-    before, after = (math.sqrt(size / max(squares[0], 1e-300)) for size in squares[1:])
-    given = none if zero is None else zero
-    return ZeroCheck(problem.arm.names, given, encoder_error(shift), deviation, told, before, after)
+
+    def mean_square(values: Array) -> Array:
+        return np.asarray(np.bincount(problem.joint, values**2, len(none)) / len(problem))
+
+    check = ZeroCheck(problem.arm.names, none if zero is None else zero, none, deviation, told, 0.0, 0.0)
+    return check_of(
+        check, shift, lambda angles: {"": mean_square(search.residual(angles))}, mean_square(problem.torque)
+    )
 
 
 class _Search:

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
-from rx90_common.bags.mapping import is_table
-from rx90_common.bags.reading import read_joint_states
-from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
 from rx90_emulator.identification.excitation.checks import check_signs, check_zeros
 from rx90_emulator.identification.excitation.choice import stages
-from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
+from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.excitation.friction import (
     ALL_PARTS,
     WITHOUT_BRISTLES,
@@ -34,7 +30,7 @@ from rx90_emulator.identification.excitation.known_payload import (
     identify_load_parts,
 )
 from rx90_emulator.identification.excitation.payload import Payload, payloads_of
-from rx90_emulator.identification.excitation.physical import make_consistent
+from rx90_emulator.identification.excitation.physical import Consistency, make_consistent
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, described_inertials
 from rx90_emulator.identification.excitation.recording import recording_notes, short_note, without_shocks
 from rx90_emulator.identification.excitation.result import (
@@ -44,13 +40,14 @@ from rx90_emulator.identification.excitation.result import (
     run_torques,
     simulated_elements,
     trends,
+    written_arm,
 )
 from rx90_emulator.identification.identify import check_given_once, read_records
 from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.records import JointRecord
-from rx90_emulator.identification.robot import RecordedRobot, topic_names
+from rx90_emulator.identification.robot import RecordedRobot
+from rx90_emulator.identification.validation.prediction import filtered_runs, validation_bandwidths, written_torque
 
-_REFERENCE = "rx90_controller/reference"
 _NO_PAYLOADS: Mapping[str, Payload] = MappingProxyType({})
 _DEFAULT_ROBOT = RobotOptions()
 _DEFAULT_TOLERANCES = ExcitationTolerances()
@@ -110,13 +107,13 @@ def identify_excitation(
             f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
         )
     _check_rotors(robot, rotors=rotors)
-    source = RecordedRobot.load(robot, everything, massless=True)
-    records = read_records(by_use, source, progress)
+    source = RecordedRobot.load(robot, everything, massless=True, follow=True)
+    records = read_records(by_use, source, progress, currents=True)
     progress("filters and equations")
     records, notes = _shocks_left_out(records, source)
 
     def equations(some: Sequence[JointRecord], bandwidths: Bandwidths) -> ExcitationProblem:
-        runs = [run for record in some for run in _filtered(record, source, bandwidths)]
+        runs = [run for record in some for run in filtered_runs(record, source, bandwidths)]
         return ExcitationProblem.of(source.arm, runs, [carried[run.source.path] for run in runs], rotors=rotors)
 
     bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
@@ -145,23 +142,23 @@ def identify_excitation(
     friction = replace(friction, remarks=(*friction.remarks, *said))
     progress("consistent inertias")
     consistency = make_consistent(problem, friction, source, robot)
+    elements = simulated_elements(friction.elements, source.fallback, loads)
+    written, offset = written_arm(problem, consistency)
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
-        other = equations([record], bandwidths)
+        other = equations([record], validation_bandwidths(record, bandwidths))
         for change in changes:
             other = change(other)
-        predicted = predicted_torque(friction, other)
-        (identified,) = run_torques(other, predicted)
-        (consistent,) = run_torques(other, predicted + other.regressor @ consistency.inertias.shift)
-        checks.append(TorqueValidation(identified, consistent, tolerances))
+        by_files = written_torque(other, written, [one.element for one in elements], offset)
+        checks.append(_unseen(other, predicted_torque(friction, other), consistency, by_files, tolerances))
     torques = run_torques(problem, friction.predicted)
     return ExcitationIdentification(
         robot=source,
         options=robot,
         problem=problem,
         friction=friction,
-        elements=simulated_elements(friction.elements, source.fallback, loads),
+        elements=elements,
         base=base_parameters(problem, friction, consistency, closed_loop),
         consistency=consistency,
         torques=torques,
@@ -198,26 +195,17 @@ def _check_rotors(robot: RobotOptions, *, rotors: bool) -> None:
         raise IdentificationError(f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears")
 
 
-def _filtered(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths) -> tuple[FilteredRun, ...]:
-    """Return the runs of a record; of this project's plant with set-points, which real arms and tables do not have."""
-    simulated = not is_table(record.source) and absolute(_REFERENCE) in topic_names(record.source)
-    if robot.plant_period is None or not simulated:
-        return filter_record(record, bandwidths)
-    # A torque of this project's plant is that of the tick that ends at its stamp; a real arm's is not.
-    return filter_record(record, bandwidths, _setpoints(record), 0.5 * robot.plant_period)
-
-
-@lru_cache(8)  # equations are made of the same records for several bandwidths
-def _setpoints(record: JointRecord) -> Array | None:
-    """Return a simulated bag's set-points at the record's times, shape (m, n); None where they do not cover it."""
-    series = read_joint_states(record.source, _REFERENCE, record.names)
-    if series.position is None or len(series.time) < 2:
-        return None
-    # Stamps of averaged motor states end between two set-points.
-    step = float(np.median(np.diff(series.time)))
-    if series.time[0] > record.time[0] + step or series.time[-1] < record.time[-1] - step:
-        return None
-    return np.column_stack([np.interp(record.time, series.time, column) for column in series.position.T])
+def _unseen(
+    problem: ExcitationProblem,
+    predicted: Array,
+    consistency: Consistency,
+    files: Array,
+    limits: ExcitationTolerances,
+) -> TorqueValidation:
+    """Return the verdict of a run by three predictions of its r rows: identified, with consistent bodies, by files."""
+    kinds = predicted, predicted + problem.regressor @ consistency.inertias.shift, files
+    identified, consistent, written = (run_torques(problem, torque)[0] for torque in kinds)
+    return TorqueValidation(identified, consistent, limits, written)
 
 
 def _check_motion(problem: ExcitationProblem, robot: RecordedRobot) -> None:

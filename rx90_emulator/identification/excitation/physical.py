@@ -431,8 +431,8 @@ def make_consistent(
     """
     count, arm, fit = len(problem.names), problem.arm, friction.fit
     description: Path | str = Path(str(options.urdf))
-    rotors: ArrayLike | None = np.zeros(len(arm.names)) if options.rotor_inertia is None else options.rotor_inertia
-    rotors = rotors if problem.columns.rotors else None
+    n = len(arm.names)
+    rotors: ArrayLike | None = problem.columns.values()[10 * n : 11 * n] if problem.columns.rotors else None
     known: tuple[str, ...] = ()
     if robot.setup is not None:
         description, rotors = robot.setup.robot.urdf, robot.setup.drives.rotor_inertia

@@ -102,7 +102,7 @@ class BaseGroups:
         """Find the groups of an arm, from random positions, velocities and accelerations (always the same ones)."""
         rng, names = np.random.default_rng(_SEED), columns.names
         motion = (rng.uniform(-width, width, (_RANDOM_MOTIONS, len(columns.arm.names))) for width in (np.pi, 2.0, 5.0))
-        matrix = columns.torque(*motion).reshape(-1, len(names))
+        matrix = columns.torque(*motion)[:, columns.arm.identified].reshape(-1, len(names))
         size = np.linalg.norm(matrix, axis=0)
         basis, chosen = np.zeros((len(matrix), 0)), []
         for k in sorted(range(len(names)), key=lambda k: (names[k].startswith(_REGROUPED_KINDS), k)):
@@ -241,6 +241,24 @@ class ExcitationProblem:
         Raises:
             IdentificationError: for runs of other joints, and if no joint moves.
         """
+        bare = cls.without_columns(arm, runs, payloads, rotors=rotors)
+        regressor, payload = bare.through(np.eye(len(arm.names)))
+        return replace(bare, torque=bare.torque - payload, payload=payload, regressor=regressor)
+
+    @classmethod
+    def without_columns(
+        cls,
+        arm: RigidArm,
+        runs: Sequence[FilteredRun],
+        payloads: Sequence[Payload | None] | None = None,
+        *,
+        rotors: bool = True,
+    ) -> ExcitationProblem:
+        """Return the rows of runs with their torque, payloads included, and no regressor; arguments as in `of`.
+
+        Raises:
+            IdentificationError: as `of`.
+        """
         for one in runs:
             if one.names != arm.names:
                 there, wanted = ", ".join(one.names), ", ".join(arm.names)
@@ -251,7 +269,7 @@ class ExcitationProblem:
         kept = []
         for number, one in enumerate(runs):
             rests, passes = element_states(one, arm.element_matrix)
-            joint, place = np.nonzero(~(rests @ acts).T & one.whole)
+            joint, place = np.nonzero((~(rests @ acts) & arm.identified).T & one.whole)
             time, reversal = one.time[one.rows[place]], (passes @ acts)[place, joint]
             kept.append((np.full(len(joint), number), joint, place, time, reversal))
         run, joint, place, time, reversal = (np.concatenate(parts) for parts in zip(*kept, strict=True))
@@ -259,10 +277,8 @@ class ExcitationProblem:
             raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
         empty = np.empty((len(run), 0))
         bare = cls(arm, tuple(runs), columns, BaseGroups.of(columns), run, joint, place, time, reversal,
-                   carried, empty, empty, empty, empty)  # fmt: skip
-        recorded = bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0]
-        regressor, payload = bare.through(np.eye(len(arm.names)))
-        return replace(bare, torque=recorded - payload, payload=payload, regressor=regressor)
+                   carried, np.zeros(len(run)), empty, empty, empty)  # fmt: skip
+        return replace(bare, torque=bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0])
 
     def __len__(self) -> int:
         return len(self.run)

@@ -13,11 +13,13 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from scipy.stats import t as student
 
 from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import ElementEstimate, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.excitation.choice import ModelRow
 from rx90_emulator.identification.excitation.filtering import FilteredRun
@@ -30,6 +32,7 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.robot import RecordedRobot
+from rx90_emulator.identification.validation.verdict import Criterion, torque_criteria
 from rx90_emulator.identification.zeros import ZeroCheck
 
 UNITS = {"m": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m", "k": "Nm", "offset": "Nm"}
@@ -103,6 +106,20 @@ class ExcitationIdentification:
     def speeds(self) -> tuple[SpeedResiduals, ...]:
         """Return what is left at each speed of the elements."""
         return residuals_by_speed(self.problem, self.problem.torque - self.friction.predicted)
+
+    @property
+    def unit(self) -> str:
+        """Return the unit of the torques: Nm, or A without torque constants; all values are in its scale."""
+        return self.problem.runs[0].source.unit
+
+    @property
+    def base_covariance(self) -> Array:
+        """Return the covariance of the base parameters in the order of `base`, SI units, shape (b, b).
+
+        Infinite on the diagonal where these runs do not determine one.
+        """
+        count = len(self.base)
+        return self.friction.fit.covariance[:count, :count]
 
     @property
     def undetermined(self) -> tuple[str, ...]:
@@ -240,26 +257,46 @@ class TorqueValidation:
 
     Attributes:
         torques: of the run, predicted by the identified parameters.
-        consistent: the same, predicted by the inertias that bodies can have, which the robot's files hold.
+        consistent: the same, predicted with the inertias that bodies can have in place of the identified ones.
         tolerances: what counts as agreement.
+        files: the same, predicted by all that the robot's files hold, elements with their bristles: what
+            `check_friction` of these files gives.
     """
 
     torques: RunTorques
     consistent: RunTorques
     tolerances: ExcitationTolerances
+    files: RunTorques
+
+    @property
+    def criteria(self) -> tuple[Criterion, ...]:
+        """Return what the verdict rests on, by the identified parameters and by the files."""
+        limits, by = self.tolerances, {"": self.torques, " by the files": self.files}
+        groups = (
+            torque_criteria(one.names, one.total_share, one.share, limits.total, limits.joint, words)
+            for words, one in by.items()
+        )
+        return tuple(one for group in groups for one in group)
 
     @property
     def passed(self) -> bool:
         """Return whether each joint that moves, and all of them together, agree with both predictions."""
-        limits = self.tolerances
-        return all(
-            not (one.share > limits.joint).any() and one.total_share <= limits.total
-            for one in (self.torques, self.consistent)
-        )
+        return all(one.passed for one in self.criteria)
+
+
+def written_arm(problem: ExcitationProblem, consistency: Consistency) -> tuple[RigidArm, Array | float]:
+    """Return the arm that the files hold, and the offset of each joint's torque, Nm, shape (n,)."""
+    arm, columns, values = problem.arm, problem.columns, consistency.inertias.parameters
+    n, spring, model = len(arm.names), arm.spring.copy(), arm.model.copy()
+    for k, link in enumerate(values[: 10 * n].reshape(n, 10), 1):
+        model.inertias[k] = pin.Inertia.FromDynamicParameters(link)
+    rotor = arm.coupling.T @ np.diag(values[10 * n : 11 * n]) @ arm.coupling
+    spring[columns.springs] = values[11 * n : 11 * n + len(columns.springs)]
+    return replace(arm, model=model, rotor=rotor, spring=spring), values[-n:]
 
 
 def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorques, ...]:
-    """Return the torques of each bag of a problem; pieces of a bag with gaps are put together.
+    """Return the torques of each bag of a problem, of its identified joints; pieces of a bag are put together.
 
     Args:
         problem: the equations.
@@ -270,12 +307,13 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
     pieces: dict[str, list[int]] = {}
     for number, run in enumerate(problem.runs):
         pieces.setdefault(str(run.source.path), []).append(number)
-    found = []
+    found, own = [], np.flatnonzero(problem.arm.identified).tolist()
+    names = tuple(problem.arm.names[j] for j in own)
     for numbers in pieces.values():
         mine, runs = np.isin(problem.run, numbers), [problem.runs[number] for number in numbers]
-        joints = [JointTorque(*table[:, mine & (problem.joint == j)]) for j in range(len(problem.arm.names))]
-        noise = np.sqrt(np.mean([torque_noise(run) ** 2 for run in runs], axis=0))
-        found.append(RunTorques(problem.arm.names, runs[0].source, tuple(joints), noise))
+        joints = [JointTorque(*table[:, mine & (problem.joint == j)]) for j in own]
+        noise = np.sqrt(np.mean([torque_noise(run) ** 2 for run in runs], axis=0))[own]
+        found.append(RunTorques(names, runs[0].source, tuple(joints), noise))
     return tuple(found)
 
 

@@ -16,8 +16,9 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.estimates import LARGEST, PARAMETERS, IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.identify import FrictionIdentification
-from rx90_emulator.identification.records import BagSource
+from rx90_emulator.identification.records import BagSource, in_unit
 
 _REMARKS = """\
 #
@@ -48,6 +49,8 @@ def elements_text(
     now: datetime | None = None,
     result: FrictionIdentification | None = None,
     joints: Mapping[str, Mapping[str, float]] = _NO_JOINTS,
+    bandwidths: Bandwidths | None = None,
+    unit: str = "Nm",
 ) -> str:
     """Return the text of a file with these elements.
 
@@ -58,6 +61,8 @@ def elements_text(
         now: date of the identification; by default the present.
         result: from sweeps, whose use of the bags, goodness of fit and kinds of bristles go into the file.
         joints: what torques hold beside links and friction, as `FrictionFile.joints`.
+        bandwidths: of excitation runs, which a validation of the file filters with again.
+        unit: of the torques, where they are currents.
 
     Raises:
         IdentificationError: for a value that no arm has, or that is no number.
@@ -75,6 +80,10 @@ def elements_text(
             notes[name] = f"{before}as its c0 those of {fallback_name}, assumed"
     bags = {label: {"path": str(b.path), "sha256": b.sha256, "recorded": b.recorded} for b, label in labels.items()}
     identification: dict[str, Any] = {"date": date, "bags": bags}
+    if unit != "Nm":
+        identification["unit"] = unit
+    if bandwidths is not None:
+        identification["bandwidths"] = {"position": float(bandwidths.position), "torque": float(bandwidths.torque)}
     if result is not None:
         usage, fits = result.sliding.usage, zip(names, result.sliding.quality, strict=True)
         identification["sweeps"] = {labels[use.bag]: use.text(names) for use in usage if use.bag in labels}
@@ -95,7 +104,9 @@ def elements_text(
     source = f"{len(labels)} bags, {date}; omega_d is not identified"
     source += "" if fallback_name is None else f", it is that of {fallback_name}"
     about = {name: {"note": text} for name, text in notes.items()}
-    return FrictionFile(rounded, "identified", source, identification, about=about, joints=joints).text(_REMARKS)
+    file = FrictionFile(rounded, "identified", source, identification, about=about, joints=joints)
+    text = file.text(_REMARKS)
+    return in_unit(text, unit)
 
 
 def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:

@@ -39,7 +39,8 @@ from rx90_emulator.identification.excitation.result import (
     misfits,
 )
 from rx90_emulator.identification.output.friction_file import elements_text, six_digits
-from rx90_emulator.identification.output.summary import bodies_warnings, gain_warnings
+from rx90_emulator.identification.output.summary import bodies_warnings, gain_warnings, in_currents
+from rx90_emulator.identification.records import in_unit
 
 
 class Identified(NamedTuple):
@@ -230,6 +231,7 @@ def robot_texts(
     rotors = ", ".join(f"{value:.6g}" for value in inertias.rotors)
     remark = f" The inertials of {listed(bodies, 100)} are {origin}; other comments on masses are older. "
     remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. " if inertias.rotors.any() else ""
+    remark += "".join(f"{text}. " for text in in_currents(result))
     elements = arm.element_names if base is None else element_names(names)
     texts = {
         FILES["urdf"]: with_inertials(urdf.read_text(encoding="utf-8"), bodies, remark),
@@ -239,6 +241,8 @@ def robot_texts(
             result.robot.fallback_name or ASSUMED_BRISTLES,
             now,
             joints=_joints(result, drives=base is not None),
+            bandwidths=result.problem.runs[0].bandwidths,
+            unit=result.unit,
         ),
     }
     if base is None:
@@ -384,6 +388,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
                 "confirmed": one.passed,
                 **_torques(one.torques),
                 "relative_with_consistent_inertias": six_digits(one.consistent.total_share),
+                "by_files": _torques(one.files),
             }
             for one in result.validations
         },
@@ -412,14 +417,20 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         "not_determined": list(result.undetermined),
         "misfits": misfits(result.speeds),
         "drifts": [one.text for one in result.trends],
-        "remarks": [*result.notes, *friction.remarks, *gain_warnings(result), *bodies_warnings(result)],
+        "remarks": [
+            *in_currents(result),
+            *result.notes,
+            *friction.remarks,
+            *gain_warnings(result),
+            *bodies_warnings(result),
+        ],
         "correlation": {
             "names": list(friction.names),
             "matrix": [[None if math.isnan(share) else round(share, 3) for share in row] for row in correlation],
         },
     }
     check_numbers(content, LARGEST)
-    return _PARAMETERS_HEAD + yaml_text(content)
+    return in_unit(_PARAMETERS_HEAD + yaml_text(content), result.unit)
 
 
 def _rounded(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,12 +12,13 @@ from typing import TypeVar
 from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.excitation.known_payload import PLAUSIBLE
 from rx90_emulator.identification.excitation.law import Part
-from rx90_emulator.identification.excitation.result import ExcitationIdentification, misfits
+from rx90_emulator.identification.excitation.result import ExcitationIdentification, TorqueValidation, misfits
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.presliding.kinds import decisions
+from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
-from rx90_emulator.identification.validation.verdict import Criterion, largest, verdict
+from rx90_emulator.identification.validation.verdict import verdict
 
 _NEGATIVE = 3.0  # deviations below 0, from which on a rotor inertia is no chance
 _CONFIRMED = ("confirmed", "NOT CONFIRMED")
@@ -76,7 +77,7 @@ def identification_summary(result: FrictionIdentification) -> str:
     lines += [line for name, one in zip(names, sliding.quality, strict=True) if one for line in one.lines(name)]
     lines += [sliding.zeros.text] if sliding.zeros is not None and sliding.zeros.text else []
     lines += [f"{use.bag.path}: {use.text(names)}" for use in sliding.usage]
-    return "\n".join([*lines, *(_verdict(check, result.scope) for check in result.validations)])
+    return "\n".join([*lines, *(validation_verdict(check, result.scope) for check in result.validations)])
 
 
 def _with_deviation(estimate: ParameterEstimate | None, unknown: str = "-") -> str:
@@ -92,11 +93,12 @@ def which(lacking: Mapping[str, Sequence[str]]) -> str:
     return "; ".join(f"{parameters} of {names}" for names, parameters in whose)
 
 
-def _verdict(check: Validation, scope: str = "") -> str:
+def validation_verdict(check: Validation, scope: str = "") -> str:
+    """Return the verdict of a bag on a friction file, with what decides, its joints, values and limits."""
     *torque, tip = check.criteria
     tips = (tip, f"RMS {check.tip_rms * 1e6:.2f} um") if len(check.tip_distance) else ("no set-points, so no tip path",)
     words = (_CONFIRMED[0] + scope, _CONFIRMED[1] + scope)
-    return verdict(f"validation {check.source}", check.passed, words, torque, tips)
+    return verdict(f"validation {check.source}", words, *torque, *tips)
 
 
 def check_summary(checks: Sequence[Validation]) -> str:
@@ -108,8 +110,8 @@ def check_summary(checks: Sequence[Validation]) -> str:
         head = ("joint", "RMS, Nm", "of torque", "worst, Nm", "of largest")
         lines += _table(head, (_width(8, check.names), 10, 11, 11, 12), rows)
         lines += [check.zeros.text] if check.zeros is not None and check.zeros.text else []
-        lines.append(_verdict(check))
-    return "\n".join(lines)
+        lines.append(validation_verdict(check))
+    return in_unit("\n".join(lines), checks[0].unit)
 
 
 def measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
@@ -127,8 +129,7 @@ def measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
 
 def measured_verdict(result: MeasuredComparison) -> str:
     """Return the verdict, with what decides and its limits."""
-    *torque, position = result.criteria
-    return verdict(result.source.path, result.passed, ("agrees", "DOES NOT AGREE"), torque, (position,))
+    return verdict(result.source.path, ("agrees", "DOES NOT AGREE"), *result.criteria)
 
 
 def measured_summary(result: MeasuredComparison) -> str:
@@ -147,7 +148,7 @@ def measured_summary(result: MeasuredComparison) -> str:
 
 def excitation_summary(result: ExcitationIdentification) -> str:
     """Return friction with deviations, goodness of fit, the model that was kept, and what was left out and why."""
-    names, joints = result.problem.arm.element_names, result.problem.arm.names
+    names, joints = result.problem.arm.element_names, result.torques[0].names
     shown = [friction_columns(one.estimates) for one in result.elements]
     columns = list(dict.fromkeys(name for row in shown for name, one in row.items() if one.identifiable))
     rows = [[name, *(_with_deviation(row.get(c)) for c in columns)] for name, row in zip(names, shown, strict=True)]
@@ -157,12 +158,17 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         f"not identified: {parameters} of {elements}: {reasons[0] if len(reasons) == 1 else 'reasons in the report'}"
         for parameters, elements, reasons in lacking(result)
     ]
+    if followed := ", ".join(result.robot.followed):
+        lines.append(f"not identified, along their recorded motion: {followed}")
     if unknown := ", ".join(result.undetermined):
         lines.append(f"not determined by these runs: {unknown}; the files take them from the description")
-    runs = [*(("fitted", run) for run in result.torques), *(("unseen", one.torques) for one in result.validations)]
+    runs = [("fitted", run) for run in result.torques]
+    runs += [pair for one in result.validations for pair in (("unseen", one.torques), ("files", one.files))]
     fits = []
     for use, run in runs:
         fits.append([f"{use} {run.source.path.name}", *(_number(v, ".1%") for v in (*run.share, run.total_share))])
+        if use == "files":
+            continue
         chi = (">1e4" if k else _number(v, ".3g") for k, v in zip(run.noiseless, run.chi_square, strict=True))
         fits.append(["  chi^2 over noise", *chi])
         if run.noiseless.any():
@@ -185,13 +191,22 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     lines += [f"misfit: {text}" for text in misfits(result.speeds)]
     lines += [f"drift: {one.text}" for one in result.trends]
     for check in result.validations:
-        limits, run = check.tolerances, check.torques
-        total = Criterion("torque RMS of all joints", run.total_share, limits.total, digits=1)
-        worst = largest("largest", run.names, run.share, limits.joint, digits=1)
-        bodies = Criterion("with the files' bodies", check.consistent.total_share, limits.total, digits=1)
-        far = f"{result.consistency.inertias.distance:.2g} standard deviations from the base parameters"
-        lines.append(verdict(f"validation {run.source.path}", check.passed, _CONFIRMED, (total, worst), (bodies, far)))
-    return "\n".join(lines)
+        far = f"bodies {result.consistency.inertias.distance:.2g} standard deviations from the base parameters"
+        lines.append(unseen_verdict(check, far))
+    return in_unit("\n".join([*in_currents(result), *lines]), result.unit)
+
+
+def in_currents(result: ExcitationIdentification) -> list[str]:
+    """Return a warning where torques are currents, which no simulation may take for torques; else nothing."""
+    if result.unit == "Nm":
+        return []
+    return [f"warning: efforts in {result.unit} and no torque constants: friction, inertias and the files are in that "
+            "scale, and no simulation should load them"]  # fmt: skip
+
+
+def unseen_verdict(check: TorqueValidation, *said: str) -> str:
+    """Return the verdict of an unseen run on what excitation runs identified, as `validation_verdict` does."""
+    return verdict(f"validation {check.torques.source.path}", _CONFIRMED, *check.criteria, *said)
 
 
 def kept_parts(result: ExcitationIdentification) -> str:
