@@ -170,6 +170,8 @@ def identify_friction_parts(
     parts: Sequence[Part] = WITHOUT_BRISTLES,
     prior: Prior | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    *,
+    fixed: bool = False,
 ) -> FrictionSelection:
     """Identify rigid body and friction together, and choose the friction's parts by cross-validation.
 
@@ -177,12 +179,13 @@ def identify_friction_parts(
         problem: the rows.
         parts: to try beside Coulomb and viscous friction, in this order; bristles take several times as long.
         prior: of the base parameters, for the values; the parts are chosen by the runs alone.
-        progress: called with the name of each stage of the choice before it, `choice.stages(parts)` times.
+        progress: called with the name of each stage of the choice before it, `choice.stages(parts, fixed)` times.
+        fixed: whether all elements have the parts, without a choice.
 
     Returns:
         The selection. Parameters that the runs do not tell are unknown, with a reason.
     """
-    selected = select_parts(problem, parts, progress)
+    selected = select_parts(problem, parts, progress, fixed=fixed)
     inner, final, rises, remarks = final_fit(selected, parts, prior)
     names, shapes, linear = problem.arm.element_names, list(selected.fit.shapes), selected.fit.linear.copy()
     moved = [shape.values for shape in shapes]
