@@ -14,7 +14,6 @@ from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import listed
 from rx90_emulator.identification.excitation.checks import check_signs, check_zeros
 from rx90_emulator.identification.excitation.choice import stages
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
@@ -111,8 +110,7 @@ def identify_excitation(
         return ExcitationProblem.of(source.arm, runs, [carried[run.source.path] for run in runs])
 
     problem = equations(records["excitation"])
-    _check_motion(problem, source)
-    check_signs(problem)
+    check_signs(problem, source.options)
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
     parts = ALL_PARTS if bristles else WITHOUT_BRISTLES
@@ -190,15 +188,3 @@ def _setpoints(record: JointRecord) -> Array | None:
     if series.time[0] > record.time[0] + step or series.time[-1] < record.time[-1] - step:
         return None
     return np.column_stack([np.interp(record.time, series.time, column) for column in series.position.T])
-
-
-def _check_motion(problem: ExcitationProblem, robot: RecordedRobot) -> None:
-    """Refuse runs that leave an element at rest, unless there is other friction for it."""
-    moving = np.isin(np.arange(len(problem.arm.names)), problem.joint)
-    elements = zip(problem.arm.element_names, problem.arm.element_matrix, strict=True)
-    still = [name for name, row in elements if not row[moving].any()]
-    if still and robot.fallback is None:
-        raise IdentificationError(
-            f"{listed(still)} at rest in all runs; accepted: runs in which all joints move, or --fallback with a "
-            "friction file for the others"
-        )

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
+from types import MappingProxyType
 from typing import Any
 
 from rx90_common.base.config import check_numbers
@@ -26,6 +27,7 @@ _REMARKS = """\
 """
 _LARGEST = {"Nm": 1e6, "rad/s": 1e4, "1": 1e3, "Nm/rad": 1e12, "Nm s/rad": 1e9, "Nm (s/rad)^alpha": 1e6}
 """Of values with these units: orders of magnitude beyond any arm's, and no result of a fit that went well."""
+_NO_WARNINGS: Mapping[str, str] = MappingProxyType({})
 _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
 
 
@@ -45,6 +47,7 @@ def elements_text(
     fallback_name: str | None,
     now: datetime | None = None,
     result: FrictionIdentification | None = None,
+    warnings: Mapping[str, str] = _NO_WARNINGS,
 ) -> str:
     """Return the text of a file with these elements.
 
@@ -54,6 +57,7 @@ def elements_text(
         fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
         now: date of the identification; by default the present.
         result: from sweeps, whose use of the bags, goodness of fit and kinds of bristles go into the file.
+        warnings: why an element's values are not to be trusted, by its name.
 
     Raises:
         IdentificationError: for a value that no arm has, or that is no number.
@@ -64,10 +68,11 @@ def elements_text(
     rounded = {name: _rounded(name, one) for name, one in named.items()}
     used = [bags for one in elements for bags in one.sources.values()] + [kind.sources for kind in kinds]
     labels = {bag: f"bag_{k}" for k, bag in enumerate(dict.fromkeys(bag for bags in used for bag in bags), 1)}
-    notes = {kind.element: f"bristles: {kind.text}" for kind in kinds}
+    notes = dict(warnings) | {kind.element: f"bristles: {kind.text}" for kind in kinds}
     for name, one in named.items():
         if one.given_bristles:
-            before = f"{notes[name]}; " if name in notes else "bristles: "
+            before = f"{notes[name]}; " if name in notes else ""
+            before += "" if before.startswith("bristles: ") else "bristles: "
             notes[name] = f"{before}as its c0 those of {fallback_name}, assumed"
     bags = {label: {"path": str(b.path), "sha256": b.sha256, "recorded": b.recorded} for b, label in labels.items()}
     identification: dict[str, Any] = {"date": date, "bags": bags}

@@ -33,7 +33,7 @@ from rx90_emulator.identification.estimates import LARGEST, ParameterEstimate
 from rx90_emulator.identification.excitation.choice import CrossValidation
 from rx90_emulator.identification.excitation.physical import central
 from rx90_emulator.identification.excitation.result import (
-    ASSUMED_BRISTLES,
+    ASSUMED,
     ExcitationIdentification,
     RunTorques,
     misfits,
@@ -231,10 +231,12 @@ def robot_texts(
     remark = f" The inertials of {listed(bodies, 100)} are {origin}; other comments on masses are older. "
     remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. " if rotors else ""
     elements = arm.element_names if base is None else element_names(names)
+    old = result.problem.arm.element_names
+    notes = {new: result.notes[name] for name, new in zip(old, elements, strict=True) if name in result.notes}
     texts = {
         FILES["urdf"]: with_inertials(urdf.read_text(encoding="utf-8"), bodies, remark),
         FILES["friction"]: elements_text(
-            elements, result.elements, result.robot.fallback_name or ASSUMED_BRISTLES, now
+            elements, result.elements, result.robot.fallback_name or ASSUMED, now, warnings=notes
         ),
     }
     if base is None:
@@ -388,7 +390,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         "not_determined": list(result.undetermined),
         "misfits": misfits(result.speeds),
         "drifts": [one.text for one in result.trends],
-        "remarks": [*friction.remarks, *gain_warnings(result)],
+        "remarks": [*friction.remarks, *result.warnings, *gain_warnings(result)],
         "correlation": {
             "names": list(friction.names),
             "matrix": [[None if math.isnan(share) else round(share, 3) for share in row] for row in correlation],

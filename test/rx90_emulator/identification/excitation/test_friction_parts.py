@@ -415,7 +415,7 @@ def test_a_rise_that_may_be_there_widens_the_deviations(
     fit = fit_shapes(weighted, [exponent, ElementShape()])
     tried = selected(weighted, fit, (0, Part.STRIBECK))
     parts, coulomb = (Part.EXPONENT, Part.STRIBECK), len(weighted.problem.names)
-    (_, final, rises, _), (_, without, *_) = final_fit(tried, parts), final_fit(selected(weighted, fit), parts)
+    (_, final, rises, *_), (_, without, *_) = final_fit(tried, parts), final_fit(selected(weighted, fit), parts)
     assert set(rises) == open_ones
     factor = final.deviation[coulomb] / without.deviation[coulomb]
     assert (factor > 1.1) if open_ones else (factor == 1.0)
