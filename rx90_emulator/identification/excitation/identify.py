@@ -30,6 +30,7 @@ from rx90_emulator.identification.excitation.known_payload import (
     identify_gains,
     identify_load_parts,
 )
+from rx90_emulator.identification.excitation.law import Part
 from rx90_emulator.identification.excitation.payload import Payload, payloads_of
 from rx90_emulator.identification.excitation.physical import make_consistent
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, described_inertials
@@ -42,7 +43,7 @@ from rx90_emulator.identification.excitation.result import (
     trends,
 )
 from rx90_emulator.identification.identify import check_given_once, read_records
-from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions
+from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions, model_parts
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import RecordedRobot, topic_names
 
@@ -59,6 +60,7 @@ def identify_excitation(
     tolerances: ExcitationTolerances = _DEFAULT_TOLERANCES,
     *,
     bristles: bool = False,
+    model: Sequence[str] | None = None,
     payloads: Mapping[str, Payload] = _NO_PAYLOADS,
     load_part: bool = False,
     prior: float | None = None,
@@ -75,6 +77,8 @@ def identify_excitation(
         tolerances: what counts as agreement with them.
         bristles: whether bristles along the motion are tried also where neither a Stribeck rise nor the rows of
             reversals ask for them; a trial takes some times as long as all other parts.
+        model: parts that all elements have, without a choice: "coulomb-viscous", which all have, and the names in
+            `options.MODEL_PARTS`; by default what predicts better is chosen. Only a part that ends at a bound goes.
         payloads: known bodies at the last link, by name or path of the bag; runs that are not named carry none. Runs
             with and without one tell the drive gains.
         load_part: whether they tell load parts of the friction in place of the gains, which then count as right.
@@ -95,6 +99,7 @@ def identify_excitation(
     if not by_use["excitation"]:
         raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
     check_given_once(by_use)
+    parts, fixed = _asked(bristles, model)
     carried = payloads_of(everything, payloads)
     if robot.torque_delay:
         raise IdentificationError(
@@ -113,20 +118,19 @@ def identify_excitation(
     check_signs(problem, source.options)
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
-    parts = ALL_PARTS if bristles else WITHOUT_BRISTLES
     gains: DriveGains | None = None
     loads: LoadParts | None = None
     if load_part:
         progress("load parts")
-        loads = identify_load_parts(problem, parts, progress)
+        loads = identify_load_parts(problem, parts, progress, fixed=fixed)
     elif np.any(problem.payload):
         progress("drive gains")
-        gains = identify_gains(problem, parts, progress)
+        gains = identify_gains(problem, parts, progress, fixed=fixed)
     changes = [one.applied for one in (gains, loads) if one is not None]
     for change in changes:
         problem = change(problem)
     progress("friction")
-    friction = identify_friction_parts(problem, parts, known, progress)
+    friction = identify_friction_parts(problem, parts, known, progress, fixed=fixed)
     progress("instrumental variables")
     closed_loop, friction = check_closed_loop(problem, friction, known)
     said = [closed_loop.remark, *([] if loads is None else [loads.remark(problem.arm.element_names)])]
@@ -163,10 +167,26 @@ def identify_excitation(
     )
 
 
-def count_steps(bags: int, validation: int, *, bristles: bool = False, payloads: bool = False) -> int:
+def count_steps(
+    bags: int,
+    validation: int,
+    *,
+    bristles: bool = False,
+    model: Sequence[str] | None = None,
+    payloads: bool = False,
+) -> int:
     """Return how often `identify_excitation` calls `progress` for so many bags and validation runs."""
     choices = 1 + payloads  # of the friction's parts: known payloads take one for the drive gains or load parts
-    return bags + 2 * validation + 3 + choices * (1 + stages(ALL_PARTS if bristles else WITHOUT_BRISTLES))
+    return bags + 2 * validation + 3 + choices * (1 + stages(*_asked(bristles, model)))
+
+
+def _asked(bristles: bool, model: Sequence[str] | None) -> tuple[tuple[Part, ...], bool]:
+    """Return the parts of the friction to try or to give to all elements, and whether it is the latter."""
+    if model is not None:
+        if bristles:
+            raise IdentificationError("--bristles with --model; accepted: --model with bristle among its parts")
+        return tuple(Part.named(name) for name in model_parts(model)), True
+    return ALL_PARTS if bristles else WITHOUT_BRISTLES, False
 
 
 def _filtered(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths) -> tuple[FilteredRun, ...]:

@@ -15,7 +15,13 @@ from rx90_common.base.quoting import plain
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_emulator.identification.estimates import LARGEST, PARAMETERS, IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.estimates import (
+    LARGEST,
+    NOT_IN_MODEL,
+    PARAMETERS,
+    IdentifiedElement,
+    ParameterEstimate,
+)
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.records import BagSource
 
@@ -139,6 +145,7 @@ def _provenance(
         if not estimate.identifiable:
             # A part that is not known is left out, whatever the fallback has. But bristles go with c0.
             there = "." not in name or (one.given_bristles and name.startswith("bristles."))
+            there &= estimate.reason != NOT_IN_MODEL
             content |= {
                 "identifiable": False,
                 "reason": estimate.reason,
