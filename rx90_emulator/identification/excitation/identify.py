@@ -45,7 +45,7 @@ from rx90_emulator.identification.excitation.result import (
 from rx90_emulator.identification.identify import check_given_once, read_records
 from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions, model_parts
 from rx90_emulator.identification.records import JointRecord
-from rx90_emulator.identification.robot import RecordedRobot, topic_names
+from rx90_emulator.identification.robot import BagLayout, RecordedRobot, topic_names
 
 _REFERENCE = "rx90_controller/reference"
 _NO_PAYLOADS: Mapping[str, Payload] = MappingProxyType({})
@@ -115,7 +115,7 @@ def identify_excitation(
         return ExcitationProblem.of(source.arm, runs, [carried[run.source.path] for run in runs])
 
     problem = equations(records["excitation"])
-    check_signs(problem, source.options)
+    check_signs(problem, replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source)))
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
     gains: DriveGains | None = None
@@ -196,6 +196,15 @@ def _filtered(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths)
         return filter_record(record, bandwidths)
     # A torque of this project's plant is that of the tick that ends at its stamp; a real arm's is not.
     return filter_record(record, bandwidths, _setpoints(record), 0.5 * robot.plant_period)
+
+
+def _gears(layout: BagLayout, robot: RecordedRobot) -> list[float] | None:
+    """Return the gear of each motor, given or this project's robot's; None where messages hold the joints' states."""
+    if layout.turns is None:
+        return None
+    largest = np.argmax(np.abs(robot.arm.coupling), axis=1)[:, None]
+    gears = (np.take_along_axis(values, largest, 1)[:, 0] for values in (layout.turns, robot.arm.coupling))
+    return (next(gears) / next(gears)).tolist()  # type: ignore[no-any-return]
 
 
 def _setpoints(record: JointRecord) -> Array | None:
