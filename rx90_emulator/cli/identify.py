@@ -13,7 +13,14 @@ from typing import Any
 from rx90_common.base.errors import DONE, VERDICT_NO, IdentificationError
 from rx90_common.base.quoting import one_line
 from rx90_emulator.cli.options import POSITIVE, add_arm_arguments, place
-from rx90_emulator.identification.options import EMULATED, RECORDED, ExcitationTolerances, RobotOptions
+from rx90_emulator.identification.options import (
+    COULOMB_VISCOUS,
+    EMULATED,
+    MODEL_PARTS,
+    RECORDED,
+    ExcitationTolerances,
+    RobotOptions,
+)
 
 _USAGE = """\
 rx90_identify FOLDER --output FILE [options]          (FOLDER of excitation runs: --output FOLDER)
@@ -50,6 +57,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         bags.add_argument(f"--{name}", type=Path, nargs="+", default=[], metavar="BAG", help=what)
     bags.add_argument("--bristles", action="store_true", help="with --excitation: try bristles along the motion, too, "
                       "where neither a Stribeck rise nor the rows of reversals ask for them")  # fmt: skip
+    bags.add_argument("--model", nargs="+", choices=(COULOMB_VISCOUS, *MODEL_PARTS), metavar="PART",
+                      help="give these parts to the friction of all elements, without a choice: "
+                      f"{', '.join((COULOMB_VISCOUS, *MODEL_PARTS))}; Coulomb and viscous friction are always there, "
+                      "and a part that ends at a bound of its range goes; bristles are of excitation runs alone (what "
+                      "predicts better is chosen)")  # fmt: skip
     bags.add_argument("--bristle-kinds", action="store_true", help="with micro-oscillations: choose LuGre, "
                       "elasto-plastic or Maxwell-slip bristles for each joint by what predicts them best, or say that "
                       "they cannot tell; takes some seconds for each joint (docs/explanation/bristles.md)")  # fmt: skip
@@ -99,7 +111,7 @@ _UNUSED = (
      "--torque-tolerance and --total-torque-tolerance"),
     ("check sweeps", "bristles", _WITHOUT, "with --excitation BAG ..., or --bristle-kinds for micro-oscillations"),
     ("check sweeps", "load_part payload prior bandwidth no_rotors", _WITHOUT, "with --excitation BAG ..."),
-    ("check", "folder sliding presliding output bristle_kinds", "with --friction",
+    ("check", "folder sliding presliding output bristle_kinds model", "with --friction",
      "--validation BAG ... alone, for nothing is identified or written"),
 )  # fmt: skip
 """What a command line is for, options that do not count for it, what it is with, and what is accepted instead."""
@@ -134,7 +146,7 @@ def main(options: argparse.Namespace) -> int:
     elif what == "sweeps":
         confirmed = job.run_identification(
             _bags(options), robot, tolerances, options.output, options.report,
-            bristle_kinds=options.bristle_kinds, force=options.force,
+            bristle_kinds=options.bristle_kinds, model=options.model, force=options.force,
         )  # fmt: skip
     else:
         if options.load_part and options.payload is None:
@@ -142,7 +154,7 @@ def main(options: argparse.Namespace) -> int:
         wider = ExcitationTolerances(tolerances.get("total", RECORDED.total), tolerances.get("torque", RECORDED.torque))
         confirmed = job.run_excitation(
             options.excitation, robot, options.validation, wider, options.output,
-            bristles=options.bristles, payload=options.payload, load_part=options.load_part,
+            bristles=options.bristles, model=options.model, payload=options.payload, load_part=options.load_part,
             prior=options.prior, rotors=not options.no_rotors, bandwidth=options.bandwidth, force=options.force,
         )  # fmt: skip
     if confirmed:

@@ -22,6 +22,7 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
+    NOT_IN_MODEL,
     PARAMETERS,
     PRESLIDING,
     SLIDING,
@@ -32,7 +33,13 @@ from rx90_emulator.identification.estimates import (
 )
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.experiments.folder import IdentificationBags, read_emulated, read_index
-from rx90_emulator.identification.options import NO_TOLERANCES, GivenTolerances, RobotOptions
+from rx90_emulator.identification.options import (
+    NO_TOLERANCES,
+    SLIDING_PARTS,
+    GivenTolerances,
+    RobotOptions,
+    model_parts,
+)
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
 from rx90_emulator.identification.presliding.kinds import ElementKind, choose_kinds
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
@@ -136,6 +143,7 @@ def identify_friction(
     progress: Callable[[str], None] = lambda _: None,
     *,
     bristle_kinds: bool = False,
+    model: Sequence[str] | None = None,
 ) -> FrictionIdentification:
     """Identify the friction of a robot from recorded bags (section 4 of Aarts, Jonker and Waiboer).
 
@@ -148,6 +156,8 @@ def identify_friction(
             joint, each validation.
         bristle_kinds: whether the kind of each joint's bristles is chosen by cross-validation over its
             micro-oscillations, seconds for each joint; without, they are LuGre's.
+        model: parts that all elements have in sliding, without a choice: "coulomb-viscous", which all have, and the
+            names in `options.SLIDING_PARTS`; by default what the sweeps show is kept.
 
     Returns:
         Estimates with standard deviations, both fits, and a validation for each validation bag.
@@ -163,6 +173,8 @@ def identify_friction(
         raise IdentificationError("no bag with sweeps at constant velocity; accepted: a folder, or --sliding BAG ...")
     if bristle_kinds and not chosen.presliding:
         raise IdentificationError("--bristle-kinds without micro-oscillations; accepted: with --presliding BAG ...")
+    if model is not None:
+        model_parts(model, SLIDING_PARTS)  # refused before any bag is read
     check_given_once(by_use)
     source = RecordedRobot.load(robot, [path for paths in by_use.values() for path in paths])
     truth = read_emulated([*chosen.sliding, *chosen.presliding])
@@ -172,7 +184,9 @@ def identify_friction(
             "--fallback FILE"
         )
     records = read_records(by_use, source, progress)
-    result = identify_records(records["sliding"], records["presliding"], source, progress, bristle_kinds=bristle_kinds)
+    result = identify_records(
+        records["sliding"], records["presliding"], source, progress, bristle_kinds=bristle_kinds, model=model
+    )
     checks = _validations(records["validation"], progress, source, result.lugre, tolerances, sliding=result.sliding)
     used = tuple((use, record.bag) for use, some in records.items() for record in some)
     return replace(result, bags=used, validations=checks, truth=truth)
@@ -345,6 +359,7 @@ def identify_records(
     progress: Callable[[str], None] = lambda _: None,
     *,
     bristle_kinds: bool = False,
+    model: Sequence[str] | None = None,
 ) -> FrictionIdentification:
     """Identify the friction of all elements of an arm from records.
 
@@ -354,6 +369,7 @@ def identify_records(
         robot: rigid-body model, fallback values and the torques' delay.
         progress: called with the name of each step before it.
         bristle_kinds: whether the kind of each element's bristles is found, too; without, they are LuGre's.
+        model: as in `identify_friction`.
 
     Returns:
         The result, without bags and validations.
@@ -364,7 +380,7 @@ def identify_records(
     arm = robot.arm
     fallback = robot.fallback or (None,) * len(arm.element_names)
     progress("sliding regime")
-    slides = identify_sliding(sliding, arm, zero=robot.zero)
+    slides = identify_sliding(sliding, arm, zero=robot.zero, model=model)
     progress("presliding regime")
     if presliding:
         # The sliding regime of an element does not depend on its c0 and c1.
@@ -393,6 +409,9 @@ def identify_records(
     return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name, kinds=kinds)
 
 
+_WITHOUT_RISE = {"omega_s": 0.1, "delta": 1.0}  # of no effect while tau_s = tau_c
+
+
 def _element(
     sliding: ElementEstimate, presliding: Mapping[str, ParameterEstimate], fallback: FrictionElement | None
 ) -> FrictionElement:
@@ -401,6 +420,9 @@ def _element(
     values: dict[str, Any] = {} if fallback is None else {"omega_d": fallback.omega_d}
     for name in PARAMETERS:
         estimate = estimates[name]
+        if estimate.reason == NOT_IN_MODEL:
+            values[name] = _WITHOUT_RISE.get(name, 0.0)
+            continue
         if not estimate.identifiable and fallback is None:
             raise IdentificationError(
                 f"{sliding.element}: {name} is not identifiable from these bags ({estimate.reason}); accepted: bags "

@@ -117,6 +117,7 @@ def run_identification(
     report: Path | None = None,
     *,
     bristle_kinds: bool = False,
+    model: Sequence[str] | None = None,
     force: bool = False,
 ) -> bool:
     """Identify with a progress bar, write the files, print a summary, and return whether no validation bag disagrees.
@@ -132,7 +133,7 @@ def run_identification(
     if bristle_kinds:
         total += kind_steps(RecordedRobot.load(robot, chosen.sliding).arm)
     with steps(total) as step:
-        result = identify_friction(chosen, robot, tolerances, step, bristle_kinds=bristle_kinds)
+        result = identify_friction(chosen, robot, tolerances, step, bristle_kinds=bristle_kinds, model=model)
     files = write_identification(result, output, report, force=force)
     print(f"{identification_summary(result)}\nfriction file: {files[0]}\nreport: {files[1]}")
     return result.confirmed
@@ -216,6 +217,7 @@ def run_excitation(
     payload: Path | None = None,
     force: bool = False,
     bristles: bool = False,
+    model: Sequence[str] | None = None,
     **how: Any,
 ) -> bool:
     """Identify with a progress bar, write the folder, print a summary, and return whether no validation run disagrees.
@@ -226,8 +228,8 @@ def run_excitation(
         Rx90Error: for what cannot be done; nothing has been written then.
     """
     _check_folder(output, force=force)
-    how |= {"bristles": bristles, "payloads": {} if payload is None else read_payloads(payload)}
-    total = count_steps(len(bags), len(validation), bristles=bristles, payloads=bool(how["payloads"]))
+    how |= {"bristles": bristles, "model": model, "payloads": {} if payload is None else read_payloads(payload)}
+    total = count_steps(len(bags), len(validation), bristles=bristles, model=model, payloads=bool(how["payloads"]))
     with steps(total) as step:
         result = identify_excitation(bags, robot, validation, tolerances, progress=step, **how)
     folder = write_excitation(result, output, force=force)

@@ -10,6 +10,27 @@ from types import MappingProxyType
 from typing import TypeAlias
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
+
+COULOMB_VISCOUS = "coulomb-viscous"
+SLIDING_PARTS = ("viscous-exponent", "stribeck-rise")
+MODEL_PARTS = (*SLIDING_PARTS, "bristle", "bristle-damping")
+"""What the friction of a model may have beside Coulomb and viscous friction, by the names that tables give it."""
+
+
+def model_parts(model: Sequence[str], accepted: Sequence[str] = MODEL_PARTS) -> tuple[str, ...]:
+    """Return the parts that a model names beside Coulomb and viscous friction, which it always has.
+
+    Raises:
+        ConfigError: for other names than the `accepted` ones, and for damping of no bristle.
+    """
+    unknown = [name for name in model if name not in (COULOMB_VISCOUS, *accepted)]
+    if unknown or not model:
+        found = quoted(unknown[0]) if unknown else "no part"
+        raise ConfigError(f"--model: {found}; accepted: {', '.join((COULOMB_VISCOUS, *accepted))}")
+    if "bristle-damping" in model and "bristle" not in model:
+        raise ConfigError("--model: bristle-damping without bristle; accepted: both, or neither")
+    return tuple(name for name in accepted if name in model)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import listed
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
 from rx90_emulator.identification.excitation.checks import check_signs, check_zeros
 from rx90_emulator.identification.excitation.choice import stages
@@ -29,6 +28,7 @@ from rx90_emulator.identification.excitation.known_payload import (
     identify_gains,
     identify_load_parts,
 )
+from rx90_emulator.identification.excitation.law import Part
 from rx90_emulator.identification.excitation.payload import Payload, payloads_of
 from rx90_emulator.identification.excitation.physical import Consistency, make_consistent
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, described_inertials
@@ -43,9 +43,9 @@ from rx90_emulator.identification.excitation.result import (
     written_arm,
 )
 from rx90_emulator.identification.identify import check_given_once, read_records
-from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions
+from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions, model_parts
 from rx90_emulator.identification.records import JointRecord
-from rx90_emulator.identification.robot import RecordedRobot
+from rx90_emulator.identification.robot import BagLayout, RecordedRobot
 from rx90_emulator.identification.validation.prediction import filtered_runs, validation_bandwidths, written_torque
 
 _NO_PAYLOADS: Mapping[str, Payload] = MappingProxyType({})
@@ -60,6 +60,7 @@ def identify_excitation(
     tolerances: ExcitationTolerances = _DEFAULT_TOLERANCES,
     *,
     bristles: bool = False,
+    model: Sequence[str] | None = None,
     payloads: Mapping[str, Payload] = _NO_PAYLOADS,
     load_part: bool = False,
     rotors: bool = True,
@@ -78,6 +79,8 @@ def identify_excitation(
         tolerances: what counts as agreement with them.
         bristles: whether bristles along the motion are tried also where neither a Stribeck rise nor the rows of
             reversals ask for them; a trial takes some times as long as all other parts.
+        model: parts that all elements have, without a choice: "coulomb-viscous", which all have, and the names in
+            `options.MODEL_PARTS`; by default what predicts better is chosen. Only a part that ends at a bound goes.
         payloads: known bodies at the last link, by name or path of the bag; runs that are not named carry none. Runs
             with and without one tell the drive gains.
         load_part: whether they tell load parts of the friction in place of the gains, which then count as right.
@@ -101,6 +104,7 @@ def identify_excitation(
     if not by_use["excitation"]:
         raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
     check_given_once(by_use)
+    parts, fixed = _asked(bristles, model)
     carried = payloads_of(everything, payloads)
     if robot.torque_delay:
         raise IdentificationError(
@@ -118,24 +122,22 @@ def identify_excitation(
 
     bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
     notes = (*notes, *recording_notes(records["excitation"], bandwidths), *short_note(problem))
-    _check_motion(problem, source)
-    check_signs(problem)
+    check_signs(problem, replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source)))
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
-    parts = ALL_PARTS if bristles else WITHOUT_BRISTLES
     gains: DriveGains | None = None
     loads: LoadParts | None = None
     if load_part:
         progress("load parts")
-        loads = identify_load_parts(problem, parts, progress)
+        loads = identify_load_parts(problem, parts, progress, fixed=fixed)
     elif np.any(problem.payload):
         progress("drive gains")
-        gains = identify_gains(problem, parts, progress)
+        gains = identify_gains(problem, parts, progress, fixed=fixed)
     changes = [one.applied for one in (gains, loads) if one is not None]
     for change in changes:
         problem = change(problem)
     progress("friction")
-    friction = identify_friction_parts(problem, parts, known, progress)
+    friction = identify_friction_parts(problem, parts, known, progress, fixed=fixed)
     progress("instrumental variables")
     closed_loop, friction = check_closed_loop(problem, friction, known)
     said = [closed_loop.remark, *([] if loads is None else [loads.remark(problem.arm.element_names)])]
@@ -182,10 +184,26 @@ def _shocks_left_out(
     return {use: [record for record, _ in pairs] for use, pairs in found.items()}, texts
 
 
-def count_steps(bags: int, validation: int, *, bristles: bool = False, payloads: bool = False) -> int:
+def count_steps(
+    bags: int,
+    validation: int,
+    *,
+    bristles: bool = False,
+    model: Sequence[str] | None = None,
+    payloads: bool = False,
+) -> int:
     """Return how often `identify_excitation` calls `progress` for so many bags and validation runs."""
     choices = 1 + payloads  # of the friction's parts: known payloads take one for the drive gains or load parts
-    return bags + 2 * validation + 3 + choices * (1 + stages(ALL_PARTS if bristles else WITHOUT_BRISTLES))
+    return bags + 2 * validation + 3 + choices * (1 + stages(*_asked(bristles, model)))
+
+
+def _asked(bristles: bool, model: Sequence[str] | None) -> tuple[tuple[Part, ...], bool]:
+    """Return the parts of the friction to try or to give to all elements, and whether it is the latter."""
+    if model is not None:
+        if bristles:
+            raise IdentificationError("--bristles with --model; accepted: --model with bristle among its parts")
+        return tuple(Part.named(name) for name in model_parts(model)), True
+    return ALL_PARTS if bristles else WITHOUT_BRISTLES, False
 
 
 def _check_rotors(robot: RobotOptions, *, rotors: bool) -> None:
@@ -208,13 +226,10 @@ def _unseen(
     return TorqueValidation(identified, consistent, limits, written)
 
 
-def _check_motion(problem: ExcitationProblem, robot: RecordedRobot) -> None:
-    """Refuse runs that leave an element at rest, unless there is other friction for it."""
-    moving = np.isin(np.arange(len(problem.arm.names)), problem.joint)
-    elements = zip(problem.arm.element_names, problem.arm.element_matrix, strict=True)
-    still = [name for name, row in elements if not row[moving].any()]
-    if still and robot.fallback is None:
-        raise IdentificationError(
-            f"{listed(still)} at rest in all runs; accepted: runs in which all joints move, or --fallback with a "
-            "friction file for the others"
-        )
+def _gears(layout: BagLayout, robot: RecordedRobot) -> list[float] | None:
+    """Return the gear of each motor, given or this project's robot's; None where messages hold the joints' states."""
+    if layout.turns is None:
+        return None
+    largest = np.argmax(np.abs(robot.arm.coupling), axis=1)[:, None]
+    gears = (np.take_along_axis(values, largest, 1)[:, 0] for values in (layout.turns, robot.arm.coupling))
+    return (next(gears) / next(gears)).tolist()  # type: ignore[no-any-return]

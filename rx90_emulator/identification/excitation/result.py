@@ -126,6 +126,24 @@ class ExcitationIdentification:
         """Return the names of base parameters that these runs do not determine."""
         return tuple(one.name for one in self.base if not one.estimate.identifiable)
 
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """Return which values are not to be trusted, and why, a sentence each."""
+        return (*self._assumed.values(), *unexplained(self.torques).values(), *self.friction.warnings)
+
+    @property
+    def element_notes(self) -> dict[str, str]:
+        """Return the same of the friction of single elements, by their names."""
+        arm, poor = self.problem.arm, unexplained(self.torques)
+        last = [arm.names[np.flatnonzero(row)[-1]] for row in arm.element_matrix]
+        found = {name: poor[joint] for name, joint in zip(arm.element_names, last, strict=True) if joint in poor}
+        return found | {name: "; ".join(filter(None, (text, found.get(name)))) for name, text in self._assumed.items()}
+
+    @cached_property
+    def _assumed(self) -> dict[str, str]:
+        named = zip(self.problem.arm.element_names, self.elements, strict=True)
+        return assumed_friction(dict(named), self.robot.fallback_name)
+
     @property
     def confirmed(self) -> bool:
         """Return whether every validation agrees; True without any."""
@@ -295,6 +313,31 @@ def written_arm(problem: ExcitationProblem, consistency: Consistency) -> tuple[R
     return replace(arm, model=model, rotor=rotor, spring=spring), values[-n:]
 
 
+_UNEXPLAINED_SHARE = 0.7  # of what varies in a torque: beyond, less than half of its square is explained
+
+
+def unexplained(runs: Sequence[RunTorques]) -> dict[str, str]:
+    """Return, in words by joint, whose torques a model hardly explains: their values are not to be trusted.
+
+    A constant torque is explained by an offset and tells nothing: what counts is what varies.
+    """
+    found = {}
+    for number, name in enumerate(runs[0].names):
+        own = [run.joints[number] for run in runs if len(run.joints[number].recorded)]
+        if own:
+            left, varying = (
+                math.sqrt(sum(float(np.sum((values - values.mean()) ** 2)) for values in series))
+                for series in ([one.residual for one in own], [one.recorded for one in own])
+            )
+            if left > _UNEXPLAINED_SHARE * varying:
+                share = left / varying if varying else 1.0
+                found[name] = (
+                    f"{share:.0%} of what varies in the torque of {name} is not explained: its friction and its "
+                    "offset, and the inertias that it alone tells, are not to be trusted"
+                )
+    return found
+
+
 def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorques, ...]:
     """Return the torques of each bag of a problem, of its identified joints; pieces of a bag are put together.
 
@@ -455,8 +498,8 @@ def misfits(speeds: Sequence[SpeedResiduals]) -> list[str]:
 
 
 _PRESLIDING_DISTANCE = 2.5e-4  # rad, at break-away where no c0 is known: that of the shipped RX90B's large joints
-ASSUMED_BRISTLES = "no file: bristles that break away after 0.25 mrad are assumed"
-"""Where c0, c1 and omega_d come from without a fallback, in words."""
+ASSUMED = "no file: bristles that break away after 0.25 mrad are assumed, and the least Coulomb torque of the others"
+"""Where what is not identified comes from without a fallback, in words."""
 _BRISTLE_RELAXATION = 1e-3  # s, c1 over c0 where no c1 is known, as there
 _DAMPING_FADE_SPEED = 1.0  # rad/s, omega_d beside such a c1: the element is passive then at every speed
 _NEUTRAL = {"omega_s": 0.1, "delta": 1.0, "c2": 0.0}  # of no effect while tau_s = tau_c
@@ -470,7 +513,9 @@ def simulated_elements(
     """Return the elements with values for all parameters.
 
     A part that the model does not have is switched off: tau_s = tau_c, alpha = 1. Bristles, which an arm needs to stand
-    still, come from the fallback, else from the presliding distance of large joints; both are assumptions.
+    still, come from the fallback, else from the presliding distance of large joints; both are assumptions. So is the
+    friction of an element without an identified Coulomb torque: that of the fallback, else the least Coulomb torque of
+    the others.
 
     Args:
         estimates: by the names of FrictionElement.
@@ -478,29 +523,53 @@ def simulated_elements(
         loads: the load parts; None where they were not asked for.
 
     Raises:
-        IdentificationError: for an element without an identified Coulomb torque, if there is no fallback.
+        IdentificationError: naming the elements, if no Coulomb torque is identified and there is no fallback.
     """
+    known = [one.parameters[_COULOMB[0]].value for one in estimates if _slides(one.parameters)]
+    if not known and fallback is None:
+        reasons = "; ".join(f"{one.element}: {one.parameters[_COULOMB[0]].reason}" for one in estimates)
+        raise IdentificationError(
+            f"no friction of any element is identified ({reasons}); accepted: runs that tell some, or --fallback with "
+            "a friction file"
+        )
     found = []
     for number, (one, other) in enumerate(zip(estimates, fallback or (None,) * len(estimates), strict=True)):
-        element, known = _element(one.element, one.parameters, other), dict(one.parameters)
+        values = dict(one.parameters)
+        if not any(estimate.identifiable for estimate in values.values()) and other is not None:
+            element = other
+        else:
+            element = _element(values, other, min(known, default=0.0))
         if loads is not None:
-            element, known = replace(element, load=loads.part(number)), known | loads.estimates(number)
-        found.append(IdentifiedElement.of(element, known, dict.fromkeys(known, one.sources), other))
+            element, values = replace(element, load=loads.part(number)), values | loads.estimates(number)
+        found.append(IdentifiedElement.of(element, values, dict.fromkeys(values, one.sources), other))
     return tuple(found)
 
 
-def _element(name: str, known: Mapping[str, ParameterEstimate], other: FrictionElement | None) -> FrictionElement:
+_COULOMB = ("tau_c_positive", "tau_c_negative")
+
+
+def _slides(estimates: Mapping[str, ParameterEstimate]) -> bool:
+    """Return whether an element has an identified Coulomb torque, which is the same in both directions."""
+    return estimates[_COULOMB[0]].identifiable
+
+
+def assumed_friction(elements: Mapping[str, IdentifiedElement], fallback_name: str | None) -> dict[str, str]:
+    """Return, in words by element, whose Coulomb torque is assumed, why, and where it comes from."""
+    whose = "the least of the others" if fallback_name is None else f"that of {fallback_name}"
+    missing = {name: one.estimates[_COULOMB[0]] for name, one in elements.items() if not _slides(one.estimates)}
+    return {
+        name: f"the friction of {name} is not identified ({estimate.reason}); assumed is a Coulomb torque of "
+        f"{elements[name].element.tau_c_positive:.3g} Nm, {whose}"
+        for name, estimate in missing.items()
+    }
+
+
+def _element(known: Mapping[str, ParameterEstimate], other: FrictionElement | None, least: float) -> FrictionElement:
+    """Return an element; `other` or the `least` Coulomb torque stand in for what is not known."""
     found: dict[str, Any] = {parameter: one.value for parameter, one in known.items() if one.identifiable}
     for sign in ("positive", "negative"):
         coulomb = f"tau_c_{sign}"
-        if found.get(coulomb, 0.0) <= 0.0:
-            if other is None:
-                reason = known[coulomb].reason if coulomb in known and not known[coulomb].identifiable else "it is 0"
-                raise IdentificationError(
-                    f"{name}: {coulomb} is not identifiable from these runs ({reason}); accepted: runs in which it is, "
-                    "or --fallback with a friction file for such values"
-                )
-            found[coulomb] = float(getattr(other, coulomb))
+        found.setdefault(coulomb, least if other is None else float(getattr(other, coulomb)))
         found[f"tau_s_{sign}"] = max(found.get(f"tau_s_{sign}", 0.0), found[coulomb])
     found = _NEUTRAL | found
     mean = 0.5 * (found["tau_c_positive"] + found["tau_c_negative"])

@@ -33,7 +33,7 @@ from rx90_emulator.identification.estimates import LARGEST, ParameterEstimate
 from rx90_emulator.identification.excitation.choice import CrossValidation
 from rx90_emulator.identification.excitation.physical import central
 from rx90_emulator.identification.excitation.result import (
-    ASSUMED_BRISTLES,
+    ASSUMED,
     ExcitationIdentification,
     RunTorques,
     misfits,
@@ -233,16 +233,21 @@ def robot_texts(
     remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. " if inertias.rotors.any() else ""
     remark += "".join(f"{text}. " for text in in_currents(result))
     elements = arm.element_names if base is None else element_names(names)
+    old = result.problem.arm.element_names
+    notes = {
+        new: result.element_notes[name] for name, new in zip(old, elements, strict=True) if name in result.element_notes
+    }
     texts = {
         FILES["urdf"]: with_inertials(urdf.read_text(encoding="utf-8"), bodies, remark),
         FILES["friction"]: elements_text(
             elements,
             result.elements,
-            result.robot.fallback_name or ASSUMED_BRISTLES,
+            result.robot.fallback_name or ASSUMED,
             now,
             joints=_joints(result, drives=base is not None),
             bandwidths=result.problem.runs[0].bandwidths,
             unit=result.unit,
+            warnings=notes,
         ),
     }
     if base is None:
@@ -421,6 +426,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             *in_currents(result),
             *result.notes,
             *friction.remarks,
+            *result.warnings,
             *gain_warnings(result),
             *bodies_warnings(result),
         ],

@@ -186,7 +186,8 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         factors = (f"{name} {' +- '.join(text) or '1 (the payload does not tell it)'}" for name, text in gains.items())
         text = f"drive gains, true over recorded torque: {', '.join(factors)}"
         lines.append(f"{text}; all values are for torques multiplied by them")
-    lines += [f"warning: {warning}" for warning in (*gain_warnings(result), *bodies_warnings(result))]
+    warnings = (*result.warnings, *gain_warnings(result), *bodies_warnings(result))
+    lines += [f"warning: {warning}" for warning in warnings]
     lines += [] if result.loads is None else [result.loads.remark(names)]
     lines += [f"misfit: {text}" for text in misfits(result.speeds)]
     lines += [f"drift: {one.text}" for one in result.trends]

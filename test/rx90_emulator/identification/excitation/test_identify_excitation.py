@@ -101,6 +101,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     motion = fourier(6, 20.0)
     write(folder / "single", "/joint_states", NAMES, RATE, [values[:1] for values in (*motion, bench.torque(motion))])
     write(folder / "negative", "/joint_states", NAMES, RATE, (*motion, -bench.torque(motion)))
+    write(folder / "one", "/joint_states", NAMES, RATE, (*motion, bench.torque(motion) * [1.0, -1.0]))
+    dead = bench.torque(motion) * [1.0, 0.0] + NOISE * np.random.default_rng(7).normal(size=motion[0].shape)
+    write(folder / "dead", "/joint_states", NAMES, RATE, (*motion, dead))
     return bench
 
 
@@ -316,10 +319,10 @@ def test_an_interrupt_leaves_nothing(
         (["run", "--torque-delay", "0.01"], "--torque-delay 0.01 with --excitation; accepted: 0"),
         (["nowhere"], "nowhere: no such bag"),
         (["still"], "no joint moves in any run; accepted"),
-        (["half"], "elbow at rest in all runs; accepted: runs in which all joints move, or --fallback"),
         (["short"], "samples without a gap; accepted"),
         (["single"], "single: 1 sample without a gap; accepted"),
-        (["negative"], r"the torque does not oppose the motion \(Coulomb torque -.*\); accepted: efforts of the sign"),
+        (["negative"], r"wrong sign of the effort of \w+ and the effort of \w+: .*--torque-constant -1 -1,"),
+        (["one"], r"wrong sign of the effort of elbow: \d+.\d% .* other sign \d.\d%; .*--torque-constant 1 -1,"),
     ],
 )
 def test_what_cannot_be_identified_is_refused(
@@ -500,3 +503,63 @@ def test_noise_of_a_torque_is_that_of_the_filtered_one(steps: float) -> None:
     run = FilteredRun(source, ("hinge",), time, zero, zero, zero, slow + noise, None, Bandwidths(10.0, 5.0))
     filtered = fftconvolve(noise[:, 0], run.taps, mode="valid")
     assert torque_noise(run)[0] == pytest.approx(np.std(filtered), rel=0.1)
+
+
+OTHER = "{tau_c: 0.7, tau_s: 0.9, omega_s: 0.02, delta: 1.0, c0: 900.0, c1: 2.0, c2: 0.3, omega_d: 0.5}"
+
+
+@pytest.mark.parametrize("fallback", [True, False])
+def test_a_joint_at_rest_is_assumed_and_the_others_are_written(
+    bench: Bench, tmp_path: Path, fallback: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The joint that rests has the fallback's friction, else the others' least Coulomb torque, marked."""
+    words: list[object] = ["--model", "coulomb-viscous"]
+    if fallback:
+        (tmp_path / "other.yaml").write_text(
+            f"provenance: assumed\nelements:\n  shoulder: {OTHER}\n  elbow: {OTHER}\n", encoding="utf-8"
+        )
+        words += ["--fallback", tmp_path / "other.yaml"]
+    assert bench.identify("--excitation", bench.folder / "half", "--output", tmp_path / "out", *words) == 0
+    said = capsys.readouterr().out
+    assert "warning: the friction of elbow is not identified (at rest in all runs); assumed is a Coulomb" in said
+    file = yaml.safe_load((tmp_path / "out" / "friction.yaml").read_text(encoding="utf-8"))
+    mark = file["identification"]["parameters"]["elbow"]["tau_c_positive"]
+    assert (mark["identifiable"], mark["reason"], mark["provenance"]) == (False, "at rest in all runs", "assumed")
+    elements = rx.FrictionFile.read(tmp_path / "out" / "friction.yaml").elements
+    assert elements["shoulder"].tau_c_positive == pytest.approx(CURVES[0].tau_c_positive, rel=0.05)
+    elbow = elements["elbow"]
+    expected = (0.7, 0.9, 0.3, 900.0) if fallback else (elements["shoulder"].tau_c_positive,) * 2 + (0.0, elbow.c0)
+    assert (elbow.tau_c_positive, elbow.tau_s_positive, elbow.c2, elbow.c0) == expected
+
+
+def test_an_effort_that_tells_nothing_carries_a_warning(
+    bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Terminal, friction file, parameters and report say that the torque of a joint is noise; of others they do not."""
+    words = ["--excitation", bench.folder / "dead", "--output", tmp_path / "out", "--model", "coulomb-viscous"]
+    assert bench.identify(*words) == 0
+    warned = r"(\d+)% of what varies in the torque of (\w+) is not explained"
+    texts = {name: (tmp_path / "out" / name).read_text(encoding="utf-8") for name in ("report.html", "parameters.yaml")}
+    for text in (capsys.readouterr().out, *texts.values()):
+        found = re.findall(warned, " ".join(text.split()))
+        assert {joint for _, joint in found} == {"elbow"}
+        assert all(85 <= int(share) <= 100 for share, _ in found)
+    file = yaml.safe_load((tmp_path / "out" / "friction.yaml").read_text(encoding="utf-8"))
+    assert re.search(warned, file["elements"]["elbow"]["note"])
+    assert "note" not in file["elements"]["shoulder"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--model", "bristle-damping"], "bristle-damping without bristle; accepted: both, or neither"),
+        (["--bristles", "--model", "bristle"], "--bristles with --model; accepted: --model with bristle"),
+        (["--model", "stribeck"], "invalid choice: 'stribeck' (choose from 'coulomb-viscous', 'viscous-exponent'"),
+    ],
+)
+def test_models_that_cannot_be_are_refused(
+    bench: Bench, tmp_path: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Damping of no bristle, a choice beside a named model and other names are refused with what is accepted."""
+    assert bench.identify("--excitation", bench.folder / "run", "--output", tmp_path / "new", *words) == REFUSED
+    assert message in capsys.readouterr().err
