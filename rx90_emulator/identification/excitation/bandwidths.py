@@ -16,7 +16,7 @@ more than two standard errors of the paired differences over blocks of time.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,9 +81,8 @@ def choose_bandwidths(
         bandwidths = Bandwidths(given, given / 3.0)
         return bandwidths, equations(records, bandwidths)
     widest, silent = Bandwidths.of(records), next(filter(None, (record.no_velocity for record in records)), "")
-    tried = [(widest, equations(records, widest)), *_narrower(widest, records, equations)]
-    compared = tried[-1][1]
-    candidates = [_Candidate.of(*one, compared) for one in tried]
+    candidates = _candidates(widest, records, equations)
+    compared = candidates[-1].problem
     best, reason = candidates[_best(candidates, compared)], widest.reason
     if len(candidates) > 1:
         figures = ", ".join(f"{100.0 * one.share:.3g} % with {one.bandwidths.position:.3g} Hz" for one in candidates)
@@ -128,22 +127,33 @@ def _recorded_velocity(
     return better, f"{text}{differences:.3g} %: {'the former' if better else 'differences'} are used"
 
 
-def _narrower(
-    widest: Bandwidths, records: Sequence[JointRecord], equations: Equations
-) -> Iterator[tuple[Bandwidths, ExcitationProblem]]:
-    """Yield narrower bandwidths with their equations, the widest first, down to ten times the band of the motion."""
-    least = least_bandwidth(records)
-    count = min(_NARROWER, math.floor(math.log(max(widest.position / least, 1.0), _LEAST_RATIO) + 1e-9))
-    for step in range(1, count + 1):
-        position = widest.position * (least / widest.position) ** (step / count)
+def _candidates(widest: Bandwidths, records: Sequence[JointRecord], equations: Equations) -> list[_Candidate]:
+    """Return what is compared, the widest first, the narrowest last: it has ten times the band of the motion.
+
+    What is between them is tried where the narrowest predicts clearly better than the widest.
+    """
+    ratio = max(widest.position / least_bandwidth(records), 1.0)
+    count = min(_NARROWER, math.floor(math.log(ratio, _LEAST_RATIO) + 1e-9))
+    narrower = [widest.position * ratio ** (-step / count) for step in range(1, count + 1)]
+
+    def at(position: float) -> tuple[Bandwidths, ExcitationProblem] | None:
         bandwidths = Bandwidths(position, min(widest.torque, position / 3.0))
         try:
             problem = equations(records, bandwidths)
         except IdentificationError:  # the runs are too short for filters as long as these
-            return
-        if len(problem) < _ROWS_PER_PARAMETER * (len(problem.names) + 2 * len(problem.arm.element_names)):
-            return
-        yield bandwidths, problem
+            return None
+        rows = _ROWS_PER_PARAMETER * (len(problem.names) + 2 * len(problem.arm.element_names))
+        return (bandwidths, problem) if len(problem) >= rows else None
+
+    first = last = (widest, equations(records, widest))
+    while narrower and first is last:
+        last = at(narrower.pop()) or first
+    if first is last:
+        return [_Candidate.of(*first, first[1])]
+    ends = [_Candidate.of(*one, last[1]) for one in (first, last)]
+    clearly = _best(ends, last[1]) == 1
+    between = [_Candidate.of(*one, last[1]) for one in map(at, narrower if clearly else ()) if one is not None]
+    return [ends[0], *between, ends[1]]
 
 
 def _best(candidates: Sequence[_Candidate], compared: ExcitationProblem, rows: Index | slice = slice(None)) -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from operator import attrgetter
 
 import numpy as np
@@ -119,6 +120,7 @@ def filtered_runs(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwid
     return filter_record(record, bandwidths, _reference(record), 0.5 * robot.plant_period)
 
 
+@lru_cache(8)  # equations are made of the same records for several bandwidths
 def _reference(record: JointRecord) -> Array | None:
     """Return a simulated bag's set-points at the record's times, shape (m, n); None where they do not cover it."""
     series = read_joint_states(record.source, REFERENCE, record.names)
