@@ -260,7 +260,8 @@ def _bandwidths(file: FrictionFile, where: str) -> Bandwidths | None:
         raise IdentificationError(
             f"{where}: identification.bandwidths is {plain(str(found))}; accepted: position and torque above 0 Hz"
         )
-    return Bandwidths(numbers[0], numbers[1], "those of the identified runs")
+    recorded = found.get("recorded_velocity") is True
+    return Bandwidths(numbers[0], numbers[1], "those of the identified runs", recorded)
 
 
 def _validations(

@@ -94,6 +94,7 @@ def elements_text(
         identification["unit"] = unit
     if bandwidths is not None:
         identification["bandwidths"] = {"position": float(bandwidths.position), "torque": float(bandwidths.torque)}
+        identification["bandwidths"] |= {"recorded_velocity": True} if bandwidths.recorded_velocity else {}
     if result is not None:
         usage, fits = result.sliding.usage, zip(names, result.sliding.quality, strict=True)
         identification["sweeps"] = {labels[use.bag]: use.text(names) for use in usage if use.bag in labels}

@@ -110,6 +110,7 @@ def check_summary(checks: Sequence[Validation]) -> str:
         head = ("joint", "RMS, Nm", "of torque", "worst, Nm", "of largest")
         lines += _table(head, (_width(8, check.names), 10, 11, 11, 12), rows)
         lines += [check.zeros.text] if check.zeros is not None and check.zeros.text else []
+        lines += [f"recording: {text}" for text in check.notes]
         lines.append(validation_verdict(check))
     return in_unit("\n".join(lines), checks[0].unit)
 

@@ -26,6 +26,7 @@ from rx90_common.friction.tracing import prescribed_torque
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.recording import without_shocks
 from rx90_emulator.identification.options import (
     EMULATED,
     NO_TOLERANCES,
@@ -63,6 +64,7 @@ class Validation:
         source: the bag.
         zeros: what the torques say of the encoders' zeros, where a given friction is held against the bag.
         unit: of the torques, which are currents where the friction was identified from currents.
+        notes: what of the bag was left out, where a given friction is held against it.
     """
 
     names: tuple[str, ...]
@@ -73,6 +75,7 @@ class Validation:
     source: str
     zeros: ZeroCheck | None = None
     unit: str = "Nm"
+    notes: tuple[str, ...] = ()
 
     rms = property(attrgetter("torque.rms"), doc="RMS torque difference, Nm, shape (n,); NaN for a joint at rest.")
     worst = property(attrgetter("torque.worst"), doc="Largest torque difference, Nm, shape (n,); NaN as in `rms`.")
@@ -145,7 +148,7 @@ def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Ban
     if chosen.position <= highest:
         return chosen
     said = f"{chosen.reason}; no more than {_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"
-    return Bandwidths(highest, min(chosen.torque, highest / 3.0), said)
+    return chosen._replace(position=highest, torque=min(chosen.torque, highest / 3.0), reason=said)
 
 
 def written_torque(
@@ -224,6 +227,9 @@ def validate(
     Raises:
         Rx90Error: if the bag cannot be read or used.
     """
+    notes: tuple[str, ...] = ()
+    if sliding is None:
+        record, notes = without_shocks(record, robot.arm.element_matrix)
     runs = filtered_runs(record, robot, validation_bandwidths(record, bandwidths))
     problem = ExcitationProblem.without_columns(robot.arm, runs)
     predicted = written_torque(problem, robot.arm, elements)
@@ -236,7 +242,7 @@ def validate(
     zeros = check_zeros(record_instants(record, robot.arm), robot.arm, robot.zero) if sliding is None else None
     torque = torque_prediction(problem, predicted)
     names = tuple(name for name in record.names if name not in robot.followed)
-    return Validation(names, torque, tip_time, distance, tolerances, str(record.source), zeros, record.unit)
+    return Validation(names, torque, tip_time, distance, tolerances, str(record.source), zeros, record.unit, notes)
 
 
 def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationProblem) -> Array:
