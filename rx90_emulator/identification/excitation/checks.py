@@ -50,11 +50,18 @@ class WrongSign(NamedTuple):
         motor: its number, from 0 at the base.
         motion: whether its position and velocity are turned round.
         torque: whether its torque is.
+        alike: numbers of other motors that explain it as well, turned round in its place: mirror images do.
     """
 
     motor: int
     motion: bool
     torque: bool
+    alike: tuple[int, ...] = ()
+
+    @property
+    def what(self) -> str:
+        """Return what has the wrong sign."""
+        return "gear" if self.motion and self.torque else "position" if self.motion else "effort"
 
 
 _TURNED_ROUND = ((False, True), (True, True), (True, False))
@@ -77,28 +84,32 @@ def check_signs(problem: ExcitationProblem, options: RobotOptions = _NO_OPTIONS)
     wrong, before, after = search.wrong_signs()
     if not wrong:
         return
-    names, told = problem.arm.names, []
-    gear, constant = (None if given is None else list(given) for given in (options.gear, options.torque_constant))
-    for motor, motion, torque in wrong:
-        what = "gear" if motion and torque else "position" if motion else "effort"
-        told.append(f"{what} of {names[motor]}")
-        if motion:
-            gear = gear or [1.0] * len(names)
-            gear[motor] *= -1.0
-        if motion != torque:
-            constant = constant or [1.0] * len(names)
-            constant[motor] *= -1.0
-    words = [
-        f"--{name} {' '.join(f'{value:g}' for value in values)}"
-        for name, values, given in (
-            ("gear", gear, options.gear),
-            ("torque-constant", constant, options.torque_constant),
-        )
-        if values is not None and values != (None if given is None else list(given))
-    ]
+    names, said, choices = problem.arm.names, [], [wrong]
+    for k, one in enumerate(wrong):
+        said.append(f"{one.what} of {names[one.motor]}")
+        if one.alike:
+            said[-1] = f"{one.what} of one of {', '.join(names[motor] for motor in sorted((one.motor, *one.alike)))}"
+            said[-1] += " (either fits as well, as mirror images do)"
+        choices += [(*wrong[:k], one._replace(motor=motor), *wrong[k + 1 :]) for motor in one.alike]
+    better = " or ".join(filter(None, (_right_signs(one, options, len(names)) for one in choices)))
     raise IdentificationError(
-        f"wrong sign of the {' and the '.join(told)}: {before:.1%} of the torque there are unexplained, with the other "
-        f"sign {after:.1%}; accepted: {' '.join(words)}, there or in the signal map"
+        f"wrong sign of the {' and the '.join(said)}: {before:.1%} of the torque there are unexplained, with the other "
+        f"sign {after:.1%}; accepted: {better}, there or in the signal map"
+    )
+
+
+def _right_signs(wrong: Sequence[WrongSign], options: RobotOptions, count: int) -> str:
+    """Return the options that turn signs of `count` motors round."""
+    gear, constant = (list(given or [1.0] * count) for given in (options.gear, options.torque_constant))
+    for motor, motion, torque, _ in wrong:
+        gear[motor] *= -1.0 if motion else 1.0
+        constant[motor] *= -1.0 if motion != torque else 1.0
+    changed = (
+        ("gear", gear, any(one.motion for one in wrong)),
+        ("torque-constant", constant, any(one.motion != one.torque for one in wrong)),
+    )
+    return " ".join(
+        f"--{name} {' '.join(f'{value:g}' for value in values)}" for name, values, there in changed if there
     )
 
 
@@ -241,14 +252,26 @@ class _Search:
                 break
             # Where nothing tells which way the joint bends, the torque is more often wrong than the position.
             plain = (*wrong, best[-1]._replace(motion=False, torque=True))
-            alike = self._signed(plain)
-            if not self._explains(*self._compared(alike, other), _SIGN_SE, _MIN_TORQUE_GAIN):
-                best, other = plain, alike
+            same = self._signed(plain)
+            if not self._beats(other, same):
+                best, other = plain, same
             wrong, now = best, other
-        own = np.isin(self._problem.joint[self._some], [one.motor for one in wrong])
+        others = [motor for motor in motors if motor not in {one.motor for one in wrong}]
+        for k, one in enumerate(wrong):
+            swapped = [(*wrong[:k], one._replace(motor=motor), *wrong[k + 1 :]) for motor in others]
+            alike = [
+                motor for motor, way in zip(others, swapped, strict=True) if not self._beats(now, self._signed(way))
+            ]
+            wrong = (*wrong[:k], one._replace(alike=tuple(alike)), *wrong[k + 1 :])
+        named = [motor for one in wrong for motor in (one.motor, *one.alike)]
+        own = np.isin(self._problem.joint[self._some], named)
         size = max(float(np.linalg.norm(first.torque[own])), 1e-300)
         before, after = (float(np.linalg.norm(one.residual(now.sigma)[own])) / size for one in (first, now))
         return wrong, before, after
+
+    def _beats(self, other: _Signed, now: _Signed) -> bool:
+        """Return whether a hypothesis explains clearly more than another wrong sign."""
+        return self._explains(*self._compared(now, other), _SIGN_SE, _MIN_TORQUE_GAIN)
 
     def _compared(self, now: _Signed, other: _Signed) -> tuple[Array, Array]:
         """Return the squares that two hypotheses leave in each block, weighted by the noise that the other one finds.
@@ -267,15 +290,15 @@ class _Search:
         """
         problem, rows, coupling = self._problem, self._some, self._problem.arm.coupling
         signs = np.ones((2, len(coupling)))
-        for motor, *turned in wrong:
-            signs[turned, motor] = -1.0
-        motion, torque = (np.linalg.inv(coupling) @ (sign[:, None] * coupling) for sign in signs)
+        for motor, motion, torque, _ in wrong:
+            signs[[motion, torque], motor] = -1.0
+        moves, acts = (np.linalg.inv(coupling) @ (sign[:, None] * coupling) for sign in signs)
         instants, place = np.unique(problem.sample[rows], return_inverse=True)
         joint = problem.joint[rows]
-        moved = [values[instants] @ motion.T for values in (self._position, self._velocity, self._acceleration)]
+        moved = [values[instants] @ moves.T for values in (self._position, self._velocity, self._acceleration)]
         regressor = problem.columns.torque(*moved)[:, :, list(problem.base.leading)][place, joint]
         speed, share = (moved[1] @ problem.arm.element_matrix.T)[place], problem.arm.element_matrix.T[joint]
-        recorded = (self._torque[instants] @ torque)[place, joint] - problem.payload[rows]
+        recorded = (self._torque[instants] @ acts)[place, joint] - problem.payload[rows]
         return _Signed(joint, regressor, np.hstack([share * np.sign(speed), share * speed]), recorded)
 
     @staticmethod

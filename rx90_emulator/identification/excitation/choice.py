@@ -109,7 +109,7 @@ class TimeBlocks:
         correlation = _correlation_time(problem, residual)
         motion = np.unique(problem.motion, return_inverse=True)[1].ravel()
         time = problem.phase * np.array([run.down / run.rate for run in problem.runs])[problem.run]
-        durations = np.array([rows.max() for rows in _grouped(time, motion)])
+        durations = np.array([max(rows.max(), 1e-9) for rows in _grouped(time, motion)])  # of one instant: 0
         whole = float(durations.sum())
         wanted = _CORRELATION_TIMES * correlation
         length = min(max(wanted, whole / _MAX_BLOCKS), whole / _MIN_BLOCKS)

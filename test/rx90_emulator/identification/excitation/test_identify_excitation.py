@@ -199,7 +199,7 @@ def test_a_check_of_the_written_files_gives_the_same_numbers(bench: Bench, outco
     write(bench.folder / "shocked", "/joint_states", NAMES, RATE, (*motion, torque))
     (shocked,) = rx.check_friction(file, [bench.folder / "shocked"], robot)
     np.testing.assert_allclose(shocked.rms_share, checks[0].rms_share, rtol=0.1)
-    assert "1 shock of the torque left out" in rx.check_summary([shocked])
+    assert "1 shock of the torque left out" in shocked.notes[0]
 
 
 def test_the_verdict_names_what_decided(outcome: Outcome) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -65,6 +66,25 @@ def test_a_wrong_sign_is_named_with_what_to_write(
     """A torque, a gear or a position that is turned round is found on its joint, and the right options are said."""
     with pytest.raises(IdentificationError, match=said):
         check_signs(turned_round(recorded, motion, torque), RobotOptions(gear=GEAR, torque_constant=CONSTANT))
+
+
+def test_of_gears_whose_mirror_images_fit_both_are_named(tmp_path: Path) -> None:
+    """Of an arm whose axes are upright and level in turn, a wrong gear of joint 4 is one of those of joints 2 and 4."""
+    quarter, true = 0.5 * np.pi, plain_arm(3, 4, coupled=False)
+    places = (
+        ([0.0, 0.0, 0.0], 0.0),
+        ([0.0, 0.0, 0.3], quarter),
+        ([0.0, 0.0, 0.0], -quarter),
+        ([0.0, -0.3, 0.0], quarter),
+    )
+    links = zip(true.links, places, strict=True)
+    true = replace(
+        true, links=tuple(replace(link, xyz=np.array(xyz), rpy=np.array([r, 0.0, 0.0])) for link, (xyz, r) in links)
+    )
+    recorded = rigid_arm(true, tmp_path), runs_of(true, 100.0, NOISE, Bandwidths(20.0, 8.0), periods=1)
+    with pytest.raises(IdentificationError, match="gear of one of joint_2, joint_4 ") as caught:
+        check_signs(turned_round(recorded, (3,), (3,)))
+    assert all(f"--gear {gear}" in str(caught.value) for gear in ("1 -1 1 1", "1 1 1 -1"))
 
 
 def test_right_signs_raise_no_alarm(recorded: tuple[RigidArm, tuple[FilteredRun, ...]]) -> None:
