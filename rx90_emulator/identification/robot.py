@@ -242,8 +242,8 @@ def _of_joints(options: RobotOptions) -> RobotOptions:
 def _followed(
     urdf: Path, arm: RigidArm, options: RobotOptions, logs: Sequence[Path], mapping: LogMapping | None
 ) -> tuple[str, ...]:
-    """Return the joints that all logs hold beside those of an arm, and whose motion counts for it; joint side alone."""
-    if options.gear is not None or not logs:
+    """Return the joints that all logs hold beside those of an arm, and whose motion counts for it."""
+    if not logs:
         return ()
     wanted = options.topic or JOINT_STATES
     known = [set(message_names(log, recorded_topic(log, (wanted,), mapping) if is_table(log) else wanted, mapping))
@@ -268,6 +268,7 @@ class RecordedRobot:
             with their c0, and whose omega_d is taken over; None to refuse bags that leave such parameters.
         fallback_name: their file.
         mapping: what the columns of tables hold, where that is not in the files beside them.
+        held: joints that the logs hold, but of which no gear is known to tell their motion: they are held at 0.
     """
 
     arm: RigidArm
@@ -276,6 +277,7 @@ class RecordedRobot:
     fallback: tuple[FrictionElement, ...] | None = None
     fallback_name: str | None = None
     mapping: LogMapping | None = None
+    held: tuple[str, ...] = ()
 
     @classmethod
     def load(
@@ -301,6 +303,7 @@ class RecordedRobot:
                 with_urdf = "without --urdf; accepted: with --urdf of another robot"
                 what = with_urdf if own else "with --urdf; accepted: for this project's robot alone"
                 raise IdentificationError(f"{_option(name)} {what}")
+        held = tuple[str, ...]()
         if options.urdf is None:
             files = RobotFiles.of_options(options)
             setup = Setup.load(files)
@@ -314,13 +317,15 @@ class RecordedRobot:
             coupling = None if options.coupling is None else np.reshape(options.coupling, arm.coupling.shape)
             more = coupling, options.rotor_inertia, options.spring
             followed = _followed(file, arm, options, logs, mapping) if follow else ()
+            if options.gear is not None:
+                held, followed = followed, ()
             arm = RigidArm.from_urdf(file, options.joints, *more, massless=massless, followed=followed)
         if fallback_name == "none":
-            return cls(arm, setup, options, mapping=mapping)
+            return cls(arm, setup, options, mapping=mapping, held=held)
         fallback = FrictionFile.read(resolve_config(fallback_name)).select(arm.element_names)
         named, what = dict(zip(arm.element_names, fallback, strict=True)), "an identification with it as --fallback"
         refuse_parts(named, what, f"{fallback_name}: elements.", held=("bristles",))
-        return cls(arm, setup, options, fallback, fallback_name, mapping)
+        return cls(arm, setup, options, fallback, fallback_name, mapping, held)
 
     @property
     def zero(self) -> Array | None:

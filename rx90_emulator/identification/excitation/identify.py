@@ -121,7 +121,7 @@ def identify_excitation(
         return ExcitationProblem.of(source.arm, runs, [carried[run.source.path] for run in runs], rotors=rotors)
 
     bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
-    notes = (*notes, *recording_notes(records["excitation"], bandwidths), *short_note(problem))
+    notes = (*notes, *recording_notes(records["excitation"], bandwidths), *short_note(problem), *_held_note(source))
     check_signs(problem, replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source)))
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
@@ -182,6 +182,13 @@ def _shocks_left_out(
     found = {use: [without_shocks(one, robot.arm.element_matrix) for one in some] for use, some in records.items()}
     texts = tuple(text for pairs in found.values() for _, said in pairs for text in said)
     return {use: [record for record, _ in pairs] for use, pairs in found.items()}, texts
+
+
+def _held_note(robot: RecordedRobot) -> tuple[str, ...]:
+    """Return a warning where joints are held at 0 of which a log of motors has the motion."""
+    if not robot.held:
+        return ()
+    return (f"warning: held at 0, though the log has them, for their gears are not known: {', '.join(robot.held)}",)
 
 
 def count_steps(

@@ -35,6 +35,7 @@ from rx90_emulator.identification.excitation.result import (
 )
 from rx90_emulator.identification.output.summary import unseen_verdict
 from rx90_emulator.identification.records import BagSource
+from rx90_emulator.identification.robot import RecordedRobot
 
 RATE = 100.0
 NAMES = ["shoulder", "elbow"]
@@ -414,6 +415,8 @@ def test_a_joint_that_is_not_identified_follows_the_bag(tmp_path: Path) -> None:
                       rotor_inertia=result.consistency.inertias.rotors[:2].tolist())  # fmt: skip
     (again,) = rx.check_friction(tmp_path / "identified" / "friction.yaml", [tmp_path / "unseen"], written)
     np.testing.assert_allclose(again.rms_share, check.files.share, atol=5e-4)
+    motors = RecordedRobot.load(replace(robot, gear=[1.0, 1.0]), [tmp_path / "run"], massless=True, follow=True)
+    assert (motors.held, motors.followed) == (("wrist",), ())
     held = rx.identify_excitation([tmp_path / "run_bare"], robot, [tmp_path / "unseen_bare"])
     assert (held.validations[0].torques.share > 5.0 * check.torques.share).all()
 
