@@ -113,8 +113,8 @@ def experiment(arguments: tuple[int, str]) -> Outcome:
                     outcome.held.append(abs(estimate.value - true) < 1.96 * estimate.deviation)
     if condition != "dead joint":
         there = equations([log(arm, 1000 * seed + RUNS, "good")], bandwidths)
-        error = there.torque - predicted_torque(found, there)
-        outcome.unseen = float(np.linalg.norm(error) / np.linalg.norm(there.torque))
+        left = there.torque - predicted_torque(found, there)
+        outcome.unseen = float(np.linalg.norm(left) / np.linalg.norm(there.torque))
         if outcome.unseen > CONFIRMED:
             outcome.wrong = f"an unseen run of the same arm is not confirmed: {outcome.unseen:.1%}"
     return outcome
