@@ -26,7 +26,9 @@ Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepB
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
                 check_friction, Experiment, FrictionIdentification, IdentificationBags, RobotOptions, Validation,
                 ValidationTolerances; from excitation runs: identify_excitation, excitation_summary,
-                write_excitation, read_payloads, ExcitationIdentification, ExcitationTolerances, Payload
+                write_excitation, read_payloads, ExcitationIdentification, ExcitationTolerances, Payload; for one of
+                your own: regressor, excitation_problem, predict_torque, identify_friction_parts, RigidArm, Regressor,
+                ExcitationProblem, BaseParameter, Part
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted;
                 Rx90Warning, of a run that means less than it seems to
 
@@ -69,9 +71,22 @@ if TYPE_CHECKING:
     from rx90_controller.lines.plan import LinePlan as LinePlan
     from rx90_controller.lines.task import LineTask as LineTask, load_task as load_task
     from rx90_controller.trajectory import TrajectoryPoints as TrajectoryPoints
+    from rx90_emulator.identification.arm import RigidArm as RigidArm
+    from rx90_emulator.identification.excitation.friction import identify_friction_parts as identify_friction_parts
     from rx90_emulator.identification.excitation.identify import identify_excitation as identify_excitation
+    from rx90_emulator.identification.excitation.law import Part as Part
+    from rx90_emulator.identification.excitation.own import (
+        Regressor as Regressor,
+        excitation_problem as excitation_problem,
+        predict_torque as predict_torque,
+        regressor as regressor,
+    )
     from rx90_emulator.identification.excitation.payload import Payload as Payload, read_payloads as read_payloads
-    from rx90_emulator.identification.excitation.result import ExcitationIdentification as ExcitationIdentification
+    from rx90_emulator.identification.excitation.problem import ExcitationProblem as ExcitationProblem
+    from rx90_emulator.identification.excitation.result import (
+        BaseParameter as BaseParameter,
+        ExcitationIdentification as ExcitationIdentification,
+    )
     from rx90_emulator.identification.experiments.folder import IdentificationBags as IdentificationBags
     from rx90_emulator.identification.experiments.plan import (
         Experiment as Experiment,

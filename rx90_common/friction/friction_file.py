@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rx90_common.base.config import load_yaml, yaml_text
-from rx90_common.base.entries import LEFT_OUT
+from rx90_common.base.entries import LEFT_OUT, Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import quoted
@@ -20,6 +20,19 @@ FRICTION = Group(
     "LuGre friction, joint side, SI units (equations 17 to 19 of the paper).",
     keys={
         "elements": Entries("Elements by joint; joint_5_6 turns with joints 5 and 6 together.", of=ELEMENT),
+        "joints": Entries(
+            "What torques hold beside links and friction, by joint, where no drives file says it. The simulation takes "
+            "nothing of it; rx90_identify --friction adds it to what the URDF predicts.",
+            default={},
+            of=Group(
+                "One joint.",
+                keys={
+                    "offset": Number("Constant torque, such as a sensor's zero.", "Nm", default=0.0),
+                    "rotor_inertia": Number("Rotor through its gear.", "kg m^2", low=0.0, default=0.0),
+                    "spring": Number("k of a torque -k sin(q).", "Nm", default=0.0),
+                },
+            ),
+        ),
         "identification": Group(
             "How the values were found and how well they are known; for readers.",
             keys={}, known=False, default=LEFT_OUT,
@@ -44,6 +57,7 @@ class FrictionFile:
         path: where it was read, if it was.
         about: what the file says below that of its values: provenance, source and note of all elements under
             ALL_ELEMENTS, of single ones under their names, each for the whole or by parameter, as they stand.
+        joints: offset, Nm, rotor_inertia, kg m^2, and spring, Nm, of joints, by their names; what is left out is 0.
     """
 
     elements: Mapping[str, FrictionElement]
@@ -52,6 +66,7 @@ class FrictionFile:
     identification: Mapping[str, Any] | None = None
     path: Path | None = field(default=None, compare=False)
     about: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.provenance is not None and self.provenance not in PROVENANCE:
@@ -72,7 +87,8 @@ class FrictionFile:
         mappings = {ALL_ELEMENTS: section.content, **{name: section.section(name).content for name in section}}
         about = {name: {key: one[key] for key in ABOUT if key in one} for name, one in mappings.items()}
         about = {name: said for name, said in about.items() if said}
-        return cls(elements, root.provenance, root.source, content.get("identification"), path, about)
+        identification, joints = content.get("identification"), content["joints"]
+        return cls(elements, root.provenance, root.source, identification, path, about, joints)
 
     def select(self, names: Sequence[str]) -> tuple[FrictionElement, ...]:
         """Return the elements of these names.
@@ -100,6 +116,7 @@ class FrictionFile:
                 **self.about.get(ALL_ELEMENTS, {}),
                 **{name: {**self.about.get(name, {}), **_values(one)} for name, one in self.elements.items()},
             },
+            "joints": {name: dict(values) for name, values in self.joints.items()} or None,
             "identification": self.identification,
         }
         head = "# LuGre friction, joint side, SI units (equations 17 to 19 of the paper).\n#\n"

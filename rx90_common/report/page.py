@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
@@ -56,19 +56,20 @@ def _environment(package: str) -> Environment:
     return Environment(loader=ChoiceLoader(loaders), autoescape=True, undefined=StrictUndefined, trim_blocks=True)
 
 
-def render_page(package: str, template: str, **values: object) -> str:
+def render_page(package: str, template: str, words: Callable[[str], str] = str, **values: object) -> str:
     """Return a self-contained HTML page. In a template, `draw(plot)` puts a plot there: still, and to be zoomed.
 
     Args:
         package: the package whose folder `templates` holds the template.
         template: its file, which extends `page.html.j2` and fills the blocks title, summary and content.
+        words: changes the page's text and the labels of its plots, such as their units.
         values: what the template names; a name that is missing is an error.
     """
     plots: list[Plot] = []
 
     def draw(plot: Plot) -> Markup:
         """Return what stands in a plot's place until all plots, which share the page's size, are known."""
-        plots.append(plot)
+        plots.append(plot.worded(words))
         return Markup(_PLACE.format(len(plots) - 1))
 
     def bokeh_script() -> Markup:
@@ -76,6 +77,8 @@ def render_page(package: str, template: str, **values: object) -> str:
 
     known = values | {"draw": draw, "bokeh_script": bokeh_script}
     page = _environment(package).get_template(template).render(known)
+    pieces = re.split(r"(<(?:script|style)\b.*?</(?:script|style)>)", page, flags=re.DOTALL)
+    page = "".join(piece if piece.startswith(("<script", "<style")) else words(piece) for piece in pieces)
     if not plots:
         return page
     lengths = [len(mark.x) for plot in plots for panel in plot.panels if isinstance(panel, Panel)

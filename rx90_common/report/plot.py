@@ -5,7 +5,7 @@ Arrays are float64 of shape (n,); NaN leaves a gap. Labels carry the units.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, TypeAlias
 
@@ -155,6 +155,14 @@ class Plot:
         """Return the range that all panels show where they share it."""
         ranges = [panel.x_range for panel in self.panels if isinstance(panel, Panel)]
         return min(low for low, _ in ranges), max(high for _, high in ranges)
+
+    def worded(self, words: Callable[[str], str]) -> Plot:
+        """Return the plot with its axes' labels, which carry the units, changed by a function."""
+        panels = [
+            replace(one, x_label=words(one.x_label), y_label=words(one.y_label)) if isinstance(one, Panel) else one
+            for one in self.panels
+        ]
+        return replace(self, panels=panels)
 
 
 def _symlog_transform(smallest: float) -> SymmetricalLogTransform:

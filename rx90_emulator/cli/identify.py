@@ -13,7 +13,14 @@ from typing import Any
 from rx90_common.base.errors import DONE, VERDICT_NO, IdentificationError
 from rx90_common.base.quoting import one_line
 from rx90_emulator.cli.options import POSITIVE, add_arm_arguments, place
-from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions, ValidationTolerances
+from rx90_emulator.identification.options import (
+    COULOMB_VISCOUS,
+    EMULATED,
+    MODEL_PARTS,
+    RECORDED,
+    ExcitationTolerances,
+    RobotOptions,
+)
 
 _USAGE = """\
 rx90_identify FOLDER --output FILE [options]          (FOLDER of excitation runs: --output FOLDER)
@@ -50,6 +57,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         bags.add_argument(f"--{name}", type=Path, nargs="+", default=[], metavar="BAG", help=what)
     bags.add_argument("--bristles", action="store_true", help="with --excitation: try bristles along the motion, too, "
                       "where neither a Stribeck rise nor the rows of reversals ask for them")  # fmt: skip
+    bags.add_argument("--model", nargs="+", choices=(COULOMB_VISCOUS, *MODEL_PARTS), metavar="PART",
+                      help="give these parts to the friction of all elements, without a choice: "
+                      f"{', '.join((COULOMB_VISCOUS, *MODEL_PARTS))}; Coulomb and viscous friction are always there, "
+                      "and a part that ends at a bound of its range goes; bristles are of excitation runs alone (what "
+                      "predicts better is chosen)")  # fmt: skip
     bags.add_argument("--bristle-kinds", action="store_true", help="with micro-oscillations: choose LuGre, "
                       "elasto-plastic or Maxwell-slip bristles for each joint by what predicts them best, or say that "
                       "they cannot tell; takes some seconds for each joint (docs/explanation/bristles.md)")  # fmt: skip
@@ -59,8 +71,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     bags.add_argument("--load-part", action="store_true", help="with --payload: let the payloads tell how friction "
                       "grows with the load, each element's load part, in place of the drive gains, which count as "
                       "right")  # fmt: skip
+    bags.add_argument("--no-rotors", action="store_true", help="with --excitation and --urdf: leave the inertias of "
+                      "rotors out, for torques of sensors between gear and link")  # fmt: skip
     bags.add_argument("--prior", type=POSITIVE, metavar="SHARE", help="with --excitation: let the inertials of the "
                       "description count, with this relative standard deviation (they do not)")  # fmt: skip
+    bags.add_argument("--bandwidth", type=POSITIVE, metavar="HZ", help="with --excitation: of the low-pass of the "
+                      "positions, a third of it for torques (of a few, the widest that predicts as well as the "
+                      "best)")  # fmt: skip
     bags.add_argument("--friction", metavar="FILE", help="a given friction file, or a shipped one "
                       "(robots/tx40/friction.yaml): it is "
                       "held against the --validation bags, and nothing is identified")  # fmt: skip
@@ -70,17 +87,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     result.add_argument("--report", type=place, metavar="FILE", help="report to write (beside the friction file, "
                         ".html; with --friction none)")  # fmt: skip
     result.add_argument("--force", action="store_true", help="replace files that exist")
-    limits, wider = ValidationTolerances(), ExcitationTolerances()
+    own = "where a bag holds set-points of this project's controller"
     result.add_argument("--torque-tolerance", type=POSITIVE, metavar="SHARE",
-                        help=f"RMS difference over RMS torque, of each joint ({limits.torque}; with --excitation "
-                        f"{wider.joint})")  # fmt: skip
+                        help=f"RMS difference over RMS torque, of each joint ({RECORDED.torque}; without --excitation "
+                        f"{EMULATED.torque} {own})")  # fmt: skip
     result.add_argument("--total-torque-tolerance", type=POSITIVE, metavar="SHARE",
-                        help=f"with --excitation: the same of all joints together ({wider.total})")  # fmt: skip
+                        help=f"the same of all joints together ({RECORDED.total})")  # fmt: skip
     result.add_argument("--worst-torque-tolerance", type=POSITIVE, metavar="SHARE",
-                        help=f"without --excitation: largest difference over largest torque, of each joint "
-                        f"({limits.worst_torque})")  # fmt: skip
+                        help="without --excitation: largest difference over largest torque, of each joint (any; "
+                        f"{EMULATED.worst_torque} {own})")  # fmt: skip
     result.add_argument("--tip-tolerance", type=POSITIVE, metavar="M",
-                        help=f"without --excitation: largest distance of the tips, m ({limits.tip})")  # fmt: skip
+                        help=f"without --excitation: largest distance of the tips, m ({EMULATED.tip})")  # fmt: skip
     add_arm_arguments(parser)
 
 
@@ -93,8 +110,8 @@ _UNUSED = (
     ("excitation", "worst_torque_tolerance tip_tolerance", "with excitation runs",
      "--torque-tolerance and --total-torque-tolerance"),
     ("check sweeps", "bristles", _WITHOUT, "with --excitation BAG ..., or --bristle-kinds for micro-oscillations"),
-    ("check sweeps", "load_part payload prior total_torque_tolerance", _WITHOUT, "with --excitation BAG ..."),
-    ("check", "folder sliding presliding output bristle_kinds", "with --friction",
+    ("check sweeps", "load_part payload prior bandwidth no_rotors", _WITHOUT, "with --excitation BAG ..."),
+    ("check", "folder sliding presliding output bristle_kinds model", "with --friction",
      "--validation BAG ... alone, for nothing is identified or written"),
 )  # fmt: skip
 """What a command line is for, options that do not count for it, what it is with, and what is accepted instead."""
@@ -119,12 +136,9 @@ def main(options: argparse.Namespace) -> int:
     from rx90_emulator.identification import job
 
     robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
-    limits, wider = ValidationTolerances, ExcitationTolerances
-    tolerances = limits(
-        options.torque_tolerance or limits.torque,
-        options.worst_torque_tolerance or limits.worst_torque,
-        options.tip_tolerance or limits.tip,
-    )
+    limits = {"torque": options.torque_tolerance, "total": options.total_torque_tolerance,
+              "worst_torque": options.worst_torque_tolerance, "tip": options.tip_tolerance}  # fmt: skip
+    tolerances = {name: value for name, value in limits.items() if value is not None}
     if what == "check":
         confirmed = job.run_check(
             options.friction, options.validation, robot, tolerances, options.report, force=options.force
@@ -132,16 +146,16 @@ def main(options: argparse.Namespace) -> int:
     elif what == "sweeps":
         confirmed = job.run_identification(
             _bags(options), robot, tolerances, options.output, options.report,
-            bristle_kinds=options.bristle_kinds, force=options.force,
+            bristle_kinds=options.bristle_kinds, model=options.model, force=options.force,
         )  # fmt: skip
     else:
         if options.load_part and options.payload is None:
             raise IdentificationError("--load-part without --payload; accepted: with --payload FILE")
-        total, joint = options.total_torque_tolerance or wider.total, options.torque_tolerance or wider.joint
+        wider = ExcitationTolerances(tolerances.get("total", RECORDED.total), tolerances.get("torque", RECORDED.torque))
         confirmed = job.run_excitation(
-            options.excitation, robot, options.validation, wider(total, joint), options.output,
-            bristles=options.bristles, payload=options.payload, load_part=options.load_part,
-            prior=options.prior, force=options.force,
+            options.excitation, robot, options.validation, wider, options.output,
+            bristles=options.bristles, model=options.model, payload=options.payload, load_part=options.load_part,
+            prior=options.prior, rotors=not options.no_rotors, bandwidth=options.bandwidth, force=options.force,
         )  # fmt: skip
     if confirmed:
         return DONE

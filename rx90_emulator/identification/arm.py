@@ -9,9 +9,9 @@ import os
 import sys
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.description.drives import coupling_matrix, element_matrix
@@ -45,6 +45,9 @@ class RigidArm:
         rotor: the rotors' share of the mass matrix, shape (n, n), kg m^2.
         spring: amplitude k of a gravity-compensation spring on each joint, torque -k sin(q), Nm, shape (n,).
         coupling: motor turns per joint turn without the gears, shape (n, n).
+        offset: constant torque of each joint, Nm, shape (n,) or the same for all.
+
+    Joints on which no element acts follow the recorded motion; their own torque counts for nothing.
     """
 
     names: tuple[str, ...]
@@ -54,6 +57,7 @@ class RigidArm:
     rotor: Array
     spring: Array
     coupling: Array
+    offset: Array | float = 0.0
 
     @classmethod
     def from_setup(cls, setup: Setup) -> RigidArm:
@@ -66,13 +70,14 @@ class RigidArm:
     @classmethod
     def from_urdf(
         cls,
-        urdf: Path,
+        urdf: Path | str,
         joints: Sequence[str] | None = None,
         coupling: ArrayLike | None = None,
         rotor_inertia: ArrayLike | None = None,
         spring: ArrayLike | None = None,
         *,
         massless: bool = False,
+        followed: Sequence[str] = (),
     ) -> RigidArm:
         """Read the arm of any robot.
 
@@ -85,12 +90,16 @@ class RigidArm:
             rotor_inertia: of each motor, seen through its gear, kg m^2, shape (n,); by default none.
             spring: as the attribute; by default none.
             massless: whether links without <inertial> are accepted, because only kinematics are wanted.
+            followed: further joints that are not held at zero, because their motion is known.
 
         Raises:
             IdentificationError: for a URDF that cannot be used, an unknown joint or a wrong shape.
         """
+        urdf = Path(urdf)
         model = joint_model(urdf, joints, massless=massless)
         names = tuple(str(name) for name in model.names)[1:]
+        if followed:
+            model = joint_model(urdf, joints, massless=massless, followed=followed)
         n, given = len(names), {"coupling": coupling, "rotor_inertia": rotor_inertia, "spring": spring}
         values = {"coupling": np.eye(n), "rotor_inertia": np.zeros(n), "spring": np.zeros(n)}
         for name, value in given.items():
@@ -105,12 +114,47 @@ class RigidArm:
             raise IdentificationError(f"coupling: {turns.tolist()}; accepted: an invertible matrix")
         together = [row for row in turns if np.count_nonzero(row) > 1]
         elements = (*names, *(_label(names, row) for row in together))
-        rotor = turns.T @ np.diag(values["rotor_inertia"]) @ turns
-        return cls(names, elements, np.vstack([np.eye(n), *together]), model, rotor, values["spring"], turns)
+        everything = tuple(str(name) for name in model.names)[1:]
+        own = np.array([everything.index(name) for name in names])
+        rotors, springs, matrix = (np.zeros(shape) for shape in ((len(everything),) * 2, len(everything),
+                                                                 (len(elements), len(everything))))  # fmt: skip
+        all_turns, some = np.eye(len(everything)), np.ix_(own, own)
+        all_turns[some], rotors[some] = turns, turns.T @ np.diag(values["rotor_inertia"]) @ turns
+        springs[own], matrix[:, own] = values["spring"], np.vstack([np.eye(n), *together])
+        return cls(everything, elements, matrix, model, rotors, springs, all_turns)
+
+    @property
+    def identified(self) -> Mask:
+        """Return the joints on which an element acts; the others follow the recorded motion, shape (n,)."""
+        return np.asarray((self.element_matrix != 0.0).any(axis=0))
+
+    def related(self) -> tuple[str, ...]:
+        """Return the joints that carry one of the identified, or are carried by one: their motion counts for it."""
+        model = self.model
+        chains = [set(model.supports[k].tolist()) for k in range(model.njoints)]
+        own = {k + 1 for k in np.flatnonzero(self.identified).tolist()}
+        above = set().union(*(chains[k] for k in own))
+        return tuple(str(model.names[k]) for k in range(1, model.njoints) if k in above or chains[k] & own)
 
     def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return what the drives give at the joints without friction, Nm, all arrays of shape (m, n)."""
-        return rigid_torque(self.model, self.rotor, self.spring, position, velocity, acceleration)
+        return rigid_torque(self.model, self.rotor, self.spring, position, velocity, acceleration) + self.offset
+
+    def with_joints(self, joints: Mapping[str, Mapping[str, float]]) -> RigidArm:
+        """Return the arm with the offsets of a friction file's `joints`, and the rotors and springs that it states.
+
+        Raises:
+            IdentificationError: for a joint that is none of the arm's.
+        """
+        for name in joints:
+            if name not in self.names:
+                raise IdentificationError(f"joint {quoted(name)} is none of this arm; accepted: {listed(self.names)}")
+        offset, rotors, spring = (
+            np.array([joints.get(name, {}).get(key, 0.0) for name in self.names])
+            for key in ("offset", "rotor_inertia", "spring")
+        )
+        rotor = self.coupling.T @ np.diag(rotors) @ self.coupling if rotors.any() else self.rotor
+        return replace(self, rotor=rotor, spring=spring if spring.any() else self.spring, offset=offset)
 
     def regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return the derivative of the torque by the links' inertial parameters, shape (m, n, 10 n).
@@ -181,13 +225,16 @@ def _label(names: Sequence[str], row: Array) -> str:
     return "".join(parts)
 
 
-def joint_model(urdf: Path, joints: Sequence[str] | None, *, massless: bool = False) -> Any:
+def joint_model(
+    urdf: Path, joints: Sequence[str] | None, *, massless: bool = False, followed: Sequence[str] = ()
+) -> Any:
     """Return Pinocchio's model of these joints; the others are held at zero.
 
     Args:
         urdf: the robot's description.
         joints: from base to tip; by default all movable joints.
         massless: whether joints that move no mass are accepted, because only kinematics are wanted.
+        followed: further joints that are not held.
 
     Raises:
         IdentificationError: for a file that cannot be read, and for joints that are not there, do not turn, follow
@@ -218,16 +265,24 @@ def joint_model(urdf: Path, joints: Sequence[str] | None, *, massless: bool = Fa
                 f"{urdf}: joint {quoted(name)} {plain(bad[name])}; accepted: revolute and continuous joints with a "
                 f"drive of their own, --joints {good}"
             )
-    held = [model.getJointId(name) for name in there if name not in wanted]
+    held = [model.getJointId(name) for name in there if name not in wanted and name not in followed]
     reduced = pin.buildReducedModel(model, held, pin.neutral(model)) if held else model
     data = reduced.createData()
     pin.computeSubtreeMasses(reduced, data)
-    for name, mass in zip(wanted, list(data.mass)[1:], strict=True):
-        if not massless and not mass > 0.0:
+    for name, mass in zip(list(reduced.names)[1:], list(data.mass)[1:], strict=True):
+        if name in wanted and not massless and not mass > 0.0:
             raise IdentificationError(
                 f"{urdf}: joint {quoted(name)} moves a mass of {mass:g} kg; accepted: links with <inertial>"
             )
     return reduced
+
+
+def movable_joints(urdf: Path) -> tuple[str, ...]:
+    """Return the joints of a URDF with one number that a log can hold: revolute, continuous, prismatic, no mimics."""
+    model, root = _read_urdf(urdf)
+    mimics = {joint.get("name") for joint in root.findall("joint") if joint.find("mimic") is not None}
+    pairs = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
+    return tuple(str(name) for name, joint in pairs if joint.nv == 1 and str(name) not in mimics)
 
 
 def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:

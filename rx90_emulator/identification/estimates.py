@@ -19,6 +19,8 @@ PRESLIDING = ("c0", "c1")
 PARAMETERS = (*SLIDING, VISCOUS_EXPONENT, *PRESLIDING)
 LARGEST_DEVIATION = 0.3
 """Relative standard deviation of c0 or c1, up to which it is identifiable."""
+NOT_IN_MODEL = "the model that was asked for does not have it"
+"""Why a parameter of a part is not known that a person's model leaves out: the part is off."""
 _MOST_DECIMALS = 7
 LARGEST = 1e12
 """Largest value or deviation that is written, SI units: no bristle is so stiff, and no arm so strong."""

@@ -5,6 +5,7 @@ Records -> sliding regime -> presliding regime -> kinds of bristles by predictio
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.element import SIGNS
@@ -21,6 +22,7 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
+    NOT_IN_MODEL,
     PARAMETERS,
     PRESLIDING,
     SLIDING,
@@ -29,8 +31,15 @@ from rx90_emulator.identification.estimates import (
     IdentifiedElement,
     ParameterEstimate,
 )
+from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.experiments.folder import IdentificationBags, read_emulated, read_index
-from rx90_emulator.identification.options import RobotOptions, ValidationTolerances
+from rx90_emulator.identification.options import (
+    NO_TOLERANCES,
+    SLIDING_PARTS,
+    GivenTolerances,
+    RobotOptions,
+    model_parts,
+)
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
 from rx90_emulator.identification.presliding.kinds import ElementKind, choose_kinds
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
@@ -42,8 +51,8 @@ _RATES = {"sliding": 250.0, "presliding": None, "excitation": 1000.0, "validatio
 """Hz that records are averaged to, by use: plateaus are averaged anyway, a validation looks below 40 Hz, and an arm's
 motion holds nothing near 1 kHz."""
 _MAX_TRAVEL_SHARE = 2.0  # of a joint's range: more travel is explained by no offset of its zero
+_MAX_SHARED = 0.02  # of a validation's travel: two runs on a noiseless engine may begin alike
 _DEFAULT_ROBOT = RobotOptions()
-_DEFAULT_TOLERANCES = ValidationTolerances()
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,21 +139,25 @@ def shown_parameters(result: FrictionIdentification) -> tuple[str, ...]:
 def identify_friction(
     bags: IdentificationBags | Path | str,
     robot: RobotOptions = _DEFAULT_ROBOT,
-    tolerances: ValidationTolerances = _DEFAULT_TOLERANCES,
+    tolerances: GivenTolerances = NO_TOLERANCES,
     progress: Callable[[str], None] = lambda _: None,
     *,
     bristle_kinds: bool = False,
+    model: Sequence[str] | None = None,
 ) -> FrictionIdentification:
     """Identify the friction of a robot from recorded bags (section 4 of Aarts, Jonker and Waiboer).
 
     Args:
         bags: by use, or a folder that `rx90_experiment` wrote.
         robot: that the bags come from; by default this project's.
-        tolerances: what counts as agreement with the validation bags.
+        tolerances: what counts as agreement with the validation bags; those that are not given
+            are as with `check_friction`.
         progress: called with the name of each step before it: each bag, the two fits, each kind of bristles of each
             joint, each validation.
         bristle_kinds: whether the kind of each joint's bristles is chosen by cross-validation over its
             micro-oscillations, seconds for each joint; without, they are LuGre's.
+        model: parts that all elements have in sliding, without a choice: "coulomb-viscous", which all have, and the
+            names in `options.SLIDING_PARTS`; by default what the sweeps show is kept.
 
     Returns:
         Estimates with standard deviations, both fits, and a validation for each validation bag.
@@ -160,6 +173,8 @@ def identify_friction(
         raise IdentificationError("no bag with sweeps at constant velocity; accepted: a folder, or --sliding BAG ...")
     if bristle_kinds and not chosen.presliding:
         raise IdentificationError("--bristle-kinds without micro-oscillations; accepted: with --presliding BAG ...")
+    if model is not None:
+        model_parts(model, SLIDING_PARTS)  # refused before any bag is read
     check_given_once(by_use)
     source = RecordedRobot.load(robot, [path for paths in by_use.values() for path in paths])
     truth = read_emulated([*chosen.sliding, *chosen.presliding])
@@ -169,8 +184,10 @@ def identify_friction(
             "--fallback FILE"
         )
     records = read_records(by_use, source, progress)
-    result = identify_records(records["sliding"], records["presliding"], source, progress, bristle_kinds=bristle_kinds)
-    checks = _validations(source, result.lugre, result.sliding, records["validation"], tolerances, progress)
+    result = identify_records(
+        records["sliding"], records["presliding"], source, progress, bristle_kinds=bristle_kinds, model=model
+    )
+    checks = _validations(records["validation"], progress, source, result.lugre, tolerances, sliding=result.sliding)
     used = tuple((use, record.bag) for use, some in records.items() for record in some)
     return replace(result, bags=used, validations=checks, truth=truth)
 
@@ -179,18 +196,21 @@ def check_friction(
     friction: FrictionFile | Path | str,
     bags: Sequence[Path | str],
     robot: RobotOptions = _DEFAULT_ROBOT,
-    tolerances: ValidationTolerances = _DEFAULT_TOLERANCES,
+    tolerances: GivenTolerances = NO_TOLERANCES,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Validation, ...]:
     """Compare the torques that a friction file predicts along recorded motions with the recorded ones.
 
-    The rest of the arm is as `robot` describes it: links, rotors, coupling, spring.
+    The rest of the arm is as `robot` describes it: links, rotors, coupling, spring. Offsets in the file's `joints` are
+    added; rotors and springs there take the place of those of `robot`.
 
     Args:
         friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.
         bags: one or more runs, none of them twice.
         robot: that the bags come from; by default this project's.
-        tolerances: what counts as agreement.
+        tolerances: what counts as agreement, all or some by name; of those that are not given 10 % of the torque of all
+            joints and 30 % of each joint's, and for a bag with set-points of this project's controller, along which the
+            closed loop is run, those of ValidationTolerances().
         progress: called twice for each bag, before it is read and before it is compared.
 
     Returns:
@@ -206,7 +226,7 @@ def check_friction(
         raise IdentificationError("no bag to hold the friction against; accepted: --validation BAG ...")
     check_given_once(by_use)
     file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
-    source = RecordedRobot.load(robot, by_use["validation"])
+    source = RecordedRobot.load(robot, by_use["validation"], follow=True)
     names, where = source.arm.element_names, str(file.path or "--friction")
     lugre = file.select(names)
     for name in file.elements:
@@ -214,22 +234,48 @@ def check_friction(
             said = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
             raise IdentificationError(f"{where}: {said}")
     refuse_parts(file.elements, "a validation by recorded torques", f"{where}: elements.", held=("bristles",))
-    records = read_records(by_use, source, progress)["validation"]
-    return _validations(source, lugre, None, records, tolerances, progress)
+    try:
+        source = replace(source, arm=source.arm.with_joints(file.joints))
+    except IdentificationError as error:
+        raise IdentificationError(f"{where}: {error}") from error
+    currents = (file.identification or {}).get("unit") == "A"
+    records = read_records(by_use, source, progress, currents=currents)["validation"]
+    if currents and any(record.unit == "Nm" for record in records):
+        raise IdentificationError(f"{where}: its torques are in A; accepted: bags with efforts in A")
+    return _validations(records, progress, source, lugre, tolerances, bandwidths=_bandwidths(file, where))
+
+
+def _bandwidths(file: FrictionFile, where: str) -> Bandwidths | None:
+    """Return the bandwidths of the runs that a friction file was identified from; None where it does not say.
+
+    Raises:
+        IdentificationError: for values that are none.
+    """
+    found = (file.identification or {}).get("bandwidths")
+    if found is None:
+        return None
+    values = [found.get(name) for name in ("position", "torque")] if isinstance(found, Mapping) else []
+    numbers = [float(one) for one in values if isinstance(one, float | int) and 0.0 < one < math.inf]
+    if len(numbers) != 2:
+        raise IdentificationError(
+            f"{where}: identification.bandwidths is {plain(str(found))}; accepted: position and torque above 0 Hz"
+        )
+    recorded = found.get("recorded_velocity") is True
+    return Bandwidths(numbers[0], numbers[1], "those of the identified runs", recorded)
 
 
 def _validations(
-    robot: RecordedRobot,
-    lugre: tuple[FrictionElement, ...],
-    sliding: SlidingFit | None,
     records: Sequence[JointRecord],
-    tolerances: ValidationTolerances,
     progress: Callable[[str], None],
+    robot: RecordedRobot,
+    elements: tuple[FrictionElement, ...],
+    tolerances: GivenTolerances,
+    **how: Any,
 ) -> tuple[Validation, ...]:
     checks = []
     for record in records:
         progress(record.source.name)
-        checks.append(validate(robot, lugre, sliding, record, tolerances))
+        checks.append(validate(robot, elements, record, tolerances, **how))
     return tuple(checks)
 
 
@@ -246,7 +292,11 @@ def check_given_once(bags: Mapping[str, Sequence[Path]]) -> None:
 
 
 def read_records(
-    bags: Mapping[str, Sequence[Path]], robot: RecordedRobot, progress: Callable[[str], None]
+    bags: Mapping[str, Sequence[Path]],
+    robot: RecordedRobot,
+    progress: Callable[[str], None],
+    *,
+    currents: bool = False,
 ) -> dict[str, list[JointRecord]]:
     """Return the records of bags by use, all read before anything is fitted, so that a bad one is refused soon.
 
@@ -254,6 +304,7 @@ def read_records(
         bags: by use, such as sliding or validation; no bag twice for the same use.
         robot: that they come from.
         progress: called with the name of each bag before it is read.
+        currents: whether efforts in A without torque constants are taken as they are, in all bags or in none.
 
     Raises:
         IdentificationError: for angles that no joint of the robot goes through, and for a validation bag whose content,
@@ -264,7 +315,7 @@ def read_records(
     records: dict[str, list[JointRecord]] = {use: [] for use in bags}
     for use, path, layout in layouts:
         progress(path.name)
-        record = read_record(path, layout, _RATES[use])
+        record = read_record(path, layout, _RATES[use], currents=currents).of_joints(robot.arm.names)
         for name, travel, width in zip(record.names, np.ptp(record.position, axis=0), robot.arm.ranges(), strict=True):
             if 0.0 < _MAX_TRAVEL_SHARE * width < travel:  # degrees, or a motor's angles
                 raise IdentificationError(
@@ -272,14 +323,34 @@ def read_records(
                     "accepted: angles of the joints in rad, or of the motors with their --gear"
                 )
         records[use].append(record)
-    used = {record.sha256: record.source for use, some in records.items() if use != "validation" for record in some}
+    units = {record.unit: record.source for some in records.values() for record in some}
+    if len(units) > 1:
+        raise IdentificationError(
+            f"{units['A']}: its efforts are in A, those of {units['Nm']} in Nm; accepted: one unit"
+        )
+    used = [record for use, some in records.items() if use != "validation" for record in some]
     for record in records["validation"]:
-        if record.sha256 in used:
-            other = "" if used[record.sha256] == record.source else f" as {used[record.sha256]}"
-            raise IdentificationError(
-                f"{record.source}: also used for the identification{other}; accepted: another bag for the validation"
-            )
+        _check_unseen(record, used)
     return records
+
+
+def _check_unseen(record: JointRecord, used: Sequence[JointRecord]) -> None:
+    """Refuse a validation bag of which a bag that is identified from has a part, under whatever name and stamps.
+
+    Raises:
+        IdentificationError: naming both bags and the share.
+    """
+    for other in used:
+        shared = 1.0 if record.sha256 == other.sha256 else 0.0
+        if not shared and record.content is not None and other.content is not None:
+            shared = record.content.shared(other.content)
+        if shared > _MAX_SHARED:
+            name = "" if other.source == record.source else f" as {other.source}"
+            part = "" if shared > 0.999 else f"{shared:.0%} of its motion "
+            raise IdentificationError(
+                f"{record.source}: {part}also used for the identification{name}; accepted: another bag for the "
+                "validation"
+            )
 
 
 def identify_records(
@@ -289,6 +360,7 @@ def identify_records(
     progress: Callable[[str], None] = lambda _: None,
     *,
     bristle_kinds: bool = False,
+    model: Sequence[str] | None = None,
 ) -> FrictionIdentification:
     """Identify the friction of all elements of an arm from records.
 
@@ -298,6 +370,7 @@ def identify_records(
         robot: rigid-body model, fallback values and the torques' delay.
         progress: called with the name of each step before it.
         bristle_kinds: whether the kind of each element's bristles is found, too; without, they are LuGre's.
+        model: as in `identify_friction`.
 
     Returns:
         The result, without bags and validations.
@@ -308,7 +381,7 @@ def identify_records(
     arm = robot.arm
     fallback = robot.fallback or (None,) * len(arm.element_names)
     progress("sliding regime")
-    slides = identify_sliding(sliding, arm, zero=robot.zero)
+    slides = identify_sliding(sliding, arm, zero=robot.zero, model=model)
     progress("presliding regime")
     if presliding:
         # The sliding regime of an element does not depend on its c0 and c1.
@@ -337,6 +410,9 @@ def identify_records(
     return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name, kinds=kinds)
 
 
+_WITHOUT_RISE = {"omega_s": 0.1, "delta": 1.0}  # of no effect while tau_s = tau_c
+
+
 def _element(
     sliding: ElementEstimate, presliding: Mapping[str, ParameterEstimate], fallback: FrictionElement | None
 ) -> FrictionElement:
@@ -345,6 +421,9 @@ def _element(
     values: dict[str, Any] = {} if fallback is None else {"omega_d": fallback.omega_d}
     for name in PARAMETERS:
         estimate = estimates[name]
+        if estimate.reason == NOT_IN_MODEL:
+            values[name] = _WITHOUT_RISE.get(name, 0.0)
+            continue
         if not estimate.identifiable and fallback is None:
             raise IdentificationError(
                 f"{sliding.element}: {name} is not identifiable from these bags ({estimate.reason}); accepted: bags "

@@ -22,10 +22,10 @@ from rx90_emulator.identification.experiments.folder import IdentificationBags, 
 from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction
 from rx90_emulator.identification.options import (
     ExcitationTolerances,
+    GivenTolerances,
     MeasuredLayout,
     MeasuredTolerances,
     RobotOptions,
-    ValidationTolerances,
 )
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.report import check_page, excitation_page, measured_page, report_page
@@ -112,11 +112,12 @@ def _checked_targets(output: Path, report: Path | str | None, *, force: bool) ->
 def run_identification(
     bags: IdentificationBags | Path,
     robot: RobotOptions,
-    tolerances: ValidationTolerances,
+    tolerances: GivenTolerances,
     output: Path,
     report: Path | None = None,
     *,
     bristle_kinds: bool = False,
+    model: Sequence[str] | None = None,
     force: bool = False,
 ) -> bool:
     """Identify with a progress bar, write the files, print a summary, and return whether no validation bag disagrees.
@@ -132,7 +133,7 @@ def run_identification(
     if bristle_kinds:
         total += kind_steps(RecordedRobot.load(robot, chosen.sliding).arm)
     with steps(total) as step:
-        result = identify_friction(chosen, robot, tolerances, step, bristle_kinds=bristle_kinds)
+        result = identify_friction(chosen, robot, tolerances, step, bristle_kinds=bristle_kinds, model=model)
     files = write_identification(result, output, report, force=force)
     print(f"{identification_summary(result)}\nfriction file: {files[0]}\nreport: {files[1]}")
     return result.confirmed
@@ -142,7 +143,7 @@ def run_check(
     friction: str,
     bags: Sequence[Path],
     robot: RobotOptions,
-    tolerances: ValidationTolerances,
+    tolerances: GivenTolerances,
     report: Path | None = None,
     *,
     force: bool = False,
@@ -216,6 +217,7 @@ def run_excitation(
     payload: Path | None = None,
     force: bool = False,
     bristles: bool = False,
+    model: Sequence[str] | None = None,
     **how: Any,
 ) -> bool:
     """Identify with a progress bar, write the folder, print a summary, and return whether no validation run disagrees.
@@ -226,8 +228,8 @@ def run_excitation(
         Rx90Error: for what cannot be done; nothing has been written then.
     """
     _check_folder(output, force=force)
-    how |= {"bristles": bristles, "payloads": {} if payload is None else read_payloads(payload)}
-    total = count_steps(len(bags), len(validation), bristles=bristles, payloads=bool(how["payloads"]))
+    how |= {"bristles": bristles, "model": model, "payloads": {} if payload is None else read_payloads(payload)}
+    total = count_steps(len(bags), len(validation), bristles=bristles, model=model, payloads=bool(how["payloads"]))
     with steps(total) as step:
         result = identify_excitation(bags, robot, validation, tolerances, progress=step, **how)
     folder = write_excitation(result, output, force=force)

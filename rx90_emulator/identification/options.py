@@ -3,11 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
+from typing import TypeAlias
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
+
+COULOMB_VISCOUS = "coulomb-viscous"
+SLIDING_PARTS = ("viscous-exponent", "stribeck-rise")
+MODEL_PARTS = (*SLIDING_PARTS, "bristle", "bristle-damping")
+"""What the friction of a model may have beside Coulomb and viscous friction, by the names that tables give it."""
+
+
+def model_parts(model: Sequence[str], accepted: Sequence[str] = MODEL_PARTS) -> tuple[str, ...]:
+    """Return the parts that a model names beside Coulomb and viscous friction, which it always has.
+
+    Raises:
+        ConfigError: for other names than the `accepted` ones, and for damping of no bristle.
+    """
+    unknown = [name for name in model if name not in (COULOMB_VISCOUS, *accepted)]
+    if unknown or not model:
+        found = quoted(unknown[0]) if unknown else "no part"
+        raise ConfigError(f"--model: {found}; accepted: {', '.join((COULOMB_VISCOUS, *accepted))}")
+    if "bristle-damping" in model and "bristle" not in model:
+        raise ConfigError("--model: bristle-damping without bristle; accepted: both, or neither")
+    return tuple(name for name in accepted if name in model)
 
 
 @dataclass(frozen=True)
@@ -82,7 +105,7 @@ class _Tolerances:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not 0.0 < value < math.inf:
+            if not value > 0.0:
                 raise ConfigError(f"{name} is {value}; accepted: a positive number")
 
 
@@ -92,13 +115,19 @@ class ValidationTolerances(_Tolerances):
 
     Attributes:
         torque: RMS difference of a joint's torque over the RMS torque that was recorded.
-        worst_torque: largest difference over the largest recorded torque.
+        worst_torque: largest difference over the largest recorded torque; infinite where it does not count.
         tip: largest distance of the tip positions, m.
+        total: RMS difference of the torques of all joints over their RMS recorded torque.
     """
 
     torque: float = 0.05
     worst_torque: float = 0.15
     tip: float = 1e-4
+    total: float = 0.1
+
+
+EMULATED = ValidationTolerances()
+"""What holds for a bag with set-points of this project's controller, along which the closed loop is run, too."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +141,17 @@ class ExcitationTolerances(_Tolerances):
 
     total: float = 0.1
     joint: float = 0.3
+
+
+RECORDED = ValidationTolerances(
+    torque=ExcitationTolerances.joint, worst_torque=math.inf, total=ExcitationTolerances.total
+)
+"""What holds for all other bags: those of excitation runs, so that both validations judge alike."""
+
+
+GivenTolerances: TypeAlias = ValidationTolerances | Mapping[str, float]
+"""All of them, or some by the names of the attributes; the others then are EMULATED's or RECORDED's."""
+NO_TOLERANCES: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)

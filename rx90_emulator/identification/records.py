@@ -6,10 +6,12 @@ record = read_record("bag", layout)
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +23,7 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.identification.robot import BagLayout
 
@@ -48,6 +50,7 @@ class BagSource:
         missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
         begin: stamp of the first sample, s.
+        unit: of the torques: Nm, or A where they are currents that no constant makes torques of.
     """
 
     path: Path
@@ -56,6 +59,7 @@ class BagSource:
     missing: int
     outliers: int
     begin: float = 0.0
+    unit: str = "Nm"
 
     @property
     def recorded(self) -> str:
@@ -63,6 +67,37 @@ class BagSource:
         if self.begin < _WALL_CLOCK:
             return f"no date; stamps from {self.begin:.6g} to {self.begin + self.duration:.6g} s"
         return datetime.fromtimestamp(self.begin, timezone.utc).isoformat(timespec="seconds")
+
+
+_CONTENT_DECIMALS = 6  # of rad and Nm: what is written with fewer digits is the same
+_CONTENT_ROWS = 3  # samples one after the other that are alike by no chance
+_HASH_SEED = 7
+
+
+class Content(NamedTuple):
+    """What a log holds, whatever its name, stamps and format: to find what two logs have in common.
+
+    Attributes:
+        marks: a number for a few samples from each on, equal where positions and efforts are, shape (m,).
+        travel: that these samples belong to, rad, shape (m,).
+    """
+
+    marks: NDArray[np.uint64]
+    travel: Array
+
+    @classmethod
+    def of(cls, position: Array, effort: Array) -> Content:
+        """Return that of positions and efforts as a log has them, each of shape (m, n)."""
+        values = np.round(np.hstack([position, effort]), _CONTENT_DECIMALS) + 0.0
+        factor = np.random.default_rng(_HASH_SEED).integers(1, 2**63, (_CONTENT_ROWS, values.shape[1]), np.uint64)
+        numbers, count = values.view(np.uint64), max(0, len(values) - _CONTENT_ROWS + 1)
+        terms = [(numbers[k : k + count] * (2 * row + 1)).sum(axis=1, dtype=np.uint64) for k, row in enumerate(factor)]
+        marks = np.stack([one ^ (one >> np.uint64(31)) for one in terms]).sum(axis=0, dtype=np.uint64)
+        return cls(marks, np.abs(np.diff(position, axis=0, prepend=position[:1])).sum(axis=1)[:count])
+
+    def shared(self, other: Content) -> float:
+        """Return which share of its travel another log holds, too."""
+        return float(self.travel[np.isin(self.marks, other.marks)].sum() / max(self.travel.sum(), 1e-300))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +114,10 @@ class JointRecord:
         sha256: digest of the bag.
         missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
+        no_velocity: why the velocities are differences of positions; empty where they were recorded.
+        shocks: begin and end of times whose torque is not the arm's, s.
+        content: what other logs are compared with; None for one that was not read.
+        unit: of the torques, as in BagSource.
     """
 
     names: tuple[str, ...]
@@ -90,12 +129,35 @@ class JointRecord:
     sha256: str
     missing: int = 0
     outliers: int = 0
+    no_velocity: str = "none were recorded"
+    shocks: tuple[tuple[float, float], ...] = ()
+    content: Content | None = None
+    unit: str = "Nm"
+
+    def of_joints(self, names: Sequence[str]) -> JointRecord:
+        """Return the record with its joints in another order, in which all of them are."""
+        if tuple(names) == self.names:
+            return self
+        place = [self.names.index(name) for name in names]
+        position, velocity, torque = (values[:, place] for values in (self.position, self.velocity, self.torque))
+        return replace(self, names=tuple(names), position=position, velocity=velocity, torque=torque)
 
     @property
     def bag(self) -> BagSource:
         """Return the bag, with the figures of what was read of it."""
         duration = float(self.time[-1] - self.time[0])
-        return BagSource(self.source, self.sha256, duration, self.missing, self.outliers, float(self.time[0]))
+        return BagSource(
+            self.source, self.sha256, duration, self.missing, self.outliers, float(self.time[0]), self.unit
+        )
+
+
+def in_unit(text: str, unit: str) -> str:
+    """Return a text on torques in Nm, and on what is made of them, for torques in another unit: kg m^2 are Nm s^2."""
+    if unit == "Nm":
+        return text
+    for si, other in (("Nm", ""), ("kg m\\^2", " s^2"), ("kg m", " s^2/m"), ("kg", " s^2/m^2")):
+        text = re.sub(rf"\b{si}(?![\w^])", f"{unit}{other}", text)
+    return text
 
 
 def check_joints(records: Sequence[JointRecord], names: Sequence[str]) -> None:
@@ -143,7 +205,9 @@ def digest(path: Path | str) -> str:
     return whole.hexdigest()
 
 
-def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) -> JointRecord:
+def read_record(
+    path: Path | str, layout: BagLayout, rate: float | None = None, *, currents: bool = False
+) -> JointRecord:
     """Read one bag.
 
     Messages with a NaN and spikes of a single sample are left out and counted; messages that are missing in a steady
@@ -154,6 +218,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         path: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a table.
         layout: what the messages hold.
         rate: if given, block means of as many samples as leave about this rate, Hz.
+        currents: whether efforts in A without torque constants are taken as they are.
 
     Raises:
         BagError: if the bag cannot be read, is empty, or has no such topic or names.
@@ -162,8 +227,11 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     """
     path = Path(path)
     series = read_joint_states(
-        path, layout.topic, layout.messages, record_time=layout.record_time, mapping=layout.mapping
+        path, layout.topic, (*layout.messages, *layout.followed), record_time=layout.record_time, mapping=layout.mapping
     )
+    own = len(layout.messages)
+    if layout.followed and series.effort is not None:  # whatever it is
+        series = replace(series, effort=np.where(np.arange(series.effort.shape[1]) < own, series.effort, 0.0))
     where = f"{path}: {series.topic}"
     for name in ("position", "effort"):
         values = series.fields.get(name)
@@ -172,7 +240,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     if not np.nan_to_num(series.fields["effort"]).any():
         raise IdentificationError(f"{where} carries effort 0 throughout; accepted: measured efforts")
     unit = series.units["effort"]
-    if unit != "Nm" and (unit != "A" or layout.torque_constant is None):
+    if unit != "Nm" and (unit != "A" or (layout.torque_constant is None and not currents)):
         raise IdentificationError(
             f"{where}: its efforts are in {plain(unit)}; accepted: Nm, or A with --torque-constant"
         )
@@ -184,21 +252,27 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         if most > _MAX_VALUE or 0.0 < most < least:
             accepted = f"{least:g} to {_MAX_VALUE:g}" if least else f"up to {_MAX_VALUE:g}"
             raise IdentificationError(f"{where}: the largest {name} is {most:.3g}; accepted: {accepted}")
+    no_velocity = JointRecord.no_velocity
     if "velocity" not in fields:
         fields["velocity"] = _differentiated(time, fields["position"])
     else:
         velocity, fewest = fields["velocity"], min(_MIN_DISTINCT_VELOCITIES, len(time) / 4)
         poor = [k for k, column in enumerate(velocity.T) if len(np.unique(column)) < fewest]
         velocity[:, poor] = _differentiated(time, fields["position"][:, poor])
+        no_velocity = f"those of {listed([layout.messages[k] for k in poor])} have few values" if poor else ""
         _check_velocity(where, layout, time, fields["position"], velocity)
-    joints = layout.joint_side(fields)
-    columns = time, joints["position"], joints["velocity"], joints["effort"]
+    content = Content.of(fields["position"], fields["effort"])
+    joints = layout.joint_side({name: values[:, :own] for name, values in fields.items()})
+    together = {name: np.hstack([values, fields[name][:, own:]]) for name, values in joints.items()}
+    columns = time, together["position"], together["velocity"], together["effort"]
     size = 1 if rate is None or len(time) < 2 else round((len(time) - 1) / (time[-1] - time[0]) / rate)
     if size > 1:
         count = len(time) // size
         columns = tuple(v[: count * size].reshape(count, size, *v.shape[1:]).mean(axis=1) for v in columns)
     outliers = len(series.stamp_ns) - len(kept)
-    return JointRecord(layout.names, *columns, path, digest(path), _missing(series.time), outliers)
+    names, kind = (*layout.names, *layout.followed), "A" if unit == "A" and layout.torque_constant is None else "Nm"
+    missing = _missing(series.time)
+    return JointRecord(names, *columns, path, digest(path), missing, outliers, no_velocity, content=content, unit=kind)
 
 
 def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
@@ -255,6 +329,6 @@ def _check_velocity(where: str, layout: BagLayout, time: Array, position: Array,
         factor = float(distance[:, k] @ integral[:, k] / power[k])
         if not 1.0 / _MAX_VELOCITY_RATIO < factor < _MAX_VELOCITY_RATIO:
             raise IdentificationError(
-                f"{where}: the velocity of {quoted(layout.messages[k])} is {factor:.3g} times the change of its "
-                "position; accepted: rad and rad/s, of the same sign"
+                f"{where}: the velocity of {quoted((*layout.messages, *layout.followed)[k])} is {factor:.3g} times the "
+                "change of its position; accepted: rad and rad/s, of the same sign"
             )

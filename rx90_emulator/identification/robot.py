@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, TypeAlias, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
-from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.arm import RigidArm, movable_joints
 from rx90_emulator.identification.options import MeasuredLayout, RobotOptions
 from rx90_emulator.loop.setup import Setup
 
@@ -54,6 +54,7 @@ class BagLayout:
         record_time: whether the times of recording are taken for the stamps.
         zero: joint angle by the messages where that of the URDF is 0, rad, shape (n,); None for 0.
         mapping: what the columns of a table hold, where that is not in the file beside it.
+        followed: further joints, by their names in the messages and in the record: positions alone, joint side.
 
     Raises:
         IdentificationError: if a name stands twice or `turns` is not invertible.
@@ -67,6 +68,7 @@ class BagLayout:
     record_time: bool = False
     zero: Array | None = None
     mapping: LogMapping | None = None
+    followed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         twice = [name for name in self.messages if self.messages.count(name) > 1]
@@ -210,6 +212,50 @@ def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None 
     raise IdentificationError(f"{bag}: {what}; there are {', '.join(sorted(there)) or 'no topics'}; accepted: --topic")
 
 
+def message_names(log: Path, topic: str, mapping: LogMapping | None = None) -> tuple[str, ...]:
+    """Return the names in the first message of a JointState topic of a bag, or those of a table's topic.
+
+    Raises:
+        BagError: if the log cannot be read, or the table has no map.
+    """
+    if is_table(log):
+        topics = mapping_of(log, mapping).topics.items()
+        return next((tuple(one.names) for name, one in topics if absolute(name) == absolute(topic)), ())
+    with BagReader(log) as reader:
+        there = [one for one in reader.topics if one.name == absolute(topic) and one.is_joint_state]
+        first = next(reader.messages(there), None) if there else None
+        return () if first is None else tuple(str(name) for name in reader.deserialize(first[0], first[2]).name)
+
+
+def _of_joints(options: RobotOptions) -> RobotOptions:
+    """Return options for the joints of interest where a map's names, and what goes with each, are of more joints."""
+    names, joints = options.names, options.joints
+    if names is None or joints is None or len(names) <= len(joints) or not set(joints) <= set(names):
+        return options
+    place = [list(names).index(joint) for joint in joints]
+    given: dict[str, Any] = {key: getattr(options, key) for key in ("names", "gear", "torque_constant", "zero")}
+    fits = {key: values for key, values in given.items() if values is not None and len(values) == len(names)}
+    chosen: dict[str, Any] = {key: [values[k] for k in place] for key, values in fits.items()}
+    return replace(options, **chosen)
+
+
+def _followed(
+    urdf: Path, arm: RigidArm, options: RobotOptions, logs: Sequence[Path], mapping: LogMapping | None
+) -> tuple[str, ...]:
+    """Return the joints that all logs hold beside those of an arm, and whose motion counts for it."""
+    if not logs:
+        return ()
+    wanted = options.topic or JOINT_STATES
+    known = [set(message_names(log, recorded_topic(log, (wanted,), mapping) if is_table(log) else wanted, mapping))
+             for log in logs]  # fmt: skip
+    there = set.intersection(*known) - set(arm.names) - set(options.names or ())
+    beside = [name for name in movable_joints(urdf) if name in there]
+    if not beside:
+        return ()
+    whole = RigidArm.from_urdf(urdf, options.joints, massless=True, followed=beside)
+    return tuple(name for name in whole.related() if name in beside)
+
+
 @dataclass(frozen=True, eq=False)
 class RecordedRobot:
     """What is known of the robot that bags come from.
@@ -222,6 +268,7 @@ class RecordedRobot:
             with their c0, and whose omega_d is taken over; None to refuse bags that leave such parameters.
         fallback_name: their file.
         mapping: what the columns of tables hold, where that is not in the files beside them.
+        held: joints that the logs hold, but of which no gear is known to tell their motion: they are held at 0.
     """
 
     arm: RigidArm
@@ -230,15 +277,20 @@ class RecordedRobot:
     fallback: tuple[FrictionElement, ...] | None = None
     fallback_name: str | None = None
     mapping: LogMapping | None = None
+    held: tuple[str, ...] = ()
 
     @classmethod
-    def load(cls, options: RobotOptions, logs: Sequence[Path] = (), *, massless: bool = False) -> RecordedRobot:
+    def load(
+        cls, options: RobotOptions, logs: Sequence[Path] = (), *, massless: bool = False, follow: bool = False
+    ) -> RecordedRobot:
         """Return the robot that the options describe.
 
         Args:
             options: of the command.
             logs: bags and tables of the robot; what maps beside tables say of the arm counts as the options do.
             massless: whether links without <inertial> are accepted, because only kinematics are wanted.
+            follow: whether joints of another robot that all logs hold, and that carry the joints of interest or are
+                carried by them, follow the logs instead of being held at 0.
 
         Raises:
             IdentificationError: if they do not fit each other.
@@ -251,6 +303,7 @@ class RecordedRobot:
                 with_urdf = "without --urdf; accepted: with --urdf of another robot"
                 what = with_urdf if own else "with --urdf; accepted: for this project's robot alone"
                 raise IdentificationError(f"{_option(name)} {what}")
+        held = tuple[str, ...]()
         if options.urdf is None:
             files = RobotFiles.of_options(options)
             setup = Setup.load(files)
@@ -258,22 +311,35 @@ class RecordedRobot:
             _check_sizes(options, len(arm.names))
         else:
             setup, fallback_name, file = None, options.fallback or "none", Path(options.urdf)
+            options = _of_joints(options)
             arm = RigidArm.from_urdf(file, options.joints, massless=massless)
             arm_layout(options.topic or JOINT_STATES, arm.names, options)  # refused before any bag is read
             coupling = None if options.coupling is None else np.reshape(options.coupling, arm.coupling.shape)
             more = coupling, options.rotor_inertia, options.spring
-            arm = RigidArm.from_urdf(file, options.joints, *more, massless=massless)
+            followed = _followed(file, arm, options, logs, mapping) if follow else ()
+            if options.gear is not None:
+                held, followed = followed, ()
+            arm = RigidArm.from_urdf(file, options.joints, *more, massless=massless, followed=followed)
         if fallback_name == "none":
-            return cls(arm, setup, options, mapping=mapping)
+            return cls(arm, setup, options, mapping=mapping, held=held)
         fallback = FrictionFile.read(resolve_config(fallback_name)).select(arm.element_names)
         named, what = dict(zip(arm.element_names, fallback, strict=True)), "an identification with it as --fallback"
         refuse_parts(named, what, f"{fallback_name}: elements.", held=("bristles",))
-        return cls(arm, setup, options, fallback, fallback_name, mapping)
+        return cls(arm, setup, options, fallback, fallback_name, mapping, held)
 
     @property
     def zero(self) -> Array | None:
         """Return the recorded angle of each joint where that of its URDF is 0, rad, shape (n,); None for 0."""
-        return _array(self.options.zero)
+        given, zero = _array(self.options.zero), np.zeros(len(self.arm.names))
+        if given is None:
+            return None
+        zero[self.arm.identified] = given
+        return zero
+
+    @property
+    def followed(self) -> tuple[str, ...]:
+        """Return the joints that are not identified and follow the logs."""
+        return tuple(np.array(self.arm.names)[~self.arm.identified].tolist())
 
     @property
     def torque_delay(self) -> float:
@@ -296,7 +362,8 @@ class RecordedRobot:
         if setup is None:
             topic = topic or JOINT_STATES
             topic = recorded_topic(bag, (topic,), self.mapping) if is_table(bag) else topic
-            return arm_layout(topic, self.arm.names, self.options, None, self.mapping)
+            own = np.array(self.arm.names)[self.arm.identified].tolist()
+            return replace(arm_layout(topic, own, self.options, None, self.mapping), followed=self.followed)
         check_robot(bag, setup.robot.model.name)
         topics = (MOTOR_STATES, JOINT_STATES) if fast else (JOINT_STATES, MOTOR_STATES)
         topic = topic or recorded_topic(bag, topics, self.mapping)

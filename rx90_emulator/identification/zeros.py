@@ -13,8 +13,8 @@ inertials are free (excitation/checks.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from itertools import pairwise, product
 from typing import Any, Final, NamedTuple
@@ -29,6 +29,7 @@ from rx90_emulator.identification.records import JointRecord
 
 QUARTERS: Final = (-0.5 * math.pi, 0.5 * math.pi, math.pi)
 """Turns by which the zeros of URDF and encoder differ where they count from other poses, rad."""
+_MIN_GAIN = 0.02  # share of a joint's unexplained torque that a doubt must take away, at least
 SMALLEST: Final = 0.01
 """Error of a zero that counts, rad: elasticity and rounded geometry pass for less."""
 STEP: Final = 1e-4
@@ -61,6 +62,7 @@ class ZeroCheck:
         told: whether the torques tell an error of the joint's zero at all, shape (n,).
         before: RMS of the torque that is left, over that of the torque, all joints together.
         after: the same with the better zeros.
+        of: what is left, where that is not what the best fit leaves of all joints, such as " of joint_3".
     """
 
     names: tuple[str, ...]
@@ -70,6 +72,13 @@ class ZeroCheck:
     told: Mask
     before: float
     after: float
+    of: str = ""
+
+    def of_joints(self, some: Mask) -> ZeroCheck:
+        """Return what it says of some of the joints, shape (n,)."""
+        names = tuple(name for name, one in zip(self.names, some.tolist(), strict=True) if one)
+        arrays = {name: getattr(self, name)[some] for name in ("zero", "error", "deviation", "told")}
+        return replace(self, names=names, **arrays)
 
     @property
     def text(self) -> str:
@@ -85,8 +94,8 @@ class ZeroCheck:
         silent = [name for name, told in zip(self.names, self.told.tolist(), strict=True) if not told]
         rest = f"; the torques do not tell the zero of {', '.join(silent)}" if silent else ""
         return (
-            f"zeros: {', '.join(wrong)} {'seem' if len(wrong) > 1 else 'seems'} to be off (unexplained torque "
-            f"{self.before:.1%} -> {self.after:.1%}), or the model lacks a payload or a spring: "
+            f"zeros: {', '.join(wrong)} {'seem' if len(wrong) > 1 else 'seems'} to be off (unexplained torque"
+            f"{self.of} {self.before:.1%} -> {self.after:.1%}), or the model lacks a payload or a spring: "
             f"try --zero {' '.join(f'{value:.6g}' for value in better)}{rest}"
         )
 
@@ -97,6 +106,57 @@ def encoder_error(shift: Array) -> Array:
     Recorded angles lose the zero, so that a joint which stands a further on has a zero that is a less.
     """
     return np.array([math.remainder(-value, 2.0 * math.pi) if value else 0.0 for value in shift.tolist()])
+
+
+Left = Mapping[str, Array]
+"""Mean square of the torque of each joint that fits leave, Nm^2, shape (n,), by what the fits hold fixed, in words.
+
+The first is that of the fit in which all is free, "".
+"""
+
+
+def check_of(check: ZeroCheck, shift: Array, left: Callable[[Array], Left], torque: Array) -> ZeroCheck:
+    """Return which angles are doubted: those without which a fit would be worse, and what they make of it.
+
+    An error may be many of its deviations large and still explain nothing that matters. One by one, the angle that does
+    least for the fits is taken back, until each that stays lowers what is left of some joint's torque by 2 %.
+
+    Args:
+        check: joints, zeros and deviations.
+        shift: angles that are doubted, rad, shape (n,).
+        left: by fits with such angles.
+        torque: mean square of the torque of each joint, Nm^2, shape (n,).
+    """
+    shift, none = shift.copy(), np.zeros(len(check.names))
+    before, after = left(none), left(shift)
+    while shift.any():
+        others = {k: left(np.where(np.arange(len(none)) == k, 0.0, shift)) for k in np.flatnonzero(shift).tolist()}
+        gains = {k: _gain(other, after)[0] for k, other in others.items()}
+        least = min(gains, key=lambda k: gains[k])
+        if min(gains[least], _gain(before, after)[0]) >= _MIN_GAIN:
+            break
+        shift[least], after = 0.0, others[least]
+    _, fit = _gain(before, after)
+    pair, of = np.sqrt(np.stack([before[fit], after[fit]]) / max(float(torque.sum()), 1e-300)), fit
+    both = np.linalg.norm(pair, axis=1)
+    if shift.any() and f"{both[0]:.1%}" == f"{both[1]:.1%}":  # little of the arm's torque, but not of a joint's
+        joint = int(np.argmin(pair[1] / np.maximum(pair[0], 1e-300)))
+        both, of = pair[:, joint] * math.sqrt(float(torque.sum() / torque[joint])), f" of {check.names[joint]}{fit}"
+    return replace(check, error=encoder_error(shift), before=float(both[0]), after=float(both[1]), of=of)
+
+
+def _gain(before: Left, after: Left) -> tuple[float, str]:
+    """Return by which share the RMS of some joint falls in some fit, all joints together no worse, and in which.
+
+    Where all is free, nothing may become worse: zeros may spare the inertials an error, as that of a heavy payload.
+    """
+    if after[""].sum() >= before[""].sum():
+        return 0.0, ""
+    worse = {fit for fit in after if after[fit].sum() >= before[fit].sum()}
+    falls = {fit: 1.0 - math.sqrt(float(np.min(after[fit] / np.maximum(before[fit], 1e-300))))
+             for fit in after if fit not in worse}  # fmt: skip
+    best = next((fit for fit, share in falls.items() if share >= _MIN_GAIN), "")
+    return falls[best], best
 
 
 def quarter_turns(start: Array, joints: Iterable[int]) -> tuple[list[Array], list[Array]]:
@@ -161,12 +221,12 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
     none = np.zeros(len(arm.names))
     stride = max(1, math.ceil(len(instants.torque) / _MAX_INSTANTS))
     search = _Search(Instants(**{one.name: getattr(instants, one.name)[::stride] for one in fields(Instants)}), arm)
-    turned = none
-    for _ in arm.names:
+    turned, own = none, np.flatnonzero(arm.identified).tolist()
+    for _ in own:
         # By the scatter that the better angles leave: with wrong ones all of it passes for noise.
         better = (
             best
-            for best in (search.best(trials, turned) for trials in quarter_turns(turned, range(len(none))) if trials)
+            for best in (search.best(trials, turned) for trials in quarter_turns(turned, own) if trials)
             if search.fit(turned, search.weight(best)).squares - search.fit(best, search.weight(best)).squares
             > _CHI2_DROP
         )
@@ -175,13 +235,15 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
             break
         turned = found
     small, deviation = search.small(turned)
-    sure = (np.abs(small) > np.maximum(SMALLEST, _SIGNIFICANT_SD * deviation)) & (np.abs(small) < _MAX_SMALL_ERROR)
+    sure = (
+        arm.identified
+        & (np.abs(small) > np.maximum(SMALLEST, _SIGNIFICANT_SD * deviation))
+        & (np.abs(small) < _MAX_SMALL_ERROR)
+    )
     shift = turned + np.where(sure, small, 0.0)
-    before, after = search.left(none), search.left(shift)
-    if after >= before:  # the zeros only spare the inertials an error, as that of a heavy payload
-        shift, after = none, before
     told = deviation < _UNINFORMATIVE_SHARE * _ZERO_PRIOR_SD
-    return ZeroCheck(arm.names, none if zero is None else zero, encoder_error(shift), deviation, told, before, after)
+    check = ZeroCheck(arm.names, none if zero is None else zero, none, deviation, told, 0.0, 0.0)
+    return check_of(check, shift, search.left, search.torque).of_joints(arm.identified)
 
 
 class _Fit(NamedTuple):
@@ -196,7 +258,9 @@ class _Search:
 
     def __init__(self, instants: Instants, arm: RigidArm) -> None:
         self._at, self._arm = instants, arm
-        self._usable = ~(~instants.sliding @ (arm.element_matrix != 0.0))  # joints on which no element sticks, (m, n)
+        self._usable = (
+            ~(~instants.sliding @ (arm.element_matrix != 0.0)) & arm.identified
+        )  # joints on which no element sticks, (m, n)
         self._row, self._joint = np.nonzero(self._usable)
         self._cluster = np.unique(instants.plateau[self._row] * len(arm.names) + self._joint, return_inverse=True)[1]
         self._friction = _friction(instants.velocity, arm.element_matrix)[self._usable]
@@ -204,10 +268,21 @@ class _Search:
         self._power = max(float(np.mean(instants.torque[self._usable] ** 2)) if len(self._row) else 0.0, 1e-300)
         self._cached_rigid, self._cached_weight = lru_cache(None)(self._rigid), lru_cache(None)(self._found_weight)
 
-    def left(self, shift: Array) -> float:
-        """Return the torque that friction and inertials do not explain over the torque, RMS."""
-        residual = self.fit(shift, self.weight(shift)).residual
-        return math.sqrt(float(np.mean(residual**2)) / self._power) if len(residual) else 0.0
+    @property
+    def torque(self) -> Array:
+        """Return the mean square of the torque of each joint where no element sticks, Nm^2, shape (n,)."""
+        return self._mean_square(self._at.torque[self._usable])
+
+    def left(self, shift: Array) -> Left:
+        """Return the mean square that friction does not explain of it, with free and with the described inertials."""
+        weight, target = self.weight(shift), self._cached_rigid(tuple(shift.tolist()), 1)[0]
+        friction = self._friction * weight[:, None]
+        described = target - self._friction @ np.linalg.lstsq(friction, target * weight, rcond=1e-10)[0]
+        both = {"": self.fit(shift, weight).residual, " with the inertials of the description": described}
+        return {fit: self._mean_square(values) for fit, values in both.items()}
+
+    def _mean_square(self, values: Array) -> Array:
+        return np.asarray(np.bincount(self._joint, values**2, len(self._arm.names)) / max(len(values), 1))
 
     def best(self, trials: list[Array], start: Array) -> Array:
         """Return the angles with the least chi squared by the weights of others.

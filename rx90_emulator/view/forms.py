@@ -238,7 +238,7 @@ def changed(file: FrictionFile, name: str, values: Mapping[str, float]) -> Frict
         return file
     of_file = f"the other values {file.provenance or 'of unknown provenance'}"
     source = f"changed by hand: {', '.join(edits)}; {of_file}: {file.source or 'no source'}"
-    return FrictionFile({**file.elements, name: element}, "assumed", source)
+    return FrictionFile({**file.elements, name: element}, "assumed", source, joints=file.joints)
 
 
 def typed_values(element: FrictionElement, factor: float = 1.0) -> list[str]:

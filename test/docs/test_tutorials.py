@@ -17,6 +17,7 @@ MADE = {
     ),
     "own_motion": "my_run.png",
     "friction": "joint_3.png",
+    "own_identification": "run.csv",
 }
 """What pages leave in the reader's folder besides, by their names."""
 PAGES = [

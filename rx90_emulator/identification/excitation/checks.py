@@ -4,23 +4,33 @@ A wrong zero bends the arm in the wrong place, and no inertia makes good for it.
 URDF and encoder count from other poses, and by some hundredths of a radian after a bad calibration: quarter turns are
 tried one joint and two neighbours at a time, then small errors by their derivatives. A zero that base parameters can
 make good for (a vertical first axis, the last joint) changes no torque, and is never blamed.
+
+A motor's torque constant of the wrong sign turns its torque round: the drive seems to be driven by friction. A gear of
+the wrong sign turns torque and motion round: power and friction are right, and the joint bends the other way. Both,
+and a motion alone that is turned round, are tried one motor after the other, friction being no less than 0. Some gears
+cannot be told: an arm whose joints all turn about vertical and parallel axes moves as its mirror image does.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.excitation.fit import nonnegative
 from rx90_emulator.identification.excitation.law import COULOMB, VISCOUS, ElementShape, joint_columns
 from rx90_emulator.identification.excitation.least_squares import solve, time_blocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.zeros import SMALLEST, STEP, ZeroCheck, encoder_error, quarter_turns
+from rx90_emulator.identification.options import RobotOptions
+from rx90_emulator.identification.zeros import SMALLEST, STEP, ZeroCheck, check_of, quarter_turns
 
-_WRONG_SIGN_SE = 6.0  # deviations
+_NO_OPTIONS = RobotOptions()
 
 
 def coulomb_viscous(problem: ExcitationProblem) -> tuple[tuple[str, ...], Array]:
@@ -33,21 +43,74 @@ def coulomb_viscous(problem: ExcitationProblem) -> tuple[tuple[str, ...], Array]
     return names, columns[:, :, [COULOMB, VISCOUS]].reshape(len(problem), -1)
 
 
-def check_signs(problem: ExcitationProblem) -> None:
-    """Refuse torques of an element that drive the motion instead of opposing it, beyond any doubt.
+class WrongSign(NamedTuple):
+    """A motor whose recorded values have the wrong sign.
+
+    Attributes:
+        motor: its number, from 0 at the base.
+        motion: whether its position and velocity are turned round.
+        torque: whether its torque is.
+        alike: numbers of other motors that explain it as well, turned round in its place: mirror images do.
+    """
+
+    motor: int
+    motion: bool
+    torque: bool
+    alike: tuple[int, ...] = ()
+
+    @property
+    def what(self) -> str:
+        """Return what has the wrong sign."""
+        return "gear" if self.motion and self.torque else "position" if self.motion else "effort"
+
+
+_TURNED_ROUND = ((False, True), (True, True), (True, False))
+"""Motion and torque: a wrong sign of the torque constant, of the gear, of the position alone."""
+_MIN_SIGN_GAIN = 0.15  # share of the torque error, at least, that a right sign explains
+_SIGN_SE = 3.0  # standard errors by which it must explain more
+
+
+def check_signs(problem: ExcitationProblem, options: RobotOptions = _NO_OPTIONS) -> None:
+    """Refuse runs in which motors' torques or motions have the wrong sign, beyond any doubt.
+
+    Args:
+        problem: equations with the signs as they were given.
+        options: which gears and torque constants were.
 
     Raises:
-        IdentificationError: naming the element and its Coulomb torque.
+        IdentificationError: naming the joints, what is left of the torque either way, and what to write instead.
     """
-    fit, first = solve(problem, np.hstack([problem.regressor, coulomb_viscous(problem)[1]])), len(problem.names)
-    value, deviation, told = (part[first:].reshape(-1, 2) for part in (fit.value, fit.deviation, fit.determined))
-    drives = (value[:, 1] < 0.0) & (value[:, 0] < -_WRONG_SIGN_SE * deviation[:, 0]) & told.all(axis=1)
-    for k in np.flatnonzero(drives)[:1]:
-        raise IdentificationError(
-            f"{problem.arm.element_names[k]}: the torque does not oppose the motion (Coulomb torque {value[k, 0]:.3g} "
-            f"+- {deviation[k, 0]:.2g} Nm); accepted: efforts of the sign with which the drive moves the joint (check "
-            "the signs of gears and torque constants)"
-        )
+    search = _Search(problem)
+    wrong, before, after = search.wrong_signs()
+    if not wrong:
+        return
+    names, said, choices = problem.arm.names, [], [wrong]
+    for k, one in enumerate(wrong):
+        said.append(f"{one.what} of {names[one.motor]}")
+        if one.alike:
+            said[-1] = f"{one.what} of one of {', '.join(names[motor] for motor in sorted((one.motor, *one.alike)))}"
+            said[-1] += " (either fits as well, as mirror images do)"
+        choices += [(*wrong[:k], one._replace(motor=motor), *wrong[k + 1 :]) for motor in one.alike]
+    better = " or ".join(filter(None, (_right_signs(one, options, len(names)) for one in choices)))
+    raise IdentificationError(
+        f"wrong sign of the {' and the '.join(said)}: {before:.1%} of the torque there are unexplained, with the other "
+        f"sign {after:.1%}; accepted: {better}, there or in the signal map"
+    )
+
+
+def _right_signs(wrong: Sequence[WrongSign], options: RobotOptions, count: int) -> str:
+    """Return the options that turn signs of `count` motors round."""
+    gear, constant = (list(given or [1.0] * count) for given in (options.gear, options.torque_constant))
+    for motor, motion, torque, _ in wrong:
+        gear[motor] *= -1.0 if motion else 1.0
+        constant[motor] *= -1.0 if motion != torque else 1.0
+    changed = (
+        ("gear", gear, any(one.motion for one in wrong)),
+        ("torque-constant", constant, any(one.motion != one.torque for one in wrong)),
+    )
+    return " ".join(
+        f"--{name} {' '.join(f'{value:g}' for value in values)}" for name, values, there in changed if there
+    )
 
 
 _SCREENING_ROWS = 2500  # that quarter turns are compared on, at most: evenly taken from all
@@ -69,14 +132,52 @@ def check_zeros(problem: ExcitationProblem, zero: Array | None = None) -> ZeroCh
     """
     none = np.zeros(len(problem.arm.names))
     search = _Search(problem)
-    told = search.told()
+    told = search.told() & problem.arm.identified
     quarters = search.quarter_turned(told)
     small, deviation = search.small(quarters, told)
     shift = quarters + small
-    squares = [float(np.mean(values**2)) for values in (problem.torque, search.residual(none), search.residual(shift))]
-    before, after = (math.sqrt(size / max(squares[0], 1e-300)) for size in squares[1:])
-    given = none if zero is None else zero
-    return ZeroCheck(problem.arm.names, given, encoder_error(shift), deviation, told, before, after)
+
+    def mean_square(values: Array) -> Array:
+        return np.asarray(np.bincount(problem.joint, values**2, len(none)) / len(problem))
+
+    check = ZeroCheck(problem.arm.names, none if zero is None else zero, none, deviation, told, 0.0, 0.0)
+    return check_of(
+        check, shift, lambda angles: {"": mean_square(search.residual(angles))}, mean_square(problem.torque)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Signed:
+    """Equations of s rows, friction no less than 0: their joints, regressor, columns of friction, torque, Nm."""
+
+    joint: Index
+    regressor: Array
+    friction: Array
+    torque: Array
+
+    def residual(self, sigma: Array) -> Array:
+        """Return what is left of the torque by the fit with these deviations of the rows, Nm, shape (s,)."""
+        weight = 1.0 / sigma
+        friction, target = self.friction * weight[:, None], self.torque * weight
+        columns = self.regressor * weight[:, None]
+        basis = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))[0]
+        friction, target = (values - basis @ (basis.T @ values) for values in (friction, target))
+        return np.asarray((target - friction @ nonnegative(friction.T @ friction, friction.T @ target)) * sigma)
+
+    @cached_property
+    def sigma(self) -> Array:
+        """Return the deviation of each row, that of its joint's residuals, Nm, shape (s,)."""
+        return self._by_joint(self.residual(self._by_joint(self.torque)))
+
+    @property
+    def deficit(self) -> float:
+        """Return minus the logarithm of the likelihood, but for a constant."""
+        return float(np.log(self.sigma).sum())
+
+    def _by_joint(self, values: Array) -> Array:
+        count = np.maximum(np.bincount(self.joint), 1)
+        floor = max(1e-9 * float(np.abs(self.torque).max()), 1e-12)
+        return np.asarray(np.maximum(np.sqrt(np.bincount(self.joint, values**2) / count), floor)[self.joint])
 
 
 class _Search:
@@ -84,9 +185,9 @@ class _Search:
 
     def __init__(self, problem: ExcitationProblem) -> None:
         self._problem, self._friction = problem, coulomb_viscous(problem)[1]
-        self._position, self._velocity, self._acceleration = (
+        self._position, self._velocity, self._acceleration, self._torque = (
             np.concatenate([run.parallel(getattr(run, name)) for run in problem.runs])
-            for name in ("position", "velocity", "acceleration")
+            for name in ("position", "velocity", "acceleration", "torque")
         )
         self._block, self._all = time_blocks(problem), np.arange(len(problem))
         fit = solve(problem, np.hstack([problem.regressor, self._friction]))
@@ -115,12 +216,7 @@ class _Search:
                 two = self._least(double)
                 if two[1].sum() < less.sum() - _MIN_SECOND_JOINT_GAIN * squares.sum():
                     shift, less = two
-            # Clearly: block by block, by more than chance and by a share that counts.
-            gain = squares - less
-            filled = gain[squares > 0.0]
-            error = float(np.std(filled, ddof=1)) * math.sqrt(len(filled)) if len(filled) > 1 else math.inf
-            needed = (1.0 - (1.0 - _MIN_TORQUE_GAIN) ** 2) * float(squares.sum())
-            if float(gain.sum()) <= max(_QUARTER_TURN_SE * error, needed):
+            if not self._explains(squares, less, _QUARTER_TURN_SE, _MIN_TORQUE_GAIN):
                 break
             best, squares = shift, less
         return best
@@ -143,6 +239,75 @@ class _Search:
     def residual(self, shift: Array) -> Array:
         """Return what rigid body, Coulomb and viscous friction leave of the torque with shifted angles, Nm."""
         return solve(self._problem, self._columns(shift, self._all)).residual
+
+    def wrong_signs(self) -> tuple[tuple[WrongSign, ...], float, float]:
+        """Return the motors whose signs are wrong, and what is unexplained of their torque before and without that."""
+        motors, wrong, first = range(len(self._problem.arm.names)), tuple[WrongSign, ...](), self._signed(())
+        now = first
+        for _ in motors:
+            there = {one.motor for one in wrong}
+            tried = [(*wrong, WrongSign(k, *how)) for k in motors if k not in there for how in _TURNED_ROUND]
+            best, other = min(((one, self._signed(one)) for one in tried), key=lambda pair: pair[1].deficit)
+            if not self._explains(*self._compared(now, other), _SIGN_SE, _MIN_SIGN_GAIN):
+                break
+            # Where nothing tells which way the joint bends, the torque is more often wrong than the position.
+            plain = (*wrong, best[-1]._replace(motion=False, torque=True))
+            same = self._signed(plain)
+            if not self._beats(other, same):
+                best, other = plain, same
+            wrong, now = best, other
+        others = [motor for motor in motors if motor not in {one.motor for one in wrong}]
+        for k, one in enumerate(wrong):
+            swapped = [(*wrong[:k], one._replace(motor=motor), *wrong[k + 1 :]) for motor in others]
+            alike = [
+                motor for motor, way in zip(others, swapped, strict=True) if not self._beats(now, self._signed(way))
+            ]
+            wrong = (*wrong[:k], one._replace(alike=tuple(alike)), *wrong[k + 1 :])
+        named = [motor for one in wrong for motor in (one.motor, *one.alike)]
+        own = np.isin(self._problem.joint[self._some], named)
+        size = max(float(np.linalg.norm(first.torque[own])), 1e-300)
+        before, after = (float(np.linalg.norm(one.residual(now.sigma)[own])) / size for one in (first, now))
+        return wrong, before, after
+
+    def _beats(self, other: _Signed, now: _Signed) -> bool:
+        """Return whether a hypothesis explains clearly more than another wrong sign."""
+        return self._explains(*self._compared(now, other), _SIGN_SE, _MIN_TORQUE_GAIN)
+
+    def _compared(self, now: _Signed, other: _Signed) -> tuple[Array, Array]:
+        """Return the squares that two hypotheses leave in each block, weighted by the noise that the other one finds.
+
+        A wrong sign hides in the large noise that it makes of its joint; the right one does not.
+        """
+        block, count = self._block[self._some], int(self._block.max()) + 1
+        left = ((one.residual(other.sigma) / other.sigma) ** 2 for one in (now, other))
+        first, second = (np.bincount(block, squares, count).astype(np.float64) for squares in left)
+        return first, second
+
+    def _signed(self, wrong: Sequence[WrongSign]) -> _Signed:
+        """Return the equations of the screened rows with some signs turned round.
+
+        The friction's columns are those of the filtered velocities, which is near enough.
+        """
+        problem, rows, coupling = self._problem, self._some, self._problem.arm.coupling
+        signs = np.ones((2, len(coupling)))
+        for motor, motion, torque, _ in wrong:
+            signs[[motion, torque], motor] = -1.0
+        moves, acts = (np.linalg.inv(coupling) @ (sign[:, None] * coupling) for sign in signs)
+        instants, place = np.unique(problem.sample[rows], return_inverse=True)
+        joint = problem.joint[rows]
+        moved = [values[instants] @ moves.T for values in (self._position, self._velocity, self._acceleration)]
+        regressor = problem.columns.torque(*moved)[:, :, list(problem.base.leading)][place, joint]
+        speed, share = (moved[1] @ problem.arm.element_matrix.T)[place], problem.arm.element_matrix.T[joint]
+        recorded = (self._torque[instants] @ acts)[place, joint] - problem.payload[rows]
+        return _Signed(joint, regressor, np.hstack([share * np.sign(speed), share * speed]), recorded)
+
+    @staticmethod
+    def _explains(squares: Array, less: Array, errors: float, share: float) -> bool:
+        """Return whether less is left clearly: block by block, by more than chance and by a share that counts."""
+        gain = squares - less
+        filled = gain[squares > 0.0]
+        error = float(np.std(filled, ddof=1)) * math.sqrt(len(filled)) if len(filled) > 1 else math.inf
+        return float(gain.sum()) > max(errors * error, (1.0 - (1.0 - share) ** 2) * float(squares.sum()))
 
     def _columns(self, shift: Array, rows: Index) -> Array:
         """Return the columns of the simple model with shifted angles, shape (r, q)."""

@@ -10,6 +10,10 @@ own: bristle, damping and rise are tried together. Asked for or not, bristles ar
 rows of reversals fit worse than others: left out, a bristle biases all that is fitted.
 
 What a model was not fitted to are blocks of time, and whole runs.
+
+A viscous exponent near the lower bound of its range makes the viscous torque nearly a Coulomb torque, and the runs do
+not tell one from the other: such an exponent is not kept. Where a person names the parts, every element has them, and
+only those go of which a parameter ends at a bound.
 """
 
 from __future__ import annotations
@@ -24,7 +28,15 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 from rx90_common.base.arrays import Array, Index
 from rx90_common.friction.held_out import HeldOutErrors
 from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, best_start, fit_shapes
-from rx90_emulator.identification.excitation.law import COULOMB, PART_OF, ElementShape, Part, element_rows
+from rx90_emulator.identification.excitation.law import (
+    COULOMB,
+    PART_OF,
+    SHAPED,
+    VISCOUS,
+    ElementShape,
+    Part,
+    element_rows,
+)
 from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
@@ -97,7 +109,7 @@ class TimeBlocks:
         correlation = _correlation_time(problem, residual)
         motion = np.unique(problem.motion, return_inverse=True)[1].ravel()
         time = problem.phase * np.array([run.down / run.rate for run in problem.runs])[problem.run]
-        durations = np.array([rows.max() for rows in _grouped(time, motion)])
+        durations = np.array([max(rows.max(), 1e-9) for rows in _grouped(time, motion)])  # of one instant: 0
         whole = float(durations.sum())
         wanted = _CORRELATION_TIMES * correlation
         length = min(max(wanted, whole / _MAX_BLOCKS), whole / _MIN_BLOCKS)
@@ -259,17 +271,23 @@ _STAGES = ("starts", "fit of all elements", "elements without it", "weights")
 _START_COUNT = 5  # Stribeck velocities, and presliding distances, to start from
 _START_RISE = 0.3  # to start from
 _REVERSAL_MISFIT = 1.2  # RMS residual of reversals over that of other rows, from which on bristles are tried
+_BOUND_SE = 2.0  # deviations of an exponent from the lower bound of its range, below which the runs do not tell it
 
 
 def select_parts(
-    problem: ExcitationProblem, parts: Sequence[Part], progress: Callable[[str], None] = lambda _: None
+    problem: ExcitationProblem,
+    parts: Sequence[Part],
+    progress: Callable[[str], None] = lambda _: None,
+    *,
+    fixed: bool = False,
 ) -> Selection:
-    """Try parts in the order given and keep those with which the model predicts better.
+    """Try parts in the order given and keep those with which the model predicts better, or give them to all elements.
 
-    `progress` is called with the name of each of `stages(parts)` stages before it.
+    `progress` is called with the name of each of `stages(parts, fixed)` stages before it. With `fixed` no part is tried
+    beside those given, and none goes because the model predicts as well without it.
     """
-    search = Selection(problem, parts)
-    for part in _attempts(parts):
+    search = Selection(problem, parts, fixed=fixed)
+    for part in _attempts(parts, fixed):
         left = iter([f"{part.value}: {stage}" for stage in _STAGES])
         if part in parts or _wants_bristles(problem, search.now):
             search.attempt(part, lambda left=left: progress(next(left)))  # type: ignore[misc]
@@ -278,15 +296,15 @@ def select_parts(
     return search
 
 
-def stages(parts: Sequence[Part]) -> int:
+def stages(parts: Sequence[Part], fixed: bool = False) -> int:
     """Return how many stages of the choice of parts are reported."""
-    return len(_attempts(parts)) * len(_STAGES)
+    return len(_attempts(parts, fixed)) * len(_STAGES)
 
 
-def _attempts(parts: Sequence[Part]) -> tuple[Part, ...]:
+def _attempts(parts: Sequence[Part], fixed: bool) -> tuple[Part, ...]:
     """Return the parts that are tried one after the other, if only where it is needed: bristles come after a rise."""
     asked = tuple(part for part in parts if part is not Part.DAMPING)
-    return asked if Part.STRIBECK not in asked or Part.BRISTLE in asked else (*asked, Part.BRISTLE)
+    return asked if fixed or Part.STRIBECK not in asked or Part.BRISTLE in asked else (*asked, Part.BRISTLE)
 
 
 class Selection:
@@ -300,9 +318,10 @@ class Selection:
         refused: why an element does not have a part that was tried on it.
     """
 
-    def __init__(self, problem: ExcitationProblem, parts: Sequence[Part]) -> None:
-        self._problem = problem
-        self._allowed = frozenset({*parts, Part.BRISTLE, Part.DAMPING} if Part.STRIBECK in parts else parts)
+    def __init__(self, problem: ExcitationProblem, parts: Sequence[Part], *, fixed: bool = False) -> None:
+        self._problem, self._fixed = problem, fixed
+        more = Part.STRIBECK in parts and not fixed
+        self._allowed = frozenset({*parts, Part.BRISTLE, Part.DAMPING} if more else parts)
         self._groups = element_groups(problem.arm.element_matrix)
         self.rows: list[ModelRow] = []
         self.refused: dict[PartKey, str] = {}
@@ -338,16 +357,18 @@ class Selection:
         before = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
         everywhere = self._scored(fit_shapes(self.weighted, fit.shapes))
         stage()
-        trimmed = self._trimmed(self.within_bounds(everywhere, part), keys)
-        # Without the parts that went, others may have come to a bound.
-        trimmed = self.within_bounds(trimmed, part)
+        trimmed = self.within_bounds(everywhere, part)
+        if not self._fixed:
+            # Without the parts that go, others may come to a bound.
+            trimmed = self.within_bounds(self._trimmed(trimmed, keys), part)
         left = [e for e, shape in enumerate(trimmed.fit.shapes) if part in shape.parts]
-        kept = bool(left) and trimmed.better_than(before)
+        kept = bool(left) and (self._fixed or trimmed.better_than(before))
         if trimmed.fit.shapes != everywhere.fit.shapes:
-            gone = "kept on some elements, see below" if kept else "no element predicts better with it"
+            none = "it ends at a bound on all elements" if self._fixed else "no element predicts better with it"
+            gone = "kept on some elements, see below" if kept else none
             self._add(f"+ {part.value}: all", everywhere, before, kept=False, reason=gone)
         if left:
-            text, names = trimmed.verdict(before), self._problem.arm.element_names
+            text, names = "asked for; " * self._fixed + trimmed.verdict(before), self._problem.arm.element_names
             where = "all" if len(left) == len(given) else ", ".join(names[e] for e in left)
             self._add(f"+ {part.value}: {where}", trimmed, before, kept=kept, reason=text)
             self.refused |= {} if kept else {(e, part): text for e in left}
@@ -378,7 +399,7 @@ class Selection:
         A Stribeck rise is tried again with delta = 1, the exponent that literature gives; then `part`, which is being
         tried, goes, and else the part that the parameter belongs to.
         """
-        while any(ended := _ended(model.fit)):
+        while any(ended := _ended(model.fit)) or any(ended := self._untold_exponents(model.fit)):
             shapes = list(model.fit.shapes)
             for e, bound in enumerate(ended):
                 if bound:
@@ -400,11 +421,33 @@ class Selection:
             part is not None and whose in _BESIDE.get(part, ()) and (part is Part.BRISTLE or whose not in before.parts)
         )
         gone, element = whose if beside else tried or whose, self._problem.arm.element_names[e]
-        self.refused[e, gone] = f"with an exponent no Coulomb torque of {element} is left"
+        at = f"{round(getattr(shape, name), 6):.3g}"
         if name in fit.at_bound[e]:
-            at = f"{round(getattr(shape, name), 6):.3g}"
-            self.refused[e, gone] = f"{name} of {element} ends at the bound of its range, {at}"
+            why = f"{name} of {element} ends at the bound of its range, {at}"
+        elif fit.linear[e, COULOMB] <= 0.0:
+            why = f"beside it no Coulomb torque of {element} shows"
+        elif fit.linear[e, VISCOUS] <= 0.0:
+            why = f"{element} has no viscous torque that an exponent could shape"
+        else:
+            why = (
+                f"alpha of {element}, {at}, is within {_BOUND_SE:g} deviations of the bound of its range: the runs do "
+                "not tell such a viscous torque from Coulomb torque"
+            )
+        self.refused[e, gone] = why
         return shape.without(gone) if own or beside else before
+
+    def _untold_exponents(self, fit: SeparableFit) -> list[frozenset[str]]:
+        """Return "alpha" for each element whose exponent is too near its lower bound to be told from Coulomb torque."""
+        inner, found = fit.inner(), [frozenset[str]()] * len(fit.shapes)
+        places = [(k, e) for k, (e, name) in enumerate(inner) if name == "alpha"]
+        # Where a person asks for an exponent, its deviation says how well it is known.
+        if places and not self._fixed:
+            linear = solve(self._problem, self.weighted.tangent(fit, inner))
+            for k, e in places:
+                deviation = float(linear.deviation[len(self._problem.names) + k])
+                if fit.shapes[e].alpha - _BOUND_SE * deviation < self.weighted.bounds(e, "alpha")[0]:
+                    found[e] = frozenset({"alpha"})
+        return found
 
     def _trimmed(self, model: Scored, keys: Sequence[PartKey]) -> Scored:
         """Take parts away, the most useless first, until each that is left makes the model predict better.
@@ -461,9 +504,15 @@ def _wants_bristles(problem: ExcitationProblem, model: Scored) -> bool:
 
 
 def _ended(fit: SeparableFit) -> list[frozenset[str]]:
-    """Return the parameters of each element that end at a bound, or leave no Coulomb torque: an exponent does so."""
-    pairs = zip(fit.shapes, fit.linear[:, COULOMB].tolist(), fit.at_bound, strict=True)
-    return [b | {"alpha"} if Part.EXPONENT in s.parts and tau_c <= 0.0 else b for s, tau_c, b in pairs]
+    """Return the parameters of each element that end at a bound, or shape a torque that is 0, or leave no Coulomb one.
+
+    An exponent leaves none where the viscous torque is all of the friction.
+    """
+    found = []
+    for shape, linear, bound in zip(fit.shapes, fit.linear.tolist(), fit.at_bound, strict=True):
+        without = {name for name, place in SHAPED.items() if linear[place] <= 0.0 or linear[COULOMB] <= 0.0}
+        found.append(bound | (without & set(shape.free)))
+    return found
 
 
 def candidates(weighted: WeightedProblem, shape: ElementShape, element: int, part: Part) -> list[ElementShape]:

@@ -5,6 +5,10 @@ derivatives of the quintic spline through the filtered samples (central differen
 fifth of the sampling rate, the spline less than a hundredth). The torque is not filtered with them: it passes one
 low-pass together with everything that is to explain it (Gautier 1997, "Dynamic identification of robots with power
 model": parallel filtering), so that the filter distorts both sides of the equation alike.
+
+Gaps that are short beside the bandwidth of the positions hide no motion that it lets pass: they are bridged. The
+samples of a shock (`recording.without_shocks`) are no torque of the arm's: that torque is bridged, too, by a straight
+line, as is what is to explain it.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, firwin, kaiserord, sosfiltfilt, welch
 from scipy.sparse import csr_array
 
-from rx90_common.base.arrays import Array, Index
+from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import fma, load, store
@@ -32,11 +36,15 @@ _STOPBAND_DB = 60.0  # dB, of the parallel filter beyond twice its bandwidth
 _SIGNAL_OVER_FLOOR = 10.0  # power of a motion over the noise of its positions, up to which the filter lets it pass
 _MOVING_PEAK_OVER_FLOOR = 1e3  # power at its peak over that floor, from which a joint counts as moving
 _MIN_SPECTRUM_SAMPLES = 64  # samples of a stretch whose spectrum is looked at
+_SPECTRUM_TIME = 4.0  # s, of the pieces that spectra are averaged over
 _POSITION_OVER_MOTION_BAND = 10.0  # bandwidth of the positions over the motion's, at least: Gautier's rule is 5 to 10
 _MAX_BANDWIDTH_OVER_RATE = 0.3  # bandwidth of the positions over the sampling rate, at most
 _ROWS_PER_HZ = 2.5  # rows per second over the bandwidth of the torque: neighbours' noise is nearly independent
 _MAX_ROWS = 30_000  # of all joints and runs: what more of them tell is not worth the time of their fits
-_GAP_PERIODS = 3.5  # periods without a sample that split a run
+_SMOOTHED_FALL = 4.0**-6  # power of a torque at four times a frequency over that at it: a fall as f^-6
+_GAP_PERIODS = 3.5  # periods without a sample that are a gap
+_BRIDGED_PERIODS = 0.25  # periods of the positions' bandwidth that a gap may last, not to split a run
+_LEAST_BESIDE_GAP = 4  # samples on either side that tell a bridge's cubic
 _STAMP_TOLERANCE = 1e-3  # periods that a stamp may lie off an even grid, to be taken as on it
 _SPLINE_END = 10  # samples in which the error at a quintic spline's end fades
 _BLOCK_SAMPLES = 8192  # samples whose columns are held at a time
@@ -49,11 +57,13 @@ class Bandwidths(NamedTuple):
         position: of the positions' Butterworth filter (both directions together: half the amplitude), Hz.
         torque: of the low-pass that torque and model share (half the amplitude at 1.5 times it), Hz.
         reason: what in the data they come from, one sentence.
+        recorded_velocity: whether velocity and acceleration come from recorded velocities in place of positions.
     """
 
     position: float
     torque: float
     reason: str = "as given"
+    recorded_velocity: bool = False
 
     @classmethod
     def of(cls, records: Sequence[JointRecord]) -> Bandwidths:
@@ -65,7 +75,8 @@ class Bandwidths(NamedTuple):
         band that holds 95 % of the velocity's power (Gautier's rule), and at most 0.3 times the sampling rate. The
         torque gets a third of it: where its low-pass ends, the positions' filter has hardly begun (gain 0.96). Long
         runs with hardly any noise would give more rows than a fit needs: then the torque gets what 30,000 rows carry,
-        down to a third of ten times the motion's band.
+        down to a third of ten times the motion's band. Torques that were smoothed before they were recorded get no
+        more than that smoothing left (`smoothed_above`).
 
         Raises:
             IdentificationError: if no joint moves, or the runs are too short.
@@ -91,24 +102,17 @@ class Bandwidths(NamedTuple):
         least = min(_POSITION_OVER_MOTION_BAND * motion / 3.0, torque)
         carried = max(_MAX_ROWS / (_ROWS_PER_HZ * float(lasting)), least)
         gets = f"what {_MAX_ROWS} rows carry" if carried < torque else "a third of it"
-        return cls(position, min(carried, torque), f"{source}; the torque gets {gets}")
+        torque, edge = min(carried, torque), smoothed_above(records)
+        if edge is not None and edge < torque:
+            torque, gets = edge, f"{edge:.3g} Hz, for above it falls too steeply: it was smoothed before"
+        return cls(position, torque, f"{source}; the torque gets {gets}")
 
 
 def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:
     """Yield, for each joint that moves, where its spectrum meets the noise, and the band of its velocity, Hz."""
-    start, stop = max(_pieces(record.time), key=lambda piece: piece[1] - piece[0])
-    if stop - start < _MIN_SPECTRUM_SAMPLES:
-        return
-    time, rate = record.time[start:stop], _rate(record.time[start:stop])
-    even = _even(time, rate)
-    values = _resampled(time, record.position[start:stop], even, 3)
-    segment = min(len(even), max(256, round(4.0 * rate)))
-    frequency, power = welch(values, rate, nperseg=segment, axis=0)
-    # Bands a fifth of an octave wide at least: the median in a band ignores lines of ripple.
-    band = np.unique(np.round(5.0 * np.log2(np.maximum(np.arange(len(frequency)), 1))), return_inverse=True)[1]
-    edges = np.flatnonzero(np.diff(band, prepend=-1))
+    frequency, power, edges = _spectrum(record, record.position, 3, "hann")
     for column in power.T:
-        floor = max(float(np.median(column[frequency > 0.25 * rate])), 1e-30)
+        floor = max(float(np.median(column[frequency > 0.25 * _rate(record.time)])), 1e-30)
         typical = np.array([np.median(part) for part in np.split(column, edges[1:])])
         peak = int(np.argmax(typical))
         lost = np.flatnonzero(typical[peak:] < _SIGNAL_OVER_FLOOR * floor)
@@ -116,6 +120,52 @@ def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:
             crossing = float(frequency[edges[peak + lost[0]] if len(lost) else -1])
             velocity = np.cumsum(np.where(frequency < crossing, column, 0.0) * frequency**2)
             yield crossing, float(frequency[np.searchsorted(velocity, 0.95 * velocity[-1])])
+
+
+def least_bandwidth(records: Sequence[JointRecord]) -> float:
+    """Return ten times the band of the motion of records in which joints move, Hz: what the positions need at least."""
+    return _POSITION_OVER_MOTION_BAND * float(np.median([pair[1] for one in records for pair in _crossings(one)]))
+
+
+def smoothed_above(records: Sequence[JointRecord]) -> float | None:
+    """Return from where on torques were smoothed before they were recorded, Hz; None where they were not.
+
+    Coulomb friction steps, and noise is flat: the power of a measured torque falls with the square of the frequency at
+    most, beside the motion's own edge. A zero-phase low-pass of second order falls with its eighth power. A torque
+    counts as smoothed where, of the joints of all runs, half or more have a power that falls from some frequency to
+    four times that by more than with the sixth power; the least such frequency is where the low-pass has hardly begun.
+    """
+    found = []
+    for record in records:
+        # Of the leakage of this window, 92 dB below the peak, nothing hides a fall.
+        frequency, power, edges = _spectrum(record, record.torque, 1, "blackmanharris")
+        band = frequency[edges]
+        for column in power.T:
+            typical = np.array([np.median(part) for part in np.split(column, edges[1:])])
+            fourfold = np.interp(4.0 * band, band, np.log(np.maximum(typical, 1e-300)), right=np.inf)
+            # Below the fourth frequency the window itself falls.
+            steep = (fourfold < np.log(np.maximum(typical, 1e-300) * _SMOOTHED_FALL)) & (band >= frequency[4])
+            found.append(float(band[steep][0]) if steep.any() else np.inf)
+    edge = float(np.median(found)) if found else np.inf
+    return edge if np.isfinite(edge) else None
+
+
+def _spectrum(record: JointRecord, values: Array, degree: int, window: str) -> tuple[Array, Array, Index]:
+    """Return frequencies, power of each column, and where bands of them begin, of the longest piece without a gap.
+
+    Bands are a fifth of an octave wide at least: the median in a band ignores lines of ripple. All are empty for a
+    piece that is too short.
+    """
+    start, stop = max(_pieces(record.time), key=lambda piece: piece[1] - piece[0])
+    if stop - start < _MIN_SPECTRUM_SAMPLES:
+        return np.empty(0), np.empty((0, 0)), np.empty(0, dtype=np.intp)
+    time, rate = record.time[start:stop], _rate(record.time[start:stop])
+    even = _even(time, rate)
+    segment = min(len(even), max(_MIN_SPECTRUM_SAMPLES, round(_SPECTRUM_TIME * rate)))
+    resampled = _resampled(time, values[start:stop], even, degree)
+    frequency, power = welch(resampled, rate, window, nperseg=segment, axis=0)
+    band = np.unique(np.round(5.0 * np.log2(np.maximum(np.arange(len(frequency)), 1))), return_inverse=True)[1]
+    return frequency, power, np.flatnonzero(np.diff(band, prepend=-1))
 
 
 class TorqueStamps(NamedTuple):
@@ -148,6 +198,7 @@ class FilteredRun:
         reference: position set-points, rad, shape (m, n); None where none were recorded.
         bandwidths: of both filters.
         stamps: where the torque was recorded; None where that is at `time`.
+        shocks: begin and end of times whose torque is not used, s.
     """
 
     source: BagSource
@@ -160,6 +211,7 @@ class FilteredRun:
     reference: Array | None
     bandwidths: Bandwidths
     stamps: TorqueStamps | None = None
+    shocks: tuple[tuple[float, float], ...] = ()
 
     @cached_property
     def rate(self) -> float:
@@ -182,6 +234,13 @@ class FilteredRun:
         """Return the samples that the rows lie at, shape (k,): those around which the filter has its whole length."""
         half = len(self.taps) // 2
         return np.arange(half, len(self.time) - half, self.down)
+
+    @property
+    def whole(self) -> Mask:
+        """Return which rows lie outside of the shocks, by a quarter of a period of the torque's bandwidth, (k,)."""
+        time, margin = self.time[self.rows], 0.25 / self.bandwidths.torque
+        inside = [(time > begin - margin) & (time < end + margin) for begin, end in self.shocks]
+        return np.asarray(~np.any([np.zeros(len(time), dtype=np.bool_), *inside], axis=0))
 
     @property
     def torque_velocity(self) -> Array:
@@ -215,7 +274,7 @@ class FilteredRun:
 def filter_record(
     record: JointRecord, bandwidths: Bandwidths, reference: Array | None = None, torque_lead: float = 0.0
 ) -> tuple[FilteredRun, ...]:
-    """Return the runs of a record: a gap in the samples ends one and begins the next.
+    """Return the runs of a record: a gap that is not short beside the bandwidths ends one and begins the next.
 
     Args:
         record: with any rate and jitter.
@@ -236,7 +295,8 @@ def filter_record(
         )
     edge = math.ceil(1.5 * rate / bandwidths.position) + _SPLINE_END  # three time constants of the slowest pole
     shortest = 2 * edge + len(low_pass_taps(rate, bandwidths.torque)) + 1
-    pieces = [slice(*piece) for piece in _pieces(record.time) if piece[1] - piece[0] >= shortest]
+    bridged = bridged_gap(bandwidths)
+    pieces = [slice(*piece) for piece in _pieces(record.time, bridged) if piece[1] - piece[0] >= shortest]
     if not pieces:
         raise IdentificationError(
             f"{record.source}: no stretch of {shortest / rate:.3g} s without a gap, which the filters' edges take; "
@@ -250,14 +310,22 @@ def _filtered(
 ) -> FilteredRun:
     time = record.time[piece]
     rate = _rate(time)
-    even, stamps = _even(time, rate), time - torque_lead
+    even = _even(time, rate)
     inner = slice(edge, len(even) - edge)
     sections = butter(_FILTER_ORDER, bandwidths.position, fs=rate, output="sos")
-    position = _resampled(time, record.position[piece], even, 5)
-    smooth = sosfiltfilt(sections, position, axis=0, padlen=min(3 * edge, len(even) - 1))
     # From 0 on: stamps of the wall clock are rounded to 0.2 us, which second derivatives at 5 kHz do not bear.
     count = np.arange(len(even)) / rate
-    curve, at_torque = make_interp_spline(count, smooth, k=5), None
+
+    def smoothed(values: Array) -> Array:
+        resampled = _resampled(*_bridged(time, values[piece]), even, 5)
+        return np.asarray(sosfiltfilt(sections, resampled, axis=0, padlen=min(3 * edge, len(even) - 1)))
+
+    position, order = smoothed(record.position), int(not bandwidths.recorded_velocity)
+    curve = make_interp_spline(count, position if order else smoothed(record.velocity), k=5)
+    at_torque, ours = None, np.full(len(time), fill_value=True)
+    for begin, end in record.shocks:
+        ours &= (time < begin) | (time > end)
+    stamps, torque = time[ours] - torque_lead, record.torque[piece][ours]
     if not _is_even(stamps, even):
         samples = even[inner]
         first, last = np.searchsorted(stamps, samples[0], "right") - 1, np.searchsorted(stamps, samples[-1]) + 1
@@ -267,18 +335,19 @@ def _filtered(
         pairs = np.column_stack([1.0 - share, share]), np.column_stack([before, before + 1])
         rows = np.arange(0, 2 * len(samples) + 1, 2)
         resampling = csr_array((pairs[0].ravel(), pairs[1].ravel(), rows), (len(samples), len(around)))
-        at_torque = TorqueStamps(np.asarray(curve(around - even[0], 1)), resampling)
+        at_torque = TorqueStamps(np.asarray(curve(around - even[0], order)), resampling)
     return FilteredRun(
         source=record.bag,
         names=record.names,
         time=even[inner],
-        position=smooth[inner],
-        velocity=np.asarray(curve(count[inner], 1)),
-        acceleration=np.asarray(curve(count[inner], 2)),
-        torque=_resampled(stamps, record.torque[piece], even, 1)[inner],
-        reference=None if reference is None else _resampled(time, reference[piece], even, 5)[inner],
+        position=position[inner],
+        velocity=np.asarray(curve(count[inner], order)),
+        acceleration=np.asarray(curve(count[inner], order + 1)),
+        torque=_resampled(stamps, torque, even, 1)[inner],
+        reference=None if reference is None else _resampled(*_bridged(time, reference[piece]), even, 5)[inner],
         bandwidths=bandwidths,
         stamps=at_torque,
+        shocks=record.shocks,
     )
 
 
@@ -291,13 +360,43 @@ def _rate(time: Array) -> float:
     return float(len(usual) / usual.sum())
 
 
-def _pieces(time: Array) -> list[tuple[int, int]]:
-    """Return the first sample and the one after the last of each piece without a gap."""
-    if len(time) < 2:
-        return [(0, len(time))]
+def gaps(time: Array) -> Index:
+    """Return the samples before which stamps have a gap of more than 3.5 periods."""
     steps = np.diff(time)
-    breaks = np.flatnonzero(steps > _GAP_PERIODS * np.median(steps)) + 1
-    return list(pairwise([0, *breaks.tolist(), len(time)]))
+    return np.flatnonzero(steps > _GAP_PERIODS * np.median(steps)) + 1 if len(steps) else np.empty(0, dtype=np.intp)
+
+
+def bridged_gap(bandwidths: Bandwidths) -> float:
+    """Return how long a gap may be to be bridged, s."""
+    return _BRIDGED_PERIODS / bandwidths.position
+
+
+def _pieces(time: Array, bridged: float = 0.0) -> list[tuple[int, int]]:
+    """Return the first sample and the one after the last of each piece without a gap that is longer than `bridged`."""
+    breaks = [k for k in gaps(time).tolist() if time[k] - time[k - 1] > bridged]
+    return list(pairwise([0, *breaks, len(time)]))
+
+
+def _bridged(time: Array, values: Array) -> tuple[Array, Array]:
+    """Return stamps and values with those that gaps lack, by the cubics that fit best to what lies beside them.
+
+    A spline through the samples alone would swing in a gap as their noise has it.
+    """
+    added: list[tuple[int, Array, Array]] = []
+    for k in gaps(time).tolist():
+        begin, end = time[k - 1], time[k]
+        period = float(np.median(np.diff(time)))
+        missing = np.linspace(begin, end, max(2, round((end - begin) / period)) + 1)[1:-1]
+        reach = max(_LEAST_BESIDE_GAP, len(missing))
+        near = slice(max(0, k - reach), k + reach)
+        powers = np.vander((time[near] - begin) / (end - begin), 4)
+        cubic = np.linalg.lstsq(powers, values[near], rcond=None)[0]
+        added.append((k, missing, np.vander((missing - begin) / (end - begin), 4) @ cubic))
+    if not added:
+        return time, values
+    places = np.concatenate([np.full(len(missing), k) for k, missing, _ in added])
+    between = [np.concatenate(parts) for parts in list(zip(*added, strict=True))[1:]]
+    return np.insert(time, places, between[0]), np.insert(values, places, between[1], axis=0)
 
 
 def _even(time: Array, rate: float) -> Array:

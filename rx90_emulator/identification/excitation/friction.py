@@ -7,7 +7,7 @@ values become the parameters of FrictionElement, or the reason why one is not kn
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -32,7 +32,13 @@ from rx90_emulator.identification.excitation.law import (
 )
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, Prior
-from rx90_emulator.identification.excitation.unmodelled import blur_shifts, load_dependence, undecided_parts
+from rx90_emulator.identification.excitation.unmodelled import (
+    Unbounded,
+    blur_shifts,
+    load_dependence,
+    undecided_parts,
+    without_bounds,
+)
 from rx90_emulator.identification.records import BagSource
 
 NORMAL_95 = 1.96
@@ -144,6 +150,7 @@ class FrictionSelection:
         names: of the values of `fit`; a friction parameter is `element.parameter`.
         predicted: torque of every row by the kept model, Nm, shape (r,).
         remarks: what a reader of the figures must know.
+        warnings: on elements whose friction is not what the model says.
     """
 
     models: tuple[ModelRow, ...]
@@ -154,6 +161,7 @@ class FrictionSelection:
     names: tuple[str, ...]
     predicted: Array
     remarks: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
 
     @property
     def parts(self) -> tuple[frozenset[Part], ...]:
@@ -170,6 +178,8 @@ def identify_friction_parts(
     parts: Sequence[Part] = WITHOUT_BRISTLES,
     prior: Prior | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    *,
+    fixed: bool = False,
 ) -> FrictionSelection:
     """Identify rigid body and friction together, and choose the friction's parts by cross-validation.
 
@@ -177,13 +187,14 @@ def identify_friction_parts(
         problem: the rows.
         parts: to try beside Coulomb and viscous friction, in this order; bristles take several times as long.
         prior: of the base parameters, for the values; the parts are chosen by the runs alone.
-        progress: called with the name of each stage of the choice before it, `choice.stages(parts)` times.
+        progress: called with the name of each stage of the choice before it, `choice.stages(parts, fixed)` times.
+        fixed: whether all elements have the parts, without a choice.
 
     Returns:
         The selection. Parameters that the runs do not tell are unknown, with a reason.
     """
-    selected = select_parts(problem, parts, progress)
-    inner, final, rises, remarks = final_fit(selected, parts, prior)
+    selected = select_parts(problem, parts, progress, fixed=fixed)
+    inner, final, rises, free, remarks = final_fit(selected, parts, prior)
     names, shapes, linear = problem.arm.element_names, list(selected.fit.shapes), selected.fit.linear.copy()
     moved = [shape.values for shape in shapes]
     for (e, name), value in zip(inner, final.value[len(problem.names) :].tolist(), strict=True):
@@ -199,15 +210,17 @@ def identify_friction_parts(
     )
     sources = tuple(run.source for run in problem.runs)
     refusals = [_refusal(selected, e, parts, rises.get(e)) for e in range(len(fitted))]
+    reasons = [_torque_reasons(selected, e, free) for e in range(len(fitted))]
     return FrictionSelection(
         models=tuple(selected.rows),
         blocks=selected.blocks,
         fitted=fitted,
-        elements=tuple(element_estimate(*pair, sources) for pair in zip(fitted, refusals, strict=True)),
+        elements=tuple(element_estimate(*three, sources) for three in zip(fitted, refusals, reasons, strict=True)),
         fit=final,
         names=(*problem.names, *(f"{names[e]}.{name}" for e, name in inner)),
         predicted=problem.torque - final.residual,
         remarks=(*_constant_remarks(problem, selected, final), *remarks),
+        warnings=free.remarks,
     )
 
 
@@ -260,7 +273,8 @@ def with_linear(
     for e, (one, old) in enumerate(zip(selection.fitted, selection.elements, strict=True)):
         fitted.append(replace(one, linear=linear[e], covariance=_block(e, inner, covariance)))
         reasons = {part: old.parameters[name].reason for name, part in _PART_OF.items()}
-        elements.append(element_estimate(fitted[-1], reasons.__getitem__, old.sources))
+        torques = {name: old.parameters[f"{name}_positive" if name == "tau_c" else name].reason for name in LINEAR[:2]}
+        elements.append(element_estimate(fitted[-1], reasons.__getitem__, torques, old.sources))
     other = replace(selection, fitted=tuple(fitted), elements=tuple(elements), fit=replace(fit, value=value))
     predicted = predicted_torque(other, problem)
     whole = replace(other.fit, covariance=covariance, residual=problem.torque - predicted)
@@ -273,7 +287,7 @@ _CONSTANT_RESIDUAL = 1e-6  # share of a constant torque that the regressor may l
 
 def final_fit(
     selected: Selection, parts: Sequence[Part], prior: Prior | None = None
-) -> tuple[tuple[Key, ...], LinearFit, dict[int, tuple[float, float]], tuple[str, ...]]:
+) -> tuple[tuple[Key, ...], LinearFit, dict[int, tuple[float, float]], Unbounded, tuple[str, ...]]:
     """Return the friction's parameters and the fit of the whole model, linear around the one selected.
 
     Exponents that were tried and not kept stay at 1, but the covariance is that with them free: the runs say no more of
@@ -283,7 +297,7 @@ def final_fit(
 
     Returns:
         The parameters, whose values follow those of the base in the fit; the fit; value and standard deviation over
-        tau_c of Stribeck rises that may be there, by element; remarks.
+        tau_c of Stribeck rises that may be there, by element; what torques at their bound 0 would be; remarks.
     """
     weighted, fit = selected.weighted, selected.fit
     problem, inner = weighted.problem, fit.inner()
@@ -308,9 +322,10 @@ def final_fit(
         closed[len(problem.names) + np.flatnonzero([e in lost for e, _ in keys])] = 0.0
     loaded, remarks = load_dependence(selected, columns, wide, prior)
     rises, covariance = undecided_parts(selected, columns, prior)
-    shifts = np.column_stack([loaded, closed, *blur_shifts(weighted, fit, columns)])
+    free = without_bounds(selected, columns, wide, prior)
+    shifts = np.column_stack([loaded, closed, free.shift, *blur_shifts(weighted, fit, columns)])
     known = final.covariance if covariance is None else covariance
-    return keys, replace(final, covariance=known + shifts @ shifts.T), rises, remarks
+    return keys, replace(final, covariance=known + shifts @ shifts.T), rises, free, remarks
 
 
 def _block(element: int, inner: Sequence[Key], covariance: Array) -> Array:
@@ -342,6 +357,27 @@ def _refusal(selected: Selection, element: int, parts: Sequence[Part], rise: tup
     return reason
 
 
+def _torque_reasons(selected: Selection, element: int, free: Unbounded) -> Mapping[str, str]:
+    """Return why an element has no Coulomb or no viscous torque, by parameter; none for one that it has."""
+    if not len(selected.weighted.elements[element].rows):
+        return dict.fromkeys(LINEAR[:2], "at rest in all runs")
+    sizes = {name: free.sizes[element, name] for name in LINEAR[:2] if (element, name) in free.sizes}
+    texts = {name: f"{value:.3g} +- {deviation:.2g}" for name, (value, deviation) in sizes.items()}
+    if selected.fit.linear[element].any():
+        words = {"tau_c": "Coulomb", "c2": "viscous"}
+        found = {
+            name: f"no {words[name]} friction shows: without its bound 0 it would be {texts[name]}" for name in texts
+        }
+        whole = {name: f"the motion does not tell {name} from the rigid body" for name in LINEAR[:2]}
+        return whole | found
+    if not sizes:
+        return dict.fromkeys(LINEAR[:2], "the element moves at one velocity alone")
+    both = " and ".join(f"{name} {text}" for name, text in texts.items())
+    drives = any(value < -_DRIVING_SE * deviation for value, deviation in sizes.values())
+    why = "the torque drives the motion instead of opposing it (is its sign right?)" if drives else "no friction shows"
+    return dict.fromkeys(LINEAR[:2], f"{why}: without the bound 0 the fit gives {both}")
+
+
 def _constant_remarks(problem: ExcitationProblem, selected: Selection, fit: LinearFit) -> Iterable[str]:
     """Say for which joints tau_c is the mean of both directions: no motion tells their difference from an offset."""
     weighted = selected.weighted
@@ -359,6 +395,7 @@ def _constant_remarks(problem: ExcitationProblem, selected: Selection, fit: Line
             )
 
 
+_DRIVING_SE = 4.0  # deviations of a negative friction torque from 0
 _MAX_ALPHA_SD = 0.3  # deviation of an exponent that says nothing about it
 _MAX_RELATIVE_SD = {"omega_s": 0.5, "delta": 0.5, "c0": 0.5, "c1": 0.25}
 """Relative deviation up to which one of these counts as known.
@@ -372,12 +409,15 @@ _PART_OF = {
 }  # fmt: skip
 
 
-def element_estimate(one: FittedElement, refusal: Refusal, sources: tuple[BagSource, ...]) -> ElementEstimate:
+def element_estimate(
+    one: FittedElement, refusal: Refusal, torques: Mapping[str, str], sources: tuple[BagSource, ...]
+) -> ElementEstimate:
     """Return the estimates of an element by the names of FrictionElement.
 
     Args:
         one: the element as it was fitted.
         refusal: why it does not have a part.
+        torques: why its tau_c or c2 is 0, where it is.
         sources: the runs.
     """
     shape = one.shape
@@ -404,12 +444,14 @@ def element_estimate(one: FittedElement, refusal: Refusal, sources: tuple[BagSou
     deviations[(jacobian[:, ~known] != 0.0).any(axis=1)] = math.inf
     estimates = {}
     for (name, (value, _)), deviation in zip(natural.items(), deviations.tolist(), strict=True):
-        reason = _reason(one, name, value, deviation, refusal)
+        reason = _reason(one, name, value, deviation, refusal, torques)
         estimates[name] = ParameterEstimate.unknown(reason) if reason else ParameterEstimate(value, deviation)
     return ElementEstimate.of(one.element, estimates, covariance, sources)
 
 
-def _reason(one: FittedElement, name: str, value: float, deviation: float, refusal: Refusal) -> str:
+def _reason(
+    one: FittedElement, name: str, value: float, deviation: float, refusal: Refusal, torques: Mapping[str, str]
+) -> str:
     """Return why a parameter is not known; empty if it is."""
     part = _PART_OF.get(name)
     if part is not None and part not in one.shape.parts:
@@ -418,9 +460,8 @@ def _reason(one: FittedElement, name: str, value: float, deviation: float, refus
         return "not told from the size of the rise; 1 was assumed"
     limit = _MAX_ALPHA_SD if name == "alpha" else _MAX_RELATIVE_SD.get(name, math.inf) * value
     checks = (
-        (not one.linear.any(), "the element does not move, or at one velocity alone"),
-        (name.startswith("tau") and value <= 0.0, "no Coulomb friction shows: the best value is 0"),
-        (name in ("c2", "alpha") and one.linear[VISCOUS] <= 0.0, "no viscous friction shows: the best value is 0"),
+        (name.startswith("tau") and value <= 0.0, torques["tau_c"] or "no Coulomb friction shows"),
+        (name in ("c2", "alpha") and one.linear[VISCOUS] <= 0.0, torques["c2"] or "no viscous friction shows"),
         (not math.isfinite(value) or not math.isfinite(deviation), "the runs do not determine it"),
         (deviation > limit, f"standard deviation {deviation:.3g} at a value of {value:.3g}"),
     )

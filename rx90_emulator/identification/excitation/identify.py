@@ -9,15 +9,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from rx90_common.bags.mapping import is_table
-from rx90_common.bags.reading import read_joint_states
-from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import listed
+from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
 from rx90_emulator.identification.excitation.checks import check_signs, check_zeros
 from rx90_emulator.identification.excitation.choice import stages
-from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
+from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.excitation.friction import (
     ALL_PARTS,
     WITHOUT_BRISTLES,
@@ -31,9 +28,11 @@ from rx90_emulator.identification.excitation.known_payload import (
     identify_gains,
     identify_load_parts,
 )
+from rx90_emulator.identification.excitation.law import Part
 from rx90_emulator.identification.excitation.payload import Payload, payloads_of
-from rx90_emulator.identification.excitation.physical import make_consistent
+from rx90_emulator.identification.excitation.physical import Consistency, make_consistent
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, described_inertials
+from rx90_emulator.identification.excitation.recording import recording_notes, short_note, without_shocks
 from rx90_emulator.identification.excitation.result import (
     ExcitationIdentification,
     TorqueValidation,
@@ -41,13 +40,14 @@ from rx90_emulator.identification.excitation.result import (
     run_torques,
     simulated_elements,
     trends,
+    written_arm,
 )
 from rx90_emulator.identification.identify import check_given_once, read_records
-from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions
+from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions, model_parts
 from rx90_emulator.identification.records import JointRecord
-from rx90_emulator.identification.robot import RecordedRobot, topic_names
+from rx90_emulator.identification.robot import BagLayout, RecordedRobot
+from rx90_emulator.identification.validation.prediction import filtered_runs, validation_bandwidths, written_torque
 
-_REFERENCE = "rx90_controller/reference"
 _NO_PAYLOADS: Mapping[str, Payload] = MappingProxyType({})
 _DEFAULT_ROBOT = RobotOptions()
 _DEFAULT_TOLERANCES = ExcitationTolerances()
@@ -60,9 +60,12 @@ def identify_excitation(
     tolerances: ExcitationTolerances = _DEFAULT_TOLERANCES,
     *,
     bristles: bool = False,
+    model: Sequence[str] | None = None,
     payloads: Mapping[str, Payload] = _NO_PAYLOADS,
     load_part: bool = False,
+    rotors: bool = True,
     prior: float | None = None,
+    bandwidth: float | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ExcitationIdentification:
     """Identify the dynamics of an arm from runs in which all joints move, without plateaus of constant velocity.
@@ -76,11 +79,16 @@ def identify_excitation(
         tolerances: what counts as agreement with them.
         bristles: whether bristles along the motion are tried also where neither a Stribeck rise nor the rows of
             reversals ask for them; a trial takes some times as long as all other parts.
+        model: parts that all elements have, without a choice: "coulomb-viscous", which all have, and the names in
+            `options.MODEL_PARTS`; by default what predicts better is chosen. Only a part that ends at a bound goes.
         payloads: known bodies at the last link, by name or path of the bag; runs that are not named carry none. Runs
             with and without one tell the drive gains.
         load_part: whether they tell load parts of the friction in place of the gains, which then count as right.
+        rotors: whether the recorded torques hold those of the rotors; those of sensors between gear and link do not.
         prior: relative standard deviation of the description's inertials, where they are to count; by default they do
             not, but for what no run tells.
+        bandwidth: of the low-pass of the positions, Hz; the torque gets a third. By default the widest of a few that
+            predicts as well as the best of them (`bandwidths.choose_bandwidths`).
         progress: called with the name of each step before it, `count_steps` times.
 
     Returns:
@@ -96,62 +104,63 @@ def identify_excitation(
     if not by_use["excitation"]:
         raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
     check_given_once(by_use)
+    parts, fixed = _asked(bristles, model)
     carried = payloads_of(everything, payloads)
     if robot.torque_delay:
         raise IdentificationError(
             f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
         )
-    source = RecordedRobot.load(robot, everything, massless=True)
-    records = read_records(by_use, source, progress)
+    _check_rotors(robot, rotors=rotors)
+    source = RecordedRobot.load(robot, everything, massless=True, follow=True)
+    records = read_records(by_use, source, progress, currents=True)
     progress("filters and equations")
-    bandwidths = Bandwidths.of(records["excitation"])
+    records, notes = _shocks_left_out(records, source)
 
-    def equations(some: Sequence[JointRecord]) -> ExcitationProblem:
-        runs = [run for record in some for run in _filtered(record, source, bandwidths)]
-        return ExcitationProblem.of(source.arm, runs, [carried[run.source.path] for run in runs])
+    def equations(some: Sequence[JointRecord], bandwidths: Bandwidths) -> ExcitationProblem:
+        runs = [run for record in some for run in filtered_runs(record, source, bandwidths)]
+        return ExcitationProblem.of(source.arm, runs, [carried[run.source.path] for run in runs], rotors=rotors)
 
-    problem = equations(records["excitation"])
-    _check_motion(problem, source)
-    check_signs(problem)
+    bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
+    notes = (*notes, *recording_notes(records["excitation"], bandwidths), *short_note(problem), *_held_note(source))
+    check_signs(problem, replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source)))
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
-    parts = ALL_PARTS if bristles else WITHOUT_BRISTLES
     gains: DriveGains | None = None
     loads: LoadParts | None = None
     if load_part:
         progress("load parts")
-        loads = identify_load_parts(problem, parts, progress)
+        loads = identify_load_parts(problem, parts, progress, fixed=fixed)
     elif np.any(problem.payload):
         progress("drive gains")
-        gains = identify_gains(problem, parts, progress)
+        gains = identify_gains(problem, parts, progress, fixed=fixed)
     changes = [one.applied for one in (gains, loads) if one is not None]
     for change in changes:
         problem = change(problem)
     progress("friction")
-    friction = identify_friction_parts(problem, parts, known, progress)
+    friction = identify_friction_parts(problem, parts, known, progress, fixed=fixed)
     progress("instrumental variables")
     closed_loop, friction = check_closed_loop(problem, friction, known)
     said = [closed_loop.remark, *([] if loads is None else [loads.remark(problem.arm.element_names)])]
     friction = replace(friction, remarks=(*friction.remarks, *said))
     progress("consistent inertias")
     consistency = make_consistent(problem, friction, source, robot)
+    elements = simulated_elements(friction.elements, source.fallback, loads)
+    written, offset = written_arm(problem, consistency)
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
-        other = equations([record])
+        other = equations([record], validation_bandwidths(record, bandwidths))
         for change in changes:
             other = change(other)
-        predicted = predicted_torque(friction, other)
-        (identified,) = run_torques(other, predicted)
-        (consistent,) = run_torques(other, predicted + other.regressor @ consistency.inertias.shift)
-        checks.append(TorqueValidation(identified, consistent, tolerances))
+        by_files = written_torque(other, written, [one.element for one in elements], offset)
+        checks.append(_unseen(other, predicted_torque(friction, other), consistency, by_files, tolerances))
     torques = run_torques(problem, friction.predicted)
     return ExcitationIdentification(
         robot=source,
         options=robot,
         problem=problem,
         friction=friction,
-        elements=simulated_elements(friction.elements, source.fallback, loads),
+        elements=elements,
         base=base_parameters(problem, friction, consistency, closed_loop),
         consistency=consistency,
         torques=torques,
@@ -161,44 +170,73 @@ def identify_excitation(
         zeros=zeros,
         gains=gains,
         loads=loads,
+        notes=notes,
         bags=tuple((use, record.bag) for use, some in records.items() for record in some),
     )
 
 
-def count_steps(bags: int, validation: int, *, bristles: bool = False, payloads: bool = False) -> int:
+def _shocks_left_out(
+    records: Mapping[str, Sequence[JointRecord]], robot: RecordedRobot
+) -> tuple[dict[str, list[JointRecord]], tuple[str, ...]]:
+    """Return the records of each use with the times of their shocks, and in words what was found."""
+    found = {use: [without_shocks(one, robot.arm.element_matrix) for one in some] for use, some in records.items()}
+    texts = tuple(text for pairs in found.values() for _, said in pairs for text in said)
+    return {use: [record for record, _ in pairs] for use, pairs in found.items()}, texts
+
+
+def _held_note(robot: RecordedRobot) -> tuple[str, ...]:
+    """Return a warning where joints are held at 0 of which a log of motors has the motion."""
+    if not robot.held:
+        return ()
+    return (f"warning: held at 0, though the log has them, for their gears are not known: {', '.join(robot.held)}",)
+
+
+def count_steps(
+    bags: int,
+    validation: int,
+    *,
+    bristles: bool = False,
+    model: Sequence[str] | None = None,
+    payloads: bool = False,
+) -> int:
     """Return how often `identify_excitation` calls `progress` for so many bags and validation runs."""
     choices = 1 + payloads  # of the friction's parts: known payloads take one for the drive gains or load parts
-    return bags + 2 * validation + 3 + choices * (1 + stages(ALL_PARTS if bristles else WITHOUT_BRISTLES))
+    return bags + 2 * validation + 3 + choices * (1 + stages(*_asked(bristles, model)))
 
 
-def _filtered(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths) -> tuple[FilteredRun, ...]:
-    """Return the runs of a record; of this project's plant with set-points, which real arms and tables do not have."""
-    simulated = not is_table(record.source) and absolute(_REFERENCE) in topic_names(record.source)
-    if robot.plant_period is None or not simulated:
-        return filter_record(record, bandwidths)
-    # A torque of this project's plant is that of the tick that ends at its stamp; a real arm's is not.
-    return filter_record(record, bandwidths, _setpoints(record), 0.5 * robot.plant_period)
+def _asked(bristles: bool, model: Sequence[str] | None) -> tuple[tuple[Part, ...], bool]:
+    """Return the parts of the friction to try or to give to all elements, and whether it is the latter."""
+    if model is not None:
+        if bristles:
+            raise IdentificationError("--bristles with --model; accepted: --model with bristle among its parts")
+        return tuple(Part.named(name) for name in model_parts(model)), True
+    return ALL_PARTS if bristles else WITHOUT_BRISTLES, False
 
 
-def _setpoints(record: JointRecord) -> Array | None:
-    """Return a simulated bag's set-points at the record's times, shape (m, n); None where they do not cover it."""
-    series = read_joint_states(record.source, _REFERENCE, record.names)
-    if series.position is None or len(series.time) < 2:
+def _check_rotors(robot: RobotOptions, *, rotors: bool) -> None:
+    """Refuse a model without rotors for an arm whose drives' torques move them."""
+    if not rotors and (robot.urdf is None or robot.rotor_inertia is not None):
+        given = "without --urdf" if robot.urdf is None else "with --rotor-inertia"
+        raise IdentificationError(f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears")
+
+
+def _unseen(
+    problem: ExcitationProblem,
+    predicted: Array,
+    consistency: Consistency,
+    files: Array,
+    limits: ExcitationTolerances,
+) -> TorqueValidation:
+    """Return the verdict of a run by three predictions of its r rows: identified, with consistent bodies, by files."""
+    kinds = predicted, predicted + problem.regressor @ consistency.inertias.shift, files
+    identified, consistent, written = (run_torques(problem, torque)[0] for torque in kinds)
+    return TorqueValidation(identified, consistent, limits, written)
+
+
+def _gears(layout: BagLayout, robot: RecordedRobot) -> list[float] | None:
+    """Return the gear of each motor, given or this project's robot's; None where messages hold the joints' states."""
+    if layout.turns is None:
         return None
-    # Stamps of averaged motor states end between two set-points.
-    step = float(np.median(np.diff(series.time)))
-    if series.time[0] > record.time[0] + step or series.time[-1] < record.time[-1] - step:
-        return None
-    return np.column_stack([np.interp(record.time, series.time, column) for column in series.position.T])
-
-
-def _check_motion(problem: ExcitationProblem, robot: RecordedRobot) -> None:
-    """Refuse runs that leave an element at rest, unless there is other friction for it."""
-    moving = np.isin(np.arange(len(problem.arm.names)), problem.joint)
-    elements = zip(problem.arm.element_names, problem.arm.element_matrix, strict=True)
-    still = [name for name, row in elements if not row[moving].any()]
-    if still and robot.fallback is None:
-        raise IdentificationError(
-            f"{listed(still)} at rest in all runs; accepted: runs in which all joints move, or --fallback with a "
-            "friction file for the others"
-        )
+    largest = np.argmax(np.abs(robot.arm.coupling), axis=1)[:, None]
+    gears = (np.take_along_axis(values, largest, 1)[:, 0] for values in (layout.turns, robot.arm.coupling))
+    return (next(gears) / next(gears)).tolist()  # type: ignore[no-any-return]

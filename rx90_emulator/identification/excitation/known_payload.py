@@ -128,6 +128,8 @@ def identify_gains(
     problem: ExcitationProblem,
     parts: Sequence[Part] = WITHOUT_BRISTLES,
     progress: Callable[[str], None] = lambda _: None,
+    *,
+    fixed: bool = False,
 ) -> DriveGains:
     """Identify drive gains: with Coulomb and viscous friction, then with the friction that predicts best with these.
 
@@ -135,13 +137,14 @@ def identify_gains(
         problem: with known payloads in some runs.
         parts: of the friction, to try.
         progress: as in `identify_friction_parts`.
+        fixed: as there.
 
     Raises:
         IdentificationError: where the payloads tell no gain.
     """
     rough = drive_gains(problem, coulomb_viscous(problem)[1])
     scaled = rough.applied(problem)
-    friction = identify_friction_parts(scaled, parts, progress=progress)
+    friction = identify_friction_parts(scaled, parts, progress=progress, fixed=fixed)
     return drive_gains(scaled, linear_columns(friction, scaled)[1]).after(rough.factor)
 
 
@@ -324,7 +327,11 @@ def load_columns(problem: ExcitationProblem, transmitted: list[Array]) -> Array:
 
 
 def identify_load_parts(
-    problem: ExcitationProblem, parts: Sequence[Part], progress: Callable[[str], None] = lambda _: None
+    problem: ExcitationProblem,
+    parts: Sequence[Part],
+    progress: Callable[[str], None] = lambda _: None,
+    *,
+    fixed: bool = False,
 ) -> LoadParts:
     """Identify the load parts of all elements, together with everything else.
 
@@ -332,6 +339,7 @@ def identify_load_parts(
         problem: of runs with two different known payloads or more, none being one.
         parts: of the friction, to try beside.
         progress: as in `select_parts`.
+        fixed: as there.
 
     Raises:
         IdentificationError: for runs that all carry the same payload.
@@ -347,7 +355,7 @@ def identify_load_parts(
         whole = solve(problem, np.hstack([regressor, columns, friction])).value
         base, rough[moving] = whole[:b], whole[b : b + _WIDTH * len(moving)].reshape(-1, _WIDTH)
     first = LoadParts(rough, (), np.zeros((0, 0)), base, np.zeros(len(names)), ("",) * len(names))
-    selected = select_parts(first.applied(problem), parts, progress)
+    selected = select_parts(first.applied(problem), parts, progress, fixed=fixed)
     time = TimeBlocks.of(problem, selected.weighted.linearised(selected.fit)[0])
 
     def fitted(kept: Sequence[int], columns: Array) -> tuple[WeightedProblem, SeparableFit]:

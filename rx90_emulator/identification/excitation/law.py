@@ -46,6 +46,11 @@ class Part(Enum):
     BRISTLE = "bristle"
     DAMPING = "bristle damping"
 
+    @classmethod
+    def named(cls, name: str) -> Part:
+        """Return the part that a command line or a person's code names: in small letters, with hyphens."""
+        return next(part for part in cls if part.value.lower().replace(" ", "-") == name)
+
     @property
     def shape(self) -> tuple[str, ...]:
         """Return the names of its parameters in ElementShape."""

@@ -12,16 +12,23 @@ weighted rows on y, the sum
 
     |R (K theta - y)|^2 + w |distance from the prior|^2
 
-is minimised. The first term is what the shift adds to the weighted squares of the torque, as far as no friction makes
-up for it; the second one decides what the data leave open. The prior is the <inertial> of the URDF, or the geometry of
-the arm where it has none.
+is minimised. The first term is what the shift adds to the weighted squares of the torque, with the friction as it was
+identified: that is what the files hold beside the bodies. The second one decides what the data leave open. The prior
+is the <inertial> of the URDF, or the geometry of the arm where it has none.
 
-The unknowns are those of a log-Cholesky factor (Rucker and Wensing 2022, "Smooth parameterization of rigid-body
-inertia"): with the prior's pseudo-inertia L0 L0^T a body has P = L0 M D M^T L0^T, M lower triangular with ones on its
-diagonal, D diagonal and positive. Every P has a body of positive density. The distance from the prior is that of the
-logarithms of D and of the entries of M; it does not depend on units, and hardly on how heavy a body the prior takes.
-Near the prior it is the Bregman divergence of -log det (Lee, Wensing and Park 2020). Rotors and springs have a
-logarithm each. SciPy's trust region finds the minimum.
+With P0 of the prior, the squared distance of a body is twice the Bregman divergence of -log det (Lee, Wensing and Park
+2020, "Geometric robot dynamic identification: a convex programming approach"),
+
+    2 (tr(P0^-1 P) - log det(P0^-1 P) - 4),
+
+near the prior the sum of the squared entries of log(P0^-1 P). It does not depend on units or frames, grows without
+bound towards what no body can be, and in proportion to a mass that is too large. A rotor or spring is a matrix of order
+1. The whole sum is convex in the parameters: it has one minimum.
+
+A body is kept as its Cholesky factor, P = L L^T, and a step of the search changes the factor about itself, to first
+order as log-Cholesky parameters do (Rucker and Wensing 2022, "Smooth parameterization of rigid-body inertia"), but
+along a straight line in P: of sharp data some sums are known to 1e-3 and others not at all, and the valley that this
+makes is straight in P and bent in a factor's logarithms, where searches crawl along it.
 """
 
 from __future__ import annotations
@@ -34,7 +41,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
+from scipy.optimize import brentq
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
@@ -193,7 +200,8 @@ class InertialPrior:
         bodies: the links that share the parameters, at least one for each joint; their pseudo-inertias are positive
             definite.
         known: parameters of the bodies that stay, summed for each joint, shape (n, 10).
-        rotors: inertia of each rotor that has a column, seen at its joint, kg m^2, > 0, shape (k,).
+        rotors: inertia of each rotor that has a column, seen at its joint, kg m^2, shape (k,); 0 for all of them
+            where the torque has no part of theirs.
         springs: amplitude of each spring that has a column, Nm, shape (s,); 0 for one of which nothing is known.
         guessed: which bodies, and then rotors, the description does not have, shape (b + k,).
         replaced: in words, what is not taken from the URDF, and what stands in its place.
@@ -214,7 +222,7 @@ class InertialPrior:
         cls,
         urdf: Path | str,
         joints: Sequence[str],
-        rotors: ArrayLike = (),
+        rotors: ArrayLike | None = (),
         springs: ArrayLike = (),
         known: Collection[str] = (),
     ) -> InertialPrior:
@@ -224,7 +232,8 @@ class InertialPrior:
             urdf: file, or its text.
             joints: n names from base to tip.
             rotors: inertia of the rotors of the first k joints, seen at these, kg m^2, shape (k,); 0 for one of which
-                nothing is known: it begins at the mean moment of inertia of its joint's body.
+                nothing is known: it begins at the mean moment of inertia of its joint's body. None for torques that
+                hold nothing of rotors.
             springs: as the attribute.
             known: links whose <inertial> is known and stays, such as a tool that was weighed.
 
@@ -258,13 +267,15 @@ class InertialPrior:
                 )
         kept = {body.link for body in bodies}
         dropped = tuple(body.link for body in free if body.pseudo.any() and body.link not in kept)
-        begun, amplitudes = (np.array(values, dtype=np.float64).reshape(-1) for values in (rotors, springs))
+        sizes: ArrayLike = np.zeros(len(names)) if rotors is None else rotors
+        begun, amplitudes = (np.array(values, dtype=np.float64).reshape(-1) for values in (sizes, springs))
         for what, values in (("rotor inertias", begun), ("springs", amplitudes)):
             if len(values) > len(names) or not np.isfinite(values).all() or (values < 0.0).any():
                 accepted = f"finite numbers >= 0, at most {len(names)}"
                 raise IdentificationError(f"{what} {values.tolist()}; accepted: {accepted}")
-        guesses = np.append(np.array(guessed, dtype=bool), begun == 0.0)
-        for i in np.flatnonzero(begun == 0.0).tolist():
+        unknown = (begun == 0.0) if rotors is not None else np.zeros(len(begun), dtype=np.bool_)
+        guesses = np.append(np.array(guessed, dtype=bool), unknown)
+        for i in np.flatnonzero(unknown).tolist():
             total = np.sum([inertial_parameters(body.pseudo) for body in bodies if body.joint == i], axis=0)
             begun[i] = total[[4, 6, 9]].mean()
             words.append(f"rotor of {names[i]}: begins at {begun[i]:.3g} kg m^2, the mean moment of its link")
@@ -287,12 +298,20 @@ def _by_geometry(body: MovingBody, ends: Array) -> MovingBody:
 
 _PRIOR_WEIGHT = 1.0  # of logarithms with a deviation of 1: a description is right but for factors of some e
 _GUESS_WEIGHT = 0.1  # of what the description does not have: right but for factors of some 20
-_MAX_EVALUATIONS = 500  # for each weight of the prior
+_MAX_STEPS = 50  # for each weight of the prior
+_DECREMENT = 1e-12  # of what is minimised, relative: a step that gains less is the last one
+_STEP_SHARE = 0.99  # of the way to where a body would lose a dimension, at most
+_LONGEST_STEP = 2.0  # in Newton steps
 _MAX_NULL_ENTRY = 1e-6  # of a parameter in the mapping's null space, to be determined by itself
 _MIN_SINGULAR_VALUE = 1e-9  # of the mapping, relative: less is rounding
+_MIN_STEP_VALUE = 1e-14  # the same of the equations of a step
+_OPEN_SHARE = 0.5  # of the prior's variance of a mass: where the runs leave more of it, the prior decides
+FAR = 2.0
+"""Standard deviations, RMS, from which on bodies are far from the base parameters."""
 _TOOL = "tool"  # the link that a tool file adds: its inertial is known
 _ROWS, _COLUMNS = np.tril_indices(4)
-_DIAGONAL = _ROWS == _COLUMNS
+_BASIS = np.zeros((10, 4, 4))  # of symmetric matrices: the sum of an element's squares is that of its entries
+_BASIS[range(10), _ROWS, _COLUMNS] = _BASIS[range(10), _COLUMNS, _ROWS] = np.where(_ROWS == _COLUMNS, 1.0, 0.5**0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,29 +323,18 @@ class BaseEstimate:
             Pinocchio's order, the inertias of k rotors, the amplitudes of s springs, and others, such as offsets. Those
             others, and springs without a prior, may be anything.
         value: SI units, shape (p,).
-        covariance: shape (p, p); infinite on the diagonal where the data do not determine a parameter: its value then
-            counts for nothing.
-        information: R, shape (m, p): R^T R is the inverse of the covariance that independent noise would give.
+        information: R, shape (m, p): R^T R is the information on them.
+        determined: which parameters the data determine, shape (p,).
     """
 
     mapping: Array
     value: Array
-    covariance: Array
     information: Array
-
-    @property
-    def determined(self) -> Mask:
-        """Return which parameters the data determine, shape (p,)."""
-        return np.isfinite(np.diag(self.covariance))
+    determined: Mask
 
     def distance(self, shift: Array) -> float:
-        """Return the Mahalanobis distance of a shift, shape (p,), over the root of the number of its parameters."""
-        known = np.flatnonzero(self.determined)
-        deviation = np.sqrt(np.diag(self.covariance)[known])
-        correlation = self.covariance[np.ix_(known, known)] / np.outer(deviation, deviation)
-        size = shift[known] / deviation
-        square = float(size @ np.linalg.pinv(correlation, rcond=_MIN_SINGULAR_VALUE, hermitian=True) @ size)
-        return math.sqrt(max(square, 0.0) / len(known))
+        """Return the length of a shift, shape (p,), in standard deviations: RMS over what the data determine."""
+        return float(np.linalg.norm(self.information @ shift)) / math.sqrt(int(self.determined.sum()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,12 +344,13 @@ class ConsistentInertias:
     Attributes:
         prior: where they began.
         pseudo: of each body, in the frame of its joint, shape (b, 4, 4).
-        rotors: kg m^2, > 0, shape (k,).
+        rotors: kg m^2, > 0 where the torque holds theirs, else 0, shape (k,).
         parameters: the standard parameters, bodies that stay included, shape (P,).
         base: their base parameters, shape (p,).
-        shift: base parameters less the identified ones, shape (p,); 0 for what the data do not determine.
-        distance: Mahalanobis distance of the shift over the root of their number: at most about 1 within the noise.
+        shift: base parameters less the identified ones, shape (p,).
+        distance: length of the shift in standard deviations, RMS: at most about 1 within the noise.
         alone: which standard parameters the data determine by themselves, not only as part of a sum, shape (P,).
+        open: joints of which the prior, rather than the data, decides the mass of the bodies, shape (n,).
     """
 
     prior: InertialPrior
@@ -352,6 +361,7 @@ class ConsistentInertias:
     shift: Array
     distance: float
     alone: Mask
+    open: Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,15 +370,49 @@ class Consistency:
 
     Attributes:
         inertias: nearest to the identified base parameters.
+        shares: RMS residual over RMS torque, all joints together: with the base parameters, with the inertias.
         added: torque that the shift of the base parameters adds; 0 for a joint without rows, here and below.
         before: residuals with the base parameters as identified.
         after: residuals with the shifted ones.
     """
 
     inertias: ConsistentInertias
+    shares: tuple[float, float]
     added: Array
     before: Array
     after: Array
+
+    @property
+    def text(self) -> str:
+        """Return in words how far the bodies are from the base parameters, and what that costs."""
+        before, after = self.shares
+        return (
+            f"bodies in the files: {self.inertias.distance:.2g} standard deviations from the base parameters (RMS; up "
+            f"to about 1 is noise); torque RMS of the fitted runs {after:.1%} with them, {before:.1%} without"
+        )
+
+    @property
+    def open_text(self) -> str:
+        """Return in words at which joints the runs tell no mass, and where it stays; "" if there are none."""
+        prior, words = self.inertias.prior, []
+        real = {body.joint for body, guess in zip(prior.bodies, prior.guessed, strict=False) if not guess}
+        for described, near in ((True, "the description's"), (False, "plausible ones, ellipsoids along the links")):
+            joints = [name for k, name in enumerate(prior.joints) if self.inertias.open[k] and (k in real) == described]
+            words += [f"what {listed(joints)} move{'s' * (len(joints) == 1)} stays near {near}"] if joints else []
+        return f"masses that the runs do not tell: {'; '.join(words)}" if words else ""
+
+    @property
+    def warning(self) -> str:
+        """Return a warning if the bodies are far from the base parameters, else ""."""
+        if self.inertias.distance <= FAR:
+            return ""
+        before, after = self.shares
+        return (
+            f"the bodies in the files are {self.inertias.distance:.3g} standard deviations from the base parameters "
+            f"(RMS; up to {FAR:g} passes): torque RMS {after:.1%} in place of {before:.1%}. No bodies near the "
+            "description have these: is a known tool, a payload, a zero or the sign of a torque another one, or do "
+            "the torques hold no rotors (--no-rotors)?"
+        )
 
 
 def make_consistent(
@@ -387,24 +431,27 @@ def make_consistent(
     """
     count, arm, fit = len(problem.names), problem.arm, friction.fit
     description: Path | str = Path(str(options.urdf))
-    rotors: ArrayLike = np.zeros(len(arm.names)) if options.rotor_inertia is None else options.rotor_inertia
+    n = len(arm.names)
+    rotors: ArrayLike | None = problem.columns.values()[10 * n : 11 * n] if problem.columns.rotors else None
     known: tuple[str, ...] = ()
     if robot.setup is not None:
         description, rotors = robot.setup.robot.urdf, robot.setup.drives.rotor_inertia
         known = () if (robot.setup.files or RobotFiles()).tool is None else (_TOOL,)
     prior = InertialPrior.of_urdf(description, arm.names, rotors, arm.spring[problem.columns.springs], known)
     information = base_information(problem, linear_columns(friction, problem)[1], fit)
-    covariance = fit.covariance[:count, :count]
-    estimate = BaseEstimate(problem.base.combination, fit.value[:count], covariance, information)
+    estimate = BaseEstimate(problem.base.combination, fit.value[:count], information, fit.determined[:count])
     inertias = consistent_inertias(estimate, prior)
-    residual, added = problem.torque - friction.predicted, problem.regressor @ inertias.shift
+    residual, change = problem.torque - friction.predicted, problem.regressor @ inertias.shift
     rows = np.maximum(np.bincount(problem.joint, minlength=len(arm.names)), 1)
-    squares = [np.bincount(problem.joint, one**2, len(arm.names)) for one in (added, residual, residual - added)]
-    return Consistency(inertias, *(np.sqrt(one / rows) for one in squares))
+    squares = [np.bincount(problem.joint, one**2, len(arm.names)) for one in (change, residual, residual - change)]
+    size = float(np.linalg.norm(problem.torque))
+    shares = float(np.linalg.norm(residual)) / size, float(np.linalg.norm(residual - change)) / size
+    added, before, after = (np.sqrt(one / rows) for one in squares)
+    return Consistency(inertias, shares, added, before, after)
 
 
 def base_information(problem: ExcitationProblem, friction: Array, fit: LinearFit) -> Array:
-    """Return a root of the information of the weighted rows on the b base parameters, friction free, shape (b, b).
+    """Return a root of the information of the weighted rows on the b base parameters, friction as it is, shape (b, b).
 
     Neighbouring rows share their errors: it is scaled to variances that are those of the covariance, in the median.
 
@@ -415,12 +462,11 @@ def base_information(problem: ExcitationProblem, friction: Array, fit: LinearFit
     """
     count = len(problem.names)
     weight = np.sqrt(fit.weights) / fit.sigma[problem.joint]
-    columns = np.hstack([friction, problem.regressor]) * weight[:, None]
-    root = np.asarray(np.linalg.qr(columns, mode="r"))[-count:, -count:]
+    root = np.asarray(np.linalg.qr(np.hstack([problem.regressor, friction]) * weight[:, None], mode="r"))
     variance = np.diag(fit.covariance)[:count]
-    white = np.diag(np.linalg.pinv(root.T @ root, hermitian=True))
+    white = np.sum(np.linalg.pinv(root)[:count] ** 2, axis=1)
     share = np.median((white / variance)[np.isfinite(variance)])
-    return np.asarray(root * math.sqrt(min(1.0, float(share))))
+    return np.asarray(root[:count, :count] * math.sqrt(min(1.0, float(share))))
 
 
 def consistent_inertias(
@@ -434,99 +480,130 @@ def consistent_inertias(
         weight: w, of the prior.
 
     Raises:
-        IdentificationError: if nothing is determined, and if the search ends at no minimum.
+        IdentificationError: if nothing is determined.
     """
-    known, mapping = estimate.determined, estimate.mapping
-    if not known.any():
-        raise IdentificationError(
-            f"none of {len(known)} base parameters is determined; accepted: runs that determine some"
-        )
-    unknowns = _Unknowns(prior, mapping.shape[1])
-    whitened = estimate.information[:, known] @ mapping[known]
-    target = estimate.information[:, known] @ estimate.value[known]
-    u = np.zeros(len(unknowns.distance))
-    # Sharp data lead a search from afar astray: it begins with a weight with which the prior alone would do.
-    squares = float(np.sum((whitened @ unknowns.parameters(u) - target) ** 2))
+    if not estimate.determined.any():
+        count = len(estimate.determined)
+        raise IdentificationError(f"none of {count} base parameters is determined; accepted: runs that determine some")
+    mapping, known = estimate.mapping, estimate.mapping[estimate.determined]
+    search = _Search(prior, estimate.information @ mapping, estimate.information @ estimate.value)
+    # Sharp data would end the first steps where a body loses a dimension: the prior begins with a weight as sharp.
+    squares = float(np.sum(search.residual**2))
     for decade in range(max(0, math.ceil(math.log10(max(squares, 1.0) / weight))), -1, -1):
-        near = np.diag(math.sqrt(weight * 10.0**decade) * unknowns.distance)
-        u = np.asarray(least_squares(
-            lambda u, near=near: np.concatenate([whitened @ unknowns.parameters(u) - target, near @ u]),  # type: ignore[misc]
-            u,
-            lambda u, near=near: np.vstack([whitened @ unknowns.slopes(u), near]),  # type: ignore[misc]
-            max_nfev=_MAX_EVALUATIONS,
-        ).x)  # fmt: skip
-    # Where no body comes near, the search may end before the minimum, which lies at infinity.
-    if not np.isfinite(u).all():
-        raise IdentificationError(
-            "no consistent inertias near the base parameters found; accepted: base parameters of this arm, and a "
-            "description with inertials of their order of magnitude"
-        )
-    parameters = unknowns.parameters(u)
-    base = mapping @ parameters
-    shift = np.where(known, base - estimate.value, 0.0)
+        search.minimise(weight * 10.0**decade)
+    base = mapping @ search.parameters
     # Those that the null space of the mapping has not are determined by themselves.
-    _, sizes, rows = np.linalg.svd(mapping[known] / np.maximum(np.linalg.norm(mapping[known], axis=0), 1e-300))
+    _, sizes, rows = np.linalg.svd(known / np.maximum(np.linalg.norm(known, axis=0), 1e-300))
     null = rows[int((sizes > _MIN_SINGULAR_VALUE * sizes[0]).sum()) :]
     alone = np.asarray(np.linalg.norm(null, axis=0) < _MAX_NULL_ENTRY)
-    first, distance = 10 * len(prior.joints), estimate.distance(shift)
-    rotors = parameters[first : first + len(prior.rotors)]
-    return ConsistentInertias(prior, unknowns.pseudo(u), rotors, parameters, base, shift, distance, alone)
+    shift = base - estimate.value
+    return ConsistentInertias(
+        prior=prior,
+        pseudo=search.pseudo,
+        rotors=search.behind[: len(prior.rotors)],
+        parameters=search.parameters,
+        base=base,
+        shift=shift,
+        distance=estimate.distance(shift),
+        alone=alone,
+        open=search.open_masses(weight),
+    )
 
 
-class _Unknowns:
-    """Parameters as functions of unknowns u, all 0 at the prior.
+class _Search:
+    """Newton's method for bodies and what stands behind them in the parameters, from the prior on.
 
-    Ten for each body: the entries of M below the diagonal and half the logarithms of D; one for each rotor and each
-    spring with a prior, half the logarithm of its ratio to it; then one for each other parameter, its value.
-    `distance`, shape (N,), is what the unknowns are multiplied by in the distance from the prior.
+    Attributes:
+        pseudo: of the bodies, shape (b, 4, 4).
+        behind: rotors, springs and others, shape (P - 10 n,).
     """
 
-    def __init__(self, prior: InertialPrior, count: int) -> None:
-        self._joint = [body.joint for body in prior.bodies]
-        self._scale = np.linalg.cholesky(np.array([body.pseudo for body in prior.bodies]))
-        self._bodies, first = 10 * len(prior.bodies), 10 * len(prior.joints)
-        begun = np.concatenate([prior.rotors, prior.springs, np.zeros(count)])[: count - first]
-        self._positive, self._other = first + np.flatnonzero(begun), first + np.flatnonzero(begun == 0.0)
-        self._begun = begun[begun != 0.0]
-        self._known = np.append(prior.known.ravel(), np.zeros(len(begun)))
-        self._bounded = self._bodies + len(self._positive)
-        entries = np.tile(np.where(_DIAGONAL, 2.0, math.sqrt(2.0)), len(prior.bodies))
-        self.distance = np.concatenate([entries, np.full(len(self._begun), 2.0), np.zeros(len(self._other))])
-        guessed = np.repeat(prior.guessed, [10] * len(prior.bodies) + [1] * len(prior.rotors))
-        self.distance[: len(guessed)] *= np.where(guessed, math.sqrt(_GUESS_WEIGHT), 1.0)
+    def __init__(self, prior: InertialPrior, whitened: Array, target: Array) -> None:
+        self._joint, self._known = [body.joint for body in prior.bodies], prior.known.ravel()
+        self._whitened, self._target = whitened, target
+        self.pseudo = np.array([body.pseudo for body in prior.bodies])
+        begun = np.concatenate([prior.rotors, prior.springs])
+        self.behind = np.append(begun, np.zeros(whitened.shape[1] - len(self._known) - len(begun)))
+        self._positive = self.behind > 0.0
+        self._inverse, self._begun = np.linalg.inv(self.pseudo), np.where(self._positive, self.behind, 1.0)
+        share = np.where(prior.guessed, _GUESS_WEIGHT, 1.0)
+        rest = np.append(share[len(self.pseudo) :], np.ones(len(self.behind) - len(prior.rotors)))
+        self._share = np.append(np.repeat(share[: len(self.pseudo)], 10), np.where(self._positive, rest, 0.0))
 
-    def _factors(self, u: Array) -> tuple[Array, Array]:
-        """Return L0 M and the roots of D of each body, shapes (b, 4, 4) and (b, 4)."""
-        entries = u[: self._bodies].reshape(-1, 10)
-        unit = np.zeros((len(entries), 4, 4))
-        unit[:, _ROWS, _COLUMNS] = np.where(_DIAGONAL, 1.0, entries)
-        return self._scale @ unit, np.exp(entries[:, _DIAGONAL])
-
-    def pseudo(self, u: Array) -> Array:
-        """Return the pseudo-inertias of the bodies, shape (b, 4, 4)."""
-        factors, roots = self._factors(u)
-        scaled = factors * roots[:, None, :]
-        return np.asarray(scaled @ np.swapaxes(scaled, 1, 2))
-
-    def parameters(self, u: Array) -> Array:
+    @property
+    def parameters(self) -> Array:
         """Return all standard parameters, shape (P,)."""
-        result = self._known.copy()
-        for joint, values in zip(self._joint, inertial_parameters(self.pseudo(u)), strict=True):
-            result[10 * joint : 10 * joint + 10] += values
-        result[self._positive] = self._begun * np.exp(2.0 * u[self._bodies : self._bounded])
-        result[self._other] = u[self._bounded :]
-        return result
+        links = self._known.copy().reshape(-1, 10)
+        np.add.at(links, self._joint, inertial_parameters(self.pseudo))
+        return np.append(links, self.behind)
 
-    def slopes(self, u: Array) -> Array:
-        """Return the derivatives of the parameters, shape (P, N)."""
-        result = np.zeros((len(self._known), len(u)))
-        for b, (factor, roots) in enumerate(zip(*self._factors(u), strict=True)):
-            # dP = L0 dM D (L0 M)^T and its transpose; a logarithm changes both factors as M's own column would.
-            left = np.where(_DIAGONAL[:, None], factor.T[_COLUMNS], self._scale[b].T[_ROWS])
-            half = left[:, :, None] * (factor * roots**2).T[_COLUMNS][:, None, :]
-            rows = slice(10 * self._joint[b], 10 * self._joint[b] + 10)
-            result[rows, 10 * b : 10 * b + 10] = inertial_parameters(half + np.swapaxes(half, 1, 2)).T
-        positive = np.arange(self._bodies, self._bounded)
-        result[self._positive, positive] = 2.0 * self._begun * np.exp(2.0 * u[positive])
-        result[self._other, np.arange(self._bounded, len(u))] = 1.0
-        return result
+    @property
+    def residual(self) -> Array:
+        """Return what is left of the data, in standard deviations, shape (m,)."""
+        return np.asarray(self._whitened @ self.parameters - self._target)
+
+    def _tangent(self, factors: Array) -> Array:
+        """Return the derivatives of the residual by a step: ten for each body, then one each; shape (m, 10 b + ...)."""
+        moves = inertial_parameters(factors[:, None] @ _BASIS @ np.swapaxes(factors, 1, 2)[:, None])
+        links = self._whitened[:, : len(self._known)].reshape(len(self._target), -1, 10)[:, self._joint]
+        bodies = np.einsum("mbp,bkp->mbk", links, moves).reshape(len(self._target), -1)
+        behind = self._whitened[:, len(self._known) :] * np.where(self._positive, self.behind, 1.0)
+        return np.hstack([bodies, behind])
+
+    def minimise(self, weight: float) -> None:
+        """Go to the minimum with this weight of the prior."""
+        count, weights = 10 * len(self.pseudo), weight * self._share
+        near = np.sqrt(weights)
+        for _ in range(_MAX_STEPS):
+            factors, residual = np.linalg.cholesky(self.pseudo), self.residual
+            turned = np.swapaxes(factors, 1, 2)
+            slopes = np.einsum("kij,bij->bk", _BASIS, turned @ self._inverse @ factors - np.eye(4)).ravel()
+            slopes = np.append(slopes, np.where(self._positive, self.behind / self._begun - 1.0, 0.0))
+            tangent = self._tangent(factors)
+            rows, sides = np.vstack([tangent, np.diag(near)]), np.append(residual, near * slopes)
+            size, step = np.linalg.norm(rows, axis=0), np.zeros(rows.shape[1])
+            there = size > 0.0  # all but the rotors and offsets that no row holds
+            step[there] = -np.linalg.lstsq(rows[:, there] / size[there], sides, rcond=_MIN_STEP_VALUE)[0] / size[there]
+            moves = np.tensordot(step[:count].reshape(-1, 10), _BASIS, 1)
+            stretch = np.append(np.linalg.eigvalsh(moves), step[count:])
+            own = np.append(np.repeat(weights[:count:10], 4), weights[count:])
+            change = tangent @ step
+            gain = -float(residual @ change + (weights * slopes) @ step)
+            length = _best_length(gain, float(change @ change), own, stretch)
+            shares = np.where(self._positive, self.behind, 1.0)
+            self.pseudo = factors @ (np.eye(4) + length * moves) @ turned
+            self.pseudo = 0.5 * (self.pseudo + np.swapaxes(self.pseudo, 1, 2))
+            self.behind = self.behind + length * shares * step[count:]
+            if gain < _DECREMENT * float(residual @ residual + weights.sum()):
+                break
+
+    def open_masses(self, weight: float) -> Mask:
+        """Return at which joints the data leave more than half of the variance that the prior gives the mass alone."""
+        factors, near = np.linalg.cholesky(self.pseudo), np.sqrt(weight * self._share)
+        inverse = np.linalg.pinv(np.vstack([self._tangent(factors), np.diag(near)]))
+        # A step's change of the mass that moves with each joint.
+        masses = (factors[:, None] @ _BASIS @ np.swapaxes(factors, 1, 2)[:, None])[:, :, 3, 3]
+        moved = np.zeros((len(self._known) // 10, len(near)))
+        for b, joint in enumerate(self._joint):
+            moved[joint, 10 * b : 10 * b + 10] = masses[b]
+        count = 10 * len(self._joint)
+        alone = np.sum((moved[:, :count] / near[:count]) ** 2, axis=1)
+        return np.asarray(np.sum((moved @ inverse) ** 2, axis=1) > _OPEN_SHARE * alone)
+
+
+def _best_length(gain: float, square: float, weights: Array, stretch: Array) -> float:
+    """Return how far to go in a direction, in Newton steps.
+
+    Args:
+        gain: minus the slope of the minimised sum where it begins.
+        square: of the change of the residual over one step.
+        weights: of the logarithms, shape (k,).
+        stretch: change over one step of what these are of, 1 where it begins, shape (k,).
+    """
+
+    def slope(length: float) -> float:
+        return float(length * square - gain + weights @ (length * stretch**2 / (1.0 + length * stretch)))
+
+    shrinks = -float(np.min(stretch[weights > 0.0], initial=0.0))
+    longest = min(_LONGEST_STEP, _STEP_SHARE / max(shrinks, 1e-300))
+    return longest if slope(longest) <= 0.0 else float(brentq(slope, 0.0, longest))

@@ -38,10 +38,12 @@ class StandardColumns:
     Args:
         arm: kinematics and couplings, and which joints have a spring of the torque -k sin(q); of its inertias and of
             the springs' sizes nothing is used.
+        rotors: whether the torque holds that of the rotors: sensors between gear and link do not feel it, and their
+            columns are 0.
     """
 
-    def __init__(self, arm: RigidArm) -> None:
-        self.arm = arm
+    def __init__(self, arm: RigidArm, *, rotors: bool = True) -> None:
+        self.arm, self.rotors = arm, rotors
         self.springs = np.flatnonzero(arm.spring).tolist()
 
     @property
@@ -61,7 +63,7 @@ class StandardColumns:
         n, turns = len(self.arm.names), self.arm.coupling
         links = self.arm.regressor(position, velocity, acceleration)
         # Motor j turns with row j of the coupling; its inertia acts back on every joint of that row.
-        rotors = (acceleration @ turns.T)[:, None, :] * turns.T
+        rotors = (acceleration @ turns.T)[:, None, :] * turns.T * self.rotors
         springs = np.sin(position)[:, :, None] * np.eye(n)[:, self.springs]
         offsets = np.broadcast_to(np.eye(n), (len(position), n, n))
         return np.concatenate([links, rotors, springs, offsets], axis=2)
@@ -69,7 +71,7 @@ class StandardColumns:
     def values(self) -> Array:
         """Return the parameters as the arm's description has them, shape (P,): a prior. Offsets are 0."""
         inverse = np.linalg.inv(self.arm.coupling)
-        rotors = np.diag(inverse.T @ self.arm.rotor @ inverse)
+        rotors = np.diag(inverse.T @ self.arm.rotor @ inverse) * self.rotors
         parts = self.arm.inertial, rotors, self.arm.spring[self.springs], np.zeros(len(self.arm.names))
         return np.concatenate(parts)
 
@@ -100,7 +102,7 @@ class BaseGroups:
         """Find the groups of an arm, from random positions, velocities and accelerations (always the same ones)."""
         rng, names = np.random.default_rng(_SEED), columns.names
         motion = (rng.uniform(-width, width, (_RANDOM_MOTIONS, len(columns.arm.names))) for width in (np.pi, 2.0, 5.0))
-        matrix = columns.torque(*motion).reshape(-1, len(names))
+        matrix = columns.torque(*motion)[:, columns.arm.identified].reshape(-1, len(names))
         size = np.linalg.norm(matrix, axis=0)
         basis, chosen = np.zeros((len(matrix), 0)), []
         for k in sorted(range(len(names)), key=lambda k: (names[k].startswith(_REGROUPED_KINDS), k)):
@@ -221,7 +223,12 @@ class ExcitationProblem:
 
     @classmethod
     def of(
-        cls, arm: RigidArm, runs: Sequence[FilteredRun], payloads: Sequence[Payload | None] | None = None
+        cls,
+        arm: RigidArm,
+        runs: Sequence[FilteredRun],
+        payloads: Sequence[Payload | None] | None = None,
+        *,
+        rotors: bool = True,
     ) -> ExcitationProblem:
         """Stack the equations of runs.
 
@@ -229,21 +236,40 @@ class ExcitationProblem:
             arm: kinematics, couplings and elements; springs are sought on the joints on which it has one.
             runs: of this arm.
             payloads: of each run; by default none.
+            rotors: as in `StandardColumns`.
 
         Raises:
             IdentificationError: for runs of other joints, and if no joint moves.
+        """
+        bare = cls.without_columns(arm, runs, payloads, rotors=rotors)
+        regressor, payload = bare.through(np.eye(len(arm.names)))
+        return replace(bare, torque=bare.torque - payload, payload=payload, regressor=regressor)
+
+    @classmethod
+    def without_columns(
+        cls,
+        arm: RigidArm,
+        runs: Sequence[FilteredRun],
+        payloads: Sequence[Payload | None] | None = None,
+        *,
+        rotors: bool = True,
+    ) -> ExcitationProblem:
+        """Return the rows of runs with their torque, payloads included, and no regressor; arguments as in `of`.
+
+        Raises:
+            IdentificationError: as `of`.
         """
         for one in runs:
             if one.names != arm.names:
                 there, wanted = ", ".join(one.names), ", ".join(arm.names)
                 raise IdentificationError(f"{one.source.path}: joints {there}; accepted: {wanted}")
         carried = (None,) * len(runs) if payloads is None else tuple(payloads)
-        columns = StandardColumns(arm)
+        columns = StandardColumns(arm, rotors=rotors)
         acts = arm.element_matrix != 0.0
         kept = []
         for number, one in enumerate(runs):
             rests, passes = element_states(one, arm.element_matrix)
-            joint, place = np.nonzero(~(rests @ acts).T)
+            joint, place = np.nonzero((~(rests @ acts) & arm.identified).T & one.whole)
             time, reversal = one.time[one.rows[place]], (passes @ acts)[place, joint]
             kept.append((np.full(len(joint), number), joint, place, time, reversal))
         run, joint, place, time, reversal = (np.concatenate(parts) for parts in zip(*kept, strict=True))
@@ -251,10 +277,8 @@ class ExcitationProblem:
             raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
         empty = np.empty((len(run), 0))
         bare = cls(arm, tuple(runs), columns, BaseGroups.of(columns), run, joint, place, time, reversal,
-                   carried, empty, empty, empty, empty)  # fmt: skip
-        recorded = bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0]
-        regressor, payload = bare.through(np.eye(len(arm.names)))
-        return replace(bare, torque=recorded - payload, payload=payload, regressor=regressor)
+                   carried, np.zeros(len(run)), empty, empty, empty)  # fmt: skip
+        return replace(bare, torque=bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0])
 
     def __len__(self) -> int:
         return len(self.run)

@@ -13,11 +13,13 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from scipy.stats import t as student
 
 from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import ElementEstimate, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.excitation.choice import ModelRow
 from rx90_emulator.identification.excitation.filtering import FilteredRun
@@ -30,6 +32,7 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.robot import RecordedRobot
+from rx90_emulator.identification.validation.verdict import Criterion, torque_criteria
 from rx90_emulator.identification.zeros import ZeroCheck
 
 UNITS = {"m": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m", "k": "Nm", "offset": "Nm"}
@@ -79,6 +82,7 @@ class ExcitationIdentification:
         zeros: which encoder zeros seem wrong.
         gains: of the drives, by which the recorded torques were multiplied; None without a known payload.
         loads: the friction's load parts, whose torque the problem's is less of; None where they were not asked for.
+        notes: what of the recordings was left out or bridged, and what they cannot tell.
     """
 
     robot: RecordedRobot
@@ -96,6 +100,7 @@ class ExcitationIdentification:
     zeros: ZeroCheck
     gains: DriveGains | None = None
     loads: LoadParts | None = None
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def speeds(self) -> tuple[SpeedResiduals, ...]:
@@ -103,9 +108,41 @@ class ExcitationIdentification:
         return residuals_by_speed(self.problem, self.problem.torque - self.friction.predicted)
 
     @property
+    def unit(self) -> str:
+        """Return the unit of the torques: Nm, or A without torque constants; all values are in its scale."""
+        return self.problem.runs[0].source.unit
+
+    @property
+    def base_covariance(self) -> Array:
+        """Return the covariance of the base parameters in the order of `base`, SI units, shape (b, b).
+
+        Infinite on the diagonal where these runs do not determine one.
+        """
+        count = len(self.base)
+        return self.friction.fit.covariance[:count, :count]
+
+    @property
     def undetermined(self) -> tuple[str, ...]:
         """Return the names of base parameters that these runs do not determine."""
         return tuple(one.name for one in self.base if not one.estimate.identifiable)
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """Return which values are not to be trusted, and why, a sentence each."""
+        return (*self._assumed.values(), *unexplained(self.torques).values(), *self.friction.warnings)
+
+    @property
+    def element_notes(self) -> dict[str, str]:
+        """Return the same of the friction of single elements, by their names."""
+        arm, poor = self.problem.arm, unexplained(self.torques)
+        last = [arm.names[np.flatnonzero(row)[-1]] for row in arm.element_matrix]
+        found = {name: poor[joint] for name, joint in zip(arm.element_names, last, strict=True) if joint in poor}
+        return found | {name: "; ".join(filter(None, (text, found.get(name)))) for name, text in self._assumed.items()}
+
+    @cached_property
+    def _assumed(self) -> dict[str, str]:
+        named = zip(self.problem.arm.element_names, self.elements, strict=True)
+        return assumed_friction(dict(named), self.robot.fallback_name)
 
     @property
     def confirmed(self) -> bool:
@@ -238,26 +275,71 @@ class TorqueValidation:
 
     Attributes:
         torques: of the run, predicted by the identified parameters.
-        consistent: the same, predicted by the inertias that bodies can have, which the robot's files hold.
+        consistent: the same, predicted with the inertias that bodies can have in place of the identified ones.
         tolerances: what counts as agreement.
+        files: the same, predicted by all that the robot's files hold, elements with their bristles: what
+            `check_friction` of these files gives.
     """
 
     torques: RunTorques
     consistent: RunTorques
     tolerances: ExcitationTolerances
+    files: RunTorques
+
+    @property
+    def criteria(self) -> tuple[Criterion, ...]:
+        """Return what the verdict rests on, by the identified parameters and by the files."""
+        limits, by = self.tolerances, {"": self.torques, " by the files": self.files}
+        groups = (
+            torque_criteria(one.names, one.total_share, one.share, limits.total, limits.joint, words)
+            for words, one in by.items()
+        )
+        return tuple(one for group in groups for one in group)
 
     @property
     def passed(self) -> bool:
         """Return whether each joint that moves, and all of them together, agree with both predictions."""
-        limits = self.tolerances
-        return all(
-            not (one.share > limits.joint).any() and one.total_share <= limits.total
-            for one in (self.torques, self.consistent)
-        )
+        return all(one.passed for one in self.criteria)
+
+
+def written_arm(problem: ExcitationProblem, consistency: Consistency) -> tuple[RigidArm, Array | float]:
+    """Return the arm that the files hold, and the offset of each joint's torque, Nm, shape (n,)."""
+    arm, columns, values = problem.arm, problem.columns, consistency.inertias.parameters
+    n, spring, model = len(arm.names), arm.spring.copy(), arm.model.copy()
+    for k, link in enumerate(values[: 10 * n].reshape(n, 10), 1):
+        model.inertias[k] = pin.Inertia.FromDynamicParameters(link)
+    rotor = arm.coupling.T @ np.diag(values[10 * n : 11 * n]) @ arm.coupling
+    spring[columns.springs] = values[11 * n : 11 * n + len(columns.springs)]
+    return replace(arm, model=model, rotor=rotor, spring=spring), values[-n:]
+
+
+_UNEXPLAINED_SHARE = 0.7  # of what varies in a torque: beyond, less than half of its square is explained
+
+
+def unexplained(runs: Sequence[RunTorques]) -> dict[str, str]:
+    """Return, in words by joint, whose torques a model hardly explains: their values are not to be trusted.
+
+    A constant torque is explained by an offset and tells nothing: what counts is what varies.
+    """
+    found = {}
+    for number, name in enumerate(runs[0].names):
+        own = [run.joints[number] for run in runs if len(run.joints[number].recorded)]
+        if own:
+            left, varying = (
+                math.sqrt(sum(float(np.sum((values - values.mean()) ** 2)) for values in series))
+                for series in ([one.residual for one in own], [one.recorded for one in own])
+            )
+            if left > _UNEXPLAINED_SHARE * varying:
+                share = left / varying if varying else 1.0
+                found[name] = (
+                    f"{share:.0%} of what varies in the torque of {name} is not explained: its friction and its "
+                    "offset, and the inertias that it alone tells, are not to be trusted"
+                )
+    return found
 
 
 def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorques, ...]:
-    """Return the torques of each bag of a problem; pieces of a bag with gaps are put together.
+    """Return the torques of each bag of a problem, of its identified joints; pieces of a bag are put together.
 
     Args:
         problem: the equations.
@@ -268,12 +350,13 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
     pieces: dict[str, list[int]] = {}
     for number, run in enumerate(problem.runs):
         pieces.setdefault(str(run.source.path), []).append(number)
-    found = []
+    found, own = [], np.flatnonzero(problem.arm.identified).tolist()
+    names = tuple(problem.arm.names[j] for j in own)
     for numbers in pieces.values():
         mine, runs = np.isin(problem.run, numbers), [problem.runs[number] for number in numbers]
-        joints = [JointTorque(*table[:, mine & (problem.joint == j)]) for j in range(len(problem.arm.names))]
-        noise = np.sqrt(np.mean([torque_noise(run) ** 2 for run in runs], axis=0))
-        found.append(RunTorques(problem.arm.names, runs[0].source, tuple(joints), noise))
+        joints = [JointTorque(*table[:, mine & (problem.joint == j)]) for j in own]
+        noise = np.sqrt(np.mean([torque_noise(run) ** 2 for run in runs], axis=0))[own]
+        found.append(RunTorques(names, runs[0].source, tuple(joints), noise))
     return tuple(found)
 
 
@@ -415,8 +498,8 @@ def misfits(speeds: Sequence[SpeedResiduals]) -> list[str]:
 
 
 _PRESLIDING_DISTANCE = 2.5e-4  # rad, at break-away where no c0 is known: that of the shipped RX90B's large joints
-ASSUMED_BRISTLES = "no file: bristles that break away after 0.25 mrad are assumed"
-"""Where c0, c1 and omega_d come from without a fallback, in words."""
+ASSUMED = "no file: bristles that break away after 0.25 mrad are assumed, and the least Coulomb torque of the others"
+"""Where what is not identified comes from without a fallback, in words."""
 _BRISTLE_RELAXATION = 1e-3  # s, c1 over c0 where no c1 is known, as there
 _DAMPING_FADE_SPEED = 1.0  # rad/s, omega_d beside such a c1: the element is passive then at every speed
 _NEUTRAL = {"omega_s": 0.1, "delta": 1.0, "c2": 0.0}  # of no effect while tau_s = tau_c
@@ -430,7 +513,9 @@ def simulated_elements(
     """Return the elements with values for all parameters.
 
     A part that the model does not have is switched off: tau_s = tau_c, alpha = 1. Bristles, which an arm needs to stand
-    still, come from the fallback, else from the presliding distance of large joints; both are assumptions.
+    still, come from the fallback, else from the presliding distance of large joints; both are assumptions. So is the
+    friction of an element without an identified Coulomb torque: that of the fallback, else the least Coulomb torque of
+    the others.
 
     Args:
         estimates: by the names of FrictionElement.
@@ -438,29 +523,53 @@ def simulated_elements(
         loads: the load parts; None where they were not asked for.
 
     Raises:
-        IdentificationError: for an element without an identified Coulomb torque, if there is no fallback.
+        IdentificationError: naming the elements, if no Coulomb torque is identified and there is no fallback.
     """
+    known = [one.parameters[_COULOMB[0]].value for one in estimates if _slides(one.parameters)]
+    if not known and fallback is None:
+        reasons = "; ".join(f"{one.element}: {one.parameters[_COULOMB[0]].reason}" for one in estimates)
+        raise IdentificationError(
+            f"no friction of any element is identified ({reasons}); accepted: runs that tell some, or --fallback with "
+            "a friction file"
+        )
     found = []
     for number, (one, other) in enumerate(zip(estimates, fallback or (None,) * len(estimates), strict=True)):
-        element, known = _element(one.element, one.parameters, other), dict(one.parameters)
+        values = dict(one.parameters)
+        if not any(estimate.identifiable for estimate in values.values()) and other is not None:
+            element = other
+        else:
+            element = _element(values, other, min(known, default=0.0))
         if loads is not None:
-            element, known = replace(element, load=loads.part(number)), known | loads.estimates(number)
-        found.append(IdentifiedElement.of(element, known, dict.fromkeys(known, one.sources), other))
+            element, values = replace(element, load=loads.part(number)), values | loads.estimates(number)
+        found.append(IdentifiedElement.of(element, values, dict.fromkeys(values, one.sources), other))
     return tuple(found)
 
 
-def _element(name: str, known: Mapping[str, ParameterEstimate], other: FrictionElement | None) -> FrictionElement:
+_COULOMB = ("tau_c_positive", "tau_c_negative")
+
+
+def _slides(estimates: Mapping[str, ParameterEstimate]) -> bool:
+    """Return whether an element has an identified Coulomb torque, which is the same in both directions."""
+    return estimates[_COULOMB[0]].identifiable
+
+
+def assumed_friction(elements: Mapping[str, IdentifiedElement], fallback_name: str | None) -> dict[str, str]:
+    """Return, in words by element, whose Coulomb torque is assumed, why, and where it comes from."""
+    whose = "the least of the others" if fallback_name is None else f"that of {fallback_name}"
+    missing = {name: one.estimates[_COULOMB[0]] for name, one in elements.items() if not _slides(one.estimates)}
+    return {
+        name: f"the friction of {name} is not identified ({estimate.reason}); assumed is a Coulomb torque of "
+        f"{elements[name].element.tau_c_positive:.3g} Nm, {whose}"
+        for name, estimate in missing.items()
+    }
+
+
+def _element(known: Mapping[str, ParameterEstimate], other: FrictionElement | None, least: float) -> FrictionElement:
+    """Return an element; `other` or the `least` Coulomb torque stand in for what is not known."""
     found: dict[str, Any] = {parameter: one.value for parameter, one in known.items() if one.identifiable}
     for sign in ("positive", "negative"):
         coulomb = f"tau_c_{sign}"
-        if found.get(coulomb, 0.0) <= 0.0:
-            if other is None:
-                reason = known[coulomb].reason if coulomb in known and not known[coulomb].identifiable else "it is 0"
-                raise IdentificationError(
-                    f"{name}: {coulomb} is not identifiable from these runs ({reason}); accepted: runs in which it is, "
-                    "or --fallback with a friction file for such values"
-                )
-            found[coulomb] = float(getattr(other, coulomb))
+        found.setdefault(coulomb, least if other is None else float(getattr(other, coulomb)))
         found[f"tau_s_{sign}"] = max(found.get(f"tau_s_{sign}", 0.0), found[coulomb])
     found = _NEUTRAL | found
     mean = 0.5 * (found["tau_c_positive"] + found["tau_c_negative"])

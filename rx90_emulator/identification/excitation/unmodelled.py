@@ -6,8 +6,10 @@ a rise of some size may still be there: covariances are then those of the model 
 Static torque below Coulomb torque is no friction, and more than twice the Coulomb torque is assumed not to occur; fits
 know nothing of either and may say -125 % with a deviation of 197 %. A bristle without its damping c1 takes the torque
 of the damping for its own, which is in the same rows: it comes out stiffer by 5 to 10 %. Each bristle whose damping was
-not kept may have one of any size from 0 on.
+not kept may have one of any size from 0 on. So may viscous friction whose best value is its bound 0.
 
+**Torques at their bound 0.** No friction drives: tau_c and c2 are at least 0. What a fit without that bound would give
+says why nothing is left of them: friction that falls with speed, a torque that does not oppose the motion, or noise.
 **Load.** Gears press harder on their bearings and teeth the more torque they carry. A model without that gives Coulomb
 torques at the usual load of the runs; how far they are from those without load belongs into their deviations. One
 coefficient for all elements, relative to their Coulomb torques, is tested: the runs tell it far better than one each.
@@ -23,6 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -31,20 +34,20 @@ from scipy.stats import truncnorm
 from rx90_common.base.arrays import Array
 from rx90_emulator.identification.excitation.choice import PartKey, Selection, candidates
 from rx90_emulator.identification.excitation.filtering import FilteredRun
-from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, best_start
-from rx90_emulator.identification.excitation.law import COULOMB, Part, joint_columns
+from rx90_emulator.identification.excitation.fit import Key, SeparableFit, WeightedProblem, best_start
+from rx90_emulator.identification.excitation.law import COULOMB, LINEAR, VISCOUS, Part, joint_columns
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
 from rx90_emulator.identification.excitation.problem import Prior
 
-_RELEVANT_SIZE = {Part.STRIBECK: 0.2, Part.DAMPING: 0.0}  # of tau_c, Nm s/rad: what matters
+_RELEVANT_SIZE = {Part.STRIBECK: 0.2, Part.DAMPING: 0.0, "c2": 0.0}  # of tau_c, Nm s/rad: what matters
 _UPPER_SE = 2.0  # deviations
-_MAX_SIZE = {Part.STRIBECK: 1.0, Part.DAMPING: math.inf}  # of tau_c, Nm s/rad: none is larger (assumed)
+_MAX_SIZE = {Part.STRIBECK: 1.0, Part.DAMPING: math.inf, "c2": math.inf}  # of tau_c, Nm s/rad: none is larger (assumed)
 
 
 def undecided_parts(
     selected: Selection, columns: Array, prior: Prior | None = None
 ) -> tuple[dict[int, tuple[float, float]], Array | None]:
-    """Return rises and bristle damping that may be there, though they were not kept.
+    """Return rises, bristle damping and viscous friction that may be there, though they were not kept or are 0.
 
     Args:
         selected: the model.
@@ -53,14 +56,17 @@ def undecided_parts(
 
     Returns:
         Value and standard deviation of rises over tau_c, as fitted without bounds, by element; and the covariance of
-        the q parameters with rises and damping within their bounds, shape (q, q), if there are any.
+        the q parameters with all of these within their bounds, shape (q, q), if there are any.
     """
-    table: dict[PartKey, Array] = {}
+    table: dict[PartKey | tuple[int, str], Array] = {}
     for e, part in sorted(selected.refused, key=lambda key: (key[1].value, key[0])):
         there = selected.fit.shapes[e].parts
         beside = part is Part.STRIBECK or (part is Part.DAMPING and Part.BRISTLE in there)
         if beside and part not in there and selected.fit.linear[e, COULOMB] > 0.0:
             table[e, part] = _column(selected, e, part)
+    for e, (tau_c, c2, _) in enumerate(selected.fit.linear.tolist()):
+        if c2 <= 0.0 < tau_c:
+            table[e, "c2"] = _linear_column(selected, (e, "c2"))
     while table:
         wide, q = (
             solve(selected.weighted.problem, np.column_stack([columns, *table.values()]), prior=prior),
@@ -68,7 +74,7 @@ def undecided_parts(
         )
         sizes = list(zip(wide.value[q:].tolist(), wide.deviation[q:].tolist(), strict=True))
         kept = {key: column for (key, column), (value, deviation) in zip(table.items(), sizes, strict=True)
-                if value + _UPPER_SE * deviation > _RELEVANT_SIZE[key[1]]}  # fmt: skip
+                if value + _UPPER_SE * deviation > _RELEVANT_SIZE[key[1]] and math.isfinite(deviation)}  # fmt: skip
         if len(kept) == len(table):
             bounded = bounded_covariance(wide.covariance, sizes, [_MAX_SIZE[part] for _, part in table])
             found = zip(table, sizes, strict=True)
@@ -111,6 +117,75 @@ def _column(selected: Selection, element: int, part: Part) -> Array:
     shapes[element] = begun
     key = (element, "rise" if part is Part.STRIBECK else "c1")
     return weighted.column(shapes, selected.fit.linear, key) / weighted.weight
+
+
+def _linear_column(selected: Selection, key: Key) -> Array:
+    """Return the torque per unit of an element's linear parameter, shape (r,)."""
+    weighted = selected.weighted
+    return weighted.column(selected.fit.shapes, selected.fit.linear, key) / weighted.weight
+
+
+class Unbounded(NamedTuple):
+    """What a fit says of parameters that are 0, their bound, when they may be less.
+
+    Attributes:
+        sizes: value and standard deviation of each that the runs determine.
+        shift: what the parameters of the model shift where friction falls with speed, shape (q,).
+        remarks: on which elements it does, and what that does to their tau_c.
+    """
+
+    sizes: dict[Key, tuple[float, float]]
+    shift: Array
+    remarks: tuple[str, ...]
+
+
+def without_bounds(selected: Selection, columns: Array, without: LinearFit, prior: Prior | None = None) -> Unbounded:
+    """Fit once more with tau_c and c2 free where they came out as 0.
+
+    Args:
+        selected: the model.
+        columns: of the whole of it, linear around its fit, shape (r, q).
+        without: fit of these columns.
+        prior: of the first parameters, in that fit.
+    """
+    problem, fit, q = selected.weighted.problem, selected.fit, columns.shape[1]
+    bound = [
+        (e, LINEAR[place])
+        for e, rows in enumerate(selected.weighted.elements)
+        for place in (COULOMB, VISCOUS)
+        if len(rows.rows) and fit.linear[e, place] <= 0.0
+    ]
+    shift, sizes, remarks = np.zeros(q), {}, []
+    if bound:
+        added = [_linear_column(selected, key) for key in bound]
+        wide = solve(problem, np.column_stack([columns, *added]), prior=prior)
+        pairs = zip(bound, wide.value[q:].tolist(), wide.deviation[q:].tolist(), wide.determined[q:], strict=True)
+        sizes = {key: (value, deviation) for key, value, deviation, known in pairs if known}
+        falling = [e for e, name in sizes if name == "c2" and (e, "tau_c") not in sizes and _negative(*sizes[e, name])]
+        if falling:
+            one = solve(
+                problem,
+                np.column_stack([columns, *(_linear_column(selected, (e, "c2")) for e in falling)]),
+                prior=prior,
+            )
+            shift = np.where(one.determined[:q] & without.determined, one.value[:q] - without.value, 0.0)
+            first, inner = len(problem.names), fit.inner()
+            for k, e in enumerate(falling):
+                place, name = first + inner.index((e, "tau_c")), problem.arm.element_names[e]
+                low, high = selected.weighted.elements[e].speed_range
+                remarks.append(
+                    f"the friction of {name} falls with speed, and c2 is at its bound 0: without it c2 would be "
+                    f"{one.value[q + k]:.3g} +- {one.deviation[q + k]:.2g} Nm s/rad and tau_c {one.value[place]:.3g} "
+                    f"in place of {without.value[place]:.3g} Nm. tau_c is a mean over the speeds from {low:.2g} to "
+                    f"{high:.2g} rad/s, too small at slow ones and too large at fast ones; its deviation contains the "
+                    "difference"
+                )
+    return Unbounded(sizes, shift, tuple(remarks))
+
+
+def _negative(value: float, deviation: float) -> bool:
+    """Return whether a value is below 0 by more than chance."""
+    return value < -_UPPER_SE * deviation
 
 
 _MIN_LOAD = 1e-6  # Nm, of a load that elements' friction is compared with

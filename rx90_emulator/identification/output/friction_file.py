@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
+from types import MappingProxyType
 from typing import Any
 
 from rx90_common.base.config import check_numbers
@@ -14,9 +15,16 @@ from rx90_common.base.quoting import plain
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_emulator.identification.estimates import LARGEST, PARAMETERS, IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.estimates import (
+    LARGEST,
+    NOT_IN_MODEL,
+    PARAMETERS,
+    IdentifiedElement,
+    ParameterEstimate,
+)
+from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.identify import FrictionIdentification
-from rx90_emulator.identification.records import BagSource
+from rx90_emulator.identification.records import BagSource, in_unit
 
 _REMARKS = """\
 #
@@ -26,6 +34,8 @@ _REMARKS = """\
 """
 _LARGEST = {"Nm": 1e6, "rad/s": 1e4, "1": 1e3, "Nm/rad": 1e12, "Nm s/rad": 1e9, "Nm (s/rad)^alpha": 1e6}
 """Of values with these units: orders of magnitude beyond any arm's, and no result of a fit that went well."""
+_NO_JOINTS: Mapping[str, Mapping[str, float]] = MappingProxyType({})
+_NO_WARNINGS: Mapping[str, str] = MappingProxyType({})
 _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
 
 
@@ -45,6 +55,10 @@ def elements_text(
     fallback_name: str | None,
     now: datetime | None = None,
     result: FrictionIdentification | None = None,
+    joints: Mapping[str, Mapping[str, float]] = _NO_JOINTS,
+    bandwidths: Bandwidths | None = None,
+    unit: str = "Nm",
+    warnings: Mapping[str, str] = _NO_WARNINGS,
 ) -> str:
     """Return the text of a file with these elements.
 
@@ -54,6 +68,10 @@ def elements_text(
         fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
         now: date of the identification; by default the present.
         result: from sweeps, whose use of the bags, goodness of fit and kinds of bristles go into the file.
+        joints: what torques hold beside links and friction, as `FrictionFile.joints`.
+        bandwidths: of excitation runs, which a validation of the file filters with again.
+        unit: of the torques, where they are currents.
+        warnings: why an element's values are not to be trusted, by its name.
 
     Raises:
         IdentificationError: for a value that no arm has, or that is no number.
@@ -64,13 +82,19 @@ def elements_text(
     rounded = {name: _rounded(name, one) for name, one in named.items()}
     used = [bags for one in elements for bags in one.sources.values()] + [kind.sources for kind in kinds]
     labels = {bag: f"bag_{k}" for k, bag in enumerate(dict.fromkeys(bag for bags in used for bag in bags), 1)}
-    notes = {kind.element: f"bristles: {kind.text}" for kind in kinds}
+    notes = dict(warnings) | {kind.element: f"bristles: {kind.text}" for kind in kinds}
     for name, one in named.items():
         if one.given_bristles:
-            before = f"{notes[name]}; " if name in notes else "bristles: "
+            before = f"{notes[name]}; " if name in notes else ""
+            before += "" if before.startswith("bristles: ") else "bristles: "
             notes[name] = f"{before}as its c0 those of {fallback_name}, assumed"
     bags = {label: {"path": str(b.path), "sha256": b.sha256, "recorded": b.recorded} for b, label in labels.items()}
     identification: dict[str, Any] = {"date": date, "bags": bags}
+    if unit != "Nm":
+        identification["unit"] = unit
+    if bandwidths is not None:
+        identification["bandwidths"] = {"position": float(bandwidths.position), "torque": float(bandwidths.torque)}
+        identification["bandwidths"] |= {"recorded_velocity": True} if bandwidths.recorded_velocity else {}
     if result is not None:
         usage, fits = result.sliding.usage, zip(names, result.sliding.quality, strict=True)
         identification["sweeps"] = {labels[use.bag]: use.text(names) for use in usage if use.bag in labels}
@@ -91,7 +115,9 @@ def elements_text(
     source = f"{len(labels)} bags, {date}; omega_d is not identified"
     source += "" if fallback_name is None else f", it is that of {fallback_name}"
     about = {name: {"note": text} for name, text in notes.items()}
-    return FrictionFile(rounded, "identified", source, identification, about=about).text(_REMARKS)
+    file = FrictionFile(rounded, "identified", source, identification, about=about, joints=joints)
+    text = file.text(_REMARKS)
+    return in_unit(text, unit)
 
 
 def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:
@@ -134,6 +160,7 @@ def _provenance(
         if not estimate.identifiable:
             # A part that is not known is left out, whatever the fallback has. But bristles go with c0.
             there = "." not in name or (one.given_bristles and name.startswith("bristles."))
+            there &= estimate.reason != NOT_IN_MODEL
             content |= {
                 "identifiable": False,
                 "reason": estimate.reason,

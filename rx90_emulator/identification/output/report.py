@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from rx90_emulator.identification.output import summary
 from rx90_emulator.identification.output.robot_files import torque_constants
 from rx90_emulator.identification.presliding.bristle_motion import MOST_MOTIONS, MOST_OF_BAG
 from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE, decisions
+from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.sliding.quality import CurvePoints
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
@@ -41,10 +43,18 @@ _DRAWN_SHARE = 20  # one part in so many of a micro-oscillation is drawn: more l
 _ACROSS = 2  # columns of plots with a panel for each joint
 
 
-def _render(template: str, date: datetime | None, **values: Any) -> str:
-    """Return a page; templates have the functions of `summary` and the built-in ones that they need."""
+def _render(template: str, date: datetime | None, unit: str = "Nm", **values: Any) -> str:
+    """Return a page on torques in a unit; templates have the functions of `summary` and what else they need."""
     day = (date or datetime.now(timezone.utc)).strftime("%Y-%m-%d %H:%M UTC")
-    return render_page("rx90_emulator.identification.output", template, date=day, summary=summary, zip=zip, **values)
+    return render_page(
+        "rx90_emulator.identification.output",
+        template,
+        partial(in_unit, unit=unit),
+        date=day,
+        summary=summary,
+        zip=zip,
+        **values,
+    )
 
 
 def _compared(
@@ -101,7 +111,7 @@ def check_page(checks: Sequence[Validation], friction_file: str, now: datetime |
         friction_file: name of the file.
         now: date of the comparison; by default the present.
     """
-    return _render("friction_check.html.j2", now, checks=_checks(checks), friction_file=friction_file)
+    return _render("friction_check.html.j2", now, checks[0].unit, checks=_checks(checks), friction_file=friction_file)
 
 
 def measured_page(result: MeasuredComparison, files: tuple[str, ...], date: datetime) -> str:
@@ -269,6 +279,7 @@ def excitation_page(
     return _render(
         "excitation.html.j2",
         date,
+        result.unit,
         result=result,
         files=files,
         versions=", ".join(f"{name} {number}" for name, number in versions.items()),
@@ -282,6 +293,7 @@ def excitation_page(
         by_speed=_speed_plot(result),
         misfits=misfits(result.speeds),
         closed_loop=result.instruments.remark,
+        bodies_warnings=summary.bodies_warnings(result),
         other="least squares" if result.instruments.biased else "instruments",
         gains=list(zip(gains, gains.values(), constants or [""] * len(gains), strict=True)),
         by_time=_time_plot(result.torques, friction.blocks.length),
@@ -378,9 +390,11 @@ def _friction_plot(result: ExcitationIdentification) -> Plot:
     """
     problem, marks = result.problem, {}
     residual = problem.torque - result.friction.predicted
+    joints = np.flatnonzero(problem.arm.identified)
     for number, curve in enumerate(result.friction.curves()):
         own: list[Mark] = [Level(0.0, colour=_DIFFERENCE), Level(0.0, colour=_DIFFERENCE, upright=True)]
-        rows = np.flatnonzero((problem.joint == number) & ~problem.reversal)
+        mine_alone = number < len(joints)  # a coupled element has no joint of its own
+        rows = np.flatnonzero((problem.joint == joints[number]) & ~problem.reversal) if mine_alone else joints[:0]
         velocity, left = problem.velocity[rows, number], residual[rows]
         low, high = (curve.velocity.min(), curve.velocity.max()) if len(curve.velocity) else (0.0, 0.0)
         points = []

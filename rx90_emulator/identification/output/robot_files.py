@@ -33,13 +33,14 @@ from rx90_emulator.identification.estimates import LARGEST, ParameterEstimate
 from rx90_emulator.identification.excitation.choice import CrossValidation
 from rx90_emulator.identification.excitation.physical import central
 from rx90_emulator.identification.excitation.result import (
-    ASSUMED_BRISTLES,
+    ASSUMED,
     ExcitationIdentification,
     RunTorques,
     misfits,
 )
 from rx90_emulator.identification.output.friction_file import elements_text, six_digits
-from rx90_emulator.identification.output.summary import gain_warnings
+from rx90_emulator.identification.output.summary import bodies_warnings, gain_warnings, in_currents
+from rx90_emulator.identification.records import in_unit
 
 
 class Identified(NamedTuple):
@@ -212,7 +213,7 @@ def robot_texts(
     for kind, block, key in (("Ia", "transmission", "rotor_inertia"), ("k", "spring", "torque")):
         columns = {name: f"{kind}_{joint}" for joint, name in enumerate(names, 1)}
         there = {name: standard.index(one) for name, one in columns.items() if one in standard}
-        if there:
+        if there and (kind != "Ia" or result.problem.columns.rotors):
             amounts = [float(inertias.parameters[there[name]]) if name in there else 0.0 for name in names]
             shared = listed(name for name, k in there.items() if not inertias.alone[k])
             how = f"; of {shared} only the sum with the links, divided near to what was known" if shared else ""
@@ -229,12 +230,24 @@ def robot_texts(
         bodies[body.link] = inverse @ pseudo @ inverse.T
     rotors = ", ".join(f"{value:.6g}" for value in inertias.rotors)
     remark = f" The inertials of {listed(bodies, 100)} are {origin}; other comments on masses are older. "
-    remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. " if rotors else ""
+    remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. " if inertias.rotors.any() else ""
+    remark += "".join(f"{text}. " for text in in_currents(result))
     elements = arm.element_names if base is None else element_names(names)
+    old = result.problem.arm.element_names
+    notes = {
+        new: result.element_notes[name] for name, new in zip(old, elements, strict=True) if name in result.element_notes
+    }
     texts = {
         FILES["urdf"]: with_inertials(urdf.read_text(encoding="utf-8"), bodies, remark),
         FILES["friction"]: elements_text(
-            elements, result.elements, result.robot.fallback_name or ASSUMED_BRISTLES, now
+            elements,
+            result.elements,
+            result.robot.fallback_name or ASSUMED,
+            now,
+            joints=_joints(result, drives=base is not None),
+            bandwidths=result.problem.runs[0].bandwidths,
+            unit=result.unit,
+            warnings=notes,
         ),
     }
     if base is None:
@@ -261,6 +274,18 @@ def robot_texts(
         if path is not None:
             texts[FILES[role]] = without_schema_line(path.read_text(encoding="utf-8"))
     return texts
+
+
+def _joints(result: ExcitationIdentification, *, drives: bool) -> dict[str, dict[str, float]]:
+    """Return what is identified at each joint and no file of the arm holds: all but the offset are in a drives file."""
+    names, standard = result.problem.arm.names, result.problem.columns.names
+    values = dict(zip(standard, result.consistency.inertias.parameters.tolist(), strict=True))
+    kinds = {"offset": "offset"} if drives else {"offset": "offset", "rotor_inertia": "Ia", "spring": "k"}
+    found = {
+        name: {key: six_digits(values.get(f"{kind}_{joint}", 0.0)) for key, kind in kinds.items()}
+        for joint, name in enumerate(names, 1)
+    }
+    return {name: kept for name, one in found.items() if (kept := {key: value for key, value in one.items() if value})}
 
 
 def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[str, str], str]:
@@ -326,6 +351,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         versions: of interpreter and libraries.
     """
     friction, bandwidths = result.friction, result.problem.runs[0].bandwidths
+    bodies = result.consistency.inertias
     chosen, other = "instrumental variables", "least squares"
     if not result.instruments.biased:
         chosen, other = other, chosen
@@ -367,8 +393,16 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
                 "confirmed": one.passed,
                 **_torques(one.torques),
                 "relative_with_consistent_inertias": six_digits(one.consistent.total_share),
+                "by_files": _torques(one.files),
             }
             for one in result.validations
+        },
+        "bodies": {
+            "distance": six_digits(bodies.distance),
+            "relative_error": six_digits(result.consistency.shares[1]),
+            "masses_not_determined": [
+                name for name, one in zip(bodies.prior.joints, bodies.open.tolist(), strict=True) if one
+            ],
         },
         "estimator": chosen,
         "instrumental_variables": result.instruments.reason,
@@ -388,14 +422,21 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         "not_determined": list(result.undetermined),
         "misfits": misfits(result.speeds),
         "drifts": [one.text for one in result.trends],
-        "remarks": [*friction.remarks, *gain_warnings(result)],
+        "remarks": [
+            *in_currents(result),
+            *result.notes,
+            *friction.remarks,
+            *result.warnings,
+            *gain_warnings(result),
+            *bodies_warnings(result),
+        ],
         "correlation": {
             "names": list(friction.names),
             "matrix": [[None if math.isnan(share) else round(share, 3) for share in row] for row in correlation],
         },
     }
     check_numbers(content, LARGEST)
-    return _PARAMETERS_HEAD + yaml_text(content)
+    return in_unit(_PARAMETERS_HEAD + yaml_text(content), result.unit)
 
 
 def _rounded(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -412,6 +453,9 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
 
 def _torques(run: RunTorques) -> dict[str, Any]:
     columns = zip(run.rms.tolist(), run.share.tolist(), run.chi_square.tolist(), strict=True)
-    figures = (_rounded(dict(zip(("rms", "relative", "chi_square"), row, strict=True))) for row in columns)
+    figures = [_rounded(dict(zip(("rms", "relative", "chi_square"), row, strict=True))) for row in columns]
+    for row in figures:  # of torques that were smoothed before, which have next to no noise, it tells nothing
+        if row.get("chi_square", 0.0) > LARGEST:
+            del row["chi_square"]
     joints = {name: row for name, row in zip(run.names, figures, strict=True) if "rms" in row}
     return {"relative": six_digits(run.total_share), "joints": joints}

@@ -12,13 +12,15 @@ from typing import TypeVar
 from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.excitation.known_payload import PLAUSIBLE
 from rx90_emulator.identification.excitation.law import Part
-from rx90_emulator.identification.excitation.result import ExcitationIdentification, misfits
+from rx90_emulator.identification.excitation.result import ExcitationIdentification, TorqueValidation, misfits
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.presliding.kinds import decisions
+from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
-from rx90_emulator.identification.validation.verdict import Criterion, largest, verdict
+from rx90_emulator.identification.validation.verdict import verdict
 
+_NEGATIVE = 3.0  # deviations below 0, from which on a rotor inertia is no chance
 _CONFIRMED = ("confirmed", "NOT CONFIRMED")
 _Value = TypeVar("_Value", bound=Hashable)
 
@@ -75,7 +77,7 @@ def identification_summary(result: FrictionIdentification) -> str:
     lines += [line for name, one in zip(names, sliding.quality, strict=True) if one for line in one.lines(name)]
     lines += [sliding.zeros.text] if sliding.zeros is not None and sliding.zeros.text else []
     lines += [f"{use.bag.path}: {use.text(names)}" for use in sliding.usage]
-    return "\n".join([*lines, *(_verdict(check, result.scope) for check in result.validations)])
+    return "\n".join([*lines, *(validation_verdict(check, result.scope) for check in result.validations)])
 
 
 def _with_deviation(estimate: ParameterEstimate | None, unknown: str = "-") -> str:
@@ -91,11 +93,12 @@ def which(lacking: Mapping[str, Sequence[str]]) -> str:
     return "; ".join(f"{parameters} of {names}" for names, parameters in whose)
 
 
-def _verdict(check: Validation, scope: str = "") -> str:
+def validation_verdict(check: Validation, scope: str = "") -> str:
+    """Return the verdict of a bag on a friction file, with what decides, its joints, values and limits."""
     *torque, tip = check.criteria
     tips = (tip, f"RMS {check.tip_rms * 1e6:.2f} um") if len(check.tip_distance) else ("no set-points, so no tip path",)
     words = (_CONFIRMED[0] + scope, _CONFIRMED[1] + scope)
-    return verdict(f"validation {check.source}", check.passed, words, torque, tips)
+    return verdict(f"validation {check.source}", words, *torque, *tips)
 
 
 def check_summary(checks: Sequence[Validation]) -> str:
@@ -107,8 +110,9 @@ def check_summary(checks: Sequence[Validation]) -> str:
         head = ("joint", "RMS, Nm", "of torque", "worst, Nm", "of largest")
         lines += _table(head, (_width(8, check.names), 10, 11, 11, 12), rows)
         lines += [check.zeros.text] if check.zeros is not None and check.zeros.text else []
-        lines.append(_verdict(check))
-    return "\n".join(lines)
+        lines += [f"recording: {text}" for text in check.notes]
+        lines.append(validation_verdict(check))
+    return in_unit("\n".join(lines), checks[0].unit)
 
 
 def measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
@@ -126,8 +130,7 @@ def measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
 
 def measured_verdict(result: MeasuredComparison) -> str:
     """Return the verdict, with what decides and its limits."""
-    *torque, position = result.criteria
-    return verdict(result.source.path, result.passed, ("agrees", "DOES NOT AGREE"), torque, (position,))
+    return verdict(result.source.path, ("agrees", "DOES NOT AGREE"), *result.criteria)
 
 
 def measured_summary(result: MeasuredComparison) -> str:
@@ -146,7 +149,7 @@ def measured_summary(result: MeasuredComparison) -> str:
 
 def excitation_summary(result: ExcitationIdentification) -> str:
     """Return friction with deviations, goodness of fit, the model that was kept, and what was left out and why."""
-    names, joints = result.problem.arm.element_names, result.problem.arm.names
+    names, joints = result.problem.arm.element_names, result.torques[0].names
     shown = [friction_columns(one.estimates) for one in result.elements]
     columns = list(dict.fromkeys(name for row in shown for name, one in row.items() if one.identifiable))
     rows = [[name, *(_with_deviation(row.get(c)) for c in columns)] for name, row in zip(names, shown, strict=True)]
@@ -156,12 +159,17 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         f"not identified: {parameters} of {elements}: {reasons[0] if len(reasons) == 1 else 'reasons in the report'}"
         for parameters, elements, reasons in lacking(result)
     ]
+    if followed := ", ".join(result.robot.followed):
+        lines.append(f"not identified, along their recorded motion: {followed}")
     if unknown := ", ".join(result.undetermined):
         lines.append(f"not determined by these runs: {unknown}; the files take them from the description")
-    runs = [*(("fitted", run) for run in result.torques), *(("unseen", one.torques) for one in result.validations)]
+    runs = [("fitted", run) for run in result.torques]
+    runs += [pair for one in result.validations for pair in (("unseen", one.torques), ("files", one.files))]
     fits = []
     for use, run in runs:
         fits.append([f"{use} {run.source.path.name}", *(_number(v, ".1%") for v in (*run.share, run.total_share))])
+        if use == "files":
+            continue
         chi = (">1e4" if k else _number(v, ".3g") for k, v in zip(run.noiseless, run.chi_square, strict=True))
         fits.append(["  chi^2 over noise", *chi])
         if run.noiseless.any():
@@ -169,22 +177,38 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     width, places = max(8, *(len(run.source.path.name) + 9 for _, run in runs)), [max(10, len(n) + 2) for n in joints]
     lines += _table(["torque RMS", *joints, "all"], [width, *places, 8], fits)
     lines += [result.zeros.text] if result.zeros.text else []
+    bandwidths = result.problem.runs[0].bandwidths
+    lines.append(f"low-pass: {bandwidths.position:.3g} Hz, torques {bandwidths.torque:.3g} Hz: {bandwidths.reason}")
+    lines += [note if note.startswith("warning") else f"recording: {note}" for note in result.notes]
     lines.append(f"model: {kept_parts(result)}; last step of the choice: {result.model.reason}")
     lines.append(f"closed loop: {result.instruments.remark}")
+    lines += filter(None, (result.consistency.text, result.consistency.open_text))
     if gains := gain_texts(result):
         factors = (f"{name} {' +- '.join(text) or '1 (the payload does not tell it)'}" for name, text in gains.items())
         text = f"drive gains, true over recorded torque: {', '.join(factors)}"
         lines.append(f"{text}; all values are for torques multiplied by them")
-    lines += [f"warning: {warning}" for warning in gain_warnings(result)]
+    warnings = (*result.warnings, *gain_warnings(result), *bodies_warnings(result))
+    lines += [f"warning: {warning}" for warning in warnings]
     lines += [] if result.loads is None else [result.loads.remark(names)]
     lines += [f"misfit: {text}" for text in misfits(result.speeds)]
     lines += [f"drift: {one.text}" for one in result.trends]
     for check in result.validations:
-        limits, run = check.tolerances, check.torques
-        total = Criterion("torque RMS of all joints", run.total_share, limits.total, digits=1)
-        worst = largest("largest", run.names, run.share, limits.joint, digits=1)
-        lines.append(verdict(f"validation {run.source.path}", check.passed, _CONFIRMED, (total, worst)))
-    return "\n".join(lines)
+        far = f"bodies {result.consistency.inertias.distance:.2g} standard deviations from the base parameters"
+        lines.append(unseen_verdict(check, far))
+    return in_unit("\n".join([*in_currents(result), *lines]), result.unit)
+
+
+def in_currents(result: ExcitationIdentification) -> list[str]:
+    """Return a warning where torques are currents, which no simulation may take for torques; else nothing."""
+    if result.unit == "Nm":
+        return []
+    return [f"warning: efforts in {result.unit} and no torque constants: friction, inertias and the files are in that "
+            "scale, and no simulation should load them"]  # fmt: skip
+
+
+def unseen_verdict(check: TorqueValidation, *said: str) -> str:
+    """Return the verdict of an unseen run on what excitation runs identified, as `validation_verdict` does."""
+    return verdict(f"validation {check.torques.source.path}", _CONFIRMED, *check.criteria, *said)
 
 
 def kept_parts(result: ExcitationIdentification) -> str:
@@ -225,6 +249,25 @@ def gain_warnings(result: ExcitationIdentification) -> list[str]:
             "that of the identified ones: inertias, which all joints share, and torques there can be off by as much"
         )
     return lines
+
+
+def bodies_warnings(result: ExcitationIdentification) -> list[str]:
+    """Return whether the bodies in the files are far from the base parameters, and which rotors are below 0."""
+    found = [result.consistency.warning] if result.consistency.warning else []
+    rotors = {f"Ia_{k}": name for k, name in enumerate(result.problem.arm.names, 1)}
+    below = [
+        f"{rotors[one.group]} {' +- '.join(one.estimate.texts())} kg m^2"
+        for one in result.base
+        if one.group in rotors
+        and one.estimate.identifiable
+        and one.estimate.value < -_NEGATIVE * one.estimate.deviation
+    ]
+    if below:
+        found.append(
+            f"rotor inertias came out below 0: {', '.join(below)}; torques of sensors between gear and link hold no "
+            "rotors (--no-rotors)"
+        )
+    return found
 
 
 _SHOWN = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1", "load.driving", "load.driven")

@@ -11,7 +11,14 @@ from scipy.stats import t as student
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.estimates import SLIDING, VISCOUS_EXPONENT, ElementEstimate, ParameterEstimate
+from rx90_emulator.identification.estimates import (
+    NOT_IN_MODEL,
+    SLIDING,
+    VISCOUS_EXPONENT,
+    ElementEstimate,
+    ParameterEstimate,
+)
+from rx90_emulator.identification.options import SLIDING_PARTS, model_parts
 from rx90_emulator.identification.records import BagSource, JointRecord, check_joints
 from rx90_emulator.identification.sliding.plateaus import BagUse, Blocks, find_blocks
 from rx90_emulator.identification.sliding.quality import CurvePoints, FitQuality
@@ -78,7 +85,9 @@ class SlidingFit:
     zeros: ZeroCheck | None = None
 
 
-def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, zero: Array | None = None) -> SlidingFit:
+def identify_sliding(
+    records: Sequence[JointRecord], arm: RigidArm, zero: Array | None = None, model: Sequence[str] | None = None
+) -> SlidingFit:
     """Fit tau_c+-, tau_s+-, omega_s, delta, c2 and, where they prefer one, alpha of every element that slides.
 
     Errors of the arm's inertial parameters, such as an unknown payload, are nuisance parameters of the same fit, so
@@ -88,8 +97,10 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, zero: Array 
         records: sweeps at constant velocity, both directions, several speeds.
         arm: rigid-body model of the same joints.
         zero: of the encoders, that the records are without, rad, shape (n,); by default 0.
+        model: names of the parts in SLIDING_PARTS that all elements have; by default those that show.
 
     Raises:
+        ConfigError: for a model with other parts.
         IdentificationError: for other joints than the arm's; for no sweep; for too few speeds or a single direction of
             all elements; and for torques that do not oppose the motion.
     """
@@ -115,14 +126,16 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, zero: Array 
             "the drive moves the joint (check the signs of gears and torque constants)"
         )
         raise IdentificationError("; ".join(filter(None, (error, zeros.text))))
-    fit = _with_shown_parameters(fit)
+    asked = None if model is None else model_parts(model, SLIDING_PARTS)
+    fit = _with_shown_parameters(fit) if asked is None else _with_parts(fit, asked)
     sources = tuple(record.bag for record in records)
     estimates, curves, quality = [], [], []
     for e, name in enumerate(names):
         if name in lacking:
             estimates.append(ElementEstimate.unknown(name, SLIDING, lacking[name], sources))
         else:
-            estimates.append(_estimate(fit, names, e, usage, sources))
+            given = asked is None or "stribeck-rise" in asked
+            estimates.append(_estimate(fit, names, e, usage, sources, rising=given))
         curves.append(_curve(fit, e))
         quality.append(FitQuality.of(curves[e], fit.misfits[e], fit.drifts[e]) if len(curves[e].velocity) else None)
     # The covariance of the inertial errors is that of the prior where nothing is observed.
@@ -168,13 +181,28 @@ def _speeds(velocity: Array) -> tuple[int, int]:
     return counts[0], counts[1]
 
 
+def _with_parts(fit: CurveFit, parts: Sequence[str]) -> CurveFit:
+    """Return the fit with the same parts for all elements; one with too few speeds has no exponent."""
+    free = fit.free.copy()
+    if "stribeck-rise" not in parts:
+        free[:, RISE] = free[:, SHAPE] = False
+    if "viscous-exponent" in parts:
+        free[:, EXPONENT] = fit.free.any(axis=1) & (np.array(_least_speeds(fit)) > LEAST_SPEEDS)
+    return CurveFit(fit.rows, free)
+
+
+def _least_speeds(fit: CurveFit) -> list[int]:
+    """Return at how many speeds each element slides in the direction in which there are fewer."""
+    pairs = zip(fit.rows.velocity.T, fit.rows.gain.T, strict=True)
+    return [min(_speeds(velocity[gain != 0.0])) for velocity, gain in pairs]
+
+
 def _with_shown_parameters(fit: CurveFit) -> CurveFit:
     """Return the fit with the parameters that the data show: Stribeck effects, and exponents that differ from 1."""
     rows, free = fit.rows, fit.free.copy()
     linear = _drop_insignificant_stribeck(fit)
     # Most data are linear, and a step from their solution says so for a fraction of a fit.
-    speeds = [min(_speeds(velocity[gain != 0.0])) for velocity, gain in zip(rows.velocity.T, rows.gain.T, strict=True)]
-    free[:, EXPONENT] = (np.array(speeds) > LEAST_SPEEDS) & (linear.exponent_score > _MIN_EXPONENT_SCORE)
+    free[:, EXPONENT] = (np.array(_least_speeds(fit)) > LEAST_SPEEDS) & (linear.exponent_score > _MIN_EXPONENT_SCORE)
     while free[:, EXPONENT].any():
         fit = _drop_insignificant_stribeck(CurveFit(rows, free.copy()))
         bent = np.array([_has_exponent(fit, e) for e in range(len(free))])
@@ -234,7 +262,13 @@ def _natural_covariance(fit: CurveFit, element: int) -> Array:
 
 
 def _estimate(
-    fit: CurveFit, names: Sequence[str], element: int, usage: Sequence[BagUse], sources: tuple[BagSource, ...]
+    fit: CurveFit,
+    names: Sequence[str],
+    element: int,
+    usage: Sequence[BagUse],
+    sources: tuple[BagSource, ...],
+    *,
+    rising: bool,
 ) -> ElementEstimate:
     """Return the estimates of one element that was fitted."""
     chosen = (*SLIDING, VISCOUS_EXPONENT) if fit.free[element, EXPONENT] else SLIDING
@@ -242,7 +276,8 @@ def _estimate(
     values, estimates = natural(fit.parameters[element]), {}
     for name, deviation in zip(chosen, np.sqrt(np.diag(covariance)).tolist(), strict=True):
         estimate = ParameterEstimate(values[name], deviation)
-        reason = _reason(fit, names, element, name, estimate, usage)
+        missing = name in _STRIBECK and not rising
+        reason = NOT_IN_MODEL if missing else _reason(fit, names, element, name, estimate, usage)
         estimates[name] = ParameterEstimate.unknown(reason) if reason else estimate
     return ElementEstimate.of(names[element], estimates, covariance, sources)
 

@@ -1,34 +1,54 @@
-"""The verdict on a friction by a bag that was not used for it: the drives' torques, and the path of the tip."""
+"""The verdict on friction by a bag that was not used for it: the drives' torques, and the path of the tip.
+
+Torques are predicted by what is written, for a given friction file and for one that was just identified alike: the
+rigid arm, and the elements' bristles along the recorded motion. Recorded and predicted torques pass one low-pass and
+are compared at the rows of excitation runs: where the joint moves, reversals included, and no element on it rests.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from operator import attrgetter
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d
-from scipy.signal import butter, sosfiltfilt
 
+from rx90_common.bags.mapping import is_table
+from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.tracing import prescribed_torque
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.options import ValidationTolerances
+from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.recording import without_shocks
+from rx90_emulator.identification.options import (
+    EMULATED,
+    NO_TOLERANCES,
+    RECORDED,
+    GivenTolerances,
+    ValidationTolerances,
+)
 from rx90_emulator.identification.records import JointRecord
-from rx90_emulator.identification.robot import RecordedRobot
+from rx90_emulator.identification.robot import RecordedRobot, topic_names
 from rx90_emulator.identification.sliding.fit import SlidingFit
-from rx90_emulator.identification.validation.measured import read_setpoints, run_along, setpoint_rows
-from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
+from rx90_emulator.identification.validation.measured import (
+    REFERENCE,
+    read_setpoints,
+    run_along,
+    setpoint_rows,
+)
+from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest, torque_criteria
 from rx90_emulator.identification.zeros import ZeroCheck, check_zeros, record_instants
 
-_BANDWIDTH_HZ = 40.0  # Hz, of the compared torques: above it lies the noise of differentiated velocities
-_MOVING_SPEED = 1e-3  # rad/s, at which the arm counts as moving
-_COMPARED_SPEED = 5e-3  # rad/s, at which a joint counts as moving, throughout the filter's reach
-_FILTER_EDGE_S = 0.1  # s at both ends, where the filter's transients are
 _MAX_WEIGHT_SD = 0.05  # standard deviation over RMS torque up to which a joint's error of the weights is applied
+_BRISTLE_STEP_S = 1e-3  # s, over which a velocity is held, at most
+_MAX_BANDWIDTH_OVER_RATE = 0.3  # of the positions, where a bag is slower than those that a file was identified from
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +63,8 @@ class Validation:
         tolerances: what counts as agreement.
         source: the bag.
         zeros: what the torques say of the encoders' zeros, where a given friction is held against the bag.
+        unit: of the torques, which are currents where the friction was identified from currents.
+        notes: what of the bag was left out, where a given friction is held against it.
     """
 
     names: tuple[str, ...]
@@ -52,6 +74,8 @@ class Validation:
     tolerances: ValidationTolerances
     source: str
     zeros: ZeroCheck | None = None
+    unit: str = "Nm"
+    notes: tuple[str, ...] = ()
 
     rms = property(attrgetter("torque.rms"), doc="RMS torque difference, Nm, shape (n,); NaN for a joint at rest.")
     worst = property(attrgetter("torque.worst"), doc="Largest torque difference, Nm, shape (n,); NaN as in `rms`.")
@@ -74,12 +98,14 @@ class Validation:
         return float(np.sqrt(np.mean(self.tip_distance**2))) if len(self.tip_distance) else math.nan
 
     @property
-    def criteria(self) -> tuple[Criterion, Criterion, Criterion]:
-        """Return what the verdict rests on: RMS and largest difference of torques, distance of the tips."""
+    def criteria(self) -> tuple[Criterion, ...]:
+        """Return what the verdict rests on: torques of all joints and of each, and distance of the tips."""
+        limits, torque = self.tolerances, self.torque
+        worst = largest("largest torque difference", self.names, torque.worst_share, limits.worst_torque)
         return (
-            largest("torque RMS", self.names, self.torque.rms_share, self.tolerances.torque),
-            largest("worst", self.names, self.torque.worst_share, self.tolerances.worst_torque),
-            Criterion("tip worst", self.tip_worst, self.tolerances.tip, unit="um"),
+            *torque_criteria(self.names, torque.total_share, torque.rms_share, limits.total, limits.torque),
+            *([worst] if math.isfinite(limits.worst_torque) else []),
+            Criterion("tip worst", self.tip_worst, limits.tip, unit="um"),
         )
 
     @property
@@ -88,78 +114,153 @@ class Validation:
         return all(one.passed for one in self.criteria)
 
 
+def filtered_runs(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths) -> tuple[FilteredRun, ...]:
+    """Return the runs of a record; of this project's plant with set-points, which real arms and tables do not have."""
+    simulated = not is_table(record.source) and absolute(REFERENCE) in topic_names(record.source)
+    if robot.plant_period is None or not simulated:
+        return filter_record(record, bandwidths)
+    # A torque of this project's plant is that of the tick that ends at its stamp; a real arm's is not.
+    return filter_record(record, bandwidths, _reference(record), 0.5 * robot.plant_period)
+
+
+@lru_cache(8)  # equations are made of the same records for several bandwidths
+def _reference(record: JointRecord) -> Array | None:
+    """Return a simulated bag's set-points at the record's times, shape (m, n); None where they do not cover it."""
+    series = read_joint_states(record.source, REFERENCE, record.names)
+    if series.position is None or len(series.time) < 2:
+        return None
+    # Stamps of averaged motor states end between two set-points.
+    step = float(np.median(np.diff(series.time)))
+    if series.time[0] > record.time[0] + step or series.time[-1] < record.time[-1] - step:
+        return None
+    return np.column_stack([np.interp(record.time, series.time, column) for column in series.position.T])
+
+
+def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Bandwidths:
+    """Return those of an identification, as far as the bag's rate carries them; those of the bag where none are known.
+
+    Raises:
+        IdentificationError: if nothing moves.
+    """
+    if chosen is None:
+        return Bandwidths.of([record])
+    highest = _MAX_BANDWIDTH_OVER_RATE / float(np.median(np.diff(record.time)))
+    if chosen.position <= highest:
+        return chosen
+    said = f"{chosen.reason}; no more than {_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"
+    return chosen._replace(position=highest, torque=min(chosen.torque, highest / 3.0), reason=said)
+
+
+def written_torque(
+    problem: ExcitationProblem, arm: RigidArm, elements: Sequence[FrictionElement], offset: Array | float = 0.0
+) -> Array:
+    """Return the torque of a problem's rows by what files hold, filtered like the recorded one, Nm, shape (r,).
+
+    Args:
+        problem: the rows; of its arm the kinematics.
+        arm: its twin with the links, rotors and springs of the files.
+        elements: one for each of the arm's.
+        offset: of the torque of each joint, Nm, shape (n,).
+    """
+    along = []
+    for run in problem.runs:
+        friction = element_torque(elements, run.velocity @ arm.element_matrix.T, 1.0 / run.rate)
+        rigid = arm.torque(run.position, run.velocity, run.acceleration)
+        along.append((rigid + friction @ arm.element_matrix + offset)[:, :, None])
+    return problem.rows_of(along)[:, 0]
+
+
+def element_torque(elements: Sequence[FrictionElement], velocity: Array, step: float) -> Array:
+    """Return the friction torque of elements at samples, from undeflected bristles on, Nm, shape (m, e).
+
+    Args:
+        elements: e elements, of which nothing but friction law and bristles is seen.
+        velocity: of each at the samples, linear between them, rad/s, shape (m, e).
+        step: between the samples, s.
+    """
+    # Finer than the samples: within one of them at a reversal the bristles go a part of their way.
+    fine = max(1, math.ceil(step / _BRISTLE_STEP_S))
+    share = (np.arange(fine) + 0.5)[:, None] / fine
+    between = velocity[:-1, None] + share * np.diff(velocity, axis=0)[:, None]
+    steps = np.full(fine * len(between), step / fine)
+    mean = prescribed_torque(elements, between.reshape(len(steps), -1), steps).reshape(between.shape)
+    # The mean of the two steps around a sample belongs to its time.
+    return np.concatenate([mean[:1, 0], 0.5 * (mean[:-1, -1] + mean[1:, 0]), mean[-1:, -1]])
+
+
+def torque_prediction(problem: ExcitationProblem, predicted: Array) -> TorquePrediction:
+    """Return recorded and predicted torques of a problem's rows as series of its identified joints.
+
+    Args:
+        problem: r rows.
+        predicted: torque of each, known payloads left out, Nm, shape (r,).
+    """
+    time = np.concatenate([run.time[run.rows] for run in problem.runs])
+    shape, at = (len(time), len(problem.arm.names)), (problem.sample, problem.joint)
+    recorded = np.concatenate([run.parallel(run.torque) for run in problem.runs])
+    known, compared = recorded.copy(), np.zeros(shape, dtype=np.bool_)
+    recorded[at], known[at], compared[at] = problem.torque + problem.payload, predicted + problem.payload, True
+    own = problem.arm.identified
+    return TorquePrediction(time, recorded[:, own], known[:, own], compared[:, own])
+
+
 def validate(
     robot: RecordedRobot,
-    lugre: tuple[FrictionElement, ...],
-    sliding: SlidingFit | None,
+    elements: tuple[FrictionElement, ...],
     record: JointRecord,
-    tolerances: ValidationTolerances,
+    tolerances: GivenTolerances = NO_TOLERANCES,
+    *,
+    sliding: SlidingFit | None = None,
+    bandwidths: Bandwidths | None = None,
 ) -> Validation:
     """Compare friction with a bag; the tip only for this project's robot, where set-points are in the bag.
 
     Args:
         robot: that the bag comes from.
-        lugre: its friction elements.
-        sliding: fit that they come from; None for elements that are given.
+        elements: of its friction.
         record: what was read of the bag.
-        tolerances: what counts as agreement.
+        tolerances: what counts as agreement, or a part of it; else what a bag with set-points of this project's
+            controller has to keep, or what all others have to.
+        sliding: fit that the elements come from; None for elements that are given.
+        bandwidths: of the runs that the elements were identified from; by default those of the bag.
 
     Raises:
         Rx90Error: if the bag cannot be read or used.
     """
-    torque = _predict_torque(robot.arm, lugre, sliding, record)
-    tip_time, distance = _tip_difference(robot, lugre, record)
+    notes: tuple[str, ...] = ()
+    if sliding is None:
+        record, notes = without_shocks(record, robot.arm.element_matrix)
+    runs = filtered_runs(record, robot, validation_bandwidths(record, bandwidths))
+    problem = ExcitationProblem.without_columns(robot.arm, runs)
+    predicted = written_torque(problem, robot.arm, elements)
+    if sliding is not None:
+        predicted = predicted + _error_of_weights(robot.arm, sliding, problem)
+    tip_time, distance = _tip_difference(robot, elements, record)
+    if not isinstance(tolerances, ValidationTolerances):
+        tolerances = replace(EMULATED if len(distance) else RECORDED, **tolerances)
     # With sweeps, these have been asked already.
     zeros = check_zeros(record_instants(record, robot.arm), robot.arm, robot.zero) if sliding is None else None
-    return Validation(record.names, torque, tip_time, distance, tolerances, str(record.source), zeros)
+    torque = torque_prediction(problem, predicted)
+    names = tuple(name for name in record.names if name not in robot.followed)
+    return Validation(names, torque, tip_time, distance, tolerances, str(record.source), zeros, record.unit, notes)
 
 
-def _predict_torque(
-    arm: RigidArm, lugre: tuple[FrictionElement, ...], sliding: SlidingFit | None, record: JointRecord
-) -> TorquePrediction:
-    """Predict the drives' torques along a recorded motion, from its beginning on; refuse one in which nothing moves."""
-    time, position = record.time, record.position
-    step = float(np.median(np.diff(time)))
-    sections = butter(4, min(_BANDWIDTH_HZ, 0.4 / step), fs=1.0 / step, output="sos")
-    moving = np.flatnonzero(np.abs(record.velocity).max(axis=1) > _MOVING_SPEED)
-    if len(moving) == 0 or time[-1] - time[moving[0]] < 4.0 * _FILTER_EDGE_S:
-        raise IdentificationError(f"{record.source}: the arm does not move; accepted: a run of all joints")
-    velocity = np.asarray(sosfiltfilt(sections, record.velocity, axis=0))
-    inside = (time > time[moving[0]] + _FILTER_EDGE_S) & (time < time[-1] - _FILTER_EDGE_S)
-    kept = np.flatnonzero(inside)[:: max(1, round(0.1 / _BANDWIDTH_HZ / step))]
-    span = 2 * round(0.5 * _FILTER_EDGE_S / step) + 1
-    compared = minimum_filter1d(np.abs(velocity), span, axis=0)[kept] > _COMPARED_SPEED
-    if not compared.any():
-        raise IdentificationError(
-            f"{record.source}: no joint moves at {1e3 * _COMPARED_SPEED:g} mrad/s for {2.0 * _FILTER_EDGE_S:g} s, and "
-            "torques at rest are not compared; accepted: a run of all joints"
-        )
-    inputs, steps = position @ arm.element_matrix.T, np.diff(time, prepend=time[0])
-    mean = np.diff(inputs, axis=0, prepend=inputs[:1]) / np.where(steps > 0.0, steps, 1.0)[:, None]
-    friction, recorded = (
-        np.asarray(sosfiltfilt(sections, values, axis=0))[kept]
-        for values in (prescribed_torque(lugre, mean, steps) @ arm.element_matrix, record.torque)
-    )
-    rigid = arm.torque(position[kept], record.velocity[kept], np.gradient(velocity, time, axis=0)[kept])
-    if sliding is not None:
-        rigid = rigid + _error_of_weights(arm, sliding, position[kept], recorded)
-    return TorquePrediction(time[kept], recorded, rigid + friction, compared)
-
-
-def _error_of_weights(arm: RigidArm, sliding: SlidingFit, position: Array, recorded: Array) -> Array:
-    """Return the torque of the arm's inertial errors, Nm, shape (m, n); 0 for joints where it is too uncertain.
+def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationProblem) -> Array:
+    """Return the torque of the arm's inertial errors at the rows, Nm, shape (r,); 0 for joints where it is uncertain.
 
     Sweeps of some joints, or at one pose, leave the weights of other joints and at other poses undetermined. The
     fit's error of them is then hundreds of Nm with a standard deviation as large, and the weights of the description
     are better. Sweeps at constant velocity determine hardly anything of the inertias.
     """
+    position = np.concatenate([run.position[run.rows] for run in problem.runs])
+    recorded = np.concatenate([run.parallel(run.torque) for run in problem.runs])
     nothing = np.zeros_like(position)
     regressor = arm.regressor(position, nothing, nothing)
     values, directions = np.linalg.eigh(sliding.inertial_covariance)
     parts = regressor @ (directions * np.sqrt(np.maximum(values, 0.0)))
     deviation = np.sqrt(np.mean(np.sum(parts**2, axis=2), axis=0))
     known = deviation <= _MAX_WEIGHT_SD * np.sqrt(np.mean(recorded**2, axis=0))
-    return np.asarray(np.where(known, regressor @ sliding.inertial, 0.0))
+    return np.asarray(np.where(known, regressor @ sliding.inertial, 0.0)[problem.sample, problem.joint])
 
 
 def _tip_difference(

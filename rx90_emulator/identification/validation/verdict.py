@@ -111,7 +111,32 @@ def largest(
     return Criterion(quantity, float(values[joint]), limit, names[joint], unit, digits)
 
 
-def verdict(source: object, passed: bool, words: tuple[str, str], *criteria: Sequence[Criterion | str]) -> str:
-    """Return one sentence: the bag, the verdict in the first or the second words, and groups of what decides."""
-    groups = (", ".join(one if isinstance(one, str) else one.text for one in group) for group in criteria)
-    return f"{source}: {words[0] if passed else words[1]}: {'; '.join(groups)}"
+def torque_criteria(
+    names: Sequence[str], total: float, share: Array, most: float, most_of_joint: float, by: str = ""
+) -> tuple[Criterion, Criterion]:
+    """Return what every verdict on torques rests on: RMS difference over RMS torque of all joints, and of each.
+
+    Args:
+        names: n joints.
+        total: of all joints.
+        share: of each, NaN where it is not compared, shape (n,).
+        most: accepted of all joints.
+        most_of_joint: accepted of a single one.
+        by: behind the quantity, such as " by the files".
+    """
+    all_joints = Criterion(f"torque RMS of all joints{by}", total, most)
+    return all_joints, largest(f"torque RMS of a joint{by}", names, share, most_of_joint)
+
+
+def verdict(source: object, words: tuple[str, str], *parts: Criterion | str) -> str:
+    """Return one sentence: the bag, the verdict in the first or the second words, and what decides.
+
+    What is beyond its limit stands before all that is not: that decided.
+    """
+    failed, kept = ([one.text for one in parts if isinstance(one, Criterion) and one.passed is good]
+                    for good in (False, True))  # fmt: skip
+    said = [one for one in parts if isinstance(one, str)]
+    if not failed:
+        return f"{source}: {words[0]}: {'; '.join([', '.join(kept), *said])}"
+    within = [f"within the limits {', '.join(kept)}"] if kept else []
+    return f"{source}: {words[1]}: {'; '.join([', '.join(failed), *within, *said])}"

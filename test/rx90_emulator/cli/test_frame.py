@@ -235,8 +235,8 @@ CASES = [
     ("rx90_experiment", "run --engine --output new --timeout 9", "--timeout without --nodes; accepted: with it"),
     (
         "rx90_identify",
-        "--sliding bag --output new.yaml --total-torque-tolerance 0.2",
-        "--total-torque-tolerance 0.2 without excitation runs; accepted: with --excitation BAG ...",
+        "--sliding bag --output new.yaml --prior 0.2",
+        "--prior 0.2 without excitation runs; accepted: with --excitation BAG ...",
     ),
     (
         "rx90_identify",

@@ -74,7 +74,9 @@ def estimate_of(columns: StandardColumns, theta: Array) -> BaseEstimate:
     """Return the base parameters of standard ones, known to 1e-7 of the torque."""
     groups = BaseGroups.of(columns)
     known = np.eye(len(groups.names))
-    return BaseEstimate(groups.combination, groups.combination @ theta, 1e-14 * known, 1e7 * known)
+    return BaseEstimate(
+        groups.combination, groups.combination @ theta, 1e7 * known, np.ones(len(known), dtype=np.bool_)
+    )
 
 
 def identified(
@@ -214,7 +216,7 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     columns = StandardColumns(arm)
     theta = columns.values()
     theta[:30] *= np.repeat([1.2, 0.9, 1.4], 10)
-    theta[30:33] = 0.1
+    theta[30:33], theta[33:] = 0.1, [0.5, -0.2, 0.3]
     prior = InertialPrior.of_urdf(file, arm.names, [0.0, 0.0, 0.1])
     assert prior.dropped == ("dust",)
     inertias = consistent_inertias(estimate_of(columns, theta), prior)
@@ -225,14 +227,17 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     assert why.startswith("URDF and friction file alone, no robot folder: ")
     texts = robot_texts(result, file, None)
     assert set(texts) == {"robot.urdf", "friction.yaml"}
-    assert list(yaml.safe_load(texts["friction.yaml"])["elements"]) == ["a", "b", "c"]
+    friction = yaml.safe_load(texts["friction.yaml"])
+    assert list(friction["elements"]) == ["a", "b", "c"]
+    assert [friction["joints"][name]["rotor_inertia"] for name in "abc"] == pytest.approx(inertias.rotors, rel=1e-5)
+    assert [friction["joints"][name]["offset"] for name in "abc"] == pytest.approx(theta[33:], rel=1e-4)
 
     written = pin.buildModelFromXML(texts["robot.urdf"])
     data = written.createData()
     q, v, a = RNG.uniform(-2.0, 2.0, (3, 10, 3))
     links = np.array([pin.rnea(written, data, *row) for row in zip(q, v, a, strict=True)])
     expected = columns.torque(q, v, a) @ inertias.parameters
-    np.testing.assert_allclose(links + a * inertias.rotors, expected, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(links + a * inertias.rotors + inertias.parameters[33:], expected, rtol=0.0, atol=1e-11)
     assert np.abs(inertias.shift).max() < 1e-6
     assert rest_of(texts["robot.urdf"]) == rest_of(urdf)
     assert '<!-- kept --><link name="bare"/>' in texts["robot.urdf"]
@@ -290,7 +295,7 @@ def test_noisy_tx40_stays_a_robot() -> None:
     base = rows[:, list(groups.leading)]
     noise = 0.01 * np.sqrt(np.mean((rows @ theta) ** 2))
     found = np.linalg.lstsq(base, rows @ theta + noise * rng.standard_normal(360), rcond=None)[0]
-    estimate = BaseEstimate(groups.combination, found, noise**2 * np.linalg.inv(base.T @ base), base / noise)
+    estimate = BaseEstimate(groups.combination, found, base / noise, np.ones(len(found), dtype=np.bool_))
     urdf = RobotFiles.named("tx40").urdf
     blank = re.sub(r"<inertial>.*?</inertial>", "", urdf.read_text(), flags=re.DOTALL)
     for text in (urdf.read_text(), blank):

@@ -17,7 +17,7 @@ from benchmarks.random_arms import random_arm
 from benchmarks.wrong_zeros import described, sweeps, with_payload
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.records import JointRecord
-from rx90_emulator.identification.zeros import Instants, ZeroCheck, check_zeros, record_instants
+from rx90_emulator.identification.zeros import Instants, ZeroCheck, check_of, check_zeros, record_instants
 
 Array = NDArray[np.float64]
 STRETCHES, EACH = 24, 4
@@ -98,6 +98,25 @@ def test_a_small_error_is_told_with_its_deviation() -> None:
     assert "b by 0.1 +- 0.01 rad" in check.text
     assert "try --zero 0 0.6; the torques do not tell the zero of a" in check.text
     assert ZeroCheck(("a", "b"), none, none, none, told, 0.2, 0.2).text == ""
+
+
+def test_a_zero_is_doubted_only_where_the_fit_is_better() -> None:
+    """Of two errors that lower what is left by 1 and by 30 % the second is said; what the first lowers alone is none.
+
+    What is little of the arm's torque is said of the joint whose it is: before and after are never the same number.
+    """
+    names, torque = ("a", "b"), np.array([100.0, 1.0])
+    nothing = ZeroCheck(names, np.zeros(2), np.zeros(2), np.full(2, 1e-3), np.full(2, True), 0.0, 0.0)
+
+    def left(shift: Array) -> dict[str, Array]:
+        return {"": np.array([1.0, 1e-3]) * np.where(shift != 0.0, [0.99**2, 0.7**2], 1.0)}
+
+    both = check_of(nothing, np.array([0.05, -0.03]), left, torque)
+    assert both.error.tolist() == [0.0, 0.03]
+    assert "unexplained torque of b 3.2% -> 2.2%" in both.text
+    alone = check_of(nothing, np.array([0.05, 0.0]), left, torque)
+    assert alone.text == ""
+    assert alone.before == alone.after
 
 
 def test_a_run_of_any_motion_tells_as_well(arm: RigidArm) -> None:

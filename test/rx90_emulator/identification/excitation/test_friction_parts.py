@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +36,9 @@ from rx90_emulator.identification.excitation.friction import (
 )
 from rx90_emulator.identification.excitation.law import ElementMotion, ElementShape, Part, element_rows
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.result import simulated_elements
 from rx90_emulator.identification.excitation.unmodelled import blur_shifts, bounded_covariance
+from rx90_emulator.identification.options import MODEL_PARTS
 from rx90_emulator.identification.records import BagSource, JointRecord
 
 Array = NDArray[np.float64]
@@ -415,7 +418,7 @@ def test_a_rise_that_may_be_there_widens_the_deviations(
     fit = fit_shapes(weighted, [exponent, ElementShape()])
     tried = selected(weighted, fit, (0, Part.STRIBECK))
     parts, coulomb = (Part.EXPONENT, Part.STRIBECK), len(weighted.problem.names)
-    (_, final, rises, _), (_, without, *_) = final_fit(tried, parts), final_fit(selected(weighted, fit), parts)
+    (_, final, rises, *_), (_, without, *_) = final_fit(tried, parts), final_fit(selected(weighted, fit), parts)
     assert set(rises) == open_ones
     factor = final.deviation[coulomb] / without.deviation[coulomb]
     assert (factor > 1.1) if open_ones else (factor == 1.0)
@@ -444,3 +447,65 @@ def test_a_column_of_mere_rounding_gets_no_share() -> None:
     left = left_out(np.arange(4.0), tangent, [(np.array([3]), np.array([3]))])
     assert left[3] == pytest.approx(2.0)  # 3 less the mean of 0, 1 and 2
     assert nonnegative(-1e-9 * np.eye(2), np.ones(2)) == pytest.approx([0.0, 0.0])
+
+
+def test_friction_that_falls_with_speed_is_said(arm: RigidArm) -> None:
+    """Where c2 ends at 0 because friction falls, slope and tau_c without that bound are said; tau_c reaches it."""
+    falling: Law = lambda v: np.sign(v) * (3.0 - 0.6 * np.abs(v))  # noqa: E731
+    found = identify_friction_parts(problem_of(arm, record((falling, LAWS[1]), 1)), (), fixed=True)
+    (text,) = found.warnings
+    value, deviation, tau_c, written = map(
+        float, re.findall(r"c2 would be (\S+) \+- (\S+) Nm s/rad and tau_c (\S+) in place of (\S+) Nm", text)[0]
+    )
+    assert text.startswith("the friction of one falls with speed")
+    assert abs(value + 0.6) < 3.0 * deviation < 0.3
+    assert tau_c == pytest.approx(3.0, abs=0.15)
+    estimates = found.elements[0].parameters
+    assert written == pytest.approx(estimates["tau_c_positive"].value, abs=0.01)
+    assert abs(3.0 - estimates["tau_c_positive"].value) < 1.96 * estimates["tau_c_positive"].deviation
+    assert "without its bound 0 it would be -0." in estimates["c2"].reason
+
+
+def test_a_bristle_needs_coulomb_torque(arm: RigidArm) -> None:
+    """An element without Coulomb torque gets no bristle, even asked for, nor a c0 of 0; the reasons say so."""
+    laws = (power_law(-0.2, 2.0, 1.0), LAWS[1])  # 0 is the best value
+    found = identify_friction_parts(problem_of(arm, record(laws, 1)), (Part.BRISTLE,), fixed=True)
+    values = found.elements[0].parameters
+    assert found.parts[0] == frozenset()
+    assert not values["c0"].identifiable
+    assert "beside it no Coulomb torque of one shows" in values["c0"].reason
+    (free,) = re.findall(r"without its bound 0 it would be (\S+)", values["tau_c_positive"].reason)
+    assert float(free) == pytest.approx(-0.2, abs=0.02)
+    (element, _) = simulated_elements(found.elements, None)
+    assert element.element.c0 > 0.0
+    assert element.element.c2 == pytest.approx(1.8, abs=0.2)
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_an_exponent_that_is_nearly_coulomb_torque_is_not_kept(arm: RigidArm, fixed: bool) -> None:
+    """In noise |v|^0.3 is not told from Coulomb torque: the exponent goes, with that reason, unless a person asked."""
+    one = record((power_law(0.3, 2.0, 0.3), LAWS[1]), 3)
+    noisy = replace(one, torque=one.torque + np.random.default_rng(2).normal(size=one.torque.shape))
+    search = Selection(problem_of(arm, noisy), (Part.EXPONENT,), fixed=fixed)
+    near = ElementShape(frozenset({Part.EXPONENT}), alpha=0.3)
+    fit = fit_shapes(search.weighted, [near, ElementShape()], ())
+    assert fit.at_bound == (frozenset(), frozenset())
+    model = search.within_bounds(Scored.of(search.weighted, fit, search.blocks), Part.EXPONENT)
+    assert (Part.EXPONENT in model.fit.shapes[0].parts) is fixed
+    if not fixed:
+        assert "is within 2 deviations of the bound of its range" in search.refused[0, Part.EXPONENT]
+
+
+def test_named_parts_are_fitted_without_a_choice(arm: RigidArm) -> None:
+    """Asked for, an exponent is on both elements, though one has none; without any part, alpha stays 1 and known."""
+    problem = problem_of(arm, record(LAWS, 1))
+    both = identify_friction_parts(problem, (Part.EXPONENT,), fixed=True)
+    assert both.parts == (frozenset({Part.EXPONENT}),) * 2
+    held(both, 0, tau_c_positive=3.0, c2=2.0, alpha=0.7)
+    assert abs(both.elements[1].parameters["alpha"].value - 1.0) < 3.0 * both.elements[1].parameters["alpha"].deviation
+    none = identify_friction_parts(problem, (), fixed=True)
+    assert [row.name for row in none.models] == ["Coulomb + viscous"]
+    assert "one.alpha" not in none.names
+    names = [part.value.lower().replace(" ", "-") for part in Part]
+    assert names == list(MODEL_PARTS)
+    assert [Part.named(name) for name in names] == list(Part)

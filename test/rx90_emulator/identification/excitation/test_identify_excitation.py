@@ -17,11 +17,11 @@ import pinocchio as pin
 import pytest
 import yaml
 from foreign_arms import Curve, drive_torque, urdf_text, write
-from scipy.signal import fftconvolve
+from scipy.signal import butter, fftconvolve, sosfiltfilt
 from terminal import Terminal
 
 import rx90_emulator as rx
-from rx90_common.base.errors import INTERRUPTED, REFUSED, VERDICT_NO
+from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
@@ -33,7 +33,9 @@ from rx90_emulator.identification.excitation.result import (
     torque_noise,
     trends,
 )
+from rx90_emulator.identification.output.summary import unseen_verdict
 from rx90_emulator.identification.records import BagSource
+from rx90_emulator.identification.robot import RecordedRobot
 
 RATE = 100.0
 NAMES = ["shoulder", "elbow"]
@@ -56,11 +58,12 @@ class Bench:
         curves = [curve.scaled(factor) for curve in CURVES]
         return drive_torque(self.model, np.eye(2), curves, motion, RATE)
 
-    def bag(self, name: str, seed: int, factor: float = 1.0, seconds: float = 20.0) -> Path:
-        """Write a run."""
+    def bag(self, name: str, seed: int, factor: float = 1.0, seconds: float = 20.0, first: int = 0) -> Path:
+        """Write a run, from a sample on; its stamps begin at 0."""
         motion = fourier(seed, seconds)
         noise = NOISE * np.random.default_rng(seed).normal(size=motion[0].shape)
-        return write(self.folder / name, "/joint_states", NAMES, RATE, (*motion, self.torque(motion, factor) + noise))
+        values = (*motion, self.torque(motion, factor) + noise)
+        return write(self.folder / name, "/joint_states", NAMES, RATE, [one[first:] for one in values])
 
     def identify(self, *words: object) -> int:
         """Run the command."""
@@ -90,6 +93,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     bench.bag("run", 1)
     bench.bag("unseen", 2)
     bench.bag("stiff", 3, 1.8)
+    bench.bag("later", 1, seconds=30.0, first=1600)
     position, velocity = fourier(4, 20.0)
     for name, moves in (("still", [0.0, 0.0]), ("half", [1.0, 0.0])):
         motion = position * moves, velocity * moves
@@ -98,6 +102,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     motion = fourier(6, 20.0)
     write(folder / "single", "/joint_states", NAMES, RATE, [values[:1] for values in (*motion, bench.torque(motion))])
     write(folder / "negative", "/joint_states", NAMES, RATE, (*motion, -bench.torque(motion)))
+    write(folder / "one", "/joint_states", NAMES, RATE, (*motion, bench.torque(motion) * [1.0, -1.0]))
+    dead = bench.torque(motion) * [1.0, 0.0] + NOISE * np.random.default_rng(7).normal(size=motion[0].shape)
+    write(folder / "dead", "/joint_states", NAMES, RATE, (*motion, dead))
     return bench
 
 
@@ -168,7 +175,50 @@ def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
     assert (good.torques.chi_square < 1.2).all()
     assert (bad.torques.chi_square > 100.0).all()
     assert good.consistent.total_share < 1.1 * good.torques.total_share
-    assert all(f"{check.torques.total_share:.1%}" in outcome.said for check in (good, bad))
+    assert all(
+        f"{one.total_share:.1%}" in outcome.said for check in (good, bad) for one in (check.torques, check.files)
+    )
+
+
+def test_a_check_of_the_written_files_gives_the_same_numbers(bench: Bench, outcome: Outcome) -> None:
+    """Of the unseen runs `check_friction` finds the RMS errors that the identification found, and the same verdicts.
+
+    The files hold rotors and offsets, too. A shock of the torque is left out and named.
+    """
+    robot, file = rx.RobotOptions(urdf=outcome.folder / "robot.urdf"), outcome.folder / "friction.yaml"
+    runs = [bench.folder / "unseen", bench.folder / "stiff"]
+    checks = rx.check_friction(file, runs, robot)
+    for check, first in zip(checks, outcome.result.validations, strict=True):
+        np.testing.assert_allclose(check.rms_share, first.files.share, rtol=1e-3)
+        assert check.torque.total_share == pytest.approx(first.files.total_share, rel=1e-3)
+        assert check.passed == first.passed
+        assert [one.limit for one in check.criteria[:2]] == [one.limit for one in first.criteria[:2]]
+        assert not check.notes
+    motion = fourier(2, 20.0)
+    torque = bench.torque(motion) + NOISE * np.random.default_rng(2).normal(size=motion[0].shape)
+    torque[700:702] += [60.0, 30.0]
+    write(bench.folder / "shocked", "/joint_states", NAMES, RATE, (*motion, torque))
+    (shocked,) = rx.check_friction(file, [bench.folder / "shocked"], robot)
+    np.testing.assert_allclose(shocked.rms_share, checks[0].rms_share, rtol=0.1)
+    assert "1 shock of the torque left out" in shocked.notes[0]
+
+
+def test_the_verdict_names_what_decided(outcome: Outcome) -> None:
+    """Of a run that is not confirmed the first quantity is beyond its limit, with joint, value and limit."""
+    good, bad = outcome.result.validations
+    line = next(one for one in outcome.said.splitlines() if one.startswith(f"validation {bad.torques.source.path}"))
+    decided, kept = line.partition("NOT CONFIRMED: ")[2].partition("; within the limits ")[::2]
+    assert f"torque RMS of all joints {bad.torques.total_share:.2%} (limit 10%)" in decided
+    for part in decided.split("), "):
+        value, limit = (float(text) for text in re.findall(r"([\d.]+)%", part))
+        assert value > limit
+    for part in kept.split("), ") if kept else []:
+        value, limit = (float(text) for text in re.findall(r"([\d.]+)%", part))
+        assert value <= limit
+    # A verdict that the files alone decide says so.
+    alone = replace(good, files=bad.files)
+    assert not alone.passed
+    assert "NOT CONFIRMED: torque RMS of all joints by the files" in unseen_verdict(alone)
 
 
 def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Callable[[Path], None]) -> None:
@@ -190,6 +240,50 @@ def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Call
         assert part in page
     assert "nan" not in re.sub(r"<(svg|script).*?</\1>", "", page, flags=re.DOTALL).lower().split()
     check_report(outcome.folder / "report.html")
+
+
+def test_offsets_and_rotors_of_a_friction_file_count(bench: Bench, outcome: Outcome, tmp_path: Path) -> None:
+    """Torques with offsets and rotors are predicted by the file that states them, whatever options say of rotors."""
+    motion, offset, rotor = fourier(2, 20.0), np.array([6.0, -3.0]), np.array([2.0, 1.0])
+    torque = bench.torque(motion) + offset + rotor * np.gradient(motion[1], 1.0 / RATE, axis=0)
+    bag = write(tmp_path / "bag", "/joint_states", NAMES, RATE, (*motion, torque))
+    file = yaml.safe_load((outcome.folder / "friction.yaml").read_text(encoding="utf-8"))
+    file.pop("joints", None)
+    pairs = zip(NAMES, offset.tolist(), rotor.tolist(), strict=True)
+    joints = {name: {"offset": constant, "rotor_inertia": inertia} for name, constant, inertia in pairs}
+    shares = []
+    for block in ({"joints": joints}, {}, {"joints": {"wrist": {"offset": 1.0}}}):
+        place = tmp_path / f"friction_{len(shares)}.yaml"
+        place.write_text(yaml.dump(file | block), encoding="utf-8")
+        if "wrist" in block.get("joints", {}):
+            with pytest.raises(rx.Rx90Error, match=r"yaml: joint 'wrist' is none of this arm; accepted: shoulder"):
+                rx.check_friction(place, [bag], rx.RobotOptions(urdf=bench.urdf))
+        else:
+            robot = rx.RobotOptions(urdf=bench.urdf, rotor_inertia=[9.0, 9.0] if block else None)
+            (check,) = rx.check_friction(place, [bag], robot)
+            shares.append(check.largest_share)
+    assert shares[0] < 0.05
+    assert shares[1] > 0.15
+
+
+def test_bodies_are_told_on_the_terminal(outcome: Outcome) -> None:
+    """Distance and error of the files' bodies stand in the summary, in the verdict and in the parameters."""
+    found = yaml.safe_load((outcome.folder / "parameters.yaml").read_text(encoding="utf-8"))["bodies"]
+    distance = f"{found['distance']:.2g} standard deviations from the base parameters"
+    assert f"bodies in the files: {distance}" in outcome.said
+    (verdict,) = (line for line in outcome.said.splitlines() if line.startswith("validation"))
+    assert "by the files" in verdict
+    assert verdict.endswith(f"; bodies {distance}")
+    assert f"{found['relative_error']:.1%} with them" in outcome.said
+    assert "warning: the bodies" not in outcome.said
+
+
+def test_torques_without_rotors_of_this_robot_are_refused(bench: Bench) -> None:
+    """A model without rotors is for other arms' torques behind the gears: with rotors given it is refused."""
+    given = rx.RobotOptions(urdf=bench.urdf, rotor_inertia=[1.0, 1.0])
+    for robot, words in ((rx.RobotOptions(), "without --urdf"), (given, "with --rotor-inertia")):
+        with pytest.raises(rx.Rx90Error, match=f"^--no-rotors {words}; accepted: "):
+            rx.identify_excitation([bench.folder / "run"], robot, rotors=False)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -222,18 +316,23 @@ def test_an_interrupt_leaves_nothing(
     [
         (["run", "run"], "given twice for --excitation; accepted: each bag once"),
         (["run", "--validation", "run"], "run: also used for the identification; accepted: another bag"),
+        (["run", "--validation", "unseen", "later"], r"later: 2\d% of its motion also used .* as \S+run; accepted"),
         (["run", "--sliding", "run"], "run with --excitation; accepted: --validation BAG"),
         (["run", "--bristle-kinds"], "--bristle-kinds with excitation runs; accepted"),
         (["run", "--output", "identified"], "identified/report.html exists; accepted: another name, or --force"),
         (["run", "--output", "arm.urdf"], "arm.urdf is no folder; accepted"),
         (["run", "--output", "nowhere/deep"], "nowhere does not exist"),
+        (
+            ["run", "--bandwidth=60"],
+            "bandwidths of 60 and 20 Hz at 100 samples per second; accepted: up to 45 and 22",
+        ),
         (["run", "--torque-delay", "0.01"], "--torque-delay 0.01 with --excitation; accepted: 0"),
         (["nowhere"], "nowhere: no such bag"),
         (["still"], "no joint moves in any run; accepted"),
-        (["half"], "elbow at rest in all runs; accepted: runs in which all joints move, or --fallback"),
         (["short"], "samples without a gap; accepted"),
         (["single"], "single: 1 sample without a gap; accepted"),
-        (["negative"], r"the torque does not oppose the motion \(Coulomb torque -.*\); accepted: efforts of the sign"),
+        (["negative"], r"wrong sign of the effort of \w+ and the effort of \w+: .*--torque-constant -1 -1,"),
+        (["one"], r"wrong sign of the effort of elbow: \d+.\d% .* other sign \d.\d%; .*--torque-constant 1 -1,"),
     ],
 )
 def test_what_cannot_be_identified_is_refused(
@@ -251,6 +350,24 @@ def test_what_cannot_be_identified_is_refused(
     assert sorted(bench.folder.rglob("*")) == before
 
 
+def test_a_slow_log_of_smoothed_torques_is_identified_with_a_warning(
+    bench: Bench, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """50 samples per second, torques behind a zero-phase low-pass of 5 Hz: all files, what is lost, Coulomb to 10 %."""
+    motion = fourier(8, 30.0)
+    low_pass = butter(2, 5.0, fs=RATE, output="sos")
+    torque = sosfiltfilt(low_pass, bench.torque(motion), axis=0)
+    write(bench.folder / "smooth", "/joint_states", NAMES, 0.5 * RATE, [values[::2] for values in (*motion, torque)])
+    folder = bench.folder / "smooth_identified"
+    assert bench.identify("--excitation", bench.folder / "smooth", "--output", folder) == DONE
+    said = capsys.readouterr().out
+    assert "warning: smooth: 50 samples per second do not tell motion above 15 Hz" in said
+    assert "recording: the torques were smoothed before they were recorded" in said
+    friction = yaml.safe_load((folder / "parameters.yaml").read_text(encoding="utf-8"))["friction"]
+    for name, curve in zip(NAMES, CURVES, strict=True):
+        assert friction[name]["tau_c_positive"]["value"] == pytest.approx(curve.tau_c_positive, rel=0.1)
+
+
 def test_python_writes_what_the_command_does(outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`rx.write_excitation` writes the same files; those that exist stay without force, and others in the folder do."""
     monkeypatch.setattr(identification_job, "excitation_page", lambda *_: "page")
@@ -263,6 +380,79 @@ def test_python_writes_what_the_command_does(outcome: Outcome, tmp_path: Path, m
     rx.write_excitation(outcome.result, tmp_path, force=True)
     assert not outcome.result.confirmed
     assert "shoulder" in rx.excitation_summary(outcome.result)
+
+
+def test_a_joint_that_is_not_identified_follows_the_bag(tmp_path: Path) -> None:
+    """Beside a wrist that swings, whose torque is not used, shoulder and elbow are predicted to their noise.
+
+    The check of the written files follows it, too. Where the bag does not hold the wrist, which is then held at 0, the
+    difference is many times the noise.
+    """
+    names, urdf = [*NAMES, "wrist"], tmp_path / "arm.urdf"
+    urdf.write_text(urdf_text(names, ["0 1 0"] * 3, [5.0, 3.0, 2.5]), encoding="utf-8")
+    model = pin.buildModelFromXML(urdf.read_text(encoding="utf-8"))
+    for name, seed in (("run", 1), ("unseen", 2)):
+        motion = tuple(
+            np.column_stack([a, 1.5 * b[:, 0]]) for a, b in zip(fourier(seed, 20), fourier(9 + seed, 20), strict=True)
+        )
+        torque = drive_torque(model, np.eye(3), [*CURVES, STILL], motion, RATE)
+        torque += NOISE * np.random.default_rng(seed).normal(size=torque.shape)
+        torque[:, 2] = 7.0  # tells nothing
+        write(tmp_path / name, "/joint_states", names, RATE, (*motion, torque))
+        bare = [values[:, :2] for values in (*motion, torque)]
+        write(tmp_path / f"{name}_bare", "/joint_states", NAMES, RATE, bare)
+    robot = rx.RobotOptions(urdf=urdf, joints=NAMES)
+    result = rx.identify_excitation([tmp_path / "run"], robot, [tmp_path / "unseen"])
+    (check,) = result.validations
+    assert check.torques.names == tuple(NAMES)
+    assert (check.torques.chi_square < 1.3).all()
+    assert "not identified, along their recorded motion: wrist" in rx.excitation_summary(result)
+    for one, curve in zip(result.elements, CURVES, strict=True):
+        estimate = one.estimates["tau_c_positive"]
+        assert abs(estimate.value - curve.tau_c_positive) < 4.0 * estimate.deviation
+    rx.write_excitation(result, tmp_path / "identified")
+    written = replace(robot, urdf=tmp_path / "identified" / "robot.urdf",
+                      rotor_inertia=result.consistency.inertias.rotors[:2].tolist())  # fmt: skip
+    (again,) = rx.check_friction(tmp_path / "identified" / "friction.yaml", [tmp_path / "unseen"], written)
+    np.testing.assert_allclose(again.rms_share, check.files.share, atol=5e-4)
+    motors = RecordedRobot.load(replace(robot, gear=[1.0, 1.0]), [tmp_path / "run"], massless=True, follow=True)
+    assert (motors.held, motors.followed) == (("wrist",), ())
+    held = rx.identify_excitation([tmp_path / "run_bare"], robot, [tmp_path / "unseen_bare"])
+    assert (held.validations[0].torques.share > 5.0 * check.torques.share).all()
+
+
+def test_currents_without_constants_stay_currents(bench: Bench, outcome: Outcome, tmp_path: Path) -> None:
+    """Efforts in A give A, A s/rad and A s^2 in summary, report and files, half the numbers of 2 Nm/A, and no Nm.
+
+    A check of the file takes currents alone; bags in Nm are refused.
+    """
+    position, velocity = fourier(1, 20.0)
+    torque = bench.torque((position, velocity)) + NOISE * np.random.default_rng(1).normal(size=position.shape)
+    time = np.arange(len(position)) / RATE
+    columns = np.column_stack([time, position, velocity, torque / 2.0])
+    np.savetxt(tmp_path / "run.csv", columns, delimiter=",", header="t,q1,q2,v1,v2,i1,i2", comments="")
+    fields = (("position", "q", "rad"), ("velocity", "v", "rad/s"), ("effort", "i", "A"))
+    content = {name: {"columns": [f"{letter}1", f"{letter}2"], "unit": unit} for name, letter, unit in fields}
+    text = yaml.safe_dump({"time": {"column": "t", "unit": "s"}, "names": NAMES, **content})
+    (tmp_path / "run.yaml").write_text(text, encoding="utf-8")
+    result = rx.identify_excitation([tmp_path / "run.csv"], rx.RobotOptions(urdf=bench.urdf))
+    for one, other in zip(result.elements, outcome.result.elements, strict=True):
+        for name in ("tau_c_positive", "c2"):
+            assert one.estimates[name].value == pytest.approx(0.5 * other.estimates[name].value, rel=0.01)
+    said = rx.excitation_summary(result)
+    assert "warning: efforts in A and no torque constants" in said
+    rx.write_excitation(result, tmp_path / "identified")
+    texts = {path.name: path.read_text(encoding="utf-8") for path in (tmp_path / "identified").iterdir()}
+    page = re.sub(r"<(script|style).*?</\1>", "", texts["report.html"], flags=re.DOTALL)
+    for shown in (said, page, texts["friction.yaml"], texts["parameters.yaml"]):
+        assert not re.search(r"\bNm\b", shown)
+    assert "A (s/rad)" in page
+    assert "unit: A s^2\n" in texts["parameters.yaml"]
+    robot = rx.RobotOptions(urdf=tmp_path / "identified" / "robot.urdf")
+    (check,) = rx.check_friction(tmp_path / "identified" / "friction.yaml", [tmp_path / "run.csv"], robot)
+    assert check.unit == "A"
+    with pytest.raises(rx.Rx90Error, match="its torques are in A; accepted: bags with efforts in A"):
+        rx.check_friction(tmp_path / "identified" / "friction.yaml", [bench.folder / "run"], robot)
 
 
 def series(friction: Array, noise: float, rng: np.random.Generator) -> RunTorques:
@@ -293,9 +483,9 @@ def test_shares_and_chi_square_are_those_of_the_noise() -> None:
     both = RunTorques(("hinge", "rest"), run.source, (*run.joints, empty), np.array([0.5, 0.5]))
     assert np.isnan(both.share[1])
     assert both.total_share == pytest.approx(run.share[0])
-    assert TorqueValidation(both, both, rx.ExcitationTolerances()).passed
-    assert not TorqueValidation(both, both, rx.ExcitationTolerances(total=0.01)).passed
-    assert not TorqueValidation(both, both, rx.ExcitationTolerances(joint=0.01)).passed
+    assert TorqueValidation(both, both, rx.ExcitationTolerances(), both).passed
+    assert not TorqueValidation(both, both, rx.ExcitationTolerances(total=0.01), both).passed
+    assert not TorqueValidation(both, both, rx.ExcitationTolerances(joint=0.01), both).passed
 
 
 def test_torques_without_noise_have_no_chi_square(outcome: Outcome) -> None:
@@ -325,3 +515,63 @@ def test_noise_of_a_torque_is_that_of_the_filtered_one(steps: float) -> None:
     run = FilteredRun(source, ("hinge",), time, zero, zero, zero, slow + noise, None, Bandwidths(10.0, 5.0))
     filtered = fftconvolve(noise[:, 0], run.taps, mode="valid")
     assert torque_noise(run)[0] == pytest.approx(np.std(filtered), rel=0.1)
+
+
+OTHER = "{tau_c: 0.7, tau_s: 0.9, omega_s: 0.02, delta: 1.0, c0: 900.0, c1: 2.0, c2: 0.3, omega_d: 0.5}"
+
+
+@pytest.mark.parametrize("fallback", [True, False])
+def test_a_joint_at_rest_is_assumed_and_the_others_are_written(
+    bench: Bench, tmp_path: Path, fallback: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The joint that rests has the fallback's friction, else the others' least Coulomb torque, marked."""
+    words: list[object] = ["--model", "coulomb-viscous"]
+    if fallback:
+        (tmp_path / "other.yaml").write_text(
+            f"provenance: assumed\nelements:\n  shoulder: {OTHER}\n  elbow: {OTHER}\n", encoding="utf-8"
+        )
+        words += ["--fallback", tmp_path / "other.yaml"]
+    assert bench.identify("--excitation", bench.folder / "half", "--output", tmp_path / "out", *words) == 0
+    said = capsys.readouterr().out
+    assert "warning: the friction of elbow is not identified (at rest in all runs); assumed is a Coulomb" in said
+    file = yaml.safe_load((tmp_path / "out" / "friction.yaml").read_text(encoding="utf-8"))
+    mark = file["identification"]["parameters"]["elbow"]["tau_c_positive"]
+    assert (mark["identifiable"], mark["reason"], mark["provenance"]) == (False, "at rest in all runs", "assumed")
+    elements = rx.FrictionFile.read(tmp_path / "out" / "friction.yaml").elements
+    assert elements["shoulder"].tau_c_positive == pytest.approx(CURVES[0].tau_c_positive, rel=0.05)
+    elbow = elements["elbow"]
+    expected = (0.7, 0.9, 0.3, 900.0) if fallback else (elements["shoulder"].tau_c_positive,) * 2 + (0.0, elbow.c0)
+    assert (elbow.tau_c_positive, elbow.tau_s_positive, elbow.c2, elbow.c0) == expected
+
+
+def test_an_effort_that_tells_nothing_carries_a_warning(
+    bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Terminal, friction file, parameters and report say that the torque of a joint is noise; of others they do not."""
+    words = ["--excitation", bench.folder / "dead", "--output", tmp_path / "out", "--model", "coulomb-viscous"]
+    assert bench.identify(*words) == 0
+    warned = r"(\d+)% of what varies in the torque of (\w+) is not explained"
+    texts = {name: (tmp_path / "out" / name).read_text(encoding="utf-8") for name in ("report.html", "parameters.yaml")}
+    for text in (capsys.readouterr().out, *texts.values()):
+        found = re.findall(warned, " ".join(text.split()))
+        assert {joint for _, joint in found} == {"elbow"}
+        assert all(85 <= int(share) <= 100 for share, _ in found)
+    file = yaml.safe_load((tmp_path / "out" / "friction.yaml").read_text(encoding="utf-8"))
+    assert re.search(warned, file["elements"]["elbow"]["note"])
+    assert "note" not in file["elements"]["shoulder"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--model", "bristle-damping"], "bristle-damping without bristle; accepted: both, or neither"),
+        (["--bristles", "--model", "bristle"], "--bristles with --model; accepted: --model with bristle"),
+        (["--model", "stribeck"], "invalid choice: 'stribeck' (choose from 'coulomb-viscous', 'viscous-exponent'"),
+    ],
+)
+def test_models_that_cannot_be_are_refused(
+    bench: Bench, tmp_path: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Damping of no bristle, a choice beside a named model and other names are refused with what is accepted."""
+    assert bench.identify("--excitation", bench.folder / "run", "--output", tmp_path / "new", *words) == REFUSED
+    assert message in capsys.readouterr().err

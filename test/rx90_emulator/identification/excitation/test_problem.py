@@ -37,7 +37,7 @@ TONES = np.array([[0.7, 0.3], [2.0, 1.1]])  # Hz of each joint
 def record(
     rate: float, seconds: float, *, jitter: float = 0.0, noise: float = 0.0, gap: float = 0.0, factor: float = 1.0
 ) -> JointRecord:
-    """Return two joints that swing with two tones each; torque is a ramp."""
+    """Return two joints that swing with two tones each; torque is a ramp, with noise where the positions have some."""
     rng = np.random.default_rng(0)
     time = np.arange(round(seconds * rate)) / rate
     time = time + jitter / rate * rng.uniform(-1.0, 1.0, len(time))
@@ -45,7 +45,7 @@ def record(
         time = time[np.abs(time - 0.5 * seconds) > 0.5 * gap]
     angle = 2.0 * np.pi * factor * TONES * time[:, None, None]
     position = np.sin(angle).sum(axis=2) + noise * rng.normal(size=(len(time), 2))
-    torque = np.column_stack([time, -time])
+    torque = np.column_stack([time, -time]) + bool(noise) * 1e-2 * rng.normal(size=(len(time), 2))
     return JointRecord(("a", "b"), time, position, np.zeros_like(position), torque, Path("run"), "0")
 
 
@@ -107,7 +107,7 @@ def test_bandwidths_follow_the_noise_of_the_positions() -> None:
     assert 10.0 <= chosen[1].position / np.mean([2.0, 1.1]) < chosen[0].position / np.mean([2.0, 1.1]) <= 0.3 * 500.0
     assert all(one.torque == pytest.approx(one.position / 3.0) for one in chosen)
     assert f"{chosen[1].position:.3g} Hz" in chosen[1].reason
-    slow = Bandwidths.of([record(67.0, 20.0, factor=3.0)])
+    slow = Bandwidths.of([record(67.0, 20.0, noise=1e-8, factor=3.0)])
     assert slow.position == pytest.approx(0.3 * 67.0)
     assert "no more than 0.3 of the sampling rate" in slow.reason
     given = [record(500.0, 200.0, noise=1e-8)] * 2
@@ -115,7 +115,7 @@ def test_bandwidths_follow_the_noise_of_the_positions() -> None:
     rows = sum(run.torque.shape[1] * len(run.rows) for one in given for run in filter_record(one, long))
     assert 25_000 < rows < 33_000
     assert "30000 rows" in long.reason
-    assert Bandwidths.of([record(150.0, 300.0, factor=3.0)] * 2).torque == pytest.approx(13.5, rel=0.1)
+    assert Bandwidths.of([record(150.0, 300.0, noise=1e-8, factor=3.0)] * 2).torque == pytest.approx(13.5, rel=0.1)
 
 
 def test_the_low_pass_ends_between_its_bandwidth_and_twice_that() -> None:

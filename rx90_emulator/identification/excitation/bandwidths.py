@@ -1,0 +1,205 @@
+"""The bandwidths of an identification: those that the spectra ask for, checked against prediction.
+
+Spectra of positions say where their noise begins, but they know neither what the noise does to accelerations, nor the
+model: of a log whose jittering samples were resampled evenly, interpolation has taken the noise out of the highest
+frequencies alone, where its floor is looked for. So narrower bandwidths are tried, down to ten times the band of the
+motion, and each is asked for what counts: how well do the parameters that it gives predict times that were left out?
+
+All are compared on the same rows, those of the narrowest: its torque is what is predicted, from its motion. A narrower
+bandwidth is no better for the torque that it smooths away, for all predict the same; noise of the accelerations that
+only the wider ones let pass does not count, but what it did to their parameters does. Fitted to the very band that is
+compared in, the narrowest has a small advantage where the model is not quite right, and a wider one tells more of
+reversals. So the widest is taken whose error is not clearly larger than the least: by no more than a tenth, or by no
+more than two standard errors of the paired differences over blocks of time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rx90_common.base.arrays import Array, Index
+from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.excitation.checks import coulomb_viscous
+from rx90_emulator.identification.excitation.filtering import Bandwidths, least_bandwidth
+from rx90_emulator.identification.excitation.least_squares import solve, time_blocks
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.records import JointRecord
+
+Equations = Callable[[Sequence[JointRecord], Bandwidths], ExcitationProblem]
+"""Returns the equations of records behind filters of these bandwidths."""
+
+_NARROWER = 3  # bandwidths that are tried beside the widest, at most
+_LEAST_RATIO = 2.0  # between two of them
+_ROWS_PER_PARAMETER = 2.0  # of the narrowest, at least: fewer predict nothing
+_ACCEPTED_RATIO, _ACCEPTED_SE = 1.1, 2.0  # over the least error; standard errors beyond it
+_SINGULAR = 1e-10  # relative: directions that the remaining rows do not determine stay 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """Bandwidths, their equations, and how well they predict the torque of the narrowest.
+
+    Attributes:
+        bandwidths: of both filters.
+        problem: the equations.
+        residual: of the compared rows, each by the parameters fitted without its block of time, Nm, shape (r,).
+        share: RMS of these over the RMS torque.
+    """
+
+    bandwidths: Bandwidths
+    problem: ExcitationProblem
+    residual: Array
+    share: float
+
+    @classmethod
+    def of(cls, bandwidths: Bandwidths, problem: ExcitationProblem, compared: ExcitationProblem) -> _Candidate:
+        """Predict the rows of other equations."""
+        residual = _left_out(problem, compared)
+        return cls(bandwidths, problem, residual, float(np.linalg.norm(residual) / np.linalg.norm(compared.torque)))
+
+
+def choose_bandwidths(
+    records: Sequence[JointRecord], equations: Equations, given: float | None = None
+) -> tuple[Bandwidths, ExcitationProblem]:
+    """Return bandwidths with the equations behind them.
+
+    Args:
+        records: of the runs to identify from.
+        equations: makes equations of them.
+        given: bandwidth of the positions, Hz, a third of it for the torque; by default it is chosen.
+
+    Raises:
+        IdentificationError: for a bandwidth that the sampling rate does not carry, and runs that tell none.
+    """
+    if given is not None:
+        if not 0.0 < given < math.inf:
+            raise IdentificationError(f"--bandwidth is {given:g} Hz; accepted: a positive number")
+        bandwidths = Bandwidths(given, given / 3.0)
+        return bandwidths, equations(records, bandwidths)
+    widest, silent = Bandwidths.of(records), next(filter(None, (record.no_velocity for record in records)), "")
+    candidates = _candidates(widest, records, equations)
+    compared = candidates[-1].problem
+    best, reason = candidates[_best(candidates, compared)], widest.reason
+    if len(candidates) > 1:
+        figures = ", ".join(f"{100.0 * one.share:.3g} % with {one.bandwidths.position:.3g} Hz" for one in candidates)
+        below, position = compared.runs[0].bandwidths.torque, best.bandwidths.position
+        reason += (
+            f"; the torque below {below:.3g} Hz of times that were left out is predicted to {figures}: the positions "
+            f"get {position:.3g} Hz"
+        )
+    if silent:
+        reason += f"; velocities are differences of positions, for {silent}"
+    else:
+        better, velocity = _recorded_velocity(records, equations, candidates[-1], compared)
+        reason += f"; {velocity}"
+        if better:
+            recorded = best.bandwidths._replace(recorded_velocity=True)
+            best = replace(best, bandwidths=recorded, problem=equations(records, recorded))
+    chosen = best.bandwidths._replace(reason=reason)
+    return chosen, replace(best.problem, runs=tuple(replace(run, bandwidths=chosen) for run in best.problem.runs))
+
+
+def _recorded_velocity(
+    records: Sequence[JointRecord], equations: Equations, first: _Candidate, compared: ExcitationProblem
+) -> tuple[bool, str]:
+    """Return whether recorded velocities predict better than differences of positions, and how well both do, in words.
+
+    Both predict the same torques below the narrowest bandwidth, each from its own motion: a noisy one predicts worse.
+    """
+    recorded = compared.runs[0].bandwidths._replace(recorded_velocity=True)
+    twin = equations(records, recorded)
+    second = _Candidate.of(recorded, twin, twin)
+    first_key, second_key = (
+        (one.run * len(one.arm.names) + one.joint) * max(len(run.rows) for run in compared.runs) + one.place
+        for one in (compared, twin)
+    )
+    # Where an element stops in one motion, it need not in the other.
+    _, rows, its = np.intersect1d(first_key, second_key, assume_unique=True, return_indices=True)
+    pair = replace(first, residual=first.residual[rows]), replace(second, residual=second.residual[its])
+    better = _best(pair, compared, rows) == 1
+    size = float(np.linalg.norm(compared.torque[rows]))
+    differences, velocities = (100.0 * float(np.linalg.norm(one.residual)) / size for one in pair)
+    text = f"from recorded velocities it is predicted to {velocities:.3g} %, from differences of positions to "
+    return better, f"{text}{differences:.3g} %: {'the former' if better else 'differences'} are used"
+
+
+def _candidates(widest: Bandwidths, records: Sequence[JointRecord], equations: Equations) -> list[_Candidate]:
+    """Return what is compared, the widest first, the narrowest last: it has ten times the band of the motion.
+
+    What is between them is tried where the narrowest predicts clearly better than the widest.
+    """
+    ratio = max(widest.position / least_bandwidth(records), 1.0)
+    count = min(_NARROWER, math.floor(math.log(ratio, _LEAST_RATIO) + 1e-9))
+    narrower = [widest.position * ratio ** (-step / count) for step in range(1, count + 1)]
+
+    def at(position: float) -> tuple[Bandwidths, ExcitationProblem] | None:
+        bandwidths = Bandwidths(position, min(widest.torque, position / 3.0))
+        try:
+            problem = equations(records, bandwidths)
+        except IdentificationError:  # the runs are too short for filters as long as these
+            return None
+        rows = _ROWS_PER_PARAMETER * (len(problem.names) + 2 * len(problem.arm.element_names))
+        return (bandwidths, problem) if len(problem) >= rows else None
+
+    first = last = (widest, equations(records, widest))
+    while narrower and first is last:
+        last = at(narrower.pop()) or first
+    if first is last:
+        return [_Candidate.of(*first, first[1])]
+    ends = [_Candidate.of(*one, last[1]) for one in (first, last)]
+    clearly = _best(ends, last[1]) == 1
+    between = [_Candidate.of(*one, last[1]) for one in map(at, narrower if clearly else ()) if one is not None]
+    return [ends[0], *between, ends[1]]
+
+
+def _best(candidates: Sequence[_Candidate], compared: ExcitationProblem, rows: Index | slice = slice(None)) -> int:
+    """Return the first candidate whose error of these rows is not clearly larger than the least, joints alike."""
+    joint, block = compared.joint[rows], time_blocks(compared)[rows]
+    least = np.ones(joint.max() + 1)  # of each joint: the RMS of the candidate that predicts it best
+    for number in np.unique(joint).tolist():
+        own = joint == number
+        least[number] = max(min(float(np.sqrt(np.mean(one.residual[own] ** 2))) for one in candidates), 1e-12)
+    squares = [np.bincount(block, (one.residual / least[joint]) ** 2) for one in candidates]
+    best = min(squares, key=np.sum)
+    for number, own in enumerate(squares):
+        more, deviation = float(np.sum(own - best)), float(np.std(own - best, ddof=1) * math.sqrt(len(own)))
+        if own.sum() <= _ACCEPTED_RATIO**2 * best.sum() or more <= _ACCEPTED_SE * deviation:
+            return number
+    raise AssertionError  # the best one is no larger than itself
+
+
+def _left_out(problem: ExcitationProblem, compared: ExcitationProblem) -> Array:
+    """Return residuals of the compared rows, each block of time by the parameters fitted without it, shape (r,)."""
+    own, other = (np.hstack([one.regressor, coulomb_viscous(one)[1]]) for one in (problem, compared))
+    fit = solve(problem, own)
+    weighted = own * (fit.weights / fit.sigma[problem.joint] ** 2)[:, None]
+    whole, right = weighted.T @ own, weighted.T @ problem.torque
+    block, residual = time_blocks(compared), np.empty(len(compared))
+    inside = block[_nearest(problem, compared)]
+    for number in np.unique(block).tolist():
+        mine, rows = inside == number, block == number
+        gram = whole - weighted[mine].T @ own[mine]
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        target = (right - weighted[mine].T @ problem.torque[mine]) / scale
+        value = np.linalg.lstsq(gram / np.outer(scale, scale), target, rcond=_SINGULAR)[0] / scale
+        residual[rows] = compared.torque[rows] - other[rows] @ value
+    return residual
+
+
+def _nearest(problem: ExcitationProblem, compared: ExcitationProblem) -> Index:
+    """Return for each row the compared row of the same bag that is nearest in time, shape (r,)."""
+    result = np.zeros(len(problem), dtype=np.intp)
+    paths, theirs = (np.array([str(run.source.path) for run in one.runs])[one.run] for one in (problem, compared))
+    for path in np.unique(paths):
+        rows, known = np.flatnonzero(paths == path), np.flatnonzero(theirs == path)
+        if len(known):
+            known = known[np.argsort(compared.time[known], kind="stable")]
+            time = compared.time[known]
+            place = np.clip(np.searchsorted(time, problem.time[rows]), 1, max(len(time) - 1, 1))
+            before = problem.time[rows] - time[place - 1] < time[np.minimum(place, len(time) - 1)] - problem.time[rows]
+            result[rows] = known[np.minimum(place - before, len(time) - 1)]
+    return result

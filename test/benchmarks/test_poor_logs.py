@@ -1,0 +1,18 @@
+"""Logs that are poor: the benchmark's cases, one arm of each."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.poor_logs import CONDITIONS, experiment
+
+
+@pytest.mark.parametrize("condition", CONDITIONS)
+def test_a_poor_log_gives_intervals_that_hold_and_no_wrong_verdict(condition: str) -> None:
+    """Of one arm nothing is refused but a negated torque, an unseen run is confirmed, and intervals hold."""
+    outcome = experiment((2, condition))
+    assert not outcome.wrong
+    assert (condition == "negated torque") == (not outcome.held)
+    if outcome.held:
+        assert np.mean(outcome.held) >= (0.75 if condition == "dead joint" else 0.85)

@@ -1,0 +1,98 @@
+"""Signs of torque constants and gears: what is wrong is named, with what to write instead, and nothing else is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from excitation_arms import plain_arm, rigid_arm, runs_of
+
+from benchmarks.excitation_runs import NOISE
+from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.excitation.checks import check_signs
+from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.options import RobotOptions
+
+GEAR, CONSTANT = [100.0, -80.0, 60.0], [0.2, 0.1, 0.1]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[RigidArm, tuple[FilteredRun, ...]]:
+    """Return a random arm of three joints, whose masses nobody knows, and a run of it with noise."""
+    true = plain_arm(3, 3, coupled=False)
+    runs = runs_of(true, 100.0, NOISE, Bandwidths(20.0, 8.0), periods=1)
+    return rigid_arm(true, tmp_path_factory.mktemp("arm")), runs
+
+
+def turned_round(
+    recorded: tuple[RigidArm, tuple[FilteredRun, ...]], motion: tuple[int, ...], torque: tuple[int, ...]
+) -> ExcitationProblem:
+    """Return the equations with the positions and the torques of some joints turned round."""
+    arm, runs = recorded
+    signs = np.ones((2, len(arm.names)))
+    signs[0, list(motion)] = signs[1, list(torque)] = -1.0
+    stamps = [
+        None if run.stamps is None else run.stamps._replace(velocity=run.stamps.velocity * signs[0]) for run in runs
+    ]
+    return ExcitationProblem.of(
+        arm,
+        [
+            replace(
+                run, position=run.position * signs[0], velocity=run.velocity * signs[0], stamps=one,
+                acceleration=run.acceleration * signs[0], torque=run.torque * signs[1],
+            )
+            for run, one in zip(runs, stamps, strict=True)
+        ],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("motion", "torque", "said"),
+    [
+        ((), (0,), r"effort of joint_1: .*--torque-constant -0.2 0.1 0.1,"),
+        ((), (1,), r"effort of joint_2: .*--torque-constant 0.2 -0.1 0.1,"),
+        ((), (0, 2), r"effort of joint_\d and the effort of joint_\d: .*--torque-constant -0.2 0.1 -0.1,"),
+        ((1,), (1,), r"gear of joint_2: .*accepted: --gear 100 80 60,"),
+        ((1,), (), r"position of joint_2: .*accepted: --gear 100 80 60 --torque-constant 0.2 -0.1 0.1,"),
+    ],
+)
+def test_a_wrong_sign_is_named_with_what_to_write(
+    recorded: tuple[RigidArm, tuple[FilteredRun, ...]], motion: tuple[int, ...], torque: tuple[int, ...], said: str
+) -> None:
+    """A torque, a gear or a position that is turned round is found on its joint, and the right options are said."""
+    with pytest.raises(IdentificationError, match=said):
+        check_signs(turned_round(recorded, motion, torque), RobotOptions(gear=GEAR, torque_constant=CONSTANT))
+
+
+def test_of_gears_whose_mirror_images_fit_both_are_named(tmp_path: Path) -> None:
+    """Of an arm whose axes are upright and level in turn, a wrong gear of joint 4 is one of those of joints 2 and 4."""
+    quarter, true = 0.5 * np.pi, plain_arm(3, 4, coupled=False)
+    places = (
+        ([0.0, 0.0, 0.0], 0.0),
+        ([0.0, 0.0, 0.3], quarter),
+        ([0.0, 0.0, 0.0], -quarter),
+        ([0.0, -0.3, 0.0], quarter),
+    )
+    links = zip(true.links, places, strict=True)
+    true = replace(
+        true, links=tuple(replace(link, xyz=np.array(xyz), rpy=np.array([r, 0.0, 0.0])) for link, (xyz, r) in links)
+    )
+    recorded = rigid_arm(true, tmp_path), runs_of(true, 100.0, NOISE, Bandwidths(20.0, 8.0), periods=1)
+    with pytest.raises(IdentificationError, match="gear of one of joint_2, joint_4 ") as caught:
+        check_signs(turned_round(recorded, (3,), (3,)))
+    assert all(f"--gear {gear}" in str(caught.value) for gear in ("1 -1 1 1", "1 1 1 -1"))
+
+
+def test_right_signs_raise_no_alarm(recorded: tuple[RigidArm, tuple[FilteredRun, ...]]) -> None:
+    """Nothing is said of a run with right signs, nor of one in which a joint's effort is noise alone."""
+    check_signs(turned_round(recorded, (), ()))
+    problem = turned_round(recorded, (), ())
+    noise = np.random.default_rng(5).normal(size=len(problem))
+    check_signs(replace(problem, torque=np.where(problem.joint == 2, noise, problem.torque)))
+    arm, runs = recorded
+    dead = [replace(run, torque=run.torque * np.array([1.0, 1.0, 0.0])) for run in runs]
+    check_signs(ExcitationProblem.of(arm, dead))
