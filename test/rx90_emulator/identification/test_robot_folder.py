@@ -27,6 +27,7 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.excitation.physical import (
     BaseEstimate,
     ConsistentInertias,
@@ -84,9 +85,12 @@ def identified(
     source: BagSource, fallback: str | None = None,
 ) -> Any:  # fmt: skip
     """Return as much of an identification as the robot's files hold."""
-    problem, robot = SimpleNamespace(arm=arm, columns=columns), SimpleNamespace(fallback_name=fallback)
+    runs = (SimpleNamespace(bandwidths=Bandwidths(30.0, 10.0, "")),)
+    problem = SimpleNamespace(arm=arm, columns=columns, runs=runs)
+    robot = SimpleNamespace(fallback_name=fallback, setup=None)
     consistency, bags = SimpleNamespace(inertias=inertias), (("excitation", source),)
-    return SimpleNamespace(problem=problem, robot=robot, consistency=consistency, elements=elements, bags=bags)
+    given = {"problem": problem, "robot": robot, "consistency": consistency, "elements": elements, "bags": bags}
+    return SimpleNamespace(**given, unit="Nm", element_notes={}, notes=())
 
 
 @pytest.fixture(scope="module")
