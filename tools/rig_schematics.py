@@ -248,7 +248,7 @@ def nano(drawing: schemdraw.Drawing) -> None:
     )  # fmt: skip
     _chip(
         drawing, (7.6, 0), "RN1 R-2R 10k/20k",
-        "- b0 D4,- b1 D5,- b2 D6,- b3 D7,- b4 D8,- b5 D9,- b6 D10,- b7 D11",
+        "- b0 b0,- b1 b1,- b2 b2,- b3 b3,- b4 b4,- b5 b5,- b6 b6,- b7 b7",
         "- OUT VSET,- GND GND", 3.0,
     )  # fmt: skip
     _chip(

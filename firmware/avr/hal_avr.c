@@ -29,18 +29,18 @@
 #if STAGE_PIN == 12
 #define STAGE_PORT PORTB
 #define STAGE_DDR DDRB
-#define STAGE_OFF _BV(4)
+#define STAGE_BIT _BV(4)
 #elif STAGE_PIN >= 14 && STAGE_PIN <= 19 && STAGE_PIN - 14 != ADC_CHANNEL
 #define STAGE_PORT PORTC
 #define STAGE_DDR DDRC
-#define STAGE_OFF _BV(STAGE_PIN - 14)
+#define STAGE_BIT _BV(STAGE_PIN - 14)
 #else
 #error "STAGE_PIN: accepted are 12 and 14 to 19, but not the one of ADC_CHANNEL"
 #endif
 #if BIPOLAR && (REVERSE_PIN < 14 || REVERSE_PIN > 19 || REVERSE_PIN == STAGE_PIN || REVERSE_PIN - 14 == ADC_CHANNEL)
 #error "REVERSE_PIN: accepted are 14 to 19, but neither STAGE_PIN nor the one of ADC_CHANNEL"
 #endif
-#define FORWARD _BV(REVERSE_PIN - 14)
+#define FORWARD_BIT _BV(REVERSE_PIN - 14)
 #if ADC_CHANNEL < 0 || ADC_CHANNEL > 7
 #error "ADC_CHANNEL: accepted are 0 to 7, A0 to A7"
 #endif
@@ -117,18 +117,18 @@ void hal_dac(uint8_t code)
 void hal_reverse(uint8_t backward)
 {
     if (backward)
-        PORTC &= (uint8_t)~FORWARD;
+        PORTC &= (uint8_t)~FORWARD_BIT;
     else
-        PORTC |= FORWARD;
+        PORTC |= FORWARD_BIT;
 }
 #endif
 
 void hal_stage(uint8_t on)
 {
     if (on)
-        STAGE_PORT &= (uint8_t)~STAGE_OFF;
+        STAGE_PORT &= (uint8_t)~STAGE_BIT;
     else
-        STAGE_PORT |= STAGE_OFF;
+        STAGE_PORT |= STAGE_BIT;
 }
 
 /* The converter runs freely, left-adjusted: its upper eight bits are as good as an ADC0804. */
@@ -159,12 +159,12 @@ static uint8_t cause(void)
 
 static void start_peripherals(void)
 {
-    STAGE_PORT |= STAGE_OFF;               /* before its direction: never low */
-    STAGE_DDR |= STAGE_OFF;
+    STAGE_PORT |= STAGE_BIT;               /* before its direction: never low */
+    STAGE_DDR |= STAGE_BIT;
     DDRB |= 0x0f;
 #if BIPOLAR
-    PORTC |= FORWARD;
-    DDRC |= FORWARD;
+    PORTC |= FORWARD_BIT;
+    DDRC |= FORWARD_BIT;
 #endif
     PORTD = _BV(PD2);                      /* pull-up for an open-collector encoder */
     DDRD = 0xf0;

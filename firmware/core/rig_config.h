@@ -68,6 +68,12 @@
 #if SCALE_UNIT != 10 && SCALE_UNIT != 100
 #error "SCALE_UNIT: accepted are 10 and 100, in uNm"
 #endif
+#if (COUNTS_DOWN != 0 && COUNTS_DOWN != 1) || (BIPOLAR != 0 && BIPOLAR != 1) || (PULSED != 0 && PULSED != 1)
+#error "COUNTS_DOWN, BIPOLAR, PULSED: accepted are 0 and 1"
+#endif
+#if COUNTS_PER_REV < 1 || COUNTS_PER_REV > 65535
+#error "COUNTS_PER_REV: accepted are 1 to 65535"
+#endif
 #if HOLD_TICKS > 254
 #error "HOLD_TICKS: accepted are 0 to 254"
 #endif

@@ -38,6 +38,28 @@
 /* The assembler's name of a bit is that of C with an underscore before it. */
 #define JOINED(a, b) a##b
 #define SYMBOL(name) JOINED(_, name)
+/* Two outputs on one pin, or DAC and ADC on one port, would drive against each other. */
+#define NUMBER(name) JOINED(IS_, name)
+#define IS_P0 1
+#define IS_P1 2
+#define IS_P2 3
+#define IS_P3_3 3
+#define IS_P3_4 4
+#define IS_P3_5 5
+#define IS_P3_6 6
+#define IS_P3_7 7
+#if !NUMBER(DAC_PORT) || !NUMBER(ADC_PORT) || NUMBER(DAC_PORT) == NUMBER(ADC_PORT)
+#error "DAC_PORT, ADC_PORT: accepted are P0, P1 and P2, one for each"
+#endif
+#if !NUMBER(STAGE_OFF) || (COUNTS_DOWN && (!NUMBER(DIRECTION) || NUMBER(DIRECTION) == NUMBER(STAGE_OFF)))
+#error "STAGE_OFF, DIRECTION: accepted are P3_3 to P3_7, one for each"
+#endif
+#if BIPOLAR && (!NUMBER(FORWARD) || NUMBER(FORWARD) == NUMBER(STAGE_OFF) || NUMBER(FORWARD) == NUMBER(DIRECTION))
+#error "FORWARD: accepted are P3_3 to P3_7, but neither STAGE_OFF nor DIRECTION"
+#endif
+#if BIPOLAR && HOLD_TICKS
+#error "HOLD_TICKS: accepted without BIPOLAR, because the RAM does not hold both (the AVR's does: make -C firmware avr)"
+#endif
 
 __sfr __at(0xa6) WDTRST;     /* AT89S52's watchdog; a write the 89C51 does not notice */
 

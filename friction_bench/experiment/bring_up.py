@@ -1,5 +1,7 @@
 """The bring-up check of a board that has just been soldered: each line, sign, scale and the watchdog, step by step.
 
+A stage for torque of both signs has a step more, its direction line, and sense and current are checked both ways.
+
 Each step says what to prepare, asks before it switches anything on, and compares what the rig reports, and what a
 person measures or sees, with what the board's drawing (docs/howto/rig_build.md) and the rig file let one expect. The
 steps before the motor's supply is switched on show that the board takes a torque away; only then a torque is applied.
@@ -8,28 +10,16 @@ steps before the motor's supply is switched on show that the board takes a torqu
 from __future__ import annotations
 
 import argparse
-import math
-import textwrap
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from friction_bench.experiment.findings import (
-    BOARDS,
-    INDENT,
-    OF_PROCESSOR,
-    Board,
-    Comparison,
-    Person,
-    StepResult,
-    Terminal,
-)
-from friction_bench.experiment.session import RANGES, armed, refuse_fault
+from friction_bench.experiment.dialogue import LONGEST_HOLD, Dialogue, SkippedError
+from friction_bench.experiment.findings import HIGH, INDENT, Person, StepResult, Terminal
+from friction_bench.experiment.session import RANGES, armed, wait_for_rest
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.messages import (
-    PROCESSORS,
+    BACKWARD,
     Command,
     CommandResult,
     Fault,
@@ -37,7 +27,6 @@ from friction_bench.rig.messages import (
     RigLostError,
     RigRefusedError,
     State,
-    fault_text,
 )
 from friction_bench.rig.rig_file import CODES, Rig, load_rig
 from friction_bench.rig.serial_port import SerialPort
@@ -60,51 +49,46 @@ TURN_SHARE = 0.05
 """Of a turn by hand: 18 degrees."""
 PARTS = 0.25, 0.5
 """Of the highest DAC code: those at which scales are compared."""
-WIDTH = 100
-"""Of the texts, characters."""
+SIDES = 0.01, 1.0
+"""Of the difference of the ADC codes forward and backward: one regulator and one resistor serve both; quantisation."""
 LISTENED_TICKS = 50
 SETTLING_TICKS, AVERAGED_TICKS = 15, 50
-LONGEST_HOLD = 30.0
-"""For which a torque stands while a person measures, s: a stalled motor and its stage get hot."""
 TURNED_SHARE = 0.05
 """Of a turn: a shaft that has moved so far turns, and has not only given way."""
+WRONG_SENSE = {
+    "counts": "the torque counts down: the motor's leads are exchanged, or the encoder's lines",
+    "turns the shaft": "the torque turns the shaft in the negative sense: exchange the motor's leads",
+}
 DWELL_TICKS = 5
 """For which a code is held when a torque is looked for that turns the shaft."""
 
 
-class SkippedError(Exception):
-    """A step that the person does not want, or that nobody is there for."""
-
-
-class BringUp:
-    """The check of one rig.
-
-    Args:
-        client: of the rig, which need not have been greeted.
-        person: at the rig.
-        board: one of BOARDS; by default the one of the processor that greets.
+class BringUp(Dialogue):
+    """The check of one rig; arguments as of `Dialogue`.
 
     Attributes:
-        results: of the steps so far.
+        steps: what to do, by title.
         lost: the rig does not answer any more.
     """
 
     def __init__(self, client: RigClient, person: Person, board: str | None = None) -> None:
-        self.client, self.rig, self.person = client, client.rig, person
-        self.results: list[StepResult] = []
+        super().__init__(client, person, board)
+        self.steps = BIPOLAR_STEPS if self.rig.bipolar else STEPS
         self.lost = False
-        self._name = board
-        self._until = float("inf")
-
-    @property
-    def board(self) -> Board:
-        """Return the board's figures."""
-        return BOARDS[self._name or "8051"]
 
     @property
     def codes(self) -> list[int]:
         """Return the DAC codes at which scales are compared."""
         return [int(part * self._limit) for part in PARTS]
+
+    @property
+    def _ways(self) -> dict[str, int]:
+        """Return the signs of the torque, by the sense in which it is to turn the motor."""
+        return {"positive": 1, "negative": -1} if self.rig.bipolar else {"positive": 1}
+
+    @property
+    def _signed_codes(self) -> list[int]:
+        return [way * code for way in self._ways.values() for code in self.codes]
 
     @property
     def _limit(self) -> int:
@@ -117,9 +101,9 @@ class BringUp:
         Returns:
             The exit code: 0 all is as expected; 1 something is not, or was not measured; 3 the rig does not answer.
         """
-        for number, (title, do) in enumerate(STEPS.items(), 1):
+        for number, (title, do) in enumerate(self.steps.items(), 1):
             self.results.append(result := StepResult(title))
-            print(f"\n{number}/{len(STEPS)} {title}", flush=True)
+            print(f"\n{number}/{len(self.steps)} {title}", flush=True)
             try:
                 self._greet()
                 do(self)
@@ -147,7 +131,7 @@ class BringUp:
         found = {result.verdict for result in self.results}
         if "failed" in found:
             return "failed"
-        return "incomplete" if "incomplete" in found or len(self.results) < len(STEPS) else "passed"
+        return "incomplete" if "incomplete" in found or len(self.results) < len(self.steps) else "passed"
 
     def document(self) -> dict[str, Any]:
         """Return the results as plain data."""
@@ -156,95 +140,8 @@ class BringUp:
         return {
             "verdict": self.verdict, "rig": str(rig.file), "board": self.board.name, "firmware": firmware,
             "steps": [result.document for result in self.results],
-            "not_reached": list(STEPS)[len(self.results):],
+            "not_reached": list(self.steps)[len(self.results):],
         }  # fmt: skip
-
-    # What the steps are made of.
-
-    def _say(self, text: str) -> None:
-        print(textwrap.fill(text, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT), flush=True)
-
-    def _listen(self, ticks: int) -> list[Sample]:
-        """Return so many readings; raise what a fault bit among them says."""
-        samples: list[Sample] = []
-        while len(samples) < ticks:
-            samples += self._pump()
-        return samples
-
-    def _pump(self) -> list[Sample]:
-        samples = self.client.pump()
-        for sample in samples:
-            refuse_fault(sample)
-        if self.client.port.now() > self._until:
-            self._until = float("inf")
-            self.client.request(Command.TORQUE, 0)
-            print(flush=True)  # the question stands in the line
-            self._say(f"the torque is off again after {LONGEST_HOLD:g} s")
-        return samples
-
-    def _greet(self) -> None:
-        """Begin a step with a rig that is disarmed and has no fault latched by the step before."""
-        client = self.client
-        processor = client.connect().processor
-        if self._name is None and processor < len(PROCESSORS):
-            self._name = OF_PROCESSOR.get(PROCESSORS[processor])
-        while client.last is None:
-            client.pump()
-        if client.last.report.fault:
-            self._say(f"A fault was latched and is cleared: {fault_text(client.last.report.fault)}.")
-        client.clear()
-
-    def _ask(self, question: str) -> str:
-        """Return the answer, which may be empty; skip the step where nobody is there."""
-        answer = self.person.answer(question, self._pump)
-        if answer is None:
-            raise SkippedError("nobody answered; the rest of the step was left out")
-        return answer
-
-    def _ready(self, question: str) -> None:
-        """Wait until the person is ready for what the question names; skip the step where they are not."""
-        while (answer := self._ask(f"{question} [Enter, or s skips the step]").lower()) != "":
-            if answer == "s":
-                raise SkippedError("skipped")
-            self._say(f"{quoted(answer)}; accepted: Enter, or s")
-
-    def _fault(self, text: str) -> None:
-        self.results[-1].faults.append(text)
-
-    def _compare(self, name: str, unit: str, expected: float, tolerance: float, found: float) -> None:
-        self.results[-1].quantities.append(comparison := Comparison(name, unit, expected, tolerance, found))
-        self._say(str(comparison))
-
-    def _measure(self, name: str, unit: str, expected: float, tolerance: float) -> None:
-        """Have a quantity measured; Enter leaves it out."""
-        comparison = Comparison(name, unit, expected, tolerance)
-        quantities = self.results[-1].quantities
-        quantities.append(comparison)
-        while answer := self._ask(f"{comparison.expectation} [{unit}, or Enter: not measured]"):
-            try:
-                found = float(answer.replace(",", ".").removesuffix(unit))
-            except ValueError:
-                found = math.nan
-            if not math.isfinite(found):
-                self._say(f"{quoted(answer)}; accepted: a number of {unit}, or Enter")
-                continue
-            quantities[-1] = replace(comparison, found=found)
-            if not quantities[-1].good:
-                self._say(str(quantities[-1]))
-            return
-
-    @contextmanager
-    def _stage_on(self, code: int = 0) -> Iterator[None]:
-        """Hold a code within the block, at most LONGEST_HOLD; whatever ends the block takes the torque away."""
-        with armed(self.client):
-            if code:
-                self.client.request(Command.TORQUE, code)
-                self._until = self.client.port.now() + LONGEST_HOLD
-            try:
-                yield
-                self.client.request(Command.STOP)
-            finally:
-                self._until = float("inf")
 
     # The steps.
 
@@ -259,7 +156,8 @@ class BringUp:
             f"as in {name}"
         )
         high, watchdog = rig.torque(hello.torque_limit_code), hello.watchdog_ticks * rig.tick
-        self._say(f"highest DAC code {hello.torque_limit_code}, {high:.3g} Nm; watchdog {1e3 * watchdog:g} ms")
+        both = ", forward and backward" if rig.bipolar else ""
+        self._say(f"highest DAC code {hello.torque_limit_code}, {high:.3g} Nm{both}; watchdog {1e3 * watchdog:g} ms")
         try:
             client.request(Command.LIMITS, *rig.limit_codes())
         except RigRefusedError as error:
@@ -306,16 +204,41 @@ class BringUp:
                 expected = self.board.set_point * code / CODES
                 self._measure(f"VSET at code {code}", "V", expected, VOLTS[0] * expected + VOLTS[1])
 
+    def _direction(self) -> None:
+        levels: list[float | None] = []
+        for sense, way in self._ways.items():
+            code = way * self.codes[0]
+            self._say(f"S1 stays open. Code {code}: a torque in the {sense} sense; VSET shows its size alone.")
+            self._ready(f"Put code {code} on the DAC")
+            with self._stage_on(code):
+                for point, forward in self.board.directions.items():
+                    expected = HIGH if (way > 0) is forward else 0.0
+                    self._measure(f"{point} at code {code}", "V", expected, ENABLE_VOLTS)
+                levels.append(self.results[-1].quantities[-len(self.board.directions)].found)
+                expected = self.board.set_point * abs(code) / CODES
+                self._measure(f"VSET at code {code}", "V", expected, VOLTS[0] * expected + VOLTS[1])
+        line = next(iter(self.board.directions))
+        if None in levels:
+            return
+        high = [level > 0.5 * HIGH for level in levels if level is not None]
+        if high[0] == high[1]:
+            self._fault(f"{line} is {'high' if high[0] else 'low'} whatever the sign: the line is stuck or open")
+        elif high == [False, True]:
+            self._fault(f"{line} is low forward and high backward: FORWARD and BACKWARD are exchanged")
+
     def _torque_limit(self) -> None:
-        limit = self._limit
+        limit, bipolar = self._limit, self.rig.bipolar
         self._say(f"S1 stays open. Codes above {limit} are sent, which the firmware must refuse.")
         self._ready(f"Send codes above {limit}")
+        tried: list[tuple[Command, int, tuple[int, ...]]] = []
+        for way in self._ways.values():
+            tried += [
+                (Command.TORQUE, way * code, self.client.torque_values(way * code)) for code in (limit + 1, CODES)
+            ]
+            turn = (BACKWARD if way < 0 else 0,) if bipolar else ()
+            tried.append((Command.RAMP, way * (limit + 1), (1, limit + 1, *turn)))
         with self._stage_on():
-            for command, values in (
-                (Command.TORQUE, (limit + 1,)),
-                (Command.TORQUE, (CODES,)),
-                (Command.RAMP, (1, limit + 1)),
-            ):
+            for command, code, values in tried:
                 try:
                     self.client.request(command, *values)
                     answer = "obeyed"
@@ -324,8 +247,9 @@ class BringUp:
                 last = self.client.last
                 assert last is not None
                 if last.report.result != CommandResult.RANGE or last.report.dac:
-                    raise RigError(f"{command.name} code {values[-1]}: {answer}; expected: a refusal, and no torque")
-        self._say(f"TORQUE {limit + 1} and {CODES} and a RAMP to {limit + 1} are refused")
+                    raise RigError(f"{command.name} code {code}: {answer}; expected: a refusal, and no torque")
+        both = ", forward and backward" if bipolar else ""
+        self._say(f"TORQUE {limit + 1} and {CODES} and a RAMP to {limit + 1} are refused{both}")
 
     def _watchdog(self) -> None:
         client, code, hello = self.client, self.codes[0], self.client.hello
@@ -337,7 +261,7 @@ class BringUp:
         )
         self._ready(f"Put code {code} on the DAC, and fall silent")
         with armed(client):
-            client.request(Command.TORQUE, code)
+            self._put(code)
             took = self._silence(3 * hello.watchdog_ticks)
             if took is None:
                 client.request(Command.STOP)
@@ -400,54 +324,77 @@ class BringUp:
 
     def _sense_of_torque(self) -> None:
         self._refuse_unsafe()
-        rig, client, most = self.rig, self.client, self.codes[-1]
+        most = self.codes[-1]
         self._say(
             "Close S1; keep a hand on it. The shaft must be free to turn. The torque rises code by code until the "
-            f"shaft has turned by {TURNED_SHARE:g} of a turn, at most to code {most}, {rig.torque(most):.3g} Nm, and "
-            "goes off. Watch the shaft."
+            f"shaft has turned by {TURNED_SHARE:g} of a turn, at most to code {most}, {self.rig.torque(most):.3g} Nm, "
+            "and goes off. Watch the shaft."
         )
-        self._ready("Apply the torque")
-        start, moved, code = self._listen(1)[0].counts, 0, 0
+        counted, seen = [], []
+        for sense, way in self._ways.items():
+            self._ready(f"Apply the torque in the {sense} sense" if self.rig.bipolar else "Apply the torque")
+            if self._turn_by_torque(way) * way < 0:
+                counted.append(sense)
+            question = f"Did it turn in the {sense} sense? [y, n, or Enter: not seen]"
+            while (answer := self._ask(question).lower()) not in ("y", "n", ""):
+                self._say(f"{quoted(answer)}; accepted: y, n, or Enter")
+            if answer == "n":
+                seen.append(sense)
+            elif not answer:
+                self.results[-1].left_out.append(f"nobody saw whether the shaft turned in the {sense} sense")
+        for wrong, what in ((counted, "counts"), (seen, "turns the shaft")):
+            if len(wrong) == 1 and self.rig.bipolar:
+                other = "negative" if wrong[0] == "positive" else "positive"
+                self._fault(
+                    f"the torque {what} in the {other} sense whatever its sign: the stage ignores its direction"
+                )
+            elif wrong:
+                self._fault(WRONG_SENSE[what] + (", or FORWARD and BACKWARD" if self.rig.bipolar else ""))
+
+    def _turn_by_torque(self, way: int) -> int:
+        """Let the torque of a sign rise until the shaft, which is at rest first, turns; return by how many counts."""
+        rig, most, moved, code = self.rig, self.codes[-1], 0, 0
+        wait_for_rest(self.client)
+        start = self._listen(1)[0].counts
         enough = max(2.0, TURNED_SHARE * rig.counts_per_revolution)
         with self._stage_on():
             while abs(moved) < enough and code < most:
                 code += 1
-                client.request(Command.TORQUE, code)
+                self._put(way * code)
                 moved = self._listen(DWELL_TICKS)[-1].counts - start
         if abs(moved) < enough:
             reasons = "no torque (S1, F1, motor), a shaft that is held, or no encoder"
-            raise RigError(f"{moved} counts up to code {most}: {reasons}")
-        self._say(f"turned at code {code}, {rig.torque(code):.3g} Nm: {moved} counts")
-        if moved < 0:
-            self._fault("the torque counts down: the motor's leads are exchanged, or the encoder's lines")
-        question = "Did it turn in the positive sense? [y, n, or Enter: not seen]"
-        while (answer := self._ask(question).lower()) not in ("y", "n", ""):
-            self._say(f"{quoted(answer)}; accepted: y, n, or Enter")
-        if answer == "n":
-            self._fault("the torque turns the shaft in the negative sense: exchange the motor's leads")
-        elif not answer:
-            self.results[-1].left_out.append("nobody saw in which sense the shaft turned")
+            raise RigError(f"{moved} counts up to code {way * most}: {reasons}")
+        self._say(f"turned at code {way * code}, {rig.torque(way * code):.3g} Nm: {moved} counts")
+        return moved
 
     def _current(self) -> None:
         self._refuse_unsafe()
+        lead = ", its + lead at the board's + terminal for the motor" if self.rig.bipolar else ""
         self._say(
-            "Open S1. Clamp the shaft, put an ammeter (10 A) in series with the motor, close S1. Measure at once: a "
-            f"torque stands until you answer, at most {LONGEST_HOLD:g} s. {self.rig.dac_full_scale:g} Nm and "
+            f"Open S1. Clamp the shaft, put an ammeter (10 A) in series with the motor{lead}, close S1. Measure at "
+            f"once: a torque stands until you answer, at most {LONGEST_HOLD:g} s. {self.rig.dac_full_scale:g} Nm and "
             f"{self.board.current(CODES):.4g} A at code {CODES} mean a torque constant of "
             f"{self.rig.dac_full_scale / self.board.current(CODES):.3g} Nm/A."
         )
-        for code in self.codes:
+        readings = {}
+        for code in self._signed_codes:
             torque, current = self.rig.torque(code), self.board.current(code)
             self._ready(f"Apply code {code}: {torque:.4g} Nm, {current:.3g} A")
             with self._stage_on(code):
                 self._listen(SETTLING_TICKS)
-                reading = _mean_reading(self._listen(AVERAGED_TICKS))
-                expected = torque / self.rig.adc_full_scale * CODES
+                readings[code] = reading = _mean_reading(self._listen(AVERAGED_TICKS))
+                expected = abs(torque) / self.rig.adc_full_scale * CODES
                 tolerance = READING[0] * expected + READING[1]
                 self._compare(f"ADC code at code {code}", "codes", expected, tolerance, reading)
-                self._measure(f"current at code {code}", "A", current, AMPERES[0] * current + AMPERES[1])
-                volts = current * self.board.gain
+                self._measure(f"current at code {code}", "A", current, AMPERES[0] * abs(current) + AMPERES[1])
+                volts = abs(current) * self.board.gain
                 self._measure(f"{self.board.sense} at code {code}", "V", volts, AMPERES[0] * volts + VOLTS[1])
+        if self.rig.bipolar:
+            for code in self.codes:
+                off = readings[-code] - readings[code]
+                name = f"ADC code at code {-code} less that at code {code}"
+                self._compare(name, "codes", 0.0, SIDES[0] * readings[code] + SIDES[1], off)
 
 
 STEPS: dict[str, Callable[[BringUp], None]] = {
@@ -462,6 +409,9 @@ STEPS: dict[str, Callable[[BringUp], None]] = {
     "Current and its reading": BringUp._current,
 }
 """By their titles; the motor's supply is on from the sense of the torque on."""
+DIRECTION = "Direction line"
+BIPOLAR_STEPS = dict([*list(STEPS.items())[:4], (DIRECTION, BringUp._direction), *list(STEPS.items())[4:]])
+"""Those of a rig with torque of both signs."""
 GUARDS = ("Idle: no torque", "Enable", "Torque limit", "Watchdog")
 """Steps that must not have failed before a torque is applied."""
 

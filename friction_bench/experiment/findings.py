@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import select
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -26,6 +26,7 @@ class Board(NamedTuple):
         sense: where the measured current is a voltage.
         gain: of it, V/A.
         adc: voltage at ADC code 255, V.
+        directions: lines of a stage for torque of both signs, and whether each is high forward; else backward.
     """
 
     name: str
@@ -36,17 +37,27 @@ class Board(NamedTuple):
     sense: str
     gain: float
     adc: float
+    directions: Mapping[str, bool]
 
     def current(self, code: float) -> float:
         """Return the motor's current at a DAC code, A."""
         return self.set_point / self.gain * code / CODES
 
 
+_LINES = {"FORWARD (behind U6)": True, "BACKWARD (behind U6)": False}
 BOARDS = {
-    "8051": Board("the source's board", "STAGE_OFF (U1 pin 14)", 2.76, 0.0, 4.0, "VSENSE (output of U4C)", 0.9, 5.001),
-    "nano": Board("the board of today", "AWAKE (U2 nSLEEP)", 0.0, 5.0, 3.0, "VIP (U2 IPROPI)", 0.675, 4.98),
+    "8051": Board(
+        "the source's board", "STAGE_OFF (U1 pin 14)", 2.76, 0.0, 4.0, "VSENSE (output of U4C)", 0.9, 5.001, _LINES
+    ),
+    "nano": Board(
+        "the board of today", "AWAKE (U2 nSLEEP)", 0.0, 5.0, 3.0, "VIP (U2 IPROPI)", 0.675, 4.98, {"PH (U2)": True}
+    ),
 }
 """By the words of --board."""
+BIPOLAR_BOARDS = {**BOARDS, "8051": BOARDS["8051"]._replace(off=2.87)}
+"""With a stage for torque of both signs: on the source's board the enable feeds two bases."""
+HIGH = 5.0
+"""Of a direction line, V."""
 OF_PROCESSOR = {"mcs51": "8051", "avr": "nano"}
 """The board that a processor stands on, unless --board says otherwise."""
 

@@ -139,8 +139,11 @@ class RigClient:
         Raises:
             RigRefusedError: if there has been a stop that the caller did not know of; it is known from then on.
         """
-        way = (int(code < 0),) if self.rig.bipolar else ()
-        self._send_unless_stopped(self._number(Command.TORQUE, abs(code) if way else code, *way), Command.TORQUE)
+        self._send_unless_stopped(self._number(Command.TORQUE, *self.torque_values(code)), Command.TORQUE)
+
+    def torque_values(self, code: int) -> tuple[int, ...]:
+        """Return the values of TORQUE for a DAC code, below 0 for backward, which takes a bipolar rig."""
+        return (abs(code), int(code < 0)) if self.rig.bipolar else (code,)
 
     def urgent_stop(self) -> None:
         """Take the torque away now.

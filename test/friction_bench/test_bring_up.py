@@ -19,8 +19,9 @@ from processes import TIMEOUT, command
 from rig_bench import PatientRig, greeted
 
 from friction_bench.experiment import bring_up
-from friction_bench.experiment.bring_up import LONGEST_HOLD, STEPS, BringUp
-from friction_bench.experiment.findings import BOARDS, OF_PROCESSOR, Comparison, StepResult
+from friction_bench.experiment.bring_up import BIPOLAR_STEPS, DIRECTION, STEPS, BringUp
+from friction_bench.experiment.dialogue import LONGEST_HOLD
+from friction_bench.experiment.findings import BIPOLAR_BOARDS, BOARDS, HIGH, OF_PROCESSOR, Comparison, StepResult
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig
 from friction_bench.rig.messages import PROCESSORS
@@ -38,15 +39,18 @@ class Hands:
 
     Attributes:
         meters: factors of what is measured, by the beginning of its name.
-        sense: the answer to whether the shaft turned in the positive sense.
+        sense: the answer to whether the shaft turned in the sense asked for; None for the true one.
+        line: whether the direction's line says backward, by whether the firmware does.
         armed_when_asked: questions before which the stage was on although it asks to be switched on.
     """
 
     def __init__(self, client: RigClient, board: str = "8051") -> None:
         self.emulated: EmulatedRig = client.port.emulated
-        self.board = BOARDS[board]
+        self.board = (BIPOLAR_BOARDS if client.rig.bipolar else BOARDS)[board]
         self.meters: dict[str, float] = {}
-        self.sense = "y"
+        self.line = lambda backward: backward
+        self.sense: str | None = None
+        self._angle = 0.0
         self.armed_when_asked: list[str] = []
         self.questions: list[str] = []
         self._free = list(self.emulated.plant._shafts)
@@ -68,11 +72,13 @@ class Hands:
         self.questions.append(question)
         board, plant = self.emulated.board, self.emulated.plant
         if question.startswith("Did it turn"):
-            return self.sense
+            turned = (plant.angle - self._angle) * (-1.0 if "negative" in question else 1.0)
+            return self.sense or ("y" if turned > 0.0 else "n")
         if "[Enter, or s" in question:
             if board.stage_on or board.dac:
                 self.armed_when_asked.append(question)
             self.clamp(not question.startswith("Apply the torque"))
+            self._angle = plant.angle
             if question.startswith("Turn it once"):
                 self.turn(-1 if "negative" in question else 1)
                 for _ in range(15):  # before Enter is pressed what the rig reported meanwhile is read
@@ -86,10 +92,12 @@ class Hands:
         current = torque / plant.parameters.torque_constant
         values = {
             self.board.enable: self.board.on if board.stage_on else self.board.off,
-            "VSET": self.board.set_point * board.dac / 255,
-            self.board.sense: self.board.gain * current,
+            "VSET": self.board.set_point * abs(board.dac) / 255,
+            self.board.sense: self.board.gain * abs(current),
             "current": current,
         }
+        backward = self.line(board.dac < 0)
+        values |= {name: HIGH * (backward is not forward) for name, forward in self.board.directions.items()}
         name = next(name for name in values if question.startswith(name))
         return f"{values[name] * self.meters.get(name, 1.0):.4f}"
 
@@ -162,7 +170,7 @@ PLANT_FAULTS: dict[str, tuple[bool, Callable[[Hands], object], dict[str, str]]] 
     "sense resistor 20 % low": (
         False,
         lambda hands: hands.meters.update(current=1.2),
-        {CURRENT: "current at code 57: expected 0.9935 ± 0.08 A, found 1.2"},
+        {CURRENT: "current at code 57: expected 0.9935 ± 0.08 A"},
     ),
     "converter's reference 20 % low": (
         False,
@@ -181,6 +189,105 @@ def test_a_fault_of_the_board_is_found_by_its_step(name: str, rig: Rig) -> None:
     assert found.keys() == expected.keys()
     for step, text in expected.items():
         assert text in found[step]
+
+
+def drive(hands: Hands, change: Callable[[float], float]) -> None:
+    """Change the torque that the stage makes of its set-point and direction."""
+    original = hands.emulated.plant.advance
+    hands.emulated.plant.advance = lambda torque, dt: original(change(torque), dt)  # type: ignore[method-assign]
+
+
+BIPOLAR_FAULTS: dict[str, tuple[Callable[[Hands], object], dict[str, str]]] = {
+    "direction's line open behind the board's point": (
+        lambda hands: drive(hands, abs),
+        {SENSE: "turns the shaft in the positive sense whatever its sign", CURRENT: "current at code -57"},
+    ),
+    "direction's line stuck": (
+        lambda hands: (drive(hands, abs), setattr(hands, "line", lambda _: False)),
+        {DIRECTION: "is high whatever the sign", SENSE: "whatever its sign", CURRENT: "current at code -114"},
+    ),
+    "direction's line stuck at ground": (
+        lambda hands: (drive(hands, lambda torque: -abs(torque)), setattr(hands, "line", lambda _: True)),
+        {DIRECTION: "is low whatever the sign", SENSE: "in the negative sense whatever", CURRENT: "current at code 57"},
+    ),
+    "directions exchanged": (
+        lambda hands: (drive(hands, lambda torque: -torque), setattr(hands, "line", lambda back: not back)),
+        {DIRECTION: "are exchanged", SENSE: "or FORWARD and BACKWARD", CURRENT: "current at code -57"},
+    ),
+    "motor's leads exchanged": (
+        lambda hands: drive(hands, lambda torque: -torque),
+        {SENSE: "the motor's leads are exchanged", CURRENT: "current at code 57"},
+    ),
+    "4 % less backward": (
+        lambda hands: drive(hands, lambda torque: torque if torque > 0.0 else 0.96 * torque),
+        {CURRENT: "ADC code at code -114 less that at code 114"},
+    ),
+    "no torque backward": (
+        lambda hands: drive(hands, lambda torque: max(0.0, torque)),
+        {SENSE: "up to code -114", CURRENT: "ADC code at code -57: expected 45.6"},
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def both_ways() -> Rig:
+    """Return the shipped rig for torque of both signs."""
+    return load_rig(config_path("rig/bipolar.yaml"))
+
+
+@pytest.mark.parametrize("target", ["native", *(pytest.param(t, marks=pytest.mark.firmware) for t in ("mcs51", "avr"))])
+def test_a_good_bipolar_board_passes(
+    target: str,
+    make_board: Callable[..., Any],
+    bipolar_firmware: Callable[[str], Path],
+    rig: Rig,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With each processor's firmware for both signs all ten steps pass, the direction's line among them."""
+    for name, fewer in (("LISTENED_TICKS", 10), ("SETTLING_TICKS", 5), ("AVERAGED_TICKS", 10)):
+        monkeypatch.setattr(bring_up, name, fewer)  # simulators are slow
+    assert rig.plant is not None
+    light = replace(rig, stage="bipolar", counts_down=True, plant=replace(rig.plant, coulomb=0.004))
+    client = greeted(light, board=make_board(target, binary=bipolar_firmware(target)))
+    found = check(client, board=OF_PROCESSOR.get(target, "8051"))
+    assert {one.title: one.reasons for one in found.results} == {title: [] for title in BIPOLAR_STEPS}
+    assert found.verdict == "passed"
+    checked = {one.name for step in found.results for one in step.quantities}
+    assert {"ADC code at code 57", "ADC code at code -57", "current at code -114"} <= checked
+    assert {f"{line} at code {code}" for line in found.board.directions for code in (57, -57)} <= checked
+
+
+@pytest.mark.parametrize("name", BIPOLAR_FAULTS)
+def test_a_fault_of_a_bipolar_board_is_found_by_its_step(name: str, both_ways: Rig) -> None:
+    """Each fault of the direction fails the steps that show it, with its cause or quantity, and no other step."""
+    tamper, expected = BIPOLAR_FAULTS[name]
+    found = failed(check(greeted(both_ways), tamper))
+    assert found.keys() == expected.keys()
+    for step, text in expected.items():
+        assert text in found[step]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("    steer(frame_rx[3]);", "", {DIRECTION: "sent was code -57, the rig reports 57"}),
+        ("    hal_reverse(back);", "", {DIRECTION: "is high whatever the sign"}),
+        ("    if (code > TORQUE_LIMIT_CODE)", "    if (code > TORQUE_LIMIT_CODE && !frame_rx[3])",
+         {LIMIT: "TORQUE code -230: obeyed"}),
+        ("|| end > TORQUE_LIMIT_CODE", "|| (end > TORQUE_LIMIT_CODE && !(frame_rx[5] & WAY_BACKWARD))",
+         {LIMIT: "RAMP code -230: obeyed"}),
+    ],
+)  # fmt: skip
+def test_a_firmware_that_is_wrong_backward_alone_is_found(
+    old: str, new: str, expected: dict[str, str], both_ways: Rig, mutant: Callable[..., Any]
+) -> None:
+    """Direction and limit are tried backward, too: a firmware that has its rule forward alone fails that step."""
+    board = mutant("core/rig.c", old, new, both_ways.firmware_figures)
+    found = failed(check(greeted(both_ways, board=board)))
+    for step, text in expected.items():
+        assert text in found[step]
+    if LIMIT in expected:
+        assert found.keys() == expected.keys()
 
 
 FIRMWARE_FAULTS = {

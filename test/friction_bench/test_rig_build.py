@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from rig_conformance import Player
 
-from friction_bench.experiment.findings import BOARDS
+from friction_bench.experiment.findings import BIPOLAR_BOARDS, BOARDS
 from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort
 from friction_bench.rig.messages import CommandResult
 from friction_bench.rig.plant import RigPlant, Shaft, turn
@@ -68,6 +68,12 @@ def test_points_of_the_boards_are_those_of_their_drawings() -> None:
         1.0 / r["R9"] + 1.0 / r["R8"] + 1.0 / (r["R6"] + r["R5"])
     )
     assert source.off == pytest.approx(off, rel=5e-3)
+    pull_up = 4.7e3  # of the bipolar stage, whose STAGE_OFF feeds two bases
+    off = (5.0 / pull_up + 2.0 * base / r["R8"] + diode / (r["R6"] + r["R5"])) / (
+        1.0 / pull_up + 2.0 / r["R8"] + 1.0 / (r["R6"] + r["R5"])
+    )
+    assert BIPOLAR_BOARDS["8051"].off == pytest.approx(off, rel=5e-3)
+    assert "| R9 | 4.7 kΩ, because STAGE_OFF feeds two bases |" in PAGE
     r = parts("rig_nano.svg")
     load = r["R1"] + r["R2"]
     assert nano.set_point == pytest.approx(5.0 * 255 / 256 * load / (10e3 + load), rel=2e-3)
@@ -118,6 +124,10 @@ def test_a_library_made_with_other_figures_follows_them(tmp_path: Path) -> None:
         "MAX_SPEED=0",
         "SCALE_UNIT=50",
         "BIPOLAR=1",
+        "BIPOLAR=2 -DCOUNTS_DOWN=1",
+        "COUNTS_DOWN=2",
+        "PULSED=2",
+        "COUNTS_PER_REV=70000",
     ],
 )
 def test_a_figure_out_of_range_ends_the_build_with_its_name(define: str, tmp_path: Path) -> None:
@@ -127,16 +137,66 @@ def test_a_figure_out_of_range_ends_the_build_with_its_name(define: str, tmp_pat
     assert re.search(rf'#error "[^"]*{define.partition("=")[0]}[^"]*accepted', done.stderr)
 
 
-def test_command_for_torque_of_both_signs_builds_what_the_rig_file_asks_for() -> None:
-    """The figures of the page's command are those of the shipped bipolar rig file."""
-    (words,) = (words for words in re.findall(r'make firmware DEFINES="([^"]*)"', PAGE) if "BIPOLAR" in words)
+def test_a_misspelt_figure_ends_the_build(tmp_path: Path) -> None:
+    """A name that no source knows would leave the shipped limit in force: it is refused, with the names there are."""
+    done = make("native", tmp_path, "-DTORQUE_LIMITCODE=100u")
+    assert done.returncode != 0
+    assert re.search(r"DEFINES: TORQUE_LIMITCODE; accepted: .*TORQUE_LIMIT_CODE", done.stderr)
+    assert not list(tmp_path.iterdir())
+
+
+def test_other_figures_build_anew(tmp_path: Path) -> None:
+    """The library of a first build is replaced when the figures are others, and left alone when they are the same."""
+    library = tmp_path / "librig_native.so"
+    for defines, limit in (("", 229), ("-DTORQUE_LIMIT_CODE=100u", 100)):
+        assert make("native", tmp_path, defines).returncode == 0
+        player = Player(NativeBoard(library=library))
+        player.do_greet(None)
+        assert player.hello is not None
+        assert player.hello.torque_limit_code == limit
+    built = library.stat().st_mtime_ns
+    assert make("native", tmp_path, "-DTORQUE_LIMIT_CODE=100u").returncode == 0
+    assert library.stat().st_mtime_ns == built
+
+
+@pytest.mark.firmware
+@pytest.mark.parametrize(
+    ("defines", "name"),
+    [
+        ("-DDAC_PORT=P2", "ADC_PORT"),
+        ("-DSTAGE_OFF=P3_3 -DCOUNTS_DOWN=1", "DIRECTION"),
+        ("-DFORWARD=P3_4 -DBIPOLAR=1 -DCOUNTS_DOWN=1", "FORWARD"),
+        ("-DHOLD_TICKS=50 -DBIPOLAR=1 -DCOUNTS_DOWN=1", "HOLD_TICKS"),
+    ],
+)
+def test_a_pin_for_two_signals_ends_the_build(defines: str, name: str, tmp_path: Path) -> None:
+    """On the 8051, two signals on one pin or port, which would drive against each other, are refused by name."""
+    done = make("mcs51", tmp_path, defines)
+    assert done.returncode != 0
+    assert re.search(rf'#error "[^"]*{name}[^"]*accepted', done.stderr)
+
+
+@pytest.mark.parametrize(
+    ("page", "name", "rig_file"),
+    [
+        ("howto/rig_build.md", "BIPOLAR", "bipolar.yaml"),
+        ("howto/rig_wiring.md", "COUNTS_DOWN", "presliding.yaml"),
+        ("explanation/rig_measurement.md", "PULSED", "source.yaml"),
+    ],
+)
+def test_commands_of_the_pages_build_what_the_rig_files_ask_for(page: str, name: str, rig_file: str) -> None:
+    """The figures of each page's command are those of the shipped rig file, whose host refuses any other firmware."""
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    (words,) = (words for words in re.findall(r'make firmware DEFINES="([^"]*)"', text) if name in words)
     figures = {name: int(value) for name, value in re.findall(r"-D(\w+)=(\d+)u?", words)}
-    assert figures == load_rig(ROOT / "config/rig/bipolar.yaml").firmware_figures
+    assert figures == load_rig(ROOT / "config/rig" / rig_file).firmware_figures
 
 
 @pytest.mark.firmware
 def test_pins_move_in_both_binaries(tmp_path: Path) -> None:
     """With other pins both boards' programs still build, as large as before, and are others."""
+    moved_8051 = "-DSTAGE_OFF=P3_6 -DFORWARD=P3_7"
+    assert make("all", tmp_path / "all", moved_8051).returncode == 0  # the AVR's pins have names of their own
     pins = {
         "mcs51": "-DSTAGE_OFF=P3_6 -DDIRECTION=P3_5 -DDAC_PORT=P2 -DADC_PORT=P1 -DCOUNTS_DOWN=1",
         "avr": "-DSTAGE_PIN=15 -DADC_CHANNEL=6",
@@ -239,21 +299,21 @@ def test_moved_pins_of_the_8051_act_and_the_old_ones_do_not(tmp_path: Path, make
 
 @pytest.mark.firmware
 def test_moved_pins_of_the_nano_act_and_the_old_ones_do_not(tmp_path: Path, make_board: Callable[..., Any]) -> None:
-    """In simavr the program switches the stage at A1, reads the current at A6, and leaves pin 12 an input."""
-    assert make("avr", tmp_path, "-DSTAGE_PIN=15 -DADC_CHANNEL=6").returncode == 0
+    """In simavr the program switches the stage at A2, reads the current at A6, and leaves pin 12 an input."""
+    assert make("avr", tmp_path, "-DSTAGE_PIN=16 -DADC_CHANNEL=6").returncode == 0
     board = make_board("avr", binary=tmp_path / "rig_avr.hex")
     board.sense(6)
     player = Player(board)
     player.adc = 77
     player.do_run(50)
     direction, port, direction_b = 0x27, 0x28, 0x24  # DDRC, PORTC, DDRB
-    assert board.register(direction) & 2
-    assert board.register(port) & 2  # active low: off
+    assert board.register(direction) & 4
+    assert board.register(port) & 4  # active low: off
     at_torque(player, 90)
-    assert board.register(port) & 2 == 0
+    assert board.register(port) & 4 == 0
     assert board.register(direction_b) & 0x10 == 0
     assert (board.dac, player.reports[-1].adc) == (90, 77)
     player.do_send("stop")
     player.do_run(60)
-    assert board.register(port) & 2
+    assert board.register(port) & 4
     assert board.dac == 0

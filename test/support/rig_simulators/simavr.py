@@ -56,7 +56,7 @@ class SimavrBoard:
         return self._buffer.raw[:count]
 
     def run(self, slice_us: int, edges: int, adc: int) -> None:
-        """Let time pass with these encoder edges and this ADC code."""
+        """Let time pass with these encoder edges, below 0 backward by the decoder's line, and this ADC code."""
         self._lib.board_run(self._board, slice_us, edges, adc)
 
     @property

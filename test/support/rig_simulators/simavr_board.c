@@ -15,7 +15,7 @@ enum { PINB_DDR = 0x24, PORTB = 0x25, DDRC = 0x27, PORTC = 0x28, DDRD = 0x2a, PO
 
 struct board {
     avr_t *avr;
-    avr_irq_t *rx, *adc, *encoder;
+    avr_irq_t *rx, *adc, *encoder, *direction;
     uint8_t to_rig[LINE], from_rig[LINE];
     uint32_t to_head, to_tail, from_head, from_tail;
     avr_cycle_count_t next_byte;
@@ -45,6 +45,7 @@ struct board *board_new(uint8_t *flash, uint32_t size)
     board->rx = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
     board->adc = avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0);
     board->encoder = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 2);
+    board->direction = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 3);
     return board;
 }
 
@@ -119,14 +120,17 @@ static void run_until(struct board *board, avr_cycle_count_t end)
     }
 }
 
-void board_run(struct board *board, uint32_t us, uint16_t edges, uint8_t reading)
+/* Edges below 0 are backward, by the decoder's line. */
+void board_run(struct board *board, uint32_t us, int16_t edges, uint8_t reading)
 {
     avr_cycle_count_t start = board->avr->cycle;
     avr_cycle_count_t length = (avr_cycle_count_t)us * CYCLES_PER_US;
-    uint16_t i;
+    uint16_t i, number = (uint16_t)(edges < 0 ? -edges : edges);
     avr_raise_irq(board->adc, (reading * 5000u + 2500u) / 256u);
-    for (i = 0; i < edges; i++) {
-        run_until(board, start + length * (i + 1u) / (edges + 1u));
+    if (edges)
+        avr_raise_irq(board->direction, edges > 0);
+    for (i = 0; i < number; i++) {
+        run_until(board, start + length * (i + 1u) / (number + 1u));
         avr_raise_irq(board->encoder, 0);
         avr_raise_irq(board->encoder, 1); /* idles high, by the pull-up */
     }

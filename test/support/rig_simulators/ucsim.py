@@ -107,7 +107,8 @@ class UcsimBoard:
             return b""
 
     def run(self, slice_us: int, edges: int, adc: int) -> None:
-        """Let time pass with these encoder edges and this ADC code."""
+        """Let time pass with these encoder edges, below 0 backward by the decoder's line, and this ADC code."""
+        idle, edges = (self.levels, edges) if edges >= 0 else (self.levels & 0xF7, -edges)
         self._target += slice_us * CRYSTAL_MHZ
         steps = max(1, round((self._target - self._clock) / CLOCKS_PER_INSTRUCTION))
         # The simulator looks for input every million instructions, unless told.
@@ -115,14 +116,14 @@ class UcsimBoard:
         lines = [
             f"expr uart0_check_often={min(self._listen, 1)}",
             f"set hw port[{self.adc_port}] {adc}",
-            f"set hw port[3] {self.levels}",
+            f"set hw port[3] {idle}",
         ]
         for _ in range(edges):
             lines += [
                 f"step {max(1, steps // (edges + 1))}",
-                f"set hw port[3] {self.levels & 0xFB}",
+                f"set hw port[3] {idle & 0xFB}",
                 "step 4",
-                f"set hw port[3] {self.levels}",
+                f"set hw port[3] {idle}",
             ]
         lines += [
             f"step {max(1, steps // (edges + 1))}",
