@@ -59,6 +59,8 @@ STRIBECK_STEPS = 16
 one before, so that w_s and e swing in."""
 SETTLED = 0.02
 """They end with the step that promises less than this in the logarithm of the likelihood."""
+HOPELESS = 20.0
+"""They also end where that of the marginal likelihood, with what the step promises, is so far below the best."""
 SHORTEST = 0.01
 """Least time constant T in ticks: the command's steps, whose sizes differ by a code, still show T far below a tick."""
 SPREADS = (1e-5, 0.3)
@@ -314,21 +316,25 @@ class _Ramps:
         speeds = [np.full_like(window.time, start[1]) for window, start in zip(self.windows, starts, strict=True)]
         T = max(2.5 * self.tick, 0.05 * max(float(np.ptp(window.time)) for window in self.windows))
         point = _Point(Stribeck(), np.array([1.0, 0.0, T, 0.0, 0.0, 0.0]), starts, speeds, np.empty((0, 0)))
-        return self.fit(self._step(point, FIRST_NOISE, [1, 2]), Stribeck(), FIRST_NOISE)
+        return self.fit(self._step(point, FIRST_NOISE, [1, 2]), FIRST_NOISE)
 
-    def fit(self, point: _Point, stribeck: Stribeck, noise: float) -> _Point:
-        """Return the fit for one assumption, from a point nearby."""
-        if not stribeck.velocity:
-            point = replace(point, stribeck=stribeck, shared=point.shared * [1, 1, 1, 0, 0, 0])
-            for _ in range(STEPS):
-                point = self._step(point, noise, [1, 2, 3])
-            return point
-        point = self._step(replace(point, stribeck=stribeck), noise, [1, 2, 3, 4])
-        for _ in range(STRIBECK_STEPS):
-            point = self._step(point, noise, [1, 2, 3, 4, 5, 6])
-            if point.gain < SETTLED:
-                break
+    def fit(self, point: _Point, noise: float) -> _Point:
+        """Return the fit without a Stribeck effect, from a point nearby."""
+        point = replace(point, stribeck=Stribeck(), shared=point.shared * [1, 1, 1, 0, 0, 0])
+        for _ in range(STEPS):
+            point = self._step(point, noise, [1, 2, 3])
         return point
+
+    def with_effects(self, point: _Point, effects: Sequence[Stribeck], noise: float) -> list[_Point]:
+        """Return the fits with each effect, from a point nearby, but those without hope beside the best."""
+        moving = [self._step(replace(point, stribeck=effect), noise, [1, 2, 3, 4]) for effect in effects]
+        settled = list[_Point]()
+        for _ in range(STRIBECK_STEPS):
+            moving = [self._step(one, noise, [1, 2, 3, 4, 5, 6]) for one in moving]
+            settled += [one for one in moving if one.gain < SETTLED]
+            least = max((one.evidence for one in (*settled, *moving)), default=0.0) - HOPELESS
+            moving = [one for one in moving if one.gain >= SETTLED and one.evidence + one.gain > least]
+        return settled + moving
 
     def noise(self, point: _Point) -> float:
         """Return the intensity of the torque noise by restricted maximum likelihood, above any Stribeck effect.
@@ -478,9 +484,9 @@ def fit_sliding(windows: Sequence[SlidingWindow], runs: Sequence[int] | None = N
     for _ in range(2):
         noise = ramps.noise(point)
         ramps.spread = ramps.between(point, noise)
-        point = ramps.fit(point, Stribeck(), noise)
+        point = ramps.fit(point, noise)
     grid = ramps.grid()
-    fits = [point, *(ramps.fit(point, stribeck, noise) for stribeck in grid)]
+    fits = [point, *ramps.with_effects(point, grid, noise)]
     evidence = np.array([fit.evidence for fit in fits])
     evidence[1:] -= math.log(max(len(grid), 1))  # no effect, and any effect, are equally likely beforehand
     weights = np.exp(np.nan_to_num(evidence, nan=-np.inf) - np.nanmax(evidence))
@@ -493,7 +499,8 @@ def fit_sliding(windows: Sequence[SlidingWindow], runs: Sequence[int] | None = N
     # Of a variance the part that the ramps' differences make is known as well as they are (Satterthwaite).
     _, total = best.friction()
     ramps.spread, spread = np.zeros(2), np.sqrt(ramps.spread) / np.abs(best.shared[:2])
-    _, within = ramps.fit(best, best.stribeck, noise).friction()
+    alone = ramps.with_effects(best, [best.stribeck], noise)[0] if best.stribeck.velocity else ramps.fit(best, noise)
+    _, within = alone.friction()
     share = np.clip(1.0 - np.diag(within) / np.diag(total), 1e-9, 1.0)
     freedom = max(ramps.freedom, 1) / share**2
     likely = 1.0 - float(weights[0])
