@@ -59,6 +59,8 @@ STRIBECK_STEPS = 16
 one before, so that w_s and e swing in."""
 SETTLED = 0.02
 """They end with the step that promises less than this in the logarithm of the likelihood."""
+NEAR = 1.0
+"""Where the last step still promises more than this, there is no optimum to approximate, and no fit."""
 HOPELESS = 20.0
 """They also end where that of the marginal likelihood, with what the step promises, is so far below the best."""
 SHORTEST = 0.01
@@ -316,25 +318,25 @@ class _Ramps:
         speeds = [np.full_like(window.time, start[1]) for window, start in zip(self.windows, starts, strict=True)]
         T = max(2.5 * self.tick, 0.05 * max(float(np.ptp(window.time)) for window in self.windows))
         point = _Point(Stribeck(), np.array([1.0, 0.0, T, 0.0, 0.0, 0.0]), starts, speeds, np.empty((0, 0)))
-        return self.fit(self._step(point, FIRST_NOISE, [1, 2]), FIRST_NOISE)
+        return self.fit(self.advance(point, FIRST_NOISE, [1, 2]), FIRST_NOISE)
 
     def fit(self, point: _Point, noise: float) -> _Point:
         """Return the fit without a Stribeck effect, from a point nearby."""
         point = replace(point, stribeck=Stribeck(), shared=point.shared * [1, 1, 1, 0, 0, 0])
         for _ in range(STEPS):
-            point = self._step(point, noise, [1, 2, 3])
+            point = self.advance(point, noise, [1, 2, 3])
         return point
 
     def with_effects(self, point: _Point, effects: Sequence[Stribeck], noise: float) -> list[_Point]:
-        """Return the fits with each effect, from a point nearby, but those without hope beside the best."""
-        moving = [self._step(replace(point, stribeck=effect), noise, [1, 2, 3, 4]) for effect in effects]
+        """Return the fits with each effect, from a point nearby, that settle and are not hopeless beside the best."""
+        moving = [self.advance(replace(point, stribeck=effect), noise, [1, 2, 3, 4]) for effect in effects]
         settled = list[_Point]()
         for _ in range(STRIBECK_STEPS):
-            moving = [self._step(one, noise, [1, 2, 3, 4, 5, 6]) for one in moving]
+            moving = [self.advance(one, noise, [1, 2, 3, 4, 5, 6]) for one in moving]
             settled += [one for one in moving if one.gain < SETTLED]
             least = max((one.evidence for one in (*settled, *moving)), default=0.0) - HOPELESS
             moving = [one for one in moving if one.gain >= SETTLED and one.evidence + one.gain > least]
-        return settled + moving
+        return settled + [one for one in moving if one.gain < NEAR]
 
     def noise(self, point: _Point) -> float:
         """Return the intensity of the torque noise by restricted maximum likelihood, above any Stribeck effect.
@@ -378,7 +380,7 @@ class _Ramps:
 
         low, high = np.log(SPREADS)
         middle = np.full(2, (low + high) / 2)
-        found = minimize(misfit, middle, method="L-BFGS-B", bounds=[(low, high)] * 2).x
+        found = minimize(misfit, middle, method="L-BFGS-B", bounds=[(low, high)] * 2, options={"eps": 1e-4}).x
         return np.asarray((size * np.exp(found)) ** 2)
 
     def _columns(self, point: _Point) -> list[Array]:
@@ -403,7 +405,7 @@ class _Ramps:
         np.add.at(sums, self.run, np.array([gram for gram, _, _ in parts]))
         return sums
 
-    def _step(self, point: _Point, noise: float, used: list[int]) -> _Point:
+    def advance(self, point: _Point, noise: float, used: list[int]) -> _Point:
         """Take one Gauss-Newton step in the parameters `used`; T changes at most by a factor of two."""
         parts = self.parts(point, noise)
         indices = np.array(used) - 1
@@ -499,8 +501,7 @@ def fit_sliding(windows: Sequence[SlidingWindow], runs: Sequence[int] | None = N
     # Of a variance the part that the ramps' differences make is known as well as they are (Satterthwaite).
     _, total = best.friction()
     ramps.spread, spread = np.zeros(2), np.sqrt(ramps.spread) / np.abs(best.shared[:2])
-    alone = ramps.with_effects(best, [best.stribeck], noise)[0] if best.stribeck.velocity else ramps.fit(best, noise)
-    _, within = alone.friction()
+    _, within = ramps.advance(best, noise, [1, 2, 3, 4, 5, 6] if best.stribeck.velocity else [1, 2, 3]).friction()
     share = np.clip(1.0 - np.diag(within) / np.diag(total), 1e-9, 1.0)
     freedom = max(ramps.freedom, 1) / share**2
     likely = 1.0 - float(weights[0])
