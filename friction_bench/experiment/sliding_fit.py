@@ -380,6 +380,7 @@ class _Ramps:
 
         low, high = np.log(SPREADS)
         middle = np.full(2, (low + high) / 2)
+        # Differences over less than `eps` drown in the rounding of a likelihood of millions.
         found = minimize(misfit, middle, method="L-BFGS-B", bounds=[(low, high)] * 2, options={"eps": 1e-4}).x
         return np.asarray((size * np.exp(found)) ** 2)
 
