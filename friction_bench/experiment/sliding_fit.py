@@ -59,8 +59,9 @@ STRIBECK_STEPS = 16
 one before, so that w_s and e swing in."""
 SETTLED = 0.02
 """They end with the step that promises less than this in the logarithm of the likelihood."""
-NEAR = 1.0
-"""Where the last step still promises more than this, there is no optimum to approximate, and no fit."""
+NEAR = 0.1
+"""Where the last step still promises more than 1 and than this part of what is gained over no effect, there is no
+optimum to approximate, and no fit."""
 HOPELESS = 20.0
 """They also end where that of the marginal likelihood, with what the step promises, is so far below the best."""
 SHORTEST = 0.01
@@ -336,7 +337,7 @@ class _Ramps:
             settled += [one for one in moving if one.gain < SETTLED]
             least = max((one.evidence for one in (*settled, *moving)), default=0.0) - HOPELESS
             moving = [one for one in moving if one.gain >= SETTLED and one.evidence + one.gain > least]
-        return settled + [one for one in moving if one.gain < NEAR]
+        return settled + [one for one in moving if one.gain < max(1.0, NEAR * (one.evidence - point.evidence))]
 
     def noise(self, point: _Point) -> float:
         """Return the intensity of the torque noise by restricted maximum likelihood, above any Stribeck effect.
