@@ -11,7 +11,9 @@ maximum likelihood. Ramps differ: the torque's scale and the friction are not qu
 of a ramp are those of all plus an error of its own, whose variances are estimated by restricted maximum likelihood, too
 (a linear mixed model). T is found by Gauss-Newton steps. What the Stribeck effect is, the data seldom tell: all of a
 grid of w_s and e, and no effect at all, are averaged by their marginal likelihoods (Bayesian model averaging), so that
-the intervals contain that ignorance.
+the intervals contain that ignorance. Around each point of the grid w_s and e are fitted, too, with a prior as wide as
+the grid's cell: readings that tell them more finely than the grid move them, and the marginal likelihoods are Laplace's
+approximation there.
 
 Units: w in rad/s at the motor; tau, f_c and delta_s in Nm, f_v in Nm s/rad, J in kg m²; hence alpha in rad/(s Nm),
 beta and kappa in rad/s, T in s.
@@ -29,13 +31,18 @@ from scipy.optimize import minimize, minimize_scalar
 
 from friction_bench.experiment.record import SlidingWindow
 from rx90_common.base.arrays import Array
-from rx90_common.friction.curves import stribeck_decay
+from rx90_common.friction.curves import stribeck_decay_slopes
 from rx90_common.kernels.compiled import kernel
 
 EXPONENTS = (0.7, 1.0, 1.5, 2.0)
 """Stribeck exponents of the grid: published values lie between these."""
 VELOCITIES = 10
 """Stribeck velocities of the grid, in equal ratios."""
+CELL = 0.5
+"""Standard deviation of the prior of ln w_s and of ln e about a point of the grid, in distances of its points: the sum
+over the grid is even within 2 %."""
+FARTHEST = 2.0
+"""w_s and e are sought within so many distances of the grid's points."""
 HIGHEST_VELOCITY = 1.0 / 6.0
 """The highest of them over the velocity at the ramps' end: a Stribeck effect that reached into the ramps' second half
 could not be told from less viscous friction."""
@@ -47,13 +54,21 @@ NOISE_RANGE = range(-18, 10, 2)
 """Logarithms of intensities between which the noise is sought."""
 STEPS = 3
 """Gauss-Newton steps without a Stribeck effect; the second already changes less than the noise."""
-STRIBECK_STEPS = 2
-"""Further steps for each assumption with a Stribeck effect."""
+STRIBECK_STEPS = 16
+"""Most further steps for each assumption with a Stribeck effect; each finds what is left of it by the velocities of the
+one before, so that w_s and e swing in."""
+SETTLED = 0.02
+"""They end with the step that promises less than this in the logarithm of the likelihood."""
+NEAR = 0.1
+"""Where the last step still promises more than 1 and than this part of what is gained over no effect, there is no
+optimum to approximate, and no fit."""
+HOPELESS = 20.0
+"""They also end where that of the marginal likelihood, with what the step promises, is so far below the best."""
 SHORTEST = 0.01
 """Least time constant T in ticks: the command's steps, whose sizes differ by a code, still show T far below a tick."""
 SPREADS = (1e-5, 0.3)
 """Standard deviations of alpha and of beta from ramp to ramp, relative, between which they are sought."""
-_ANGLE, _SPEED = 5, 6
+_ANGLE, _SPEED = 7, 8
 """Of the rows of `_derivatives`, those to angle and velocity at the beginning; the others belong to all ramps."""
 
 
@@ -122,37 +137,53 @@ def whiten(time: Array, columns: Array, T: float, q: float, r: float) -> tuple[A
 
 
 @kernel
-def _derivatives(time: Array, angle: Array, torque: Array, share: Array, shared: Array, start: Array) -> Array:
-    """Return the angle's residual, and its derivatives to alpha, beta, T, kappa, initial angle and velocity, (7, n).
+def _derivatives(time: Array, angle: Array, torque: Array, shares: Array, shared: Array, start: Array) -> Array:
+    """Return the angle's residual, and its derivatives to the shared parameters, initial angle and velocity, (9, n).
 
-    `share` is what is left of a Stribeck effect, `shared` alpha to kappa, `start` the initial angle and velocity.
+    `shares` are what is left of a Stribeck effect and its derivatives to ln w_s and ln e, shape (3, n); `shared` are
+    alpha, beta, T, kappa and the changes of ln w_s and ln e; `start` is the initial angle and velocity.
     """
-    alpha, beta, T, kappa = shared
-    final, h = alpha * torque - beta - kappa * share, 1e-3 * T
-    columns = np.empty((7, time.size))
+    alpha, beta, T, kappa = shared[0], shared[1], shared[2], shared[3]
+    final, h = alpha * torque - beta - kappa * shares[0], 1e-3 * T
+    columns = np.empty((9, time.size))
     columns[0] = angle - start[0] - respond(time, final, start[1], T)[0]
     columns[1] = respond(time, torque, 0.0, T)[0]
     columns[2] = respond(time, np.full(time.size, -1.0), 0.0, T)[0]
     later, earlier = respond(time, final, start[1], T + h)[0], respond(time, final, start[1], T - h)[0]
     columns[3] = (later - earlier) / (2 * h)
-    columns[4] = respond(time, -share, 0.0, T)[0]
+    columns[4] = respond(time, -shares[0], 0.0, T)[0]
+    columns[5] = respond(time, -kappa * shares[1], 0.0, T)[0]
+    columns[6] = respond(time, -kappa * shares[2], 0.0, T)[0]
     columns[_ANGLE] = 1.0
     columns[_SPEED] = -T * np.expm1(-(time - time[0]) / T)
     return columns
 
 
 class Stribeck(NamedTuple):
-    """What is assumed of a Stribeck effect: velocity rad/s at the motor, infinitely small for none, and exponent."""
+    """What is assumed of a Stribeck effect before a fit.
+
+    Attributes:
+        velocity: w_s, rad/s at the motor, 0 for no effect.
+        exponent: e.
+        widths: distances of ln w_s and ln e from the next assumptions.
+    """
 
     velocity: float = 0.0
     exponent: float = 1.0
+    widths: tuple[float, float] = (0.0, 0.0)
 
-    def share(self, speed: Array) -> Array:
-        """Return what is left of the effect from each reading to the next, shape (n,)."""
+    def shares(self, speed: Array, changes: Array) -> Array:
+        """Return what is left of the effect from each reading to the next, and its derivatives, shape (3, n).
+
+        Args:
+            speed: at the readings, rad/s, shape (n,).
+            changes: of ln w_s and ln e, by which the derivatives are.
+        """
         if not self.velocity:
-            return np.zeros_like(speed)
-        left = stribeck_decay(np.maximum(speed, 0.0), self.velocity, self.exponent)
-        return np.asarray(np.append((left[1:] + left[:-1]) / 2, left[-1]))
+            return np.zeros((3, speed.size))
+        velocity, exponent = np.array([self.velocity, self.exponent]) * np.exp(changes)
+        left = np.array(stribeck_decay_slopes(np.maximum(speed, 0.0), float(velocity), float(exponent)))
+        return np.concatenate(((left[:, 1:] + left[:, :-1]) / 2, left[:, -1:]), axis=1)
 
 
 @dataclass(frozen=True)
@@ -166,8 +197,8 @@ class RampsFit:
         spread: standard deviations, relative, of the torque's scale and of f_c from ramp to ramp, shape (2,).
         stribeck: probability that there is a Stribeck effect.
         velocities: fitted velocity of each ramp at the readings of its window, rad/s.
-        point: alpha, beta, T, kappa of the likeliest assumption about the Stribeck effect.
-        grams: of each ramp (see `_reduced`) there, shape (K, 5, 5).
+        point: alpha, beta, T of the likeliest assumption about the Stribeck effect.
+        grams: of each ramp (see `_reduced`) there, shape (K, 7, 7).
     """
 
     values: Array
@@ -183,7 +214,7 @@ class RampsFit:
         """Return f_c, f_v and J from some of the ramps alone, the Stribeck effect as found from all."""
         gram = self.grams[list(ramps)].sum(axis=0)
         change = np.linalg.solve(gram[1:4, 1:4], gram[1:4, 0])
-        return _to_friction(self.point + np.append(change, 0.0))
+        return _to_friction(self.point + change)
 
     def chi_square(self) -> tuple[float, int]:
         """Return by how much alphas and betas of each ramp's own would fit better, and the degrees of freedom."""
@@ -199,7 +230,7 @@ class RampsFit:
 
 
 def _to_friction(shared: Array) -> Array:
-    """Return f_c, f_v and J of alpha, beta, T (and kappa)."""
+    """Return f_c, f_v and J of alpha, beta, T (and more)."""
     alpha, beta, T = shared[:3]
     return np.array([beta / alpha, 1.0 / alpha, T / alpha])
 
@@ -208,8 +239,8 @@ def _to_friction(shared: Array) -> Array:
 def _reduced(time: Array, columns: Array, T: float, noise: float, variance: float) -> tuple[Array, Array, float]:
     """Return what the rows of `_derivatives` of one ramp say about the shared parameters.
 
-    That is the gram of the whitened shared rows without what the initial angle and velocity explain, shape (5, 5); that
-    angle and velocity for each of them, shape (2, 5); the logarithm of the determinants of the noise and of the
+    That is the gram of the whitened shared rows without what the initial angle and velocity explain, shape (7, 7); that
+    angle and velocity for each of them, shape (2, 7); the logarithm of the determinants of the noise and of the
     information on the start.
     """
     white, determinant = whiten(time, columns, T, noise, variance)
@@ -234,8 +265,9 @@ def _reduced(time: Array, columns: Array, T: float, noise: float, variance: floa
 class _Point:
     """A step of the fit for one assumption about the Stribeck effect.
 
-    `shared` are alpha, beta, T, kappa; `starts` angle and velocity at each window's start; `speeds` velocities;
-    `covariance` is that of the fitted ones of `shared`; `evidence` the logarithm of the marginal likelihood.
+    `shared` are alpha, beta, T, kappa and the changes of ln w_s and ln e; `starts` angle and velocity at each window's
+    start; `speeds` velocities; `covariance` is that of the fitted ones of `shared`; `evidence` the logarithm of the
+    marginal likelihood before the step, and `gain` by how much the step promised to raise that of the likelihood.
     """
 
     stribeck: Stribeck
@@ -244,10 +276,11 @@ class _Point:
     speeds: list[Array]
     covariance: Array
     evidence: float = 0.0
+    gain: float = 0.0
 
     def friction(self) -> tuple[Array, Array]:
         """Return f_c, f_v and J, and their covariance, shape (3, 3)."""
-        alpha, beta, T, _ = self.shared
+        alpha, beta, T = self.shared[:3]
         jacobian = np.array(
             [[-beta / alpha**2, 1 / alpha, 0.0], [-1 / alpha**2, 0.0, 0.0], [-T / alpha**2, 0.0, 1 / alpha]]
         )
@@ -257,15 +290,17 @@ class _Point:
 class _Ramps:
     """The windows of one load, and the steps of a fit to them."""
 
-    def __init__(self, windows: Sequence[SlidingWindow]) -> None:
+    def __init__(self, windows: Sequence[SlidingWindow], runs: Sequence[int]) -> None:
         self.windows = windows
+        self.run = np.array(runs)
         self.step, self.tick = windows[0].record.angle_step, windows[0].record.tick
         self.variance = self.step**2 / 12
-        slopes = np.array([window.record.slope for window in windows])
+        slopes = np.zeros(self.run.max() + 1)
+        slopes[self.run] = [window.record.slope for window in windows]
         self.repeats = [slopes == slope for slope in np.unique(slopes)]
-        self.freedom = len(windows) - len(self.repeats)
+        self.freedom = slopes.size - len(self.repeats)
         self.spread = np.zeros(2)
-        """Variances of alpha and beta from ramp to ramp."""
+        """Variances of alpha and beta from run to run."""
 
     def grid(self) -> list[Stribeck]:
         """Return the assumptions about a Stribeck effect, from the slowest that a reading resolves."""
@@ -274,37 +309,48 @@ class _Ramps:
         if fastest <= slowest:
             return []
         velocities = np.geomspace(slowest, fastest, VELOCITIES)
-        return [Stribeck(float(velocity), exponent) for exponent in EXPONENTS for velocity in velocities]
+        by_velocity, by_exponent = (math.log(ends[-1] / ends[0]) / (len(ends) - 1) for ends in (velocities, EXPONENTS))
+        widths = by_velocity, by_exponent
+        return [Stribeck(float(velocity), exponent, widths) for exponent in EXPONENTS for velocity in velocities]
 
     def start(self) -> _Point:
         """Return a point to begin with, from the velocities at each window's beginning and end."""
         starts = np.array([(window.angle[0], _speed(window, slice(0, 4, 3))) for window in self.windows])
         speeds = [np.full_like(window.time, start[1]) for window, start in zip(self.windows, starts, strict=True)]
         T = max(2.5 * self.tick, 0.05 * max(float(np.ptp(window.time)) for window in self.windows))
-        point = _Point(Stribeck(), np.array([1.0, 0.0, T, 0.0]), starts, speeds, np.empty((0, 0)))
-        return self.fit(self._step(point, FIRST_NOISE, [1, 2]), Stribeck(), FIRST_NOISE)
+        point = _Point(Stribeck(), np.array([1.0, 0.0, T, 0.0, 0.0, 0.0]), starts, speeds, np.empty((0, 0)))
+        return self.fit(self.advance(point, FIRST_NOISE, [1, 2]), FIRST_NOISE)
 
-    def fit(self, point: _Point, stribeck: Stribeck, noise: float) -> _Point:
-        """Return the fit for one assumption, from a point nearby."""
-        used = [1, 2, 3, 4] if stribeck.velocity else [1, 2, 3]
-        if not stribeck.velocity:
-            point = replace(point, shared=point.shared * [1, 1, 1, 0])
-        point = replace(point, stribeck=stribeck)
-        for _ in range(STRIBECK_STEPS if stribeck.velocity else STEPS):
-            point = self._step(point, noise, used)
+    def fit(self, point: _Point, noise: float) -> _Point:
+        """Return the fit without a Stribeck effect, from a point nearby."""
+        point = replace(point, stribeck=Stribeck(), shared=point.shared * [1, 1, 1, 0, 0, 0])
+        for _ in range(STEPS):
+            point = self.advance(point, noise, [1, 2, 3])
         return point
 
+    def with_effects(self, point: _Point, effects: Sequence[Stribeck], noise: float) -> list[_Point]:
+        """Return the fits with each effect, from a point nearby, that settle and are not hopeless beside the best."""
+        moving = [self.advance(replace(point, stribeck=effect), noise, [1, 2, 3, 4]) for effect in effects]
+        settled = list[_Point]()
+        for _ in range(STRIBECK_STEPS):
+            moving = [self.advance(one, noise, [1, 2, 3, 4, 5, 6]) for one in moving]
+            settled += [one for one in moving if one.gain < SETTLED]
+            least = max((one.evidence for one in (*settled, *moving)), default=0.0) - HOPELESS
+            moving = [one for one in moving if one.gain >= SETTLED and one.evidence + one.gain > least]
+        return settled + [one for one in moving if one.gain < max(1.0, NEAR * (one.evidence - point.evidence))]
+
     def noise(self, point: _Point) -> float:
-        """Return the intensity of the torque noise by restricted maximum likelihood, after any Stribeck effect.
+        """Return the intensity of the torque noise by restricted maximum likelihood, above any Stribeck effect.
 
         Alpha and beta are each ramp's own here: what differs between ramps is no torque noise.
         """
         T = float(point.shared[2])
         halves = []
         for window, whole in zip(self.windows, self._columns(replace(point, stribeck=Stribeck())), strict=True):
-            half = window.time.size // 2
-            time, columns = window.time[half:], whole[:, half:].copy()
-            columns[_SPEED] = -T * np.expm1(-(time - time[0]) / T)  # of a velocity that is free at the half
+            middle, falling = window.time.size // 2, window.torque[-1] < window.torque[0]
+            half = slice(0, middle) if falling else slice(middle, None)  # the faster one
+            time, columns = window.time[half], whole[:, half].copy()
+            columns[_SPEED] = -T * np.expm1(-(time - time[0]) / T)  # of a velocity that is free at its start
             halves.append((time, columns))
 
         def misfit(logarithm: float) -> float:
@@ -316,14 +362,14 @@ class _Ramps:
         return math.exp(float(minimize_scalar(misfit, bounds=(best - 2.0, best + 2.0), method="bounded").x))
 
     def between(self, point: _Point, noise: float) -> Array:
-        """Return the variances of alpha and beta from ramp to ramp of one slope, by restricted maximum likelihood.
+        """Return the variances of alpha and beta from run to run of one slope, by restricted maximum likelihood.
 
         Each slope has an alpha and a beta of its own here, so that what the model lacks is no difference of repeats.
         The variances are 0 where no slope was run twice.
         """
         if self.freedom == 0:
             return np.zeros(2)
-        grams = np.array([gram for gram, _, _ in self.parts(point, noise)])
+        grams = self._of_runs(self.parts(point, noise))
         size = np.abs(point.shared[:2])
 
         def misfit(logarithms: Array) -> float:
@@ -335,15 +381,19 @@ class _Ramps:
 
         low, high = np.log(SPREADS)
         middle = np.full(2, (low + high) / 2)
-        found = minimize(misfit, middle, method="L-BFGS-B", bounds=[(low, high)] * 2).x
+        # Differences over less than `eps` drown in the rounding of a likelihood of millions.
+        found = minimize(misfit, middle, method="L-BFGS-B", bounds=[(low, high)] * 2, options={"eps": 1e-4}).x
         return np.asarray((size * np.exp(found)) ** 2)
 
     def _columns(self, point: _Point) -> list[Array]:
         """Return the rows of `derivatives` for each ramp."""
         return [
-            _derivatives(window.time, window.angle, window.torque, point.stribeck.share(speeds), point.shared, start)
-            for window, speeds, start in zip(self.windows, point.speeds, point.starts, strict=True)
+            _derivatives(window.time, window.angle, window.torque, shares, point.shared, start)
+            for window, shares, start in zip(self.windows, self._shares(point), point.starts, strict=True)
         ]
+
+    def _shares(self, point: _Point) -> list[Array]:
+        return [point.stribeck.shares(speeds, point.shared[4:]) for speeds in point.speeds]
 
     def parts(self, point: _Point, noise: float) -> list[tuple[Array, Array, float]]:
         """Return what each ramp says about the shared parameters (see `_reduced`)."""
@@ -351,33 +401,41 @@ class _Ramps:
         T = float(point.shared[2])
         return [_reduced(window.time, columns, T, noise, self.variance) for window, columns in pairs]
 
-    def _step(self, point: _Point, noise: float, used: list[int]) -> _Point:
+    def _of_runs(self, parts: list[tuple[Array, Array, float]]) -> Array:
+        """Return the sums of the grams of each run's windows, shape (R, 7, 7)."""
+        sums = np.zeros((self.run.max() + 1, _ANGLE, _ANGLE))
+        np.add.at(sums, self.run, np.array([gram for gram, _, _ in parts]))
+        return sums
+
+    def advance(self, point: _Point, noise: float, used: list[int]) -> _Point:
         """Take one Gauss-Newton step in the parameters `used`; T changes at most by a factor of two."""
         parts = self.parts(point, noise)
         indices = np.array(used) - 1
-        prior = np.zeros(4)
+        prior, widths = np.zeros(6), np.array(point.stribeck.widths)
         if point.stribeck.velocity:
+            prior[4:] = 1.0 / (CELL * widths) ** 2
             prior[3] = 1.0 / (RISE_PRIOR_SD * max(abs(float(point.shared[1])), 1e-9)) ** 2
-        grams = np.array([gram for gram, _, _ in parts])
+        grams = self._of_runs(parts)
         loose, determinants = _loosened(grams, self.spread)
-        change, covariance, evidence = _solve(loose.sum(axis=0), used, prior[indices], point.shared[indices])
-        evidence -= (sum(part[2] for part in parts) + float(determinants.sum())) / 2
+        change, covariance, evidence, gain = _solve(loose.sum(axis=0), used, prior[indices], point.shared[indices])
+        evidence -= gain + (sum(part[2] for part in parts) + float(determinants.sum())) / 2
         shared, T = point.shared.copy(), point.shared[2]
         shared[indices] += change
         shared[2] = np.clip(shared[2], max(T / 2, SHORTEST * self.tick), 2 * T)
-        # What alpha and beta of each ramp differ by: the best linear prediction from what the change leaves.
+        shared[4:] = np.clip(shared[4:], -FARTHEST * widths, FARTHEST * widths)
+        # What alpha and beta of each run differ by: the best linear prediction from what the change leaves.
         left = grams[:, 1:3, 0] - grams[:, 1:3, used] @ change
         root = np.sqrt(self.spread)
         inner = np.eye(2) + root[:, None] * grams[:, 1:3, 1:3] * root
-        own = root * np.linalg.solve(inner, (root * left)[:, :, None])[:, :, 0]
+        own = (root * np.linalg.solve(inner, (root * left)[:, :, None])[:, :, 0])[self.run]
         starts, speeds = np.empty_like(point.starts), []
-        for k, (window, before) in enumerate(zip(self.windows, point.speeds, strict=True)):
+        for k, (window, shares) in enumerate(zip(self.windows, self._shares(point), strict=True)):
             by_row = parts[k][1]
             starts[k] = point.starts[k] + by_row[:, 0] - by_row[:, used] @ change - by_row[:, 1:3] @ own[k]
             alpha, beta = shared[:2] + own[k]
-            final = alpha * window.torque - beta - shared[3] * point.stribeck.share(before)
+            final = alpha * window.torque - beta - shared[3] * shares[0]
             speeds.append(respond(window.time, final, starts[k, 1], shared[2])[1])
-        return _Point(point.stribeck, shared, starts, speeds, covariance, evidence)
+        return _Point(point.stribeck, shared, starts, speeds, covariance, evidence, gain)
 
 
 def _speed(window: SlidingWindow, ends: slice) -> float:
@@ -386,10 +444,10 @@ def _speed(window: SlidingWindow, ends: slice) -> float:
 
 
 def _loosened(grams: Array, spread: Array) -> tuple[Array, Array]:
-    """Return grams of ramps whose alpha and beta have errors of their own, and the log determinants that these add.
+    """Return grams of runs whose alpha and beta have errors of their own, and the log determinants that these add.
 
     Args:
-        grams: of each ramp (see `_reduced`), shape (K, 5, 5).
+        grams: of each run (see `_reduced`), shape (R, 7, 7).
         spread: variances of the errors of alpha and beta, shape (2,).
     """
     root = np.sqrt(spread)
@@ -398,11 +456,11 @@ def _loosened(grams: Array, spread: Array) -> tuple[Array, Array]:
     return grams - left @ np.linalg.solve(inner, left.swapaxes(1, 2)), np.linalg.slogdet(inner)[1]
 
 
-def _solve(gram: Array, used: list[int], prior: Array, at: Array) -> tuple[Array, Array, float]:
+def _solve(gram: Array, used: list[int], prior: Array, at: Array) -> tuple[Array, Array, float, float]:
     """Solve the normal equations with a normal prior about zero.
 
-    Returns the change of the parameters from `at`, their covariance, and the logarithm of the marginal likelihood
-    but for the determinants of the noise's covariances.
+    Returns the change of the parameters from `at`, their covariance, the logarithm of the marginal likelihood but for
+    the determinants of the noise's covariances, and how much of it is due to the change.
     """
     information = gram[np.ix_(used, used)] + np.diag(prior)
     right = gram[used, 0] - prior * at
@@ -410,26 +468,29 @@ def _solve(gram: Array, used: list[int], prior: Array, at: Array) -> tuple[Array
     scaled = information * scale * scale[:, None]
     covariance = np.linalg.inv(scaled) * scale * scale[:, None]
     change = covariance @ right
-    square = float(gram[0, 0] + prior @ at**2 - right @ change)
+    gain = float(right @ change)
+    square = float(gram[0, 0] + prior @ at**2) - gain
     determinant = float(np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum())
     strength = float(np.log(prior[prior > 0.0]).sum())
-    return change, covariance, -(square + determinant - strength) / 2
+    return change, covariance, -(square + determinant - strength) / 2, gain / 2
 
 
-def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
+def fit_sliding(windows: Sequence[SlidingWindow], runs: Sequence[int] | None = None) -> RampsFit:
     """Fit all ramps of one load.
 
     Args:
-        windows: of ramps with at least two slopes.
+        windows: of ramps with at least two slopes, or with rising and with falling torque.
+        runs: number, from 0, of the run that each belongs to; None where each is one. What differs from run to run is
+            common to the windows of one: the torque's scale and the friction are drawn once for all of a swing.
     """
-    ramps = _Ramps(windows)
+    ramps = _Ramps(windows, range(len(windows)) if runs is None else runs)
     point = ramps.start()
     for _ in range(2):
         noise = ramps.noise(point)
         ramps.spread = ramps.between(point, noise)
-        point = ramps.fit(point, Stribeck(), noise)
+        point = ramps.fit(point, noise)
     grid = ramps.grid()
-    fits = [point, *(ramps.fit(point, stribeck, noise) for stribeck in grid)]
+    fits = [point, *ramps.with_effects(point, grid, noise)]
     evidence = np.array([fit.evidence for fit in fits])
     evidence[1:] -= math.log(max(len(grid), 1))  # no effect, and any effect, are equally likely beforehand
     weights = np.exp(np.nan_to_num(evidence, nan=-np.inf) - np.nanmax(evidence))
@@ -442,9 +503,9 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
     # Of a variance the part that the ramps' differences make is known as well as they are (Satterthwaite).
     _, total = best.friction()
     ramps.spread, spread = np.zeros(2), np.sqrt(ramps.spread) / np.abs(best.shared[:2])
-    _, within = ramps.fit(best, best.stribeck, noise).friction()
+    _, within = ramps.advance(best, noise, [1, 2, 3, 4, 5, 6] if best.stribeck.velocity else [1, 2, 3]).friction()
     share = np.clip(1.0 - np.diag(within) / np.diag(total), 1e-9, 1.0)
     freedom = max(ramps.freedom, 1) / share**2
     likely = 1.0 - float(weights[0])
     values, covariance = np.asarray(values), np.asarray(covariance)
-    return RampsFit(values, covariance, freedom, spread, likely, best.speeds, best.shared, grams)
+    return RampsFit(values, covariance, freedom, spread, likely, best.speeds, best.shared[:3], grams)

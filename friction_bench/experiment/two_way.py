@@ -156,19 +156,23 @@ def _windows(half: Half) -> list[SlidingWindow]:
     ]
 
 
-def _friction(swings: Sequence[Half], scale: float) -> RampFriction:
-    """Fit f_c, f_v and J to the sliding stretches of one direction.
+def _friction(swings: Sequence[Sequence[Half]], scale: float) -> RampFriction:
+    """Fit f_c, f_v and J to the sliding stretches of one direction, by swing: stretches of one swing are no repeats.
 
     Raises:
         IdentificationError: if there are none, or the result is not physical.
     """
-    windows = [window for half in swings for window in _windows(half)]
+    windows, runs = [], list[int]()
+    for halves_of_one in swings:
+        found = [window for half in halves_of_one for window in _windows(half)]
+        runs += [max(runs, default=-1) + 1] * len(found)
+        windows += found
     if len(windows) < 2:
         raise IdentificationError(
             f"{len(windows)} stretches of a sliding shaft in the swings; accepted: at least 2, "
             "by a larger end torque or a smaller slope"
         )
-    fit = fit_sliding(windows)
+    fit = fit_sliding(windows, runs)
     _, viscous, inertia = fit.values.tolist()
     if not (viscous > 0.0 and inertia > 0.0):
         raise UnphysicalError(
@@ -234,7 +238,7 @@ def identify_swings(records: Sequence[RampRecord], scale_uncertainty: float) -> 
     """
     found = [halves(record) for record in records]
     forward, backward = (
-        _friction([half for one in found for half in one if half.backward is way], scale_uncertainty)
+        _friction([[half for half in one if half.backward is way] for one in found], scale_uncertainty)
         for way in (False, True)
     )
     reversals = []

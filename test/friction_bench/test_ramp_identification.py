@@ -33,6 +33,7 @@ from friction_bench.experiment.record import (
     RampModel,
     RampRecord,
     RecordError,
+    SlidingWindow,
     read_csv,
     read_text,
     sliding_window,
@@ -301,6 +302,43 @@ def test_intervals_contain_what_differs_from_ramp_to_ramp() -> None:
     assert sum(hits) >= 37
     assert np.median(freedoms, axis=0)[:2] == pytest.approx((8 - 2, 8 - 2), rel=0.1)
     assert np.median(spreads, axis=0) == pytest.approx((0.02, 0.05 * (truth[0] - 0.1462) / truth[0]), rel=0.35)
+
+
+@pytest.mark.parametrize("velocity", [4.0, 4.7, 5.5, 6.4])
+def test_stribeck_velocity_between_the_grids_points_is_held(velocity: float) -> None:
+    """A solver's ramps with an effect of any w_s, e = 1.25, fine counts: f_c, f_v within 3 deviations, and 0.1 %."""
+    coulomb, viscous, inertia, left = 0.05, 1e-3, 6e-5, 0.02
+    windows = []
+    for slope in (0.02, 0.05):
+        time = np.arange(0.0, 0.1 / slope, TICK)  # from where the torque is f_c and delta_s
+        torque = coulomb + left + slope * (time + TICK)
+        angle, state = [0.0], np.zeros(2)
+        for held in torque[:-1]:
+
+            def motion(_: float, y: Array, held: float = held) -> list[float]:
+                rise = left * math.exp(-((max(y[1], 0.0) / velocity) ** 1.25))
+                return [y[1], (held - coulomb - rise - viscous * y[1]) / inertia]
+
+            state = solve_ivp(motion, (0.0, TICK), state, rtol=1e-9, atol=1e-10).y[:, -1]
+            angle.append(state[0])
+        step = math.tau / 10000
+        record = RampRecord(time, np.round(np.array(angle) / step) * step, slope, step, torque)
+        window = np.flatnonzero(record.angle > 0.1)
+        windows.append(SlidingWindow(record, time[window], record.angle[window], torque[window]))
+    fit = fit_sliding(windows)
+    errors = np.sqrt(np.diag(fit.covariance))
+    assert np.abs((fit.values - [coulomb, viscous, inertia]) / errors)[:2].max() < 3.0
+    assert fit.values[:2] == pytest.approx((coulomb, viscous), rel=1e-3)
+    assert fit.stribeck > 0.99
+
+
+def test_an_effect_that_settles_slowly_is_kept() -> None:
+    """A LuGre joint whose static friction is 1.4 times the Coulomb friction: f_c and f_v within 1 %, J within 3 %."""
+    rig = random_rig(1, 38, "LuGre")
+    quick = QuickRig(rig, 0)
+    fit = fit_sliding([sliding_window(quick.ramp(m, 0.16, True, "x")) for _ in range(5) for m in (0.0178, 0.0446)])
+    assert np.abs(fit.values / truth_of(rig, True) - 1.0) == pytest.approx([0.0, 0.0, 0.0], abs=0.03)
+    assert fit.values[:2] == pytest.approx(truth_of(rig, True)[:2], rel=0.01)
 
 
 @pytest.mark.parametrize(("speed", "torque"), [(5.0, 0.1), (5.0, -0.1), (-3.0, 0.02), (0.0, 0.04), (0.0, 0.06)])

@@ -29,7 +29,7 @@ from friction_bench.rig.messages import (
     encode,
     parse_hello,
 )
-from friction_bench.rig.plant import RigPlant
+from friction_bench.rig.plant import RigPlant, Shaft, turn
 from friction_bench.rig.rig_file import JointFriction, Rig, load_rig
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.arrays import Array
@@ -225,6 +225,26 @@ def test_lag_of_a_heavy_shaft_is_that_of_its_inertia() -> None:
     zero = float(np.interp(0.0, -torque[falling], time[falling])) + tick / 2
     assert reversal.lag == pytest.approx(crossing - zero, abs=tick)
     assert reversal.lag > 0.5  # J / f_v is 1 s
+
+
+def test_a_swing_counts_as_one_run() -> None:
+    """Where the torque is 2 % off from swing to swing, f_c has the standard error of so many swings, not stretches."""
+    tick, slope, step = 0.02, 0.05, math.tau / 10000
+    shaft, gains = Shaft(6e-5, 0.05, 1e-3), np.array([0.98, 1.0, 1.02])
+    turning = np.cumsum(np.repeat([1.0, -1.0, 1.0, -1.0], [150, 300, 300, 150])) * slope * tick
+    records = []
+    for number, gain in enumerate(gains):
+        angles, speed = [0.0], 0.0
+        for torque in gain * turning[:-1]:
+            angle, speed = turn(angles[-1], speed, float(torque), shaft, tick)
+            angles.append(angle)
+        angle = np.round(np.array(angles) / step) * step
+        time = tick * np.arange(angle.size)
+        records.append(RampRecord(time, angle, slope, step, turning, loaded=True, label=f"swing {number}", swing=True))
+    for friction in two_way.identify_swings(records, 0.0).friction:
+        expected = float(np.std(0.05 / gains, ddof=1)) / math.sqrt(3)
+        assert friction.coulomb.value == pytest.approx(0.05, abs=2 * expected)
+        assert friction.coulomb.error == pytest.approx(expected, rel=0.1)
 
 
 def test_files_of_both_directions_come_back(asymmetric: tuple[Rig, list[RampRecord]], tmp_path: Path) -> None:
