@@ -72,14 +72,16 @@ def regressor(arm: RigidArm, position: ArrayLike, velocity: ArrayLike, accelerat
 def excitation_problem(
     bags: Sequence[Path | str], robot: RobotOptions = _DEFAULT_ROBOT, bandwidths: Bandwidths | None = None
 ) -> ExcitationProblem:
-    """Return the equations of recorded runs as `identify_excitation` has them: filtered torque, regressor, rows.
+    """Return the equations of recorded runs, as `identify_excitation` begins with: filtered torque, regressor, rows.
 
+    Shocks are not left out here, and the bandwidths of the spectra are not checked against prediction.
     `identify_friction_parts(problem, parts=())` fits the simplest friction to them, other parts by name more.
 
     Args:
         bags: bags or tables.
         robot: that they come from; by default this project's.
-        bandwidths: of the filters; by default chosen from the runs.
+        bandwidths: of the filters; by default those that the runs' spectra ask for. Those of `identify_excitation` are
+            `result.problem.runs[0].bandwidths`.
 
     Raises:
         IdentificationError: for runs that do not fit or in which no joint moves.
