@@ -145,14 +145,14 @@ def identify_excitation(
     progress("consistent inertias")
     consistency = make_consistent(problem, friction, source, robot)
     elements = simulated_elements(friction.elements, source.fallback, loads)
-    written, offset = written_arm(problem, consistency)
+    written = written_arm(problem, consistency)
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
         other = equations([record], validation_bandwidths(record, bandwidths))
         for change in changes:
             other = change(other)
-        by_files = written_torque(other, written, [one.element for one in elements], offset)
+        by_files = written_torque(other, written, [one.element for one in elements])
         checks.append(_unseen(other, predicted_torque(friction, other), consistency, by_files, tolerances))
     torques = run_torques(problem, friction.predicted)
     return ExcitationIdentification(

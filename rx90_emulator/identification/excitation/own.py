@@ -25,7 +25,7 @@ from rx90_emulator.identification.excitation.problem import BaseGroups, Excitati
 from rx90_emulator.identification.identify import check_given_once, read_records
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.robot import RecordedRobot
-from rx90_emulator.identification.validation.prediction import element_torque, filtered_runs
+from rx90_emulator.identification.validation.prediction import drive_torque, filtered_runs
 
 _DEFAULT_ROBOT = RobotOptions()
 
@@ -134,5 +134,4 @@ def predict_torque(
     file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
     refuse_parts(file.elements, "a prediction of torques", f"{file.path or 'friction'}: elements.", held=("bristles",))
     elements = file.select(arm.element_names)
-    rubbing = element_torque(elements, speed @ arm.element_matrix.T, float(at[1] - at[0]))
-    return np.asarray(arm.torque(angle, speed, change) + rubbing @ arm.element_matrix)
+    return drive_torque(arm, elements, (angle, speed, change), float(at[1] - at[0]))

@@ -302,15 +302,15 @@ class TorqueValidation:
         return all(one.passed for one in self.criteria)
 
 
-def written_arm(problem: ExcitationProblem, consistency: Consistency) -> tuple[RigidArm, Array | float]:
-    """Return the arm that the files hold, and the offset of each joint's torque, Nm, shape (n,)."""
+def written_arm(problem: ExcitationProblem, consistency: Consistency) -> RigidArm:
+    """Return the arm that the files hold, with the offsets of its torques."""
     arm, columns, values = problem.arm, problem.columns, consistency.inertias.parameters
     n, spring, model = len(arm.names), arm.spring.copy(), arm.model.copy()
     for k, link in enumerate(values[: 10 * n].reshape(n, 10), 1):
         model.inertias[k] = pin.Inertia.FromDynamicParameters(link)
     rotor = arm.coupling.T @ np.diag(values[10 * n : 11 * n]) @ arm.coupling
     spring[columns.springs] = values[11 * n : 11 * n + len(columns.springs)]
-    return replace(arm, model=model, rotor=rotor, spring=spring), values[-n:]
+    return replace(arm, model=model, rotor=rotor, spring=spring, offset=values[-n:])
 
 
 _UNEXPLAINED_SHARE = 0.7  # of what varies in a torque: beyond, less than half of its square is explained

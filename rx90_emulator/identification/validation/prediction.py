@@ -151,23 +151,34 @@ def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Ban
     return chosen._replace(position=highest, torque=min(chosen.torque, highest / 3.0), reason=said)
 
 
-def written_torque(
-    problem: ExcitationProblem, arm: RigidArm, elements: Sequence[FrictionElement], offset: Array | float = 0.0
-) -> Array:
+def written_torque(problem: ExcitationProblem, arm: RigidArm, elements: Sequence[FrictionElement]) -> Array:
     """Return the torque of a problem's rows by what files hold, filtered like the recorded one, Nm, shape (r,).
 
     Args:
         problem: the rows; of its arm the kinematics.
-        arm: its twin with the links, rotors and springs of the files.
+        arm: its twin with the links, rotors, springs and offsets of the files.
         elements: one for each of the arm's.
-        offset: of the torque of each joint, Nm, shape (n,).
     """
-    along = []
-    for run in problem.runs:
-        friction = element_torque(elements, run.velocity @ arm.element_matrix.T, 1.0 / run.rate)
-        rigid = arm.torque(run.position, run.velocity, run.acceleration)
-        along.append((rigid + friction @ arm.element_matrix + offset)[:, :, None])
-    return problem.rows_of(along)[:, 0]
+    along = (
+        drive_torque(arm, elements, (run.position, run.velocity, run.acceleration), 1.0 / run.rate)[:, :, None]
+        for run in problem.runs
+    )
+    return problem.rows_of(list(along))[:, 0]
+
+
+def drive_torque(
+    arm: RigidArm, elements: Sequence[FrictionElement], motion: tuple[Array, Array, Array], step: float
+) -> Array:
+    """Return what the drives give at the joints along a motion, friction included, Nm, shape (m, n).
+
+    Args:
+        arm: of n joints.
+        elements: one for each of the arm's; bristles begin undeflected.
+        motion: positions, rad, velocities, rad/s, and accelerations, rad/s^2, each of shape (m, n).
+        step: between the samples, s.
+    """
+    friction = element_torque(elements, motion[1] @ arm.element_matrix.T, step)
+    return np.asarray(arm.torque(*motion) + friction @ arm.element_matrix)
 
 
 def element_torque(elements: Sequence[FrictionElement], velocity: Array, step: float) -> Array:
