@@ -140,6 +140,13 @@ class RigidArm:
         """Return what the drives give at the joints without friction, Nm, all arrays of shape (m, n)."""
         return rigid_torque(self.model, self.rotor, self.spring, position, velocity, acceleration) + self.offset
 
+    def with_bodies(self, links: Array, rotors: Array) -> RigidArm:
+        """Return the arm with other links, shape (10 n,) in `inertial`'s order, and rotors, kg m^2, shape (n,)."""
+        model = self.model.copy()
+        for k, link in enumerate(links.reshape(-1, 10), 1):
+            model.inertias[k] = pin.Inertia.FromDynamicParameters(link)
+        return replace(self, model=model, rotor=self.coupling.T @ np.diag(rotors) @ self.coupling)
+
     def with_joints(self, joints: Mapping[str, Mapping[str, float]]) -> RigidArm:
         """Return the arm with the offsets of a friction file's `joints`, and the rotors and springs that it states.
 

@@ -232,12 +232,10 @@ def _arm(problem: ExcitationProblem, parameters: Array) -> tuple[Any, Array]:
     base, n = problem.base, len(problem.arm.names)
     standard = problem.columns.values()
     standard[list(base.leading)] += parameters - base.combination @ standard
-    model = problem.arm.model.copy()
-    for k, values in enumerate(standard[: 10 * n].reshape(n, 10), 1):
-        values[0] = max(values[0], _MIN_MASS)
-        model.inertias[k] = pin.Inertia.FromDynamicParameters(values)
-    turns = problem.arm.coupling
-    return model, turns.T @ np.diag(standard[10 * n : 11 * n]) @ turns
+    masses = standard[: 10 * n : 10]
+    np.maximum(masses, _MIN_MASS, out=masses)
+    arm = problem.arm.with_bodies(standard[: 10 * n], standard[10 * n : 11 * n])
+    return arm.model, arm.rotor
 
 
 def _simulated(

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from scipy.stats import t as student
 
 from rx90_common.base.arrays import Array, Index
@@ -305,12 +304,10 @@ class TorqueValidation:
 def written_arm(problem: ExcitationProblem, consistency: Consistency) -> RigidArm:
     """Return the arm that the files hold, with the offsets of its torques."""
     arm, columns, values = problem.arm, problem.columns, consistency.inertias.parameters
-    n, spring, model = len(arm.names), arm.spring.copy(), arm.model.copy()
-    for k, link in enumerate(values[: 10 * n].reshape(n, 10), 1):
-        model.inertias[k] = pin.Inertia.FromDynamicParameters(link)
-    rotor = arm.coupling.T @ np.diag(values[10 * n : 11 * n]) @ arm.coupling
+    n, spring = len(arm.names), arm.spring.copy()
     spring[columns.springs] = values[11 * n : 11 * n + len(columns.springs)]
-    return replace(arm, model=model, rotor=rotor, spring=spring, offset=values[-n:])
+    bodies = arm.with_bodies(values[: 10 * n], values[10 * n : 11 * n])
+    return replace(bodies, spring=spring, offset=values[-n:])
 
 
 _UNEXPLAINED_SHARE = 0.7  # of what varies in a torque: beyond, less than half of its square is explained
