@@ -37,7 +37,8 @@ _NAP_S = 0.1  # gathers some thousand messages: a round has a cost of its own, w
 _MAX_PER_ROUND = 4000  # of one topic, so that none keeps the others waiting
 _QUEUE_BYTES = 256 << 20
 _QUIET_S = 0.2  # without a message of a topic after the end was asked for: nothing is under way any more
-_MAX_DRAIN_S = 2.0
+_STEADY_QUIET_S = 1.0  # the same of a topic that was sent steadily: a lost message is sent again after some heartbeats
+_MAX_DRAIN_S = 5.0
 _MAX_END_S = 30.0  # busy machines take up to 10 s; callers that stop a recorder wait longer than this
 
 
@@ -110,7 +111,9 @@ class MessageReader(threading.Thread):
             now = time.monotonic()
             # Not at once: the clock of another machine may be ahead.
             complete = now >= begin + _QUIET_S and all(
-                stream.sent_ns > self._asked_ns or now >= at + _QUIET_S for stream, at in heard.items()
+                stream.sent_ns > self._asked_ns
+                or now >= at + (_STEADY_QUIET_S if stream.needs_publisher and stream.sent_ns else _QUIET_S)
+                for stream, at in heard.items()
             )
 
     def _round(self, streams: Iterable[Stream]) -> bool:

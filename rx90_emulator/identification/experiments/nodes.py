@@ -14,8 +14,10 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from rx90_common.bags.reading import read_bag
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, ExchangeError
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import resolve_config
 from rx90_common.exchange.client_node import POLL, ClientNode, client_node, text_parameter
 from rx90_common.friction.friction_file import load_friction
@@ -59,8 +61,8 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
         trajectory.wait_for_controller()
         set_points = trajectory.set_points(names)
 
-        def follow(points: TrajectoryPoints, show: Callable[[float], object]) -> None:
-            _follow(client, trajectory, names, set_points, points, show)
+        def follow(points: TrajectoryPoints, show: Callable[[float], object]) -> float:
+            return _follow(client, trajectory, names, set_points, points, show)
 
         here, start = set_points.position, plan[0].points.position[0]
         assert here is not None  # the client has waited for the first
@@ -83,16 +85,20 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
                     words = executable("rx90_bag", "record", "--output", bag, *TOPICS[experiment.kind])
                     recorder = recorders.start(name, words)
                     recorder.wait_for("ready: all", timeout)
-                    follow(experiment.points, partial(show, done))
+                    end = follow(experiment.points, partial(show, done))
                     recorder.signal(signal.SIGINT)
-                    if not (code := recorder.wait(timeout)):
+                    if code := recorder.wait(timeout):
+                        what = f"the recorder ended with exit code {code}"
+                    elif (last := _last_time(bag)) < end:
+                        what = f"the bag ends at {last:.3f} s, before the motion does at {end:.3f} s"
+                    else:
                         show(done, experiment.duration)
                         break
                     show(done, 0.0)
                     if attempt == _ATTEMPTS:
-                        raise ExchangeError(f"the recorder of {name} ended with exit code {code} (see {recorder.log})")
+                        raise ExchangeError(f"{name}: {what} (see {recorder.log})")
                     # Experiments end where they begin, so this one can begin again.
-                    bar.write(f"{name}: the recorder ended with exit code {code}; again", file=sys.stderr)
+                    bar.write(f"{name}: {what}; again", file=sys.stderr)
                     shutil.rmtree(bag, ignore_errors=True)
                 if not number and (friction := text_parameter(client, "rx90_sim", "friction")):
                     try:
@@ -105,8 +111,8 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
 def _follow(
     client: ClientNode, trajectory: TrajectoryClient, names: Sequence[str], set_points: NewestPositions,
     points: TrajectoryPoints, show: Callable[[float], object],
-) -> None:  # fmt: skip
-    """Send a trajectory and wait until the controller's set-points are at its end."""
+) -> float:  # fmt: skip
+    """Send a trajectory, wait until the controller's set-points are at its end, and return when it ended, s."""
 
     def newest() -> tuple[float, Array, float]:
         client.spin()
@@ -123,6 +129,12 @@ def _follow(
     while not run.done:
         run.see(*newest())
         show(run.elapsed)
+    return run.end
+
+
+def _last_time(bag: Path) -> float:
+    """Return until when each topic of states in a bag has messages, s."""
+    return min(float(series.stamp_ns[-1]) for series in read_bag(bag).values()) / NANOSECONDS
 
 
 class FollowedTrajectory:
@@ -138,6 +150,7 @@ class FollowedTrajectory:
 
     Attributes:
         elapsed: s of its duration.
+        end: when it ends at the latest, in the time of the set-points, s; infinite before it begins.
         done: whether it has ended.
     """
 
@@ -147,7 +160,7 @@ class FollowedTrajectory:
         self._rest, self._duration = float(points.times[max(leaves - 1, 0)]), float(points.times[-1])
         self._began: float | None = None
         self._seen, self._went_on, self._due = -math.inf, 0.0, (0.0, 0.0)
-        self.elapsed, self.done = 0.0, False
+        self.elapsed, self.end, self.done = 0.0, math.inf, False
 
     def see(self, now: float, position: Array, clock: float) -> None:
         """Take the newest set-point.
@@ -172,10 +185,11 @@ class FollowedTrajectory:
             raise ExchangeError(f"the controller's time stood still at {now:.3f} s for {self._timeout:g} s")
         if self._began is None and not near(self._before):
             self._began = now - self._rest
-            self._due = self._began + self._duration + _PATIENCE, clock + self._duration + _PATIENCE
+            self.end = self._began + self._duration
+            self._due = self.end + _PATIENCE, clock + self._duration + _PATIENCE
         if self._began is not None:
             self.elapsed = min(max(0.0, now - self._began), self._duration)
-            self.done = now > self._began + self._duration + POLL and near(self._end)
+            self.done = now > self.end + POLL and near(self._end)
         # Both clocks: without a pace seconds of simulated time pass while a message is on its way.
         if not self.done and now > self._due[0] and clock > self._due[1]:
             raise ExchangeError("the controller did not run the trajectory to its end; it says why on its terminal")

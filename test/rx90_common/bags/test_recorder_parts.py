@@ -35,27 +35,39 @@ class Publisher:
 
     index = 0
     time_source = TimeSource.NEWEST
+    needs_publisher = True
+    resent_after = 0.0
 
     def __init__(self) -> None:
         self.sent_ns = 0
         self.taken = 0
         self._calls = 0
+        self._resent = 0.0
         self._begin_ns = time.time_ns()
 
     def take(self) -> Arrived:
         """Return a message and, in the next call, none."""
         self._calls += 1
-        if self._calls % 2 == 0:
+        if self.taken == SENT_BEFORE // 2 and not self._resent:
+            self._resent = time.monotonic() + self.resent_after
+        if self._calls % 2 == 0 or time.monotonic() < self._resent:
             return Arrived(0, self.time_source, MessageBatch.of([]), np.empty(0, dtype=np.int64))
         self.taken += 1
         self.sent_ns = self._begin_ns if self.taken <= SENT_BEFORE else time.time_ns()
         return Arrived(0, self.time_source, MessageBatch.of([b"%d" % self.taken]), np.zeros(1, dtype=np.int64))
 
 
-def test_a_publisher_that_goes_on_is_read_up_to_the_end_that_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All that was sent before the end is read, however late it comes; then the recorder ends, busy topics or not."""
+@pytest.mark.parametrize("resent_after", [0.0, 0.6])
+def test_a_publisher_that_goes_on_is_read_up_to_the_end_that_was_asked_for(
+    monkeypatch: pytest.MonkeyPatch, resent_after: float
+) -> None:
+    """All that was sent before the end is read, however late it comes; then the recorder ends, busy topics or not.
+
+    What was lost on the way holds up what follows until the publisher sends it again, some heartbeats later.
+    """
     monkeypatch.setattr(recording, "_MAX_DRAIN_S", LONG)
     publisher: Any = Publisher()
+    publisher.resent_after = resent_after
     reader = recording.MessageReader()
     reader.add(publisher)
     reader.start()

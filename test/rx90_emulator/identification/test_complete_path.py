@@ -20,6 +20,7 @@ from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import DONE, INTERRUPTED
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_emulator.cli.frame import run
+from rx90_emulator.identification.experiments import nodes
 from rx90_emulator.identification.experiments import plan as plans
 from rx90_emulator.identification.experiments import series as recording
 from rx90_emulator.identification.experiments.excitation import plan_excitation
@@ -154,7 +155,8 @@ def test_experiments_run_on_the_real_nodes(
     """From the recorder's bags of experiments on the real nodes comes a friction file with joint 4's parameters.
 
     A planned excitation run has the set-points and torques of the engine, to the bit. Ctrl-C in an experiment ends
-    with 130, the one before it in the index, and no recorder left behind.
+    with 130, the one before it in the index, and no recorder left behind. What a bag lacks of a motion's end is
+    recorded again.
     """
     cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=0.0")
     planned, cut = tmp_path / "planned", tmp_path / "cut"
@@ -170,12 +172,16 @@ def test_experiments_run_on_the_real_nodes(
         words += [f"--{name}", str(getattr(EXCITATION, name))]
     assert run("rx90_experiment", ["run", "--nodes", *words]) == DONE
     monkeypatch.setattr(plans, "make_plan", lambda *_: short_series(shipped))
+    last_time, cut_off = nodes._last_time, [0.0]
+    monkeypatch.setattr(nodes, "_last_time", lambda bag: cut_off.pop() if cut_off else last_time(bag))
     interrupt = threading.Thread(target=interrupt_once, args=[cut / "long"])
     interrupt.start()
     assert run("rx90_experiment", ["run", "--nodes", "--output", str(cut)]) == INTERRUPTED
     interrupt.join()
     cell.signal(signal.SIGINT)  # it would go on as fast as it can
-    assert capsys.readouterr().err.splitlines()[-1] == "rx90_experiment: interrupted; complete bags stay"
+    said = capsys.readouterr().err
+    assert said.splitlines()[-1] == "rx90_experiment: interrupted; complete bags stay"
+    assert re.findall(r"(\w+): the bag ends at 0\.000 s, before the motion does at [\d.]+ s; again", said) == ["cycle"]
     done = read_index(cut)
     assert [bag.name for bag in (*done.presliding, *done.sliding)] == ["cycle", "slide"]
     assert not [file for file in open_files() if str(cut) in file]

@@ -202,6 +202,7 @@ def test_a_run_is_followed_from_its_beginning_to_its_end(shipped: Setup, delay: 
         run.see(now, np.array([np.interp(into, points.times, joint) for joint in points.position.T]), clock)
         clock, now = clock + 0.1, now + (2.0 if into < 0.0 else 0.05)
     assert 0.0 < now - 40.0 - delay - points.times[-1] < 2.5
+    assert 0.0 <= run.end - 40.0 - delay - points.times[-1] < 2.5  # until then the bag must reach
     waiting = FollowedTrajectory(points, np.zeros(6), 60.0)
     for clock, now in ((0.0, 0.0), (1.0, 90.0)):
         waiting.see(now, np.zeros(6), clock)
