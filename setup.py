@@ -27,10 +27,11 @@ EXECUTABLES = (
 
 
 def data_files() -> list[tuple[str, list[str]]]:
-    """List config/, launch/ and firmware/ folder by folder, for `share/rx90_emulator`."""
+    """List config/, launch/ and firmware/ folder by folder, and what reports quote, for `share/rx90_emulator`."""
     entries = [
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/docs/reference", ["docs/reference/glossary_and_works.md"]),
     ]
     for root in ("config", "launch", "firmware"):
         folders = [Path(root), *sorted(p for p in Path(root).rglob("*") if p.is_dir())]
@@ -74,6 +75,7 @@ setup(
         "matplotlib>=3.6,<3.12",
         "Jinja2>=3.1.2,<4",
         "bokeh>=3.9,<3.10",
+        "markdown-it-py>=3,<5",
         "tqdm>=4.66,<5",
         "pyserial>=3.5,<4",
         "shtab>=1.13,<2",
@@ -94,7 +96,6 @@ setup(
             "distributed>=2026.1,<2027",
             "pandas>=2.2,<4",
             "wheel>=0.42,<1",
-            "markdown-it-py>=3,<5",
             "nbclient>=0.10,<0.12",
             "nbformat>=5.10,<6",
             "ipykernel>=6.29,<8",

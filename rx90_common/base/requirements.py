@@ -24,6 +24,7 @@ SOURCES = {
     "jinja2": Source("Jinja2", "python3-jinja2"),
     "llvmlite": Source("numba"),
     "lz4": Source("rosbags"),
+    "markdown_it": Source("markdown-it-py"),
     "markupsafe": Source("Jinja2", "python3-jinja2"),
     "matplotlib": Source("matplotlib", "python3-matplotlib"),
     "mcap": Source("mcap"),

@@ -22,9 +22,11 @@ from bokeh.plotting import ColumnDataSource, figure
 from bokeh.resources import INLINE
 from bokeh.transform import linear_cmap
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from markdown_it import MarkdownIt
 from markupsafe import Markup
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.share import share_directory
 from rx90_common.report.picture import as_svg
 from rx90_common.report.plot import (
     Band,
@@ -47,6 +49,7 @@ _MOST_POINTS = 8000  # of a curve
 _DOTS_PER_INCH = 96
 _EXACT = 0.01  # of its size: what a curve varies by at least where single precision is enough to zoom in
 _PLACE = "<!--plot {}-->"  # text from outside is escaped, so that nobody else writes it
+_TERMS = "<!--terms-->"
 _PRINTF = "{%.6g}"
 
 
@@ -54,6 +57,14 @@ _PRINTF = "{%.6g}"
 def _environment(package: str) -> Environment:
     loaders = [PackageLoader(package), PackageLoader("rx90_common.report")]
     return Environment(loader=ChoiceLoader(loaders), autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+
+
+@cache
+def _terms() -> Markup:
+    """Return the documentation's glossary and works as HTML; their links to other pages become text."""
+    text = (share_directory() / "docs/reference/glossary_and_works.md").read_text(encoding="utf-8")
+    text = re.sub(r"\[([^]]*)\]\((?!https:)[^)]*\)", r"\1", text.partition("\n## ")[2])
+    return Markup(MarkdownIt("commonmark").enable("table").render("## " + text))
 
 
 def render_page(package: str, template: str, words: Callable[[str], str] = str, **values: object) -> str:
@@ -79,6 +90,7 @@ def render_page(package: str, template: str, words: Callable[[str], str] = str, 
     page = _environment(package).get_template(template).render(known)
     pieces = re.split(r"(<(?:script|style)\b.*?</(?:script|style)>)", page, flags=re.DOTALL)
     page = "".join(piece if piece.startswith(("<script", "<style")) else words(piece) for piece in pieces)
+    page = page.replace(_TERMS, _terms())
     if not plots:
         return page
     lengths = [len(mark.x) for plot in plots for panel in plot.panels if isinstance(panel, Panel)

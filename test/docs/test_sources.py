@@ -7,6 +7,7 @@ import importlib
 import itertools
 import math
 import re
+from html import escape, unescape
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import unquote
@@ -168,11 +169,16 @@ def test_each_doi_is_one_and_leads_to_itself() -> None:
     assert len({name for name, _ in found}) == len(found)
 
 
-def test_every_report_names_the_glossary() -> None:
-    """The frame names the page with terms and works, the page is there, and each report is written into the frame."""
-    frame = render_page("rx90_common.report", "page.html.j2")
-    assert str(WORKS.relative_to(ROOT)) in frame.partition("<footer>")[2].partition("</footer>")[0]
-    assert WORKS.is_file()
+def test_every_report_holds_the_glossary() -> None:
+    """The frame holds each term and each work of the page, with its DOI, and each report is written into the frame."""
+    frame = render_page("rx90_common.report", "page.html.j2").partition("<footer>")[2].partition("</footer>")[0]
+    rows = [line.split(" | ") for line in WORKS.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
+    for row in rows:
+        first = re.sub(r"[*`]|\]\([^)]*\)|\[", "", row[0].removeprefix("| "))
+        assert escape(first, quote=False) in re.sub(r"</?(em|code|a)\b[^>]*>", "", frame)
+    links = set(re.findall(r"\]\((https://doi[^\s]+)\) \|", WORKS.read_text(encoding="utf-8")))
+    assert links <= {unescape(link) for link in re.findall(r'href="([^"]+)"', frame)}
+    assert ".md" not in frame  # pages that a report's reader does not have
     pages = [page for package in PACKAGES for page in (ROOT / package).rglob("*.html.j2") if page.name[0] != "_"]
     without = [page.name for page in pages if not page.read_text().startswith('{% extends "page.html.j2" %}')]
     assert sorted(without) == ["page.html.j2", "plot.html.j2"]

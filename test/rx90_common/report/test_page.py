@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from jinja2 import UndefinedError
 
@@ -28,11 +30,13 @@ def test_every_report_stands_in_the_one_frame(name: str) -> None:
 def test_the_frame_loads_nothing_from_elsewhere() -> None:
     """The page refers to nothing outside itself and forbids the browser to load anything; without plots it is small."""
     page = render_page("rx90_common.report", "page.html.j2")
+    page, works = re.subn(r'<a href="https://[^"]*">', "", page)  # for the reader; the browser does not follow
+    assert works > 30
     assert page.startswith("<!doctype html>")
     assert len(REPORTS) == 9
     assert not any(word in page for word in ("http:", "https:", "src=", "<link", "@import", "url("))
     assert "default-src 'none'" in page
-    assert len(page) < 10_000
+    assert len(page) < 25_000
 
 
 @pytest.mark.parametrize("name", REPORTS)
