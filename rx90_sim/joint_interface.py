@@ -37,7 +37,7 @@ class JointInterface:
         self.measure()
 
     def measure(self) -> tuple[Array, Array, Array]:
-        """Return position by the encoders rad, observed velocity rad/s, torque by the current sensors Nm, at the joints.
+        """Return position by encoders rad, observed velocity rad/s, torque by current sensors Nm, all at the joints.
 
         Shape (6,); always the same arrays, brought up to date by this call.
         """

@@ -114,7 +114,8 @@ class SimulationParameters:
         least = 2.0 / self.command_hz
         if self.command_interface == JOINT_INTERFACE and limit < least:
             raise ConfigError(
-                f"parameter command_age_limit is {limit:g} s; accepted: at least two periods of the commands, {least:g} s"
+                f"parameter command_age_limit is {limit:g} s; accepted: at least two periods of the commands, "
+                f"{least:g} s"
             )
         return limit
 
