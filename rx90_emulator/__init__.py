@@ -12,8 +12,8 @@
 Setups          load_setup, parameters, with_parameters, Setup, Rates
 Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints
 Runs            run_line, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; for hours: repeat_line,
-                RepeatedLine; with a controller of one's own: run_controller, ControllerRun; small deviations from a motion: prepare_perturbation, PerturbationModel,
-                PerturbationResult
+                RepeatedLine; with a controller of one's own: run_controller, ControllerRun; small deviations from a
+                motion: prepare_perturbation, PerturbationModel, PerturbationResult
 Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries
 Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
                 Verdict

@@ -1,4 +1,4 @@
-"""An example of a controller of one's own: computed torque with friction compensation, along a motion there and back."""
+"""An example of a controller of one's own: computed torque with friction compensation, there and back."""
 
 from __future__ import annotations
 

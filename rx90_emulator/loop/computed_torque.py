@@ -1,4 +1,4 @@
-"""Computed torque with friction compensation: an example of a controller of one's own, for `run_controller` and nodes."""
+"""Computed torque with friction compensation: an example of a controller of one's own."""
 
 from __future__ import annotations
 

@@ -24,8 +24,8 @@ from rx90_sim.joint_interface import JointInterface
 from rx90_sim.plant_step import friction_states, plant_step
 
 EffortController = Callable[[Array, Array, float], ArrayLike | None]
-"""Measured joint positions rad, velocities rad/s, both of shape (6,), and time s; returns efforts at the joints, Nm, shape
-(6,), or None for no torque and closed brakes."""
+"""Takes measured joint positions rad, velocities rad/s, both of shape (6,), and time s; returns efforts at the joints,
+Nm, shape (6,), or None for no torque and closed brakes."""
 
 _NO_TORQUE = np.zeros(6)
 
@@ -80,7 +80,7 @@ class ControllerRun:
     Attributes:
         setup: the arm; its controller took no part.
         command_rate: how often efforts were asked for, Hz.
-        joint_states: links, at the rate of the position loop: rad, rad/s, drive torque at the joint Nm, shape (m, 3, 6).
+        joint_states: of the links, in each position tick: rad, rad/s, drive torque at the joint Nm, shape (m, 3, 6).
         friction_states: bristle deflection rad, input velocity rad/s, friction torque Nm, shape (m, 3, 7).
         measured: what the controller was given, and the efforts by the current sensors, shape (n, 3, 6).
         efforts: what it returned, Nm, shape (n, 6); 0 where it returned None.
