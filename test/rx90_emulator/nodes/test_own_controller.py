@@ -88,8 +88,11 @@ FAULTS: list[tuple[Command, str]] = [
     (lambda s: command(s, position=ZERO), r"position without effort; accepted: 6 efforts at the joints, Nm"),
     (lambda s: command(s, effort=ZERO[:4]), r"effort has 4 elements; accepted: 6"),
     (lambda s: command(s, effort=[np.nan, *ZERO[1:]]), r"effort of joint_1 is nan; accepted: a finite number"),
-    (lambda _: command(Time(sec=1_790_000_000), effort=ZERO), r"the stamp is 1790000000 s, of another clock,.*accepted"),
-    (lambda s: command(s), r"effort is empty: no torque, brakes closed; for torque: 6 efforts at the joints"),
+    (
+        lambda _: command(Time(sec=1_790_000_000), effort=ZERO),
+        r"the stamp is 1790000000 s, of another clock,.*accepted",
+    ),
+    (command, r"effort is empty: no torque, brakes closed; for torque: 6 efforts at the joints"),
 ]
 
 
@@ -193,7 +196,7 @@ def test_a_topic_based_ros2_control_system_drives_the_arm(processes: Processes, 
 
 
 def test_a_late_listener_of_joint_states_alone_may_answer_them(processes: Processes, client: Client) -> None:
-    """In lock-step the stamp counts, not the topic that was heard; unset stamps are told when they are not the time's."""
+    """In lock-step the stamp counts, not the topic that was heard; one that is not set is told."""
     publisher = client.node.create_publisher(JointState, "joint_commands", 1)
     unset = True
 
