@@ -11,7 +11,6 @@ Where that does not reach, they are recognised by what they send, and time stand
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 
@@ -22,6 +21,7 @@ from rx90_common.exchange.channel import TickChannel
 _SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at
 _PATIENCE = 1.0  # s of silence before it is announced and, with a peer there, the message is sent again
 _CLOCKS_APART = 3600 * NANOSECONDS
+_OTHERS = 3  # commands with other stamps in one wait that are no repetitions, nor from before a reset
 _CONFLICTS = 3  # different commands for a stamp that make two controllers; a restart in mid-tick makes one at most
 
 
@@ -106,7 +106,7 @@ class LockstepSimulation:
         channel = self._channel
         matches = channel.matches()
         began = sent = looked = time.monotonic()
-        wrong: tuple[float, int] | None = None  # since when stamps are wrong, s, and the first of them, ns
+        others, wrong_ns, complained = 0, 0, False  # commands with other stamps; whether that was said
         while True:
             if raw is not None:
                 if cdr_stamp_ns(raw) == stamp_ns and not self._two_controllers:
@@ -114,8 +114,8 @@ class LockstepSimulation:
                     self._accepted = raw
                     return raw
                 self._ignore(raw)
-                if wrong is None and cdr_stamp_ns(raw) not in (stamp_ns, cdr_stamp_ns(self._accepted)):
-                    wrong = time.monotonic(), cdr_stamp_ns(raw)
+                if cdr_stamp_ns(raw) != stamp_ns and not self._two_controllers:
+                    others, wrong_ns = others + 1, cdr_stamp_ns(raw)
             now = time.monotonic()
             # Looked at by the clock: a stream of foreign commands must not keep it from being looked at.
             if raw is None or now - looked >= _SLICE:
@@ -124,17 +124,16 @@ class LockstepSimulation:
                 looked = now
                 current = channel.matches()
                 there = current.publishers > 0 and current.subscriptions > 0
-                if wrong is not None:
-                    # Not at once: commands from before a reset may be on their way.
-                    if now - wrong[0] > _PATIENCE:
-                        wrong = math.inf, wrong[1]
+                if others >= _OTHERS and now - began > _PATIENCE:
+                    if not complained:
+                        complained = True
                         self._wait.explained()
                         self._complain(
-                            f"{channel.subscribe_topic}: {stamped(wrong[1], stamp_ns)}; accepted in lock_step: that of "
+                            f"{channel.subscribe_topic}: {stamped(wrong_ns, stamp_ns)}; accepted in lock_step: that of "
                             "the states that a command answers; time stands still"
                         )
-                elif now - began > _PATIENCE or not there:
-                    self._announce_wait(stamp_ns, there)
+                elif now - began > (_PATIENCE if others == 0 else _OTHERS * _PATIENCE) or current.publishers == 0:
+                    self._announce_wait(stamp_ns, current.publishers > 0)
                 if there and (current != matches or now - sent > _PATIENCE):
                     self._two_controllers = self._two_controllers and current.publishers > 1
                     channel.publish(state)
