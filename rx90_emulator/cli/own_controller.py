@@ -84,7 +84,8 @@ def _drive(controller: ComputedTorque, names: tuple[str, ...], options: argparse
     timeout = options.timeout or _TIMEOUT
     with client_node("own_controller", timeout, lambda text: print(text, flush=True), options.ros_args) as client:
         node = EffortController(client.node, controller, names)
-        client.wait(lambda: node.time is not None, f"states on {client.node.resolve_topic_name(MEASURED_JOINT_STATES)}")
+        topic = client.node.resolve_topic_name(MEASURED_JOINT_STATES)
+        client.wait(lambda: node.time is not None, f"states on {topic}, of rx90_sim with command_interface joint,")
         begin, calls, heard = node.time or 0.0, 0, time.monotonic()
         while (node.time or 0.0) - begin < options.duration:
             client.spin()

@@ -16,6 +16,7 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.parameters import declare, declare_rates
 from rx90_common.exchange.topics import (
     COMMAND_INTERFACES,
+    FREE_RUNNING,
     JOINT_INTERFACE,
     LOCK_STEP,
     MOTOR_INTERFACE,
@@ -112,7 +113,7 @@ class SimulationParameters:
             ConfigError: if it is shorter than two periods of the commands.
         """
         least = 2.0 / self.command_hz
-        if self.command_interface == JOINT_INTERFACE and limit < least:
+        if self.command_interface == JOINT_INTERFACE and self.time_mode == FREE_RUNNING and limit < least:
             raise ConfigError(
                 f"parameter command_age_limit is {limit:g} s; accepted: at least two periods of the commands, "
                 f"{least:g} s"

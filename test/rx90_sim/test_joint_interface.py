@@ -57,7 +57,10 @@ def test_power_is_the_same_at_motors_and_joints(plant: Plant) -> None:
         ({"command_interface": "gripper"}, "command_interface is 'gripper'; accepted: motor, joint"),
         ({"command_rate": 1000}, "command_rate is 1000 with command_interface motor"),
         ({"command_interface": "joint", "command_rate": 300}, "command_rate is 300 Hz; accepted: a rate that divides"),
-        ({"command_interface": "joint", "command_rate": 10}, "command_age_limit is 0.1 s; accepted: at least two"),
+        (
+            {"command_interface": "joint", "command_rate": 10, "time_mode": "free_running"},
+            "command_age_limit is 0.1 s; accepted: at least two periods of the commands, 0.2 s",
+        ),
     ],
 )
 def test_what_cannot_be_kept_is_refused(given: dict[str, object], words: str) -> None:
