@@ -10,7 +10,7 @@ from rx90_common.base.errors import ExchangeError
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.endpoints import TICK_QOS
 from rx90_common.exchange.pacing import OnceLog
-from rx90_common.exchange.topics import COMMAND_INTERFACES
+from rx90_common.exchange.topics import COMMAND_INTERFACES, JOINT_COMMANDS
 from rx90_sim.joint_interface import JointInterface
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -43,7 +43,7 @@ class JointCommands:
         if position is not None or velocity is not None:
             given = " and ".join(n for n, v in (("position", position), ("velocity", velocity)) if v is not None)
             raise ExchangeError(f"{given} without effort; accepted: {self._accepted}")
-        self._once.say(f"effort is empty: no torque, brakes closed; for torque: {self._accepted}")
+        self._once.say(f"{JOINT_COMMANDS}: effort is empty: no torque, brakes closed; for torque: {self._accepted}")
         return None
 
 

@@ -207,16 +207,17 @@ class Ticks:
             self._encode_states = JointStateCodec(plant.joint_names).encoder(*joints.measure())
             self._decode = JointCommands(joints, plant.joint_names, once).decode
             self._complain: Callable[[str], None] = once.say
+            otherwise = "; with time_mode free_running a clock of its own is accepted"
             limit = parameters.command_age_limit
             self.held: HeldCommand = NewestCommand(channel, self._decode, rates.period_ns, limit, log.info, once)
         else:
             commands, throttled = JointStateCodec(MOTOR_NAMES), ThrottledLog(log.error)
             self._encode_states = JointStateCodec(MOTOR_NAMES).encoder(*plant.motor_states())
             self._decode = lambda raw: commands.decode(raw)[3]
-            self._complain = partial(throttled.say, "command")
+            self._complain, otherwise = partial(throttled.say, "command"), ""
             timeout, interrupting = parameters.command_timeout, self.control.interrupting
             self.held = HeldCommand(channel, self._decode, rates.period_ns, timeout, log.info, interrupting)
-        self.lockstep = LockstepSimulation(channel, log.info, self._complain)
+        self.lockstep = LockstepSimulation(channel, log.info, lambda text: self._complain(text + otherwise))
 
     @property
     def next_stamp_ns(self) -> int:
