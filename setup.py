@@ -17,6 +17,7 @@ EXECUTABLES = (
     "rx90_run",
     "rx90_bag",
     "rx90_compare_measured",
+    "rx90_own_controller",
     "rx90_config",
     "rx90_demo",
     "rx90_sweep",

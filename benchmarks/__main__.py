@@ -27,6 +27,7 @@ COMMANDS = {
     "lockstep": "nodes lockstep",
     "composition": "nodes composition",
     "speed": "nodes speed",
+    "own_controller": "nodes own_controller",
     "view": "view",
     "sweep": "sweep",
     "friction_ramp": "friction_ramp grid",

@@ -1,14 +1,15 @@
 """How fast the nodes are: in lock-step against a bare ping-pong, in one process, and as in `make demo`, recorded.
 
-    python -m benchmarks.nodes lockstep|composition|speed [--rounds 9] [--real-time]
+    python -m benchmarks.nodes lockstep|composition|speed|own_controller [--rounds 9] [--real-time]
 
 lockstep: simulation and controller in two processes, not paced, in turns with a bare ping-pong of their messages, so
 that whatever else the machine does meets both; and the rate of free-running time. composition: both nodes in one
 process, alone, and with everything recorded by another one. speed: simulation, controller, line and recorder in four
 processes, with the processor time and the wake-ups of each part; not paced, or with --real-time. Processor time is what
 the system counts for each thread; it says less about what else the machine does than wall time does.
-docs/explanation/speed.md explains its table. Each recorded run is compared with the closed loop without ROS, message by
-message: none may be missing, no bit may differ.
+docs/explanation/speed.md explains its table. own_controller: a Python effort controller at 1 kHz, over DDS with plain
+rclpy and in one process with the arm, in turns with the four processes. Each recorded run is compared with the closed
+loop without ROS, message by message: none may be missing, no bit may differ.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from benchmarks.effort_client import Hold
 from benchmarks.ping_pong import ping_pong
 from benchmarks.report import arguments, prepare_ros, print_table, publish, spread
 from rx90_common.bags.comparison import Verdict, compare_bags
@@ -36,6 +38,7 @@ from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 from rx90_controller.lines.task import load_task
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import plan_line
+from rx90_emulator.loop.own_controller import run_controller
 from rx90_emulator.loop.result import write_bag
 from rx90_emulator.loop.setup import Setup
 
@@ -248,6 +251,35 @@ def speed(rounds: int, pace: float = 0.0) -> dict[str, float]:
     return figures
 
 
+def own_controller(rounds: int) -> dict[str, float]:
+    """Return the figures of a controller of one's own for out/bench.json.
+
+    Raises:
+        Rx90Error: if a process fails.
+    """
+    setup, nodes, alone, demo = Setup.load(), [], [], []
+    run_controller(setup, Hold(), 0.1)  # compiles
+    with tempfile.TemporaryDirectory() as folder:
+        recording = Recording(Path(folder))
+        for number in range(rounds):
+            with ProcessGroup() as group:
+                group.start("client", [sys.executable, "-m", "benchmarks.effort_client"])
+                run = ("duration:=10.0", "real_time_factor:=0.0", "paused:=true", "command_interface:=joint")
+                simulation = _start(group, "rx90_sim", *run)
+                nodes.append(_watch(lambda _now, process=simulation: process.returncode is not None, release=True))  # type: ignore[misc]
+                simulation.expect_success()
+            began = time.perf_counter()
+            run_controller(setup, Hold(), RECORDED)
+            alone.append(RECORDED / (time.perf_counter() - began))
+            demo.append(recording.run(number, one_process=False).factor)
+    return {
+        **spread("own_controller_real_time_factor", nodes),
+        **spread("own_controller_in_process_real_time_factor", alone),
+        "own_controller_vs_demo": statistics.median(n / d for n, d in zip(nodes, demo, strict=True)),
+        "own_controller_in_process_vs_demo": statistics.median(a / d for a, d in zip(alone, demo, strict=True)),
+    }
+
+
 def parts(runs: Sequence[Run]) -> list[tuple[str, ...]]:
     """Return the medians over the runs: process, part, us and wake-ups in a tick, us in a recorded message."""
     rows = []
@@ -262,7 +294,7 @@ def parts(runs: Sequence[Run]) -> list[tuple[str, ...]]:
 
 def main() -> int:
     """Measure what is asked for, print the figures and merge them; those at real time are printed alone."""
-    measures = {"speed": speed, "lockstep": lockstep, "composition": composition}
+    measures = {"speed": speed, "lockstep": lockstep, "composition": composition, "own_controller": own_controller}
     options = arguments(
         __doc__,
         ("what", tuple(measures), "which arrangement"),

@@ -12,8 +12,8 @@
 Setups          load_setup, parameters, with_parameters, Setup, Rates
 Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints
 Runs            run_line, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; for hours: repeat_line,
-                RepeatedLine; small deviations from a motion: prepare_perturbation, PerturbationModel,
-                PerturbationResult
+                RepeatedLine; with a controller of one's own: run_controller, ControllerRun; small deviations from a
+                motion: prepare_perturbation, PerturbationModel, PerturbationResult
 Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries
 Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
                 Verdict
@@ -128,6 +128,7 @@ if TYPE_CHECKING:
         plan_line as plan_line,
         run_line as run_line,
     )
+    from rx90_emulator.loop.own_controller import ControllerRun as ControllerRun, run_controller as run_controller
     from rx90_emulator.loop.parameters import parameters as parameters, with_parameters as with_parameters
     from rx90_emulator.loop.result import RunResult as RunResult, save_arrays as save_arrays, write_bag as write_bag
     from rx90_emulator.loop.setup import Setup as Setup, load_setup as load_setup

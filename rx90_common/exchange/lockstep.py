@@ -20,7 +20,17 @@ from rx90_common.exchange.channel import TickChannel
 
 _SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at
 _PATIENCE = 1.0  # s of silence before it is announced and, with a peer there, the message is sent again
+_CLOCKS_APART = 3600 * NANOSECONDS
+_OTHERS = 3  # commands with other stamps in one wait that are no repetitions, nor from before a reset
 _CONFLICTS = 3  # different commands for a stamp that make two controllers; a restart in mid-tick makes one at most
+
+
+def stamped(stamp_ns: int, now_ns: int) -> str:
+    """Return what is to say of a stamp that is not the simulation's."""
+    if stamp_ns == 0:
+        return f"header.stamp is 0, not set, at {now_ns / NANOSECONDS:.6g} s"
+    of = ", of another clock," if abs(stamp_ns - now_ns) > _CLOCKS_APART else ""
+    return f"the stamp is {stamp_ns / NANOSECONDS:.10g} s{of} at {now_ns / NANOSECONDS:.6g} s"
 
 
 class Wait:
@@ -36,6 +46,10 @@ class Wait:
             self._announced = True
             self._announce(text)
 
+    def explained(self) -> None:
+        """Announce no more what is waited for: another line says it."""
+        self._announced = True
+
     def end(self, stamp_ns: int) -> None:
         """Announce that the wait is over."""
         if self._announced:
@@ -46,12 +60,19 @@ class Wait:
 class LockstepSimulation:
     """The simulation's side; owned by the thread that ticks.
 
+    Args:
+        channel: publishes states, receives commands.
+        announce: prints a line.
+        complain: prints a line about a controller whose stamps are wrong; called once for each wait; else `announce`.
+
     Attributes:
         ignored: commands whose stamp was not the pending one.
     """
 
-    def __init__(self, channel: TickChannel, announce: Callable[[str], None]) -> None:
-        self._channel = channel
+    def __init__(
+        self, channel: TickChannel, announce: Callable[[str], None], complain: Callable[[str], None] | None = None
+    ) -> None:
+        self._channel, self._complain = channel, complain or announce
         self._wait = Wait(announce, "the controller answers: time runs on from")
         self._accepted = b""
         self._conflicts = 0
@@ -85,6 +106,7 @@ class LockstepSimulation:
         channel = self._channel
         matches = channel.matches()
         began = sent = looked = time.monotonic()
+        others, wrong_ns, complained = 0, 0, False  # commands with other stamps; whether that was said
         while True:
             if raw is not None:
                 if cdr_stamp_ns(raw) == stamp_ns and not self._two_controllers:
@@ -92,6 +114,8 @@ class LockstepSimulation:
                     self._accepted = raw
                     return raw
                 self._ignore(raw)
+                if cdr_stamp_ns(raw) != stamp_ns and not self._two_controllers:
+                    others, wrong_ns = others + 1, cdr_stamp_ns(raw)
             now = time.monotonic()
             # Looked at by the clock: a stream of foreign commands must not keep it from being looked at.
             if raw is None or now - looked >= _SLICE:
@@ -100,14 +124,26 @@ class LockstepSimulation:
                 looked = now
                 current = channel.matches()
                 there = current.publishers > 0 and current.subscriptions > 0
-                if now - began > _PATIENCE or not there:
-                    self._announce_wait(stamp_ns, there)
+                if others >= _OTHERS and now - began > _PATIENCE:
+                    if not complained:
+                        complained = True
+                        self._wait.explained()
+                        self._complain(
+                            f"{channel.subscribe_topic}: {stamped(wrong_ns, stamp_ns)}; accepted in lock_step: that of "
+                            "the states that a command answers; time stands still"
+                        )
+                elif now - began > (_PATIENCE if others == 0 else _OTHERS * _PATIENCE) or current.publishers == 0:
+                    self._announce_wait(stamp_ns, current.publishers > 0)
                 if there and (current != matches or now - sent > _PATIENCE):
                     self._two_controllers = self._two_controllers and current.publishers > 1
                     channel.publish(state)
                     sent = now
                 matches = current
             raw = channel.receive(_SLICE)
+
+    def explained(self) -> None:
+        """Announce no more that nobody answers: why the command of the last `exchange` is refused has been said."""
+        self._wait.explained()
 
     def _announce_wait(self, stamp_ns: int, there: bool) -> None:
         topic, still = self._channel.subscribe_topic, f"time stands still at {stamp_ns / NANOSECONDS:.6g} s"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +12,8 @@ from rx90_common.base.quoting import one_line
 
 _FORGIVEN = 0.1  # s behind that are caught up; more than that is given up, so that a stall is no burst of ticks
 _LINE_PERIOD = 5.0  # s
+_FORGOTTEN = 30.0  # s without a fault, after which it is a new one
+_NUMBER = re.compile(r"[-+]?\d[\d.e+-]*|\bnan\b|[-+]?\binf\b")
 
 
 def check_factor(factor: float) -> float:
@@ -148,3 +151,26 @@ class ThrottledLog:
         self._due[kind] = now + _LINE_PERIOD
         suppressed = self._suppressed.pop(kind, 0)
         self._announce(one_line(text) + (f" (and {suppressed} times before)" if suppressed else ""))
+
+
+class OnceLog:
+    """Prints a line about a fault once, however often it comes; lines that differ in numbers alone are of one fault.
+
+    One that has stayed away for half a minute is printed again. Callable from every thread.
+
+    Args:
+        announce: prints a line.
+        clock: the steady clock, s.
+    """
+
+    def __init__(self, announce: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+        self._announce, self._clock = announce, clock
+        self._last: dict[str, float] = {}
+
+    def say(self, text: str) -> None:
+        """Print `text`, unless this fault is known."""
+        now, fault = self._clock(), _NUMBER.sub("#", text)
+        known = now - self._last.get(fault, -_FORGOTTEN) < _FORGOTTEN
+        self._last[fault] = now
+        if not known:
+            self._announce(one_line(text))

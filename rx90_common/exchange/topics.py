@@ -12,6 +12,17 @@ from rx90_common.base.rates import Rates
 MOTOR_NAMES: Final = tuple(f"motor_{i}" for i in range(1, 7))
 MOTOR_STATES: Final = "motor_states"
 MOTOR_COMMANDS: Final = "motor_commands"
+JOINT_COMMANDS: Final = "joint_commands"
+"""Efforts at the joints, in place of MOTOR_COMMANDS."""
+MEASURED_JOINT_STATES: Final = "measured_joint_states"
+"""What the drives measure, seen at the joints: the states that JOINT_COMMANDS answer."""
+MOTOR_INTERFACE: Final = "motor"
+JOINT_INTERFACE: Final = "joint"
+COMMAND_INTERFACES: Final = {
+    MOTOR_INTERFACE: (MOTOR_STATES, MOTOR_COMMANDS),
+    JOINT_INTERFACE: (MEASURED_JOINT_STATES, JOINT_COMMANDS),
+}
+"""The sides on which the simulation can be commanded, each with the topics of states and of commands."""
 TRAJECTORY_ACCEPTED: Final = "trajectory_accepted"
 """Private topic of the controller: what it follows, stamped with the time at which that starts."""
 COMMANDED_TRAJECTORY: Final = "joint_trajectory"

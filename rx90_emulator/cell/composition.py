@@ -16,7 +16,7 @@ from rx90_common.base.quoting import quoted
 from rx90_common.exchange import lifecycle
 from rx90_common.exchange.channel import LocalLink
 from rx90_common.exchange.lifecycle import Managed, TickingNode, started
-from rx90_common.exchange.topics import MOTOR_STATES
+from rx90_common.exchange.topics import MOTOR_INTERFACE, MOTOR_STATES
 from rx90_controller.node.controller_node import ControllerNode
 from rx90_sim.node.simulation import Simulation
 
@@ -59,6 +59,12 @@ def compose(own: Mapping[str, Sequence[str]]) -> list[TickingNode]:
     """
     link = LocalLink()
     simulation = Simulation(link.end, own[SIMULATION])
+    interface = simulation.node.get_parameter("command_interface").value
+    if interface != MOTOR_INTERFACE:
+        raise ConfigError(
+            f"parameter command_interface is {quoted(interface)} with {CONTROLLER} in the same process; accepted: "
+            f"{MOTOR_INTERFACE}, or {SIMULATION} alone"
+        )
     control = ControllerNode(link.end, own[CONTROLLER], local=True)
     name = simulation.node.get_fully_qualified_name()
     if name == control.node.get_fully_qualified_name():

@@ -11,7 +11,8 @@ from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import cdr_stamp_ns
 from rx90_common.exchange.channel import TickChannel
-from rx90_common.exchange.pacing import ThrottledLog
+from rx90_common.exchange.lockstep import stamped
+from rx90_common.exchange.pacing import OnceLog, ThrottledLog
 
 MOST_AGE = 3
 """Ticks from the states that a command answers to the last that it is applied in: docs/explanation/free_running.md."""
@@ -19,6 +20,7 @@ _LINES = 4  # about the brakes in _LINES_WINDOW; more changes are counted
 _LINES_WINDOW = 10.0  # s
 _OUT_OF_TURN = 3  # commands that are not newer than the one before, within _WINDOW, that make two controllers
 _WINDOW = 5.0  # s
+_ELSEWHERE = 3  # stamps in a row that make another clock; commands from before a reset are fewer
 _SLICE = 0.05  # s of a wait after which interruptions are looked at
 
 
@@ -68,6 +70,7 @@ class HeldCommand:
     def wait_for(self, timeout: float) -> None:
         """Wait so long for a command, s, from the next tick on; callable from every thread."""
         self._timeout, self._oldest = timeout, max(MOST_AGE, round(timeout * NANOSECONDS / self._period_ns))
+        self._most_age = MOST_AGE
 
     def forget(self) -> None:
         """Drop the command, after a reset."""
@@ -94,7 +97,7 @@ class HeldCommand:
         return self._torques if self._followed and not self.two_controllers else None
 
     def _too_old(self, tick: int) -> bool:
-        return self._answered is None or tick - self._answered > MOST_AGE
+        return self._answered is None or tick - self._answered > self._most_age
 
     def _wait(self, tick: int) -> bool:
         """Wait for a command that is new enough; return whether there is one to go on with."""
@@ -117,9 +120,12 @@ class HeldCommand:
             try:
                 found = self._use(raw, tick) or found
             except ExchangeError as error:
-                self._log.say("command", f"{self._topic}: {error}; the message is ignored")
+                self._complain(f"{self._topic}: {error}; the message is ignored")
             raw = self._channel.receive(0.0)
         return found
+
+    def _complain(self, text: str) -> None:
+        self._log.say("command", text)
 
     def _use(self, raw: bytes, tick: int) -> bool:
         """Hold a command; return whether it is newer than the one before.
@@ -128,19 +134,26 @@ class HeldCommand:
             ExchangeError: if it is not a command, or not one for this tick.
         """
         torques = self._decode(raw)
-        stamp = cdr_stamp_ns(raw)
+        answered = self._tick_answered(cdr_stamp_ns(raw), tick)
+        if answered is None:
+            return False
+        self._answered = answered
+        self._torques = None if torques is None else torques.copy()
+        return True
+
+    def _tick_answered(self, stamp: int, tick: int) -> int | None:
+        """Return the tick whose states a command with this stamp, ns, answers; None for one that is out of turn."""
         if stamp <= self._stamp:
             self._note_out_of_turn()
-            return False
+            return None
         answered = stamp // self._period_ns
         if not (stamp >= 0 and 0 <= tick - answered <= self._oldest):
             raise ExchangeError(
                 f"the stamp is {stamp / NANOSECONDS:.6g} s at {tick * self._period_ns / NANOSECONDS:.6g} s; "
                 f"accepted: that of the states it answers, up to {self._timeout:g} s old"
             )
-        self._stamp, self._answered = stamp, answered
-        self._torques = None if torques is None else torques.copy()
-        return True
+        self._stamp = stamp
+        return answered
 
     def _note_out_of_turn(self) -> None:
         """A controller answers each tick once and in order, but for the moment in which it begins again."""
@@ -168,3 +181,66 @@ class HeldCommand:
         else:
             text = f"no command on {self._topic} for {self._timeout:g} s: torque off, brakes closed"
         self._announce(text + (f" (after {changes - 1} changes without a line)" if changes > 1 else ""))
+
+
+class NewestCommand(HeldCommand):
+    """Takes the newest joint command and holds it, while time goes on, until it is older than a limit.
+
+    Its age is counted from the states whose stamp it bears. A controller that stamps by a clock of its own, or not at
+    all, is recognised by stamps that are not simulated times of late; of its commands the age is counted from the
+    arrival.
+
+    Args:
+        channel: as for HeldCommand.
+        decode: as for HeldCommand.
+        period_ns: a tick.
+        limit: age at which the torque is taken away, s.
+        announce: prints a line for the user.
+        once: says what is wrong with commands.
+    """
+
+    def __init__(
+        self,
+        channel: TickChannel,
+        decode: Callable[[bytes], Array | None],
+        period_ns: int,
+        limit: float,
+        announce: Callable[[str], None],
+        once: OnceLog,
+    ) -> None:
+        self._once = once
+        super().__init__(channel, decode, period_ns, limit, announce)
+
+    def wait_for(self, timeout: float) -> None:
+        """Hold a command up to this age, s, from the next tick on; callable from every thread."""
+        super().wait_for(timeout)
+        self._most_age = self._oldest
+
+    def forget(self) -> None:
+        """Drop the command, after a reset."""
+        super().forget()
+        self._elsewhere = 0  # stamps in a row that are not simulated times of late
+
+    def _wait(self, tick: int) -> bool:  # noqa: ARG002 - time goes on
+        return False
+
+    def _complain(self, text: str) -> None:
+        self._once.say(text)
+
+    def _tick_answered(self, stamp: int, tick: int) -> int | None:
+        answered = stamp // self._period_ns
+        if stamp >= 0 and 0 <= tick - answered <= self._oldest:
+            self._elsewhere = 0
+            if stamp < self._stamp:  # the same again is usual where /clock is slower than the commands
+                self._note_out_of_turn()
+                return None
+            self._stamp = stamp
+            return answered
+        self._elsewhere += 1
+        if self._elsewhere < _ELSEWHERE:
+            return None
+        self._once.say(
+            f"{self._topic}: {stamped(stamp, tick * self._period_ns)}; accepted: that of the states that a command "
+            f"answers, up to {self._timeout:g} s old; now the newest counts, for {self._timeout:g} s from its arrival"
+        )
+        return tick

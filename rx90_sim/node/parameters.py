@@ -9,12 +9,20 @@ from rclpy.node import Node
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import one_line, quoted
-from rx90_common.base.rates import Rates
+from rx90_common.base.rates import Rates, ticks_per
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.parameters import declare, declare_rates
-from rx90_common.exchange.topics import LOCK_STEP, TEMPERATURE_RATE, TIME_MODES
+from rx90_common.exchange.topics import (
+    COMMAND_INTERFACES,
+    FREE_RUNNING,
+    JOINT_INTERFACE,
+    LOCK_STEP,
+    MOTOR_INTERFACE,
+    TEMPERATURE_RATE,
+    TIME_MODES,
+)
 from rx90_common.friction import load_friction
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_sim.plant import Plant
@@ -48,7 +56,18 @@ class SimulationParameters:
     )
     real_time_factor: float = field(metadata=_as(1.0, "pace in lock_step, 0 for as fast as it goes", 0.0, 1000.0))
     command_timeout: float = field(
-        metadata=_as(0.5, "free_running: wait for a late command before the brakes close, s", 0.0, 10.0)
+        metadata=_as(0.5, "free_running: wait for a late motor command before the brakes close, s", 0.0, 10.0)
+    )
+    command_interface: str = field(
+        metadata=_as(
+            MOTOR_INTERFACE, "motor: motor_commands answer motor_states; joint: joint_commands, efforts, drive the arm"
+        )
+    )
+    command_rate: int = field(
+        metadata=_as(0, "rate of joint_commands, which are held in between, Hz; 0: position_rate", 0, 20000)
+    )
+    command_age_limit: float = field(
+        metadata=_as(0.1, "free_running: age of the newest joint command at which the brakes close, s", 0.001, 10.0)
     )
     initial_position: list[float] = field(
         metadata=_as([0.0] * 6, "joint positions at the start and after a reset, rad")
@@ -70,10 +89,43 @@ class SimulationParameters:
     def __post_init__(self) -> None:
         if self.time_mode not in TIME_MODES:
             raise ConfigError(f"parameter time_mode is {quoted(self.time_mode)}; accepted: {', '.join(TIME_MODES)}")
+        if self.command_interface not in COMMAND_INTERFACES:
+            raise ConfigError(
+                f"parameter command_interface is {quoted(self.command_interface)}; accepted: "
+                f"{', '.join(COMMAND_INTERFACES)}"
+            )
+        if self.command_interface == MOTOR_INTERFACE and self.command_rate:
+            raise ConfigError(
+                f"parameter command_rate is {self.command_rate} with command_interface motor, whose rate is base_rate; "
+                f"accepted: 0, or command_interface {JOINT_INTERFACE}"
+            )
+        ticks_per("command_rate", self.rates.base_hz, self.command_hz)
+        self.check_age_limit(self.command_age_limit)
         if len(self.initial_position) != 6:
             raise ConfigError(
                 f"parameter initial_position has {len(self.initial_position)} numbers; accepted: six, rad"
             )
+
+    def check_age_limit(self, limit: float) -> float:
+        """Return an age limit of joint commands, s, that leaves time to answer.
+
+        Raises:
+            ConfigError: if it is shorter than two periods of the commands.
+        """
+        least = 2.0 / self.command_hz
+        if self.command_interface == JOINT_INTERFACE and self.time_mode == FREE_RUNNING and limit < least:
+            raise ConfigError(
+                f"parameter command_age_limit is {limit:g} s; accepted: at least two periods of the commands, "
+                f"{least:g} s"
+            )
+        return limit
+
+    @property
+    def command_hz(self) -> int:
+        """Return how often commands are taken, Hz."""
+        if self.command_interface == MOTOR_INTERFACE:
+            return self.rates.base_hz
+        return self.command_rate or self.rates.position_hz
 
     @property
     def last_tick(self) -> int | None:

@@ -19,7 +19,15 @@ from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
 from rx90_common.exchange.lifecycle import spin as spin_nodes
 from rx90_common.exchange.pacing import check_factor
 from rx90_common.exchange.parameters import Effective
-from rx90_common.exchange.topics import LOCK_STEP, MOTOR_STATES, SEED, TEMPERATURE_RATE, TIME_MODE, TimeMode
+from rx90_common.exchange.topics import (
+    COMMAND_INTERFACES,
+    JOINT_INTERFACE,
+    LOCK_STEP,
+    SEED,
+    TEMPERATURE_RATE,
+    TIME_MODE,
+    TimeMode,
+)
 from rx90_sim.drives import warm_motors
 from rx90_sim.node.parameters import (
     FILE_PARAMETERS,
@@ -31,6 +39,10 @@ from rx90_sim.node.parameters import (
 from rx90_sim.node.ticks import Ticks
 
 _REQUEST_TIMEOUT = 5.0  # s
+
+
+def _ignore(_value: object) -> None:
+    """Take a value that something else looks at, or that has no effect in this mode."""
 
 
 class Simulation:
@@ -73,8 +85,10 @@ class Simulation:
         self._arm = arm = SimulatedArm(self.node, files, parameters)
         arm.ticks.listeners.others = self._also_listening
         self._allow("real_time_factor", arm.check_pace, arm.ticks.pacer.change)
-        self._allow("command_timeout", float, arm.ticks.held.wait_for)
-        self._allow("step_ticks", int, lambda _: None)  # looked at by each call
+        joint = parameters.command_interface == JOINT_INTERFACE
+        self._allow("command_age_limit", parameters.check_age_limit, arm.ticks.held.wait_for if joint else _ignore)
+        self._allow("command_timeout", float, _ignore if joint else arm.ticks.held.wait_for)
+        self._allow("step_ticks", int, _ignore)  # looked at by each call
         self.node.changes.publish_constants(SEED, TEMPERATURE_RATE)
         self._follow(arm.time_mode)
         self.node.ticking.begin(arm.ticks.run, arm.ticks.control.stop)
@@ -156,7 +170,10 @@ class SimulatedArm:
             text += f", real_time_factor {node.get_parameter('real_time_factor').value:g}"
         if self._plant.substeps > 1:
             text += f", {self._plant.substeps} plant steps in a tick"
-        text += f", states on {node.resolve_topic_name(MOTOR_STATES)}"
+        states, commands = COMMAND_INTERFACES[parameters.command_interface]
+        text += f", states on {node.resolve_topic_name(states)}"
+        if parameters.command_interface == JOINT_INTERFACE:
+            text += f", efforts on {node.resolve_topic_name(commands)} at {parameters.command_hz} Hz"
         if self.ticks.control.paused:
             text += f"; paused until {node.resolve_service_name('~/pause')} is called with false"
         node.get_logger().info(text)

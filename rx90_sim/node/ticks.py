@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from enum import Enum, auto
+from functools import partial
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
@@ -15,9 +16,11 @@ from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.endpoints import Listeners, wait_until_matched, wait_until_received
 from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.lockstep import LockstepSimulation
-from rx90_common.exchange.pacing import Pacer, ThrottledLog
-from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
-from rx90_sim.node.held_command import HeldCommand
+from rx90_common.exchange.pacing import OnceLog, Pacer, ThrottledLog
+from rx90_common.exchange.topics import COMMAND_INTERFACES, JOINT_INTERFACE, LOCK_STEP, MOTOR_NAMES
+from rx90_sim.joint_interface import JointInterface
+from rx90_sim.node.held_command import HeldCommand, NewestCommand
+from rx90_sim.node.joint_commands import CommandWatch, JointCommands
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.publications import Publications
 from rx90_sim.plant import Plant
@@ -184,28 +187,37 @@ class Ticks:
         self._lock_step = parameters.time_mode == LOCK_STEP
         self._publications = Publications(node, robot, plant, parameters)
         self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
-        self._channel = node.make_channel(MOTOR_STATES, MOTOR_COMMANDS)
+        self._channel = channel = node.make_channel(*COMMAND_INTERFACES[parameters.command_interface])
         self._waiting_tick, self._heartbeat_due = -1, 0.0  # the tick that does not end; s of the steady clock
         self._publishers = (*self._publications.publishers, self._channel.publisher)
         self._published_tick = -1
-        self._encode_states = JointStateCodec(MOTOR_NAMES).encoder(*plant.motor_states())
-        self._commands = JointStateCodec(MOTOR_NAMES)
         self._torques: Array | None = None  # of the newest command; brakes closed for None
-        self._throttled = ThrottledLog(log.error)
+        once = OnceLog(log.error)
+        self._watch = CommandWatch(node, parameters.command_interface, once)
         self.control = RunControl(parameters.paused, self._channel.wake, parameters.last_tick)
         self.control.hold()
-        self.lockstep = LockstepSimulation(self._channel, log.info)
         ticks = min(rates.ratio, rates.base_hz // parameters.joint_state_rate)
         self.listeners = Listeners(self._publications.publishers, ticks, self.control.interrupting)
         self.listeners.add([self._channel.publisher], self._channel.answering)
-        self.held = HeldCommand(
-            self._channel,
-            lambda raw: self._commands.decode(raw)[3],
-            rates.period_ns,
-            parameters.command_timeout,
-            log.info,
-            self.control.interrupting,
-        )
+        self._joints: JointInterface | None = None
+        self._command_ticks = 1
+        if parameters.command_interface == JOINT_INTERFACE:
+            self._joints = joints = JointInterface(plant, rates, parameters.command_hz)
+            self._command_ticks = joints.ticks
+            self._encode_states = JointStateCodec(plant.joint_names).encoder(*joints.measure())
+            self._decode = JointCommands(joints, plant.joint_names, once).decode
+            self._complain: Callable[[str], None] = once.say
+            otherwise = "; with time_mode free_running a clock of its own is accepted"
+            limit = parameters.command_age_limit
+            self.held: HeldCommand = NewestCommand(channel, self._decode, rates.period_ns, limit, log.info, once)
+        else:
+            commands, throttled = JointStateCodec(MOTOR_NAMES), ThrottledLog(log.error)
+            self._encode_states = JointStateCodec(MOTOR_NAMES).encoder(*plant.motor_states())
+            self._decode = lambda raw: commands.decode(raw)[3]
+            self._complain, otherwise = partial(throttled.say, "command"), ""
+            timeout, interrupting = parameters.command_timeout, self.control.interrupting
+            self.held = HeldCommand(channel, self._decode, rates.period_ns, timeout, log.info, interrupting)
+        self.lockstep = LockstepSimulation(channel, log.info, lambda text: self._complain(text + otherwise))
 
     @property
     def next_stamp_ns(self) -> int:
@@ -248,13 +260,16 @@ class Ticks:
 
     def _step_in_lock_step(self) -> bool:
         plant = self._plant
-        stamp = plant.tick * self._period_ns
-        states = self._encode_states(stamp)
-        raw = self.lockstep.exchange(stamp, states, self._interrupted, self._publish_due)
-        while raw is not None and not self._usable(raw):
-            raw = self.lockstep.again(stamp, states, self._interrupted)
-        if raw is None:
-            return False
+        if plant.tick % self._command_ticks:
+            self._publish_due()
+        else:
+            stamp = plant.tick * self._period_ns
+            states = self._states()
+            raw = self.lockstep.exchange(stamp, states, self._interrupted, self._publish_due)
+            while raw is not None and not self._usable(raw):
+                raw = self.lockstep.again(stamp, states, self._interrupted)
+            if raw is None:
+                return False
         plant.step(self._torques)
         if self.pacer.factor == 0.0:
             self.listeners.tick_done()
@@ -283,9 +298,17 @@ class Ticks:
         plant = self._plant
         self.pacer.wait()
         self._publish_due()
-        self._channel.publish(self._encode_states(plant.tick * self._period_ns))
-        plant.step(self.held.take(plant.tick))
+        if plant.tick % self._command_ticks == 0:
+            self._channel.publish(self._states())
+            self._torques = self.held.take(plant.tick)
+        plant.step(self._torques)
         return True
+
+    def _states(self) -> bytes:
+        """Return the message with the states that the next command answers."""
+        if self._joints is not None:
+            self._joints.measure()
+        return self._encode_states(self._plant.tick * self._period_ns)
 
     def _publish_due(self) -> None:
         # An exchange that was interrupted comes back in the same tick.
@@ -296,9 +319,10 @@ class Ticks:
     def _usable(self, raw: bytes) -> bool:
         """Take the command's torques, None for none; return whether it is a command at all."""
         try:
-            self._torques = self._commands.decode(raw)[3]
+            self._torques = self._decode(raw)
         except ExchangeError as error:
-            self._throttled.say("command", f"{self._channel.subscribe_topic}: {error}; the message is ignored")
+            self._complain(f"{self._channel.subscribe_topic}: {error}; the message is ignored")
+            self.lockstep.explained()
             return False
         return True
 

@@ -140,6 +140,25 @@ def test_an_interruption_ends_the_wait(controller: Controller) -> None:
     assert controller.exchange(0, lambda: next(asked)) is None
 
 
+def test_wrong_stamps_are_one_line(controller: Controller) -> None:
+    """Who answers with other stamps, or always with the last one, is told in one line what is expected."""
+    for tick, stamp in ((0, 7_000_000_000_000), (1, 0)):
+        controller.passed = 0.0
+        controller.said.clear()
+
+        def answer(tick: int = tick, stamp: int = stamp) -> None:
+            right = controller.passed > 9.0
+            controller.inbox.append(message(tick) if right else message(stamp))
+
+        controller.on_wait = answer
+        assert controller.exchange(tick) == message(tick)
+        wrong, over = controller.said
+        assert wrong.endswith("accepted in lock_step: that of the states that a command answers; time stands still")
+        assert ("of another clock" in wrong) == (stamp > 0)
+        assert ("not set" in wrong) == (stamp == 0)
+        assert over.startswith("the controller answers")
+
+
 def test_two_controllers_stop_time_until_one_is_left(controller: Controller) -> None:
     """Two that answer differently are announced once, and no tick is done until one is left; repetitions are no two."""
     controller.peers = Matches(2, 2)

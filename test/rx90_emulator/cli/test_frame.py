@@ -144,6 +144,7 @@ WRITTEN = {
         "rx90_experiment": ["run", "--engine", "--robot", "nowhere"],
         "rx90_identify": ["nowhere"],
         "rx90_line": ["--task", "nowhere"],
+        "rx90_own_controller": ["--engine", "--robot", "nowhere"],
         "rx90_run": ["--task", "nowhere"],
         "rx90_sweep": ["run", "nowhere"],
         "rx90_view": ["nowhere"],

@@ -32,6 +32,7 @@ CALLS = {
     "rx90_experiment": (["plan"], "numba rosbags"),
     "rx90_identify": (["bag", "--output", "out.yaml"], "numba scipy"),
     "rx90_line": (["--from-file", "robots/rx90b/task.yaml"], "yaml numba"),
+    "rx90_own_controller": (["--engine"], "yaml numba pinocchio"),
     "rx90_run": ([], "yaml numba pinocchio"),
     "rx90_sweep": (["info", "out.parquet"], "pyarrow"),
     "rx90_view": (["--port", "0", "--no-browser"], "viser numba"),

@@ -1,0 +1,95 @@
+"""An example of a controller of one's own: computed torque with friction compensation, there and back."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import TYPE_CHECKING
+
+from rx90_common.base.quoting import one_line
+from rx90_emulator.cli.options import POSITIVE, add_robot_arguments, check_apart, check_needs, new_folder
+
+if TYPE_CHECKING:
+    from rx90_emulator.loop.computed_torque import ComputedTorque
+
+_TIMEOUT = 30.0  # s
+_EPILOG = """\
+It drives a simulation that takes efforts at the joints:
+  ros2 run rx90_emulator rx90_sim --ros-args -p command_interface:=joint
+or with --engine an arm in its own process, with the same bits. Robot, tool, drives and friction are the arm as
+the controller knows it; the simulation may have others.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.epilog, parser.formatter_class = _EPILOG, argparse.RawDescriptionHelpFormatter
+    parser.set_defaults(ros_args=[])
+    motion = parser.add_argument_group("motion")
+    motion.add_argument("--amplitude", type=POSITIVE, default=0.3, metavar="RAD", help="of every joint (%(default)g)")
+    motion.add_argument("--period", type=POSITIVE, default=4.0, metavar="S", help="there and back (%(default)g)")
+    motion.add_argument("--duration", type=POSITIVE, default=8.0, metavar="S", help="simulated time (%(default)g)")
+    motion.add_argument("--no-compensation", action="store_true", help="of the friction")
+    where = parser.add_argument_group("arm")
+    where.add_argument("--engine", action="store_true", help="one in this process, without ROS")
+    where.add_argument("--output", type=new_folder, metavar="BAG", help="with --engine: bag to write; must not exist")
+    where.add_argument("--timeout", type=POSITIVE, metavar="S",
+                       help=f"s of the wall clock to wait for states ({_TIMEOUT:g})")  # fmt: skip
+    add_robot_arguments(parser, "urdf", "tool", "drives", "friction")
+
+
+def main(options: argparse.Namespace) -> None:
+    """Drive the arm and print how well it followed.
+
+    Raises:
+        Rx90Error: for files that are refused; as an ExchangeError if no states come.
+    """
+    check_needs(options, ("output",), ("engine",))
+    check_apart(options, ("timeout",), "engine", "an arm in this process")
+    # Here, because --help must not wait for them.
+    import numpy as np
+
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_emulator.loop.computed_torque import ComputedTorque
+    from rx90_emulator.loop.setup import Setup
+
+    setup = Setup.load(RobotFiles.of_options(options))
+    controller = ComputedTorque(setup, options.amplitude, options.period, friction=not options.no_compensation)
+    if options.engine:
+        from rx90_common.bags.writing import write_joint_states
+        from rx90_emulator.loop.own_controller import run_controller
+
+        run = run_controller(setup, controller, options.duration)
+        if options.output is not None:
+            write_joint_states(options.output, list(run.series.values()))
+            print(one_line(f"bag: {options.output}"))
+    else:
+        _drive(controller, setup.robot.joint_names, options)
+    errors = 1e3 * np.abs(np.array(controller.errors))
+    for name, worst, rms in zip(
+        setup.robot.joint_names, errors.max(axis=0), np.sqrt((errors**2).mean(axis=0)), strict=True
+    ):
+        print(f"{name}: worst tracking error {worst:.4f} mrad, RMS {rms:.4f} mrad")
+
+
+def _drive(controller: ComputedTorque, names: tuple[str, ...], options: argparse.Namespace) -> None:
+    from rx90_common.exchange.ros_start import prepare
+
+    prepare()
+    from rx90_common.base.errors import ExchangeError
+    from rx90_common.exchange.client_node import client_node
+    from rx90_common.exchange.topics import MEASURED_JOINT_STATES
+    from rx90_sim.node.effort_controller import EffortController
+
+    timeout = options.timeout or _TIMEOUT
+    with client_node("own_controller", timeout, lambda text: print(text, flush=True), options.ros_args) as client:
+        node = EffortController(client.node, controller, names)
+        topic = client.node.resolve_topic_name(MEASURED_JOINT_STATES)
+        client.wait(lambda: node.time is not None, f"states on {topic}, of rx90_sim with command_interface joint,")
+        begin, calls, heard = node.time or 0.0, 0, time.monotonic()
+        while (node.time or 0.0) - begin < options.duration:
+            client.spin()
+            if len(controller.errors) > calls:
+                calls, heard = len(controller.errors), time.monotonic()
+            elif time.monotonic() - heard > timeout:
+                raise ExchangeError(f"no states within {timeout:g} s; accepted: a simulation that runs")

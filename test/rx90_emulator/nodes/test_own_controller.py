@@ -1,0 +1,210 @@
+"""Controllers of one's own against `rx90_sim` over DDS, written in plain rclpy as a user's are."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+from processes import Processes
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from ros_client import JOINTS, Client, seconds
+from sensor_msgs.msg import JointState
+
+import rx90_emulator as rx
+from rx90_common.process.children import ChildProcess
+
+pytestmark = pytest.mark.ros
+STIFFNESS = np.array([3000.0, 3000.0, 800.0, 60.0, 40.0, 8.0])
+START = [0.1, -0.3, 1.2, 0.2, -0.4, 0.1]
+
+
+@pytest.fixture
+def client(ros_domain: int) -> Iterator[Client]:  # noqa: ARG001 - what it does is done
+    """Give a node in this process."""
+    client = Client()
+    yield client
+    client.close()
+
+
+def start(processes: Processes, **parameters: object) -> ChildProcess:
+    """Start the simulation with efforts at the joints, as fast as it goes."""
+    given = {"command_interface": "joint", "real_time_factor": 0.0, **parameters}
+    words = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
+    return processes.start("rx90_sim", "--ros-args", *words)
+
+
+def law(position: np.ndarray, velocity: np.ndarray, t: float) -> np.ndarray:
+    """Return efforts that pull all joints along sines."""
+    wanted = np.array(START) + 0.02 * np.sin(7.0 * t)
+    return STIFFNESS * (wanted - position) - 0.1 * STIFFNESS * velocity
+
+
+def test_the_node_gives_the_bits_of_one_process(processes: Processes, client: Client) -> None:
+    """At 500 Hz, joints named backwards: links and measured states are, to the bit, those of `rx.run_controller`."""
+    publisher = client.node.create_publisher(JointState, "joint_commands", 1)
+
+    def answer(states: Any) -> None:
+        measured.append(states)
+        effort = law(np.array(states.position), np.array(states.velocity), seconds(states))
+        command = JointState(name=states.name[::-1], effort=effort.tolist()[::-1])
+        command.header.stamp = states.header.stamp
+        publisher.publish(command)
+
+    measured: list[Any] = []
+    client.node.create_subscription(JointState, "measured_joint_states", answer, 10)
+    links = client.listen("joint_states")
+    simulation = start(processes, command_rate=500, duration=0.4, initial_position=START, paused=True)
+    client.known_to("rx90_sim")
+    client.simulation.pause(False)
+    client.spin_until(lambda: simulation.returncode is not None, "the end of the run")
+    client.spin_until(lambda: len({seconds(one) for one in links}) == 400, "all states")
+    run = rx.run_controller(rx.load_setup(), law, 0.4, START, command_rate=500)
+    first = {seconds(one): one for one in measured}
+    for messages, rows in ((first, run.measured), ({seconds(one): one for one in links}, run.joint_states)):
+        heard = np.array([[one.position, one.velocity, one.effort] for _, one in sorted(messages.items())])
+        assert heard.tobytes() == rows.tobytes()
+    assert np.ptp(run.joint_states[:, 0], axis=0).min() > 1e-4  # it moves
+
+
+Command = Callable[[Any], JointState]
+
+
+def command(stamp: Any, names: Sequence[str] = JOINTS, **arrays: Sequence[float]) -> JointState:
+    """Return a command, without efforts unless they are given."""
+    message = JointState(name=list(names), **{field: list(values) for field, values in arrays.items()})
+    message.header.stamp = stamp
+    return message
+
+
+ZERO = [0.0] * 6
+FAULTS: list[tuple[Command, str]] = [
+    (lambda s: command(s, ["a", *JOINTS[1:]], effort=ZERO), r"joint name 'a' is unknown; accepted: joint_1, "),
+    (lambda s: command(s, JOINTS[:5], effort=ZERO[:5]), r"joint name 'joint_6' is missing; accepted: joint_1, "),
+    (lambda s: command(s, position=ZERO), r"position without effort; accepted: 6 efforts at the joints, Nm"),
+    (lambda s: command(s, effort=ZERO[:4]), r"effort has 4 elements; accepted: 6"),
+    (lambda s: command(s, effort=[np.nan, *ZERO[1:]]), r"effort of joint_1 is nan; accepted: a finite number"),
+    (
+        lambda _: command(Time(sec=1_790_000_000), effort=ZERO),
+        r"the stamp is 1790000000 s, of another clock,.*accepted",
+    ),
+    (command, r"effort is empty: no torque, brakes closed; for torque: 6 efforts at the joints"),
+]
+
+
+@pytest.mark.parametrize("mode", ["lock_step", "free_running"])
+def test_each_fault_is_one_line_that_says_what_is_expected(processes: Processes, client: Client, mode: str) -> None:
+    """Names, missing efforts, sizes, numbers, a clock of one's own, best effort: told once, however often it comes.
+
+    In lock-step time stands still for the faults; the right stamp lets it run on. Efforts that are empty close the
+    brakes.
+    """
+    parameters = {"time_mode": mode, **({"real_time_factor": 1.0} if mode == "free_running" else {})}
+    simulation = start(processes, **parameters)
+    states = client.listen("measured_joint_states", depth=1)
+    unheard = client.node.create_publisher(
+        JointState, "joint_commands", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    )
+    simulation.wait_for("/joint_commands: node test_client publishes best effort, .*accepted: reliable")
+    client.node.destroy_publisher(unheard)
+    stray = client.node.create_publisher(JointState, "motor_commands", 1)
+    simulation.wait_for("/motor_commands: node test_client is not heard, because command_interface is joint; accepted")
+    client.node.destroy_publisher(stray)
+    publisher = client.node.create_publisher(JointState, "joint_commands", 1)
+    client.spin_until(lambda: bool(states) and publisher.get_subscription_count() > 0, "the simulation")
+
+    def send(make: Command) -> None:
+        publisher.publish(make(states[-1].header.stamp))
+
+    if mode == "lock_step":  # at 0 a stamp that is not set is the right one
+        client.spin_until(lambda: send(lambda s: command(s, effort=ZERO)) or seconds(states[-1]) > 0, "time to run")
+    for make, words in FAULTS:
+        client.spin_until(lambda m=make, w=words: send(m) or bool(re.search(w, simulation.output)), words)
+    end = time.monotonic() + 1.5
+    while time.monotonic() < end:
+        for make, _ in FAULTS[:-1]:
+            send(make)
+            client.spin_until(lambda: True, "")
+    for _, words in FAULTS:
+        assert len(re.findall(words, simulation.output)) == 1, words
+    now = seconds(states[-1])
+    client.spin_until(lambda: send(lambda s: command(s, effort=ZERO)) or seconds(states[-1]) > now + 0.01, "time")
+
+
+class TopicSystem:
+    """What JointStateTopicSystem of topic_based_hardware_interfaces does (its source of July 2026), effort interfaces.
+
+    States by sensor data QoS into a latest message; commands by QoS(1), stamped with the node's clock, in the order of
+    its own joints, only where the sum of |state - command| is above the threshold.
+    """
+
+    def __init__(self, client: Client, joints: Sequence[str], threshold: float) -> None:
+        self._clock, self._joints, self._threshold = client.node.get_clock(), list(joints), threshold
+        self.latest = JointState()
+        self._commands = client.node.create_publisher(JointState, "joint_commands", QoSProfile(depth=1))
+        client.node.create_subscription(JointState, "joint_states", self._take, qos_profile_sensor_data)
+        self.effort = dict.fromkeys(self._joints, 0.0)
+        self.sent = 0
+
+    def _take(self, message: Any) -> None:
+        self.latest = message
+
+    def read(self) -> dict[str, tuple[float, float, float]]:
+        """Return position, velocity and effort by joint."""
+        m = self.latest
+        return {name: (m.position[i], m.velocity[i], m.effort[i]) for i, name in enumerate(m.name)}
+
+    def write(self) -> None:
+        """Publish the efforts, if they are to be."""
+        state = self.read()
+        if sum(abs(state[name][2] - self.effort[name]) for name in self._joints) > self._threshold:
+            message = JointState(name=self._joints, effort=[self.effort[name] for name in self._joints])
+            message.header.stamp = self._clock.now().to_msg()
+            self._commands.publish(message)
+            self.sent += 1
+
+
+def test_a_topic_based_ros2_control_system_drives_the_arm(processes: Processes, client: Client) -> None:
+    """Its stand-in, by its own clock and with joints in another order, holds the arm in free-running time.
+
+    One line says of which clock the stamps are; when it stops, the brakes close after the age limit.
+    """
+    simulation = start(processes, time_mode="free_running", initial_position=START)
+    system = TopicSystem(client, ["joint_3", "joint_1", "joint_6", "joint_2", "joint_5", "joint_4"], -1.0)
+    client.spin_until(lambda: bool(system.latest.name), "states")
+    begin = system.read()
+    stiff = dict(zip(JOINTS, STIFFNESS.tolist(), strict=True))
+    wanted = {name: state[0] + 0.05 for name, state in begin.items()}
+    due = time.monotonic()
+
+    def cycle() -> bool:
+        nonlocal due
+        if time.monotonic() >= due:
+            due += 0.002
+            for name, (position, velocity, _) in system.read().items():
+                system.effort[name] = stiff[name] * (wanted[name] - position) - 0.1 * stiff[name] * velocity
+            system.write()
+        return abs(system.read()["joint_1"][0] - wanted["joint_1"]) < 0.02
+
+    client.spin_until(cycle, "joint_1, which carries no weight, to come as near as its friction lets it")
+    assert len(re.findall("of another clock", simulation.output)) == 1
+    simulation.wait_for("no command on /joint_commands for 0.1 s: torque off, brakes closed")
+
+
+def test_a_late_listener_of_joint_states_alone_may_answer_them(processes: Processes, client: Client) -> None:
+    """In lock-step the stamp counts, not the topic that was heard; one that is not set is told."""
+    publisher = client.node.create_publisher(JointState, "joint_commands", 1)
+    unset = True
+
+    def answer(states: Any) -> None:
+        publisher.publish(command(Time() if unset else states.header.stamp, effort=ZERO))
+
+    client.node.create_subscription(JointState, "joint_states", answer, 10)
+    simulation = start(processes, duration=0.05)
+    client.spin_until(lambda: "header.stamp is 0, not set, at 0.001 s" in simulation.output, "the line")
+    unset = False
+    client.spin_until(lambda: simulation.returncode == 0, "the end of the run")

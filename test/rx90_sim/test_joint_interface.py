@@ -1,0 +1,156 @@
+"""Efforts at the joints: their transform to the motors, their age in free-running time, and what is said once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import Rates
+from rx90_common.description.drives import load_drives
+from rx90_common.description.robot import load_robot
+from rx90_common.description.robot_files import RobotFiles
+from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.channel import Matches
+from rx90_common.exchange.pacing import OnceLog
+from rx90_common.friction import load_friction
+from rx90_sim.joint_interface import JointInterface
+from rx90_sim.node.held_command import NewestCommand
+from rx90_sim.node.parameters import SimulationParameters
+from rx90_sim.plant import Plant
+
+CODEC = JointStateCodec(["a"])
+PERIOD = 250_000
+OWN_CLOCK = 1_790_000_000 * 10**9
+
+
+@pytest.fixture(scope="module")
+def plant() -> Plant:
+    """Return the RX90B."""
+    files = RobotFiles()
+    robot = load_robot(files.urdf, files.tool)
+    friction = load_friction(files.friction, robot.joint_names)
+    return Plant(robot, load_drives(files.drives), friction, Rates())
+
+
+def test_power_is_the_same_at_motors_and_joints(plant: Plant) -> None:
+    """Whatever moves: motor torque times motor speed, by finite differences, is effort times joint speed.
+
+    The motors' angles for joints' angles are those of the manual: each joint by its gear, motor 6 with joint 5, too.
+    """
+    rng = np.random.default_rng(1)
+    joints, gear = JointInterface(plant, Rates(), 1000), plant.constants["gear"][0]
+    for _ in range(20):
+        effort, speed = rng.normal(size=(2, 6))
+        motor_speed = gear * (speed + np.array([0, 0, 0, 0, 0, speed[4]]))
+        torques = joints.motor_torques(effort).copy()
+        assert torques @ motor_speed == pytest.approx(effort @ speed, rel=1e-12)
+        plant.state["motor_velocity"][0], plant.state["motor_torque"][0] = motor_speed, torques
+        _, measured, felt = joints.measure()
+        np.testing.assert_allclose(measured, speed, rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(felt, effort, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"command_interface": "gripper"}, "command_interface is 'gripper'; accepted: motor, joint"),
+        ({"command_rate": 1000}, "command_rate is 1000 with command_interface motor"),
+        ({"command_interface": "joint", "command_rate": 300}, "command_rate is 300 Hz; accepted: a rate that divides"),
+        (
+            {"command_interface": "joint", "command_rate": 10, "time_mode": "free_running"},
+            "command_age_limit is 0.1 s; accepted: at least two periods of the commands, 0.2 s",
+        ),
+    ],
+)
+def test_what_cannot_be_kept_is_refused(given: dict[str, object], words: str) -> None:
+    """Rates that do not divide, a rate of the motor side, and limits that leave no time to answer are one line."""
+    usual = {name: field.metadata["default"] for name, field in SimulationParameters.__dataclass_fields__.items()
+             if field.metadata}  # fmt: skip
+    with pytest.raises(ConfigError, match=words):
+        SimulationParameters(Rates(), **{**usual, **given})
+
+
+class Drive:
+    """Newest commands on a channel made by hand, one tick of a quarter of a millisecond after the other."""
+
+    subscribe_topic = "/joint_commands"
+
+    def __init__(self) -> None:
+        self.number = 1000
+        self.inbox: list[bytes] = []
+        self.said: list[str] = []
+        once = OnceLog(self.said.append)
+        self.held = NewestCommand(self, lambda raw: CODEC.decode(raw)[3], PERIOD, 0.01, self.said.append, once)  # type: ignore[arg-type]
+
+    def receive(self, _timeout: float) -> bytes | None:
+        """Return the next command."""
+        return self.inbox.pop(0) if self.inbox else None
+
+    def matches(self) -> Matches:
+        """Return the peers."""
+        return Matches(1, 1)
+
+    def tick(self, *stamps_ns: int, to: int | None = None) -> float | None:
+        """Run the next tick, or all up to tick `to`, the first with commands of these stamps; return what is held."""
+        self.inbox += [CODEC.encode(stamp, effort=np.array([float(stamp)])) for stamp in stamps_ns]
+        for _ in range(1 if to is None else to - self.number):
+            self.number += 1
+            torques = self.held.take(self.number)
+        return None if torques is None else float(torques[0])
+
+
+def test_the_newest_is_held_until_its_age_limit() -> None:
+    """By the stamp of the states, 10 ms are 40 ticks; time never waits, and a late command opens the brakes again."""
+    drive = Drive()
+    assert drive.tick() is None
+    assert drive.tick(1001 * PERIOD, 1002 * PERIOD) == 1002.0 * PERIOD
+    assert drive.tick(to=1042) == 1002.0 * PERIOD
+    assert drive.tick() is None
+    assert drive.tick(1040 * PERIOD) == 1040.0 * PERIOD
+    assert drive.held.waited == 0
+    assert "no command on /joint_commands for 0.01 s: torque off, brakes closed" in drive.said
+
+
+@pytest.mark.parametrize("stamp", [OWN_CLOCK, 0, 20 * PERIOD])
+def test_of_another_clock_the_newest_counts_from_its_arrival(stamp: int) -> None:
+    """Stamps of the wall clock, none, and those of an old clock: one line, and commands are held for 40 ticks."""
+    drive = Drive()
+    moves = stamp == OWN_CLOCK
+    for k in range(50):
+        torque = drive.tick(stamp + k * moves)
+    assert torque == float(stamp + 49 * moves)
+    assert drive.tick(to=1090) is not None
+    assert drive.tick() is None
+    (line,) = (line for line in drive.said if "stamp" in line)
+    assert ("not set" if stamp == 0 else "the stamp is") in line
+    assert "from its arrival" in line
+
+
+def test_commands_from_before_a_reset_are_none_of_another_clock() -> None:
+    """One or two stamps of the future, still on their way at a reset, are not held, and nothing is said of them."""
+    drive = Drive()
+    assert drive.tick(1001 * PERIOD) is not None
+    drive.held.forget()
+    drive.number = 0
+    assert drive.tick(1002 * PERIOD, 1003 * PERIOD) is None
+    assert drive.tick(2 * PERIOD) == 2.0 * PERIOD
+    assert not [line for line in drive.said if "stamp" in line]
+
+
+def test_a_fault_is_said_once() -> None:
+    """However often it comes and whatever its numbers; another fault, and one that comes back later, have lines."""
+    said: list[str] = []
+    now = [0.0]
+    once = OnceLog(said.append, lambda: now[0])
+    for k in range(1000):
+        now[0] += 0.5
+        once.say(f"/joint_commands: the stamp is {1.79e9 + k} s at {k:g} s")
+    once.say("/joint_commands: joint name 'elbow' is unknown")
+    now[0] += 31.0
+    once.say("/joint_commands: the stamp is 7 s at 9 s")
+    assert [line.split(" is ")[0] for line in said] == [
+        "/joint_commands: the stamp",
+        "/joint_commands: joint name 'elbow'",
+        "/joint_commands: the stamp",
+    ]
