@@ -102,7 +102,7 @@ def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
 
 def test_each_source_is_a_distribution_of_the_set_up() -> None:
     """What pip is told to install is what setup.py requires, or offers as an extra."""
-    named = set(re.findall(r'"([A-Za-z0-9]+)>=', (ROOT / "setup.py").read_text(encoding="utf-8")))
+    named = set(re.findall(r'"([A-Za-z0-9-]+)>=', (ROOT / "setup.py").read_text(encoding="utf-8")))
     assert {source.pip for source in SOURCES.values()} <= named
 
 

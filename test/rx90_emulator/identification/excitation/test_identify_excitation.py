@@ -443,7 +443,7 @@ def test_currents_without_constants_stay_currents(bench: Bench, outcome: Outcome
     assert "warning: efforts in A and no torque constants" in said
     rx.write_excitation(result, tmp_path / "identified")
     texts = {path.name: path.read_text(encoding="utf-8") for path in (tmp_path / "identified").iterdir()}
-    page = re.sub(r"<(script|style).*?</\1>", "", texts["report.html"], flags=re.DOTALL)
+    page = re.sub(r"<(script|style|footer).*?</\1>", "", texts["report.html"], flags=re.DOTALL)
     for shown in (said, page, texts["friction.yaml"], texts["parameters.yaml"]):
         assert not re.search(r"\bNm\b", shown)
     assert "A (s/rad)" in page
