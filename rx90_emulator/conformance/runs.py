@@ -1,4 +1,4 @@
-"""Runs of a case: what happens to commands on their way, what is kept, and the CS7B on the compiled loop."""
+"""A run of a case: what happens to commands on their way, what is kept, and the CS7B on the compiled loop."""
 
 from __future__ import annotations
 
@@ -14,27 +14,49 @@ from rx90_emulator.loop.setup import Setup
 
 
 @dataclass(frozen=True, eq=False)
+class Interface:
+    """What the controller commands, and how often.
+
+    Attributes:
+        at_joints: efforts at the joints (`joint_commands`), not torques of the motors (`motor_commands`).
+        ticks: base ticks from one command to the next.
+    """
+
+    at_joints: bool = False
+    ticks: int = 1
+
+
+@dataclass(frozen=True, eq=False)
 class Record:
-    """What is kept of a run, tick by tick, as far as it came.
+    """What is kept of a run, command by command, as far as it came.
 
     Attributes:
         case: what was run.
+        interface: what was commanded.
         position: of the joints by the encoders, rad, shape (n, 6).
-        command: what the controller asked for, at the joints, Nm, shape (n, 6); NaN where it asked for none.
-        sent: the same at the motors (or at the joints, for a controller that commands those).
+        torque: what the controller asked for, at the joints, Nm, shape (n, 6); NaN where it asked for none.
+        sent: the same as it was sent, at the motors or at the joints.
+        added: the torques that were added to it.
         fault: why the run ended early, if it did.
     """
 
     case: Case
+    interface: Interface
     position: Array
-    command: Array
+    torque: Array
     sent: Array
+    added: Array
     fault: str | None = None
 
     @property
+    def period(self) -> float:
+        """Return the time from one command to the next, s."""
+        return self.interface.ticks * self.case.setup.rates.period
+
+    @property
     def times(self) -> Array:
-        """Return the times of the ticks, s, shape (n,)."""
-        return self.case.times[: len(self.position)]
+        """Return the times of the commands, s, shape (n,)."""
+        return np.asarray(np.arange(len(self.position)) * self.period)
 
 
 class Wire:
@@ -42,43 +64,45 @@ class Wire:
 
     Args:
         case: the case.
-        scale: of the added torques: from motors to what is commanded, shape (6,).
+        interface: of the controller.
     """
 
-    def __init__(self, case: Case, scale: Array | None = None) -> None:
-        self.case = case
-        scale = np.ones(6) if scale is None else scale
-        self._added = None if case.sines is None else case.sines.torques(case.times) * scale
-        self.states, self.sent = np.full((case.ticks, 6), np.nan), np.full((case.ticks, 6), np.nan)
-        self.done = 0
+    def __init__(self, case: Case, interface: Interface | None = None) -> None:
+        self.case, self.interface = case, interface or Interface()
+        rows = -(-case.ticks // self.interface.ticks)
+        self._added = np.zeros((rows, 6))
+        if case.sines is not None:
+            scale = np.abs(case.setup.drives.gear) if self.interface.at_joints else 1.0
+            times = case.setup.rates.period * self.interface.ticks * np.arange(rows, dtype=np.float64)
+            self._added = case.sines.torques(times) * scale
+        self._states, self._sent = np.full((rows, 6), np.nan), np.full((rows, 6), np.nan)
         self._held: Array | None = None
+        self.done = 0
 
     def note_states(self, tick: int, position: Array) -> None:
-        """Keep positions, rad, shape (6,), of a tick."""
-        if tick < len(self.states):
-            self.states[tick] = position
+        """Keep the measured positions of a tick, rad, shape (6,), on the controller's side."""
+        self._states[tick // self.interface.ticks] = position
 
     def carry(self, tick: int, command: Array | None) -> Array | None:
-        """Return what the drives get of a command, Nm, shape (6,), None for no torque."""
+        """Return what the drives get of a command, Nm, shape (6,), None for no torque; the same when it comes again."""
+        row, case = tick // self.interface.ticks, self.case
         if command is not None:
-            self.sent[tick] = command
-        self.done = max(self.done, tick + 1)
-        if self.case.lost is not None and self.case.lost[tick]:
+            self._sent[row] = command
+        self.done = row + 1
+        if case.lost is not None and case.lost[tick]:
             return self._held
-        if command is not None and self._added is not None:
-            command = command + self._added[tick]
-        self._held = None if command is None else command.copy()
-        return command
+        self._held = None if command is None else command + self._added[row]
+        return self._held
 
-    def record(self, *, at_motors: bool = True, fault: str | None = None) -> Record:
-        """Return the record; positions were noted at the motors, commands there or at the joints."""
-        gear = self.case.setup.drives.gear
-        position, command = np.full((self.done, 6), np.nan), self.sent[: self.done].copy()
-        for k in range(self.done):
-            to_joint(gear, self.states[k], position[k])
-            if at_motors:
-                to_joint_torque(gear, self.sent[k], command[k])
-        return Record(self.case, position, command, self.sent[: self.done], fault)
+    def record(self, fault: str | None = None) -> Record:
+        """Return the record so far."""
+        states, sent = self._states[: self.done], self._sent[: self.done]
+        position, torque, gear = states.copy(), sent.copy(), self.case.setup.drives.gear
+        if not self.interface.at_joints:
+            for k in range(self.done):
+                to_joint(gear, states[k], position[k])
+                to_joint_torque(gear, sent[k], torque[k])
+        return Record(self.case, self.interface, position, torque, sent, self._added[: self.done], fault)
 
 
 def run_cs7b(case: Case, nominal: Setup) -> Record:
@@ -87,16 +111,14 @@ def run_cs7b(case: Case, nominal: Setup) -> Record:
     plant.reset(case.points.position[0])
     states = plant.motor_states()
     law.reset(states[0])
-    start = case.setup.rates.start_tick(START)
+    law.trajectory.accept(case.points, 0, case.setup.rates.start_tick(START))
     for tick in range(case.ticks):
         wire.note_states(tick, states[0])
-        if law.on_position_tick and law.position_tick == 0:
-            law.trajectory.accept(case.points, 0, start)
         command = law.step(*states)
         try:
-            plant.step(wire.carry(tick, command if law.fault is None else None))
+            plant.step(wire.carry(tick, None if law.fault else command))
         except DivergenceError as error:
-            return wire.record(fault=str(error))
+            return wire.record(str(error))
     return wire.record()
 
 
