@@ -70,8 +70,8 @@ class CheckLimits(Declared):
         float, Number("The most that is left at rest.", "rad", low=0.0, high=1.0), "settled.rest_error"
     ] = 3e-4  # fmt: skip
     hunting: Annotated[
-        float, Number("The most, peak to peak, of an oscillation at rest.", "rad", low=0.0, high=1.0), "settled.hunting"
-    ] = 5e-5
+        float, Number("The most, peak to peak, of a motion at rest.", "rad", low=0.0, high=1.0), "settled.hunting"
+    ] = 1e-4
     gain_margin: Annotated[float, Number("The least.", "dB", low=0.0), "margins.gain"] = 6.0
     phase_margin: Annotated[float, Number("The least.", "deg", low=0.0, high=180.0), "margins.phase"] = 30.0
     modulus_margin: Annotated[
@@ -121,8 +121,8 @@ QUANTITIES: Final[Mapping[str, Quantity]] = {
     "settling_time": Quantity("s", "from the end of the step until it stays within 2 %", "settling_time"),
     "recovery_time": Quantity("s", "the same, with drives that were saturated", "recovery_time"),
     "rest_error": Quantity("rad", "what is left of the error in the last 0.1 s", "rest_error"),
-    "hunting": Quantity("rad", "oscillation at rest in the last 5 s, peak to peak", "hunting"),
-    "hunting_period": Quantity("s", "its period"),
+    "hunting": Quantity("rad", "motion at rest in the last 5 s, peak to peak", "hunting"),
+    "hunting_period": Quantity("s", "its period, where it turns back at least twice"),
     "gain_margin": Quantity("dB", "gain at the phase crossover", "gain_margin", least=True),
     "phase_margin": Quantity("deg", "phase at the gain crossover", "phase_margin", least=True),
     "modulus_margin": Quantity("1", "least distance of the loop from -1", "modulus_margin", least=True),
@@ -256,10 +256,9 @@ def _rms(values: Array) -> float:
 
 
 def oscillation(position: Array, period: float, still: float) -> tuple[float, float]:
-    """Return an oscillation's size from peak to peak and its period, s; 0 and NaN where there is none.
+    """Return the size of a motion from peak to peak, and its period, s; NaN for one that does not turn twice.
 
-    A motion that does not turn at least twice is none: a joint that creeps is not hunting. A turn is a peak that is as
-    prominent as half of the whole size.
+    A turn is a peak that is as prominent as half of the whole size: single slips, and what dies away, have no period.
 
     Args:
         position: rad, shape (n,).
@@ -267,11 +266,9 @@ def oscillation(position: Array, period: float, still: float) -> tuple[float, fl
         still: a size up to which it is at rest, rad.
     """
     size = float(np.ptp(position))
-    if size <= still:
-        return size, math.nan
     turns = np.sort(np.concatenate([find_peaks(sign * position, prominence=0.5 * size)[0] for sign in (1.0, -1.0)]))
-    if len(turns) < 2:
-        return 0.0, math.nan
+    if size <= still or len(turns) < 2:
+        return size, math.nan
     return size, 2.0 * float(np.diff(turns).mean()) * period
 
 
