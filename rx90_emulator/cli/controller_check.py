@@ -13,7 +13,6 @@ from rx90_emulator.cli.options import (
     CONTROLLER,
     add_node_arguments,
     add_robot_arguments,
-    check_needs,
     new_folder,
     node_of,
     progress_bar,
@@ -24,8 +23,9 @@ from rx90_emulator.cli.options import (
 _TIMEOUT = 30.0
 _REPORT, _RESULT = "report.html", "result.json"
 _EPILOG = """\
-the controller is COMMAND, which is started anew for each case and gets what stands behind --ros-args, on a ROS_DOMAIN_ID
-of its own unless one is set; without COMMAND it is the running node --node. docs/howto/ros2_control.md says more.
+the controller is COMMAND, which is started anew for each case and gets what stands behind --ros-args, on a
+ROS_DOMAIN_ID of its own unless one is set; without COMMAND it is the running node --node.
+docs/howto/controller_check.md says more.
 """
 
 
@@ -41,7 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="give set-points one by one, as JointState on this topic, 20 ms before their stamps, to a "
                         "controller that takes no trajectory on NODE/joint_trajectory")  # fmt: skip
     parser.add_argument("--command-interface", choices=("motor", "joint"), default="motor",
-                        help="what the controller publishes: motor_commands or joint_commands (%(default)s)")  # fmt: skip
+                        help="what the controller publishes: motor_commands or joint_commands "
+                        "(%(default)s)")  # fmt: skip
     parser.add_argument("--command-rate", type=whole_number, metavar="HZ",
                         help="of joint_commands (the rate of the position loop)")  # fmt: skip
     parser.add_argument("--limits", type=Path, metavar="FILE", help="limits in YAML, instead of the usual ones")
@@ -58,8 +59,9 @@ def main(options: argparse.Namespace) -> int:
     Raises:
         Rx90Error: for what cannot be done.
     """
-    if options.command_interface == "motor":
-        check_needs(options, ("command_rate",), ())
+    if options.command_interface == "motor" and options.command_rate is not None:
+        raise ConfigError("--command-rate without --command-interface joint; accepted: with it, motor_commands have "
+                          "the base rate")  # fmt: skip
     command = [*options.command, *options.ros_args]
     if command and shutil.which(command[0]) is None:
         raise ConfigError(f"COMMAND {quoted(command[0])}: no such program; accepted: one that starts a controller, or "

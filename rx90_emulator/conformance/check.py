@@ -92,8 +92,10 @@ class CaseResult:
 
 def _share(one: Finding) -> float:
     """Return how much of its limit a value takes, for the order alone."""
-    if math.isnan(one.limit) or math.isnan(one.value):
+    if math.isnan(one.value):
         return -math.inf
+    if math.isnan(one.limit):
+        return 0.0
     value, limit = (one.limit, one.value) if QUANTITIES[one.quantity].least else (one.value, one.limit)
     return value / limit if limit > 0.0 else math.inf if value > limit else 0.0
 
@@ -175,7 +177,7 @@ class CheckResult:
 
 
 def _number(value: float) -> str:
-    return "–" if math.isnan(value) else f"{value:.4g}"
+    return "-" if math.isnan(value) else f"{value:.4g}"
 
 
 def _or_none(value: float) -> float | None:

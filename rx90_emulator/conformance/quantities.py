@@ -30,7 +30,9 @@ _COUNTS = 3  # of the encoder, that are no motion
 _AT_REST = 0.1  # s at the end of a run
 _WITHIN_NYQUIST = 0.96
 
-_factor = Number("The most, times what the CS7B has.", "1", low=1.0)
+
+def _factor(what: str) -> Number:
+    return Number(f"Most of the {what}, times what the CS7B has.", "1", low=1.0)
 
 
 @dataclass(frozen=True)
@@ -39,44 +41,21 @@ class CheckLimits(Declared):
 
     name = "limits"
     about = "Limits of the controller check: of a quantity by itself, or a factor over the CS7B and an allowance."
-    blocks = {  # noqa: RUF012 - a ClassVar of Declared
-        "tracking_error": "Joint positions less set-points, RMS and peak.",
-        "path_error": "Distance of the tool from its line.",
-        "torque_ripple": "Torque less its mean over 20 ms, RMS.",
-        "settled": "After steps, and at rest.",
-        "margins": "Of the loops, each opened at its command.",
-    }
 
-    error_factor: Annotated[float, _factor, "tracking_error.factor"] = 3.0
-    error_allowance: Annotated[
-        float, Number("Added to it.", "rad", low=0.0, high=1.0), "tracking_error.allowance"
-    ] = 1e-4  # fmt: skip
-    path_factor: Annotated[float, _factor, "path_error.factor"] = 3.0
-    path_allowance: Annotated[float, Number("Added to it.", "m", low=0.0, high=1.0), "path_error.allowance"] = 5e-5
-    ripple_factor: Annotated[float, _factor, "torque_ripple.factor"] = 3.0
-    ripple_allowance: Annotated[
-        float, Number("Added to it.", "Nm", low=0.0, high=1e4), "torque_ripple.allowance"
-    ] = 0.2  # fmt: skip
-    overshoot: Annotated[
-        float, Number("The most beyond the end of a step, over its way.", "1", low=0.0, high=10.0), "settled.overshoot"
-    ] = 0.1
-    settling_time: Annotated[
-        float, Number("The longest until a step stays within 2 % of its way.", "s", low=0.0), "settled.settling_time"
-    ] = 0.3
-    recovery_time: Annotated[
-        float, Number("The same where the drives were saturated.", "s", low=0.0), "settled.recovery_time"
-    ] = 0.8  # fmt: skip
-    rest_error: Annotated[
-        float, Number("The most that is left at rest.", "rad", low=0.0, high=1.0), "settled.rest_error"
-    ] = 3e-4  # fmt: skip
-    hunting: Annotated[
-        float, Number("The most, peak to peak, of a motion at rest.", "rad", low=0.0, high=1.0), "settled.hunting"
-    ] = 1e-4
-    gain_margin: Annotated[float, Number("The least.", "dB", low=0.0), "margins.gain"] = 6.0
-    phase_margin: Annotated[float, Number("The least.", "deg", low=0.0, high=180.0), "margins.phase"] = 30.0
-    modulus_margin: Annotated[
-        float, Number("The least distance of the loop from -1.", "1", low=0.0, high=1.0), "margins.modulus"
-    ] = 0.45  # fmt: skip
+    error_factor: Annotated[float, _factor("RMS and peak of the joints' errors")] = 3.0
+    error_allowance: Annotated[float, Number("Added to that.", "rad", low=0.0, high=1.0)] = 1e-4
+    path_factor: Annotated[float, _factor("distance of the tool from its line")] = 3.0
+    path_allowance: Annotated[float, Number("Added to that.", "m", low=0.0, high=1.0)] = 5e-5
+    ripple_factor: Annotated[float, _factor("commanded torque less its mean over 20 ms, RMS")] = 3.0
+    ripple_allowance: Annotated[float, Number("Added to that.", "Nm", low=0.0, high=1e4)] = 0.2
+    overshoot: Annotated[float, Number("Most beyond the end of a step, over its way.", "1", low=0.0, high=10.0)] = 0.1
+    settling_time: Annotated[float, Number("Longest until a step stays within 2 % of its way.", "s", low=0.0)] = 0.3
+    recovery_time: Annotated[float, Number("The same where drives were saturated.", "s", low=0.0)] = 0.8
+    rest_error: Annotated[float, Number("Most of an error that is left at rest.", "rad", low=0.0, high=1.0)] = 3e-4
+    hunting: Annotated[float, Number("Most of a motion at rest, peak to peak.", "rad", low=0.0, high=1.0)] = 1e-4
+    gain_margin: Annotated[float, Number("Least of the loops.", "dB", low=0.0)] = 6.0
+    phase_margin: Annotated[float, Number("Least of the loops.", "deg", low=0.0, high=180.0)] = 30.0
+    modulus_margin: Annotated[float, Number("Least distance of the loops from -1.", "1", low=0.0, high=1.0)] = 0.45
 
     @classmethod
     def load(cls, path: Path | None) -> CheckLimits:
