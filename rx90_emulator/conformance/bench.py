@@ -37,7 +37,7 @@ from rx90_sim.node.simulation import Simulation
 LEAD = 0.02
 """How much earlier than its stamp a set-point is published, s."""
 _SLICE = 0.02  # s
-_HANDED_OVER = 0.5  # s on the wall clock, for a controller that does not say that it has taken a trajectory
+_HANDED_OVER = 0.5  # s on the wall clock, for a controller that does not say that it has taken what it was sent
 _GRACE = 10.0  # s, for a controller to end
 
 
@@ -139,17 +139,23 @@ class _Run:
             self._point[:] = self._set_points[number, :2]
             self._publisher.handle.publish_raw(self._encode(number * rates.ratio * rates.period_ns))
             self._sent = number + 1
+        if tick == 0:
+            self._hand_over()
 
     def _send_trajectory(self) -> None:
         """Send the trajectory while time stands still; go on when the controller has it."""
         self._wait(self._publisher.get_subscription_count, "subscribes to it")
         self._publisher.publish(self._trajectory)
-        wait_until_received([self._publisher])
         if self.node.count_publishers(self._accepts):
             self._wait(lambda: self._accepted, f"has accepted a trajectory, by {self._accepts}")
         else:
-            handed_over = time.monotonic() + _HANDED_OVER
-            self._wait(lambda: time.monotonic() > handed_over, "has it")
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        """Let a controller read what it has got, while time stands still."""
+        wait_until_received([self._publisher])
+        handed_over = time.monotonic() + _HANDED_OVER
+        self._wait(lambda: time.monotonic() > handed_over, "has it")
 
     def _note_accepted(self, _message: object) -> None:
         self._accepted = True

@@ -1,7 +1,8 @@
-"""A controller that is not this project's: P-D with rclpy at the motors, set-points by stamp from a JointState topic."""
+"""A controller of a user: P-D with rclpy at the motors, set-points by stamp from a JointState topic."""
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from typing import Any
 
@@ -55,7 +56,5 @@ class MotorServo(Node):  # type: ignore[misc]  # rclpy is untyped
 
 if __name__ == "__main__":
     rclpy.init(args=sys.argv)
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         rclpy.spin(MotorServo())
-    except KeyboardInterrupt:
-        pass
