@@ -51,7 +51,7 @@ def description(mode: str, **more: str) -> ET.Element:
     ],
 )
 def test_the_description_names_joints_interfaces_and_topics(mode: str, commands: str, states: str) -> None:
-    """The arm is in it whole; the joints are the robot's, in its order, each commanded by the one interface of the mode.
+    """The arm is in it whole; joints are the robot's, in its order, each commanded by the one interface of the mode.
 
     The controller of that mode in controllers.yaml has the same joints and interface.
     """
@@ -86,7 +86,7 @@ def test_another_mode_is_refused() -> None:
 
 @pytest.mark.parametrize("mode", ["position", "effort"])
 def test_what_the_launch_file_starts(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The controller manager hears the arm with its tool and hardware; CS7B or torques at its rate, as the mode says."""
+    """The controller manager hears the arm with tool and hardware; CS7B or torques at its rate, as the mode says."""
     (opaque,) = (action for action in build(monkeypatch, LAUNCH) if action.kind == "OpaqueFunction")
     publisher, manager, spawner, arm = opaque.named["function"](
         Context({"mode": mode, "robot": "rx90b", "controllers": ""})
@@ -150,7 +150,7 @@ def test_efforts_of_the_hardware_drive_the_arm(processes: Processes, client: Cli
 
 @needs_streams
 def test_positions_of_the_hardware_are_followed(processes: Processes, client: Client) -> None:
-    """A slow ramp of positions, stamped by the hardware's own clock, moves the arm to its end; NaN before moves nothing."""
+    """A slow ramp of positions, stamped by the hardware's own clock, moves the arm; NaN before moves nothing."""
     processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:time_mode:=free_running")
     hardware = TopicHardware(client.node, ET.tostring(description("position"), encoding="unicode"))
     first = ("joint_1", "position")
