@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -21,6 +22,7 @@ from rx90_emulator.cli.options import (
 )
 
 _TIMEOUT = 30.0
+_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _REPORT, _RESULT = "report.html", "result.json"
 _EPILOG = """\
 the controller is COMMAND, which is started anew for each case and gets what stands behind --ros-args, on a
@@ -62,6 +64,11 @@ def main(options: argparse.Namespace) -> int:
     if options.command_interface == "motor" and options.command_rate is not None:
         raise ConfigError("--command-rate without --command-interface joint; accepted: with it, motor_commands have "
                           "the base rate")  # fmt: skip
+    for name, given in (("node", options.node), ("reference", options.reference)):
+        if given is not None and not _NAME.fullmatch(given):
+            raise ConfigError(
+                f"--{name} {quoted(given)}; accepted: a name such as my_controller or /cell/my_controller"
+            )
     command = [*options.command, *options.ros_args]
     if command and shutil.which(command[0]) is None:
         raise ConfigError(f"COMMAND {quoted(command[0])}: no such program; accepted: one that starts a controller, or "
