@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, NamedTuple
@@ -167,12 +167,13 @@ def judge(case: Case, values: Values, of_cs7b: Values, limits: CheckLimits) -> l
     return findings
 
 
-def measure(record: Record, set_points: Array) -> Values:
+def measure(record: Record, set_points: Array, commanded: Sequence[str] = MOTOR_NAMES) -> Values:
     """Return what is measured in a run.
 
     Args:
         record: of the run.
         set_points: one for each tick of the position loop, shape (m, 3, 6).
+        commanded: names of the motors or joints whose commands open the loops.
     """
     case, joints = record.case, record.case.setup.robot.joint_names
     done = len(record.position) * record.interface.ticks
@@ -184,8 +185,7 @@ def measure(record: Record, set_points: Array) -> Values:
     error = tracking_error(record, set_points)
     moving = record.times >= START
     if case.sines is not None:
-        names = joints if record.interface.at_joints else MOTOR_NAMES
-        for name, loop in zip(names, loops(record), strict=True):
+        for name, loop in zip(commanded, loops(record), strict=True):
             values |= {(quantity, name): value for quantity, value in loop.margins().items()}
         return values
     for j, name in enumerate(joints):

@@ -11,10 +11,11 @@ import pytest
 from processes import Processes, command, wait_until
 
 from rx90_common.base.errors import DONE, FAILED, INTERRUPTED, REFUSED, VERDICT_NO
+from rx90_common.exchange import topics
 from rx90_emulator.cli.frame import run
 
 CS7B = command("rx90_controller")
-OWN = [sys.executable, str(Path(__file__).resolve().parents[2] / "support" / "motor_servo.py")]
+OWN = [sys.executable, str(Path(__file__).resolve().parents[2] / "support" / "user_servo.py")]
 WEAK = """\
 /**/rx90_controller:
   ros__parameters: {servo: {kp: [20, 20, 20, 20, 20, 20], kv: [60, 60, 60, 60, 60, 60]}}
@@ -61,7 +62,7 @@ def test_another_controller_gets_set_points_one_by_one_and_twice_the_same_run(
     """An rclpy node without trajectories follows set-points by their stamps, and a second check has the same bits."""
     found = []
     for name in ("first", "second"):
-        words = ("--output", tmp_path / name, "--case", "step", "--reference", "set_points", *OWN)
+        words = ("--output", tmp_path / name, "--case", "step", "--reference", "set_points", *OWN, "motor")
         done = processes.run("rx90_controller_check", *words)
         assert done.returncode in (DONE, VERDICT_NO), done.stderr
         found.append(result(tmp_path / name)["cases"])
@@ -69,6 +70,22 @@ def test_another_controller_gets_set_points_one_by_one_and_twice_the_same_run(
     values = {(one["quantity"], one["joint"]): one["value"] for one in found[0][0]["findings"]}
     assert values["torque_off", "all"] == 0.0
     assert 0.0 < values["tracking_error_peak", "joint_1"] < 5e-3  # of a way of 0.035 rad: it followed
+
+
+@pytest.mark.skipif(not hasattr(topics, "JOINT_COMMANDS"), reason="the simulation takes no joint_commands")
+def test_a_controller_of_the_joints_is_checked_at_its_rate(processes: Processes, tmp_path: Path) -> None:
+    """Torques at the joints at 1 kHz: the arm follows, and each loop has margins, beside those of the CS7B's motors."""
+    words = ("--output", tmp_path / "out", "--case", "step", "--case", "sweep", "--reference", "set_points",
+             "--command-interface", "joint", *OWN, "joint")  # fmt: skip
+    done = processes.run("rx90_controller_check", *words)
+    assert done.returncode in (DONE, VERDICT_NO), done.stderr
+    step, sweep = result(tmp_path / "out")["cases"]
+    values = {(one["quantity"], one["joint"]): one["value"] for one in step["findings"]}
+    assert values["torque_off", "all"] == 0.0
+    assert 0.0 < values["tracking_error_peak", "joint_1"] < 5e-3  # of a way of 0.035 rad
+    margins = [one for one in sweep["findings"] if one["quantity"] == "phase_margin"]
+    assert [one["joint"] for one in margins] == [f"joint_{i}" for i in range(1, 7)]
+    assert all(30.0 < one["value"] < 100.0 and 30.0 < one["cs7b"] < 100.0 for one in margins)
 
 
 @pytest.mark.parametrize(

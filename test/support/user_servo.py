@@ -1,4 +1,4 @@
-"""A controller of a user: P-D with rclpy at the motors, set-points by stamp from a JointState topic."""
+"""A controller of a user: P-D with rclpy, set-points by stamp from a JointState topic; its argument is motor or joint."""
 
 from __future__ import annotations
 
@@ -12,25 +12,33 @@ from sensor_msgs.msg import JointState
 
 GEAR = (85.0, 85.0, 85.0, 60.0, 45.0, 25.0)
 INERTIA = (12.0, 15.0, 3.5, 0.35, 0.29, 0.04)  # joint side, kg m^2
-KP, KD = 28000.0, 400.0
+# By the side that is commanded: topics of states and commands, and gains that its rate allows.
+SIDES = {
+    "motor": ("motor_states", "motor_commands", 28000.0, 400.0),
+    "joint": ("measured_joint_states", "joint_commands", 10000.0, 200.0),
+}
 
 
-class MotorServo(Node):  # type: ignore[misc]  # rclpy is untyped
-    """Answers each motor state; without a set-point for its time it holds where the motors were first."""
+class UserServo(Node):
+    """Answers each state; without a set-point for its time it holds where the arm was first."""
 
-    def __init__(self) -> None:
-        super().__init__("motor_servo")
+    def __init__(self, side: str) -> None:
+        super().__init__("user_servo")
+        states, commands, self.kp, self.kd = SIDES[side]
+        self.at_motors = side == "motor"
         self.hold: Any = None
         self.references: dict[int, Any] = {}
-        self.publisher = self.create_publisher(JointState, "motor_commands", 10)
+        self.publisher = self.create_publisher(JointState, commands, 10)
         self.create_subscription(JointState, "set_points", self.note, 1000)
-        self.create_subscription(JointState, "motor_states", self.answer, 10)
+        self.create_subscription(JointState, states, self.answer, 10)
 
     def note(self, message: JointState) -> None:
-        """Keep a set-point of the joints, as one of the motors."""
-        q, v = ([*values[:5], values[4] + values[5]] for values in (message.position, message.velocity))
-        motor = [[gear * x for gear, x in zip(GEAR, values, strict=True)] for values in (q, v)]
-        self.references[self.nanoseconds(message)] = motor
+        """Keep a set-point of the joints, as one of the motors where these are commanded."""
+        point = [list(message.position), list(message.velocity)]
+        if self.at_motors:
+            coupled = [[*values[:5], values[4] + values[5]] for values in point]
+            point = [[gear * x for gear, x in zip(GEAR, values, strict=True)] for values in coupled]
+        self.references[self.nanoseconds(message)] = point
 
     def answer(self, states: JointState) -> None:
         """Command torques for one tick."""
@@ -41,7 +49,7 @@ class MotorServo(Node):  # type: ignore[misc]  # rclpy is untyped
         command = JointState(name=states.name)
         command.header.stamp = states.header.stamp
         command.effort = [
-            inertia / gear**2 * (KP * (q_ref - q) + KD * (v_ref - v))
+            inertia / (gear**2 if self.at_motors else 1.0) * (self.kp * (q_ref - q) + self.kd * (v_ref - v))
             for inertia, gear, q_ref, v_ref, q, v in zip(
                 INERTIA, GEAR, *self.hold, states.position, states.velocity, strict=True
             )
@@ -55,6 +63,6 @@ class MotorServo(Node):  # type: ignore[misc]  # rclpy is untyped
 
 
 if __name__ == "__main__":
-    rclpy.init(args=sys.argv)
+    rclpy.init()
     with contextlib.suppress(KeyboardInterrupt):
-        rclpy.spin(MotorServo())
+        rclpy.spin(UserServo(sys.argv[1]))
