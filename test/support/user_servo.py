@@ -1,4 +1,4 @@
-"""A controller of a user: P-D with rclpy, set-points by stamp from a JointState topic; its argument is motor or joint."""
+"""A controller of a user: P-D with rclpy, set-points by stamp from a JointState topic; argument: motor or joint."""
 
 from __future__ import annotations
 
