@@ -66,7 +66,13 @@ class _Stopped(Exception):  # noqa: N818 - no error: whoever asked for it knows
 
 
 class _Run:
-    """One case on the topics: the simulation node, and what its ticking thread does beside its ticks."""
+    """One case on the topics: the simulation node, and what its ticking thread does beside its ticks.
+
+    Attributes:
+        check_interrupt: raises the interrupt that came before the node took them over.
+    """
+
+    check_interrupt: Callable[[], None]
 
     def __init__(
         self, case: Case, set_points: Array, candidate: Candidate, child: ChildProcess | None,
@@ -122,6 +128,7 @@ class _Run:
 
     def before(self, tick: int) -> None:
         """Do what is due before the states of a tick are published."""
+        self.check_interrupt()
         self._progress(tick)
         if self.candidate.reference is not None:
             self._publish_set_points(tick)
@@ -172,6 +179,7 @@ class _Run:
 
     def look(self, wrong: str = "the controller sent no command that the simulation takes") -> None:
         """Give up a controller that has ended, or is silent for too long, with what is wrong then."""
+        self.check_interrupt()
         if self._stopped:
             raise _Stopped
         name, timeout, child = self.case.name, self.candidate.timeout, self._child
@@ -251,7 +259,7 @@ def run_on_topics(
         child = group.start(case.name, candidate.command) if candidate.command else None
         run = _Run(case, set_points, candidate, child, progress)
         try:
-            with interrupts_later():  # which puts back the handlers that the nodes set
+            with interrupts_later() as run.check_interrupt:  # which puts back the handlers that the nodes set
                 lifecycle.spin(run.make, arguments)
         except DivergenceError as error:
             fault = str(error)
