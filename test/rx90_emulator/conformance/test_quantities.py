@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from rx90_common.base.arrays import Array
 from rx90_emulator.conformance.battery import CASES, START, Case, Nominal, make_case
-from rx90_emulator.conformance.quantities import QUANTITIES, CheckLimits, judge, loops, measure, oscillation
+from rx90_emulator.conformance.quantities import QUANTITIES, CheckLimits, Loop, judge, loops, measure, oscillation
 from rx90_emulator.conformance.runs import Interface, Record, run_cs7b, set_points
 from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.setup import Setup
@@ -63,6 +63,15 @@ def test_margins_are_those_of_the_loop_that_answered(nominal: Nominal) -> None:
         assert found["gain_margin"] == pytest.approx(gain, abs=1.0)
         fine = np.geomspace(6.0, 480.0, 5000)
         assert found["modulus_margin"] == pytest.approx(np.abs(1.0 + opened(fine)).min(), rel=0.1)
+
+
+@pytest.mark.parametrize("lag", [160.0, 200.0])
+def test_a_phase_margin_counts_from_either_side(lag: float) -> None:
+    """A loop that is 20 degrees from -180 where its gain is 1 has that phase margin, beyond -180, too."""
+    frequency = np.geomspace(6.0, 480.0, 12)
+    loop = Loop(frequency, 60.0 / frequency * np.exp(-1j * np.radians(lag)))
+    assert loop.margins()["phase_margin"] == pytest.approx(20.0)
+    assert math.isnan(loop.margins()["gain_margin"])
 
 
 def test_joints_slide_in_one_direction_while_torques_are_swept(nominal: Nominal) -> None:
