@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="starts the controller, with its arguments; after all options")  # fmt: skip
     parser.add_argument("--case", action="append", dest="cases", metavar="NAME",
                         help="run this case alone; several times for several (all)")  # fmt: skip
-    parser.add_argument("--reference", metavar="TOPIC",
+    parser.add_argument("--set-points", metavar="TOPIC",
                         help="give set-points one by one, as JointState on this topic, 20 ms before their stamps, to a "
                         "controller that takes no trajectory on NODE/joint_trajectory")  # fmt: skip
     parser.add_argument("--command-interface", choices=("motor", "joint"), default="motor",
@@ -64,7 +64,7 @@ def main(options: argparse.Namespace) -> int:
     if options.command_interface == "motor" and options.command_rate is not None:
         raise ConfigError("--command-rate without --command-interface joint; accepted: with it, motor_commands have "
                           "the base rate")  # fmt: skip
-    for name, given in (("node", options.node), ("reference", options.reference)):
+    for name, given in (("node", options.node), ("set-points", options.set_points)):
         if given is not None and not _NAME.fullmatch(given):
             raise ConfigError(
                 f"--{name} {quoted(given)}; accepted: a name such as my_controller or /cell/my_controller"
@@ -102,7 +102,7 @@ def main(options: argparse.Namespace) -> int:
     rate = (options.command_rate or rates.position_hz) if at_joints else rates.base_hz
     interface = Interface(at_joints, ticks_per("command_rate", rates.base_hz, rate))
     timeout = _TIMEOUT if options.timeout is None else options.timeout
-    candidate = Candidate(command, node_of(options), options.reference, interface, timeout)
+    candidate = Candidate(command, node_of(options), options.set_points, interface, timeout)
     output = Path(options.output)
     output.mkdir(parents=True)
     with progress_bar("check") as progress:

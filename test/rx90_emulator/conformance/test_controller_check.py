@@ -62,7 +62,7 @@ def test_another_controller_gets_set_points_one_by_one_and_twice_the_same_run(
     """An rclpy node without trajectories follows set-points by their stamps, and a second check has the same bits."""
     found = []
     for name in ("first", "second"):
-        words = ("--output", tmp_path / name, "--case", "step", "--reference", "set_points", *OWN, "motor")
+        words = ("--output", tmp_path / name, "--case", "step", "--set-points", "set_points", *OWN, "motor")
         done = processes.run("rx90_controller_check", *words)
         assert done.returncode in (DONE, VERDICT_NO), done.stderr
         found.append(result(tmp_path / name)["cases"])
@@ -75,7 +75,7 @@ def test_another_controller_gets_set_points_one_by_one_and_twice_the_same_run(
 @pytest.mark.skipif(not hasattr(topics, "JOINT_COMMANDS"), reason="the simulation takes no joint_commands")
 def test_a_controller_of_the_joints_is_checked_at_its_rate(processes: Processes, tmp_path: Path) -> None:
     """Torques at the joints at 1 kHz: the arm follows, and each loop has margins, beside those of the CS7B's motors."""
-    words = ("--output", tmp_path / "out", "--case", "step", "--case", "sweep", "--reference", "set_points",
+    words = ("--output", tmp_path / "out", "--case", "step", "--case", "sweep", "--set-points", "set_points",
              "--command-interface", "joint", *OWN, "joint")  # fmt: skip
     done = processes.run("rx90_controller_check", *words)
     assert done.returncode in (DONE, VERDICT_NO), done.stderr
@@ -124,7 +124,7 @@ def test_an_interrupted_check_leaves_no_controller(processes: Processes, tmp_pat
         (["no_such_program"], "COMMAND 'no_such_program': no such program; accepted: "),
         (["--case", "dance", "true"], "--case 'dance'; accepted: step, sweep, "),
         (["--command-rate", "500", "true"], "--command-rate without --command-interface joint"),
-        (["--reference", "set points", "true"], "--reference 'set points'; accepted: a name such as "),
+        (["--set-points", "set points", "true"], "--set-points 'set points'; accepted: a name such as "),
         (["--limits", "nowhere.yaml", "true"], "nowhere.yaml: cannot be read"),
     ],
 )
