@@ -165,7 +165,7 @@ class _Run:
         self._wait(lambda: time.monotonic() > handed_over, "has it")
 
     def _note_accepted(self, _message: object) -> None:
-        self._accepted = True
+        self._accepted = self._told  # what is latched of a case before does not count
 
     def _wait(self, ready: Callable[[], object], what: str) -> None:
         self.heard()
