@@ -19,6 +19,7 @@ EXECUTABLES = (
     "rx90_compare_measured",
     "rx90_own_controller",
     "rx90_config",
+    "rx90_controller_check",
     "rx90_demo",
     "rx90_sweep",
     "rx90_experiment",
@@ -52,7 +53,7 @@ DOCS = [
     "sphinx-argparse>=0.5.2,<0.7",
     "sphinx-copybutton>=0.5.2,<0.6",
 ]
-TEST = ["pytest>=8.3,<10", "pytest-xdist>=3.6,<4", "hypothesis>=6.120,<7", "jsonschema>=4.20,<5"]
+TEST = ["pytest>=8.3,<10", "pytest-xdist>=3.6,<4", "hypothesis>=6.120,<7", "jsonschema>=4.20,<5", "xacro>=2.0,<3"]
 
 setup(
     name=NAME,

@@ -31,7 +31,7 @@ RESOLVED_ON_NOBLE = """
     rcl_interfaces robot_state_publisher rosgraph_msgs rviz2 sensor_msgs std_msgs std_srvs trajectory_msgs
     type_description_interfaces
     python3-hypothesis python3-jinja2 python3-matplotlib python3-numpy python3-pytest python3-scipy python3-serial
-    python3-tqdm python3-yaml tf2_msgs
+    python3-tqdm python3-yaml tf2_msgs xacro
 """
 
 

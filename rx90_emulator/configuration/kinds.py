@@ -18,6 +18,7 @@ from rx90_common.description.robot import TOOL, load_tool
 from rx90_common.friction.friction_file import FRICTION, FrictionFile
 from rx90_controller.law.parameters import CONTROLLER, load_controller
 from rx90_controller.lines.task import TASK, load_task
+from rx90_emulator.conformance.quantities import CHECK_LIMITS, CheckLimits
 from rx90_emulator.identification.excitation.payload import PAYLOADS, read_payloads
 from rx90_emulator.identification.experiments.folder import EXPERIMENTS, read_index
 from rx90_emulator.identification.experiments.plan import POSES, Poses
@@ -90,6 +91,7 @@ KINDS = (
     ),
     FileKind("log_mapping", MAPPING, LogMapping.load),
     FileKind("tolerances", TOLERANCES, load_rules),
+    FileKind("check_limits", CHECK_LIMITS, CheckLimits.load),
     FileKind("payloads", PAYLOADS, read_payloads),
     FileKind("experiments", EXPERIMENTS, lambda path: read_index(path.parent)),
 )

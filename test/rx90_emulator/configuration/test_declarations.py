@@ -64,7 +64,7 @@ TOGETHER = re.compile(
 )
 """What is refused because of several values together, or of one in a list of unlike ones: no schema says that."""
 ELSEWHERE = {"rx90_common.bags.reading", "rx90_controller.node.parameters", "rx90_common.description.robot_files"}
-ELSEWHERE |= {"rx90_emulator.identification.output.robot_files"}
+ELSEWHERE |= {"rx90_emulator.identification.output.robot_files", "rx90_emulator.conformance.battery"}
 
 
 @pytest.fixture(scope="module")

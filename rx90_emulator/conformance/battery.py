@@ -1,0 +1,269 @@
+"""The battery: what the arm is in each case, what is asked of the controller, and what happens to its commands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.config import load_yaml, yaml_text
+from rx90_common.base.errors import ConfigError
+from rx90_common.description.robot_files import RobotFiles
+from rx90_common.process.files import write_text
+from rx90_controller.lines.task import LineTask, load_task
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.identification.experiments.motion import Motion
+from rx90_emulator.loop.line import plan_line
+from rx90_emulator.loop.setup import Setup
+
+START = 0.5
+"""When the trajectory of each case starts, s: before it the controller takes up the weight of the arm."""
+SETTLED = 1.0
+"""How long the arm is watched after a trajectory's end, s."""
+
+_STEP = math.radians(2.0)
+_STEP_ACCELERATION = 0.8  # times the least of the joints' largest accelerations
+_REST_SPEED = 0.02  # rad/s
+_WATCHED_REST = 6.0  # s
+_DERATED = 0.8  # of what the CS7B needs
+_LOST, _TWICE = 0.02, 0.01  # of the ticks
+_LINE_REST = 0.3  # s, before and after a line
+
+_SLIDING = 0.06  # of the nominal speeds: all joints slide in one direction while the torques are swept
+_SWEEP_PERIOD = 1.0  # s, of all sines together
+_SWEEP_PERIODS = 3  # the first of which is left out
+_SINES = 12  # for each motor
+_SLOWEST, _FASTEST = 6.0, 480.0  # Hz
+_SINE_TORQUE = 0.01  # of the peak torque, each sine
+
+
+class TorqueSines(NamedTuple):
+    """Torques that are added to the commands, one after the other sine's frequency another motor's.
+
+    Attributes:
+        begin: s; from then on, for `_SWEEP_PERIODS` periods of 1 s.
+        frequency: whole Hz, shape (6, k), no number twice.
+        amplitude: Nm, motor side, shape (6,).
+        phase: rad, shape (6, k).
+    """
+
+    begin: float
+    frequency: Array
+    amplitude: Array
+    phase: Array
+
+    @property
+    def measured(self) -> tuple[float, float]:
+        """Return from when until when the response is periodic, s."""
+        return self.begin + _SWEEP_PERIOD, self.begin + _SWEEP_PERIODS * _SWEEP_PERIOD
+
+    def torques(self, times: Array) -> Array:
+        """Return the torques at `times`, s, shape (n,): Nm, shape (n, 6); faded in over a tenth of a period."""
+        since = times - self.begin
+        inside = (since >= 0.0) & (since < _SWEEP_PERIODS * _SWEEP_PERIOD)
+        fade = inside * np.clip(since / (0.1 * _SWEEP_PERIOD), 0.0, 1.0)
+        angle = 2.0 * np.pi * since[:, None, None] * self.frequency + self.phase
+        return np.asarray(fade[:, None] * self.amplitude * np.sin(angle).sum(axis=2))
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One run of the battery.
+
+    Attributes:
+        name: of the case.
+        about: in words.
+        files: of the arm that is driven; the controller knows the nominal one.
+        setup: what the files hold.
+        points: the trajectory, which starts at START.
+        duration: of the run, s.
+        task: the line that the tool follows, if it does.
+        sines: torques that are added to the commands, if any.
+        lost: ticks whose commands are lost on their way, shape (ticks,); the drives hold the command before.
+        twice: ticks whose states are sent twice, as lock-step does when it asks again.
+    """
+
+    name: str
+    about: str
+    files: RobotFiles
+    setup: Setup
+    points: TrajectoryPoints
+    duration: float
+    task: LineTask | None = None
+    sines: TorqueSines | None = None
+    lost: Mask | None = None
+    twice: Mask | None = None
+
+    @property
+    def ticks(self) -> int:
+        """Return how many base ticks the run takes."""
+        return self.setup.rates.ticks_of(self.duration)
+
+    @property
+    def times(self) -> Array:
+        """Return the times of the ticks, s, shape (ticks,)."""
+        return np.asarray(np.arange(self.ticks, dtype=np.float64) * self.setup.rates.period)
+
+    @property
+    def end(self) -> float:
+        """Return when the trajectory ends, s."""
+        return START + float(self.points.times[-1])
+
+
+class Nominal(NamedTuple):
+    """What the cases are made of.
+
+    Attributes:
+        setup: the nominal arm and the CS7B.
+        folder: for the files of arms that differ from it.
+        needed: the largest torques of the motors, Nm, shape (6,), with which the CS7B does a case.
+    """
+
+    setup: Setup
+    folder: Path
+    needed: Callable[[Case], Array]
+
+    @property
+    def task(self) -> LineTask:
+        """Return the robot's reference line, with short rests."""
+        files = self.setup.files
+        assert files is not None
+        return replace(load_task(files.required("task")), rest_before=_LINE_REST, rest_after=_LINE_REST)
+
+    @property
+    def pose(self) -> Array:
+        """Return where the line begins, rad, shape (6,)."""
+        return np.array(plan_line(self.setup, self.task).points.position[0])
+
+    def scaled(self, role: str, keys: Sequence[str], factor: float | Array) -> tuple[RobotFiles, Setup]:
+        """Return the arm with all values of these keys in one of its files times a factor, or times six of them."""
+        files = self.setup.files
+        assert files is not None
+        target = self.folder / f"{role}_{len(list(self.folder.iterdir()))}.yaml"
+        write_text(target, yaml_text(_times(load_yaml(files.required(role)).content, keys, factor)))
+        changed = replace(files, **{role: target})
+        return changed, Setup.load(changed, self.setup.rates, self.setup.seed)
+
+
+def _times(value: Any, keys: Sequence[str], factor: float | Array, here: bool = False) -> Any:
+    if isinstance(value, dict):
+        return {key: _times(one, keys, factor, here or key in keys) for key, one in value.items()}
+    if isinstance(value, list):
+        if here and np.ndim(factor):
+            return (np.asarray(value) * factor).tolist()
+        return [_times(one, keys, factor, here) for one in value]
+    return float(value * factor) if here and isinstance(value, int | float) else value
+
+
+def _of_motion(nominal: Nominal, name: str, about: str, motion: Motion, watched: float = SETTLED) -> Case:
+    setup, files = nominal.setup, nominal.setup.files
+    assert files is not None
+    points = motion.points(setup.robot.joint_names)
+    return Case(name, about, files, setup, points, START + motion.duration + watched)
+
+
+def _inward(pose: Array, setup: Setup) -> Array:
+    """Return the direction of each joint away from its nearer limit, 1 or -1, shape (6,)."""
+    return np.where(pose > 0.5 * (setup.robot.lower + setup.robot.upper), -1.0, 1.0)
+
+
+def _step(nominal: Nominal, name: str) -> Case:
+    pose, setup = nominal.pose, nominal.setup
+    acceleration = _STEP_ACCELERATION * float(setup.controller.max_acceleration.min())
+    motion = Motion(pose)
+    motion.move(pose + _STEP * _inward(pose, setup), setup.robot.max_velocity, acceleration)
+    about = f"all joints {math.degrees(_STEP):g} deg, as fast as {acceleration:g} rad/s² allow"
+    return _of_motion(nominal, name, about, motion)
+
+
+def _sweep(nominal: Nominal, name: str) -> Case:
+    pose, setup = nominal.pose, nominal.setup
+    plateau = _SWEEP_PERIODS * _SWEEP_PERIOD + 0.2
+    speed = _SLIDING * setup.robot.max_velocity * _inward(pose, setup)
+    motion = Motion(pose)
+    motion.sweep(speed, 1.0, plateau, float(setup.controller.max_acceleration.min()))
+    ramp = float(motion.points(setup.robot.joint_names).times[1])
+    wanted = np.geomspace(_SLOWEST, _FASTEST, 6 * _SINES)
+    whole: list[int] = []
+    for frequency in wanted:  # no number twice: the next one then
+        whole.append(max(round(frequency), whole[-1] + 1 if whole else 0))
+    frequency = np.array(whole, dtype=np.float64).reshape(_SINES, 6).T
+    phase = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, frequency.shape)
+    sines = TorqueSines(START + ramp + 0.1, frequency, _SINE_TORQUE * setup.drives.peak_torque, phase)
+    about = (
+        f"all joints slide at {_SLIDING:g} of their nominal speeds, while sines of {whole[0]} to {whole[-1]} Hz are "
+        "added to the torques"
+    )
+    return replace(_of_motion(nominal, name, about, motion), sines=sines)
+
+
+def _line(nominal: Nominal, name: str, about: str = "the nominal arm") -> Case:
+    setup, files, task = nominal.setup, nominal.setup.files, nominal.task
+    assert files is not None
+    points = plan_line(setup, task).points
+    about = f"the robot's reference line, in which joints reverse: {about}"
+    return Case(name, about, files, setup, points, START + float(points.times[-1]) + 0.2, task)
+
+
+def _other_arm(nominal: Nominal, name: str, role: str, keys: Sequence[str], factor: float, what: str) -> Case:
+    files, setup = nominal.scaled(role, keys, factor)
+    return replace(_line(nominal, name, f"{what} times {factor:g}"), files=files, setup=setup)
+
+
+def _rest(nominal: Nominal, name: str) -> Case:
+    pose, setup = nominal.pose, nominal.setup
+    motion = Motion(pose)
+    motion.sweep(_inward(pose, setup), _REST_SPEED, 0.5, float(setup.controller.max_acceleration.min()))
+    about = f"all joints creep to a set-point at {_REST_SPEED:g} rad/s and hold it for {_WATCHED_REST:g} s"
+    return _of_motion(nominal, name, about, motion, _WATCHED_REST)
+
+
+def _saturation(nominal: Nominal, name: str) -> Case:
+    case = _step(nominal, name)
+    share = np.minimum(1.0, _DERATED * nominal.needed(case) / nominal.setup.drives.peak_torque)
+    files, setup = nominal.scaled("drives", ("peak_current",), share)
+    about = f"the step with drives that give {_DERATED:g} of the torques that the CS7B needs for it"
+    return replace(case, about=about, files=files, setup=setup)
+
+
+def _dropped(nominal: Nominal, name: str) -> Case:
+    case = _line(nominal, name, f"{_LOST:.0%} of the commands are lost, {_TWICE:.0%} of the states come twice")
+    chance = np.random.default_rng(1)
+    lost, twice = chance.random(case.ticks) < _LOST, chance.random(case.ticks) < _TWICE
+    lost[: case.setup.rates.ticks_of(START)] = False
+    return replace(case, lost=lost, twice=twice)
+
+
+_PAYLOAD, _FRICTION = ("mass", "inertia"), ("tau_c", "tau_s", "c2")
+_MAKERS: dict[str, Callable[..., Case]] = {
+    "step": _step,
+    "sweep": _sweep,
+    "line": _line,
+    **{f"payload_{f:g}": partial(_other_arm, role="tool", keys=_PAYLOAD, factor=f, what="the payload's mass and "
+                                 "inertia") for f in (0.7, 1.3)},
+    **{f"friction_{f:g}": partial(_other_arm, role="friction", keys=_FRICTION, factor=f, what="the friction's tau_c, "
+                                  "tau_s and c2") for f in (0.7, 1.3)},
+    "rest": _rest,
+    "saturation": _saturation,
+    "dropped": _dropped,
+}  # fmt: skip
+CASES = tuple(_MAKERS)
+"""Names of the cases, in their order."""
+
+
+def make_case(name: str, nominal: Nominal) -> Case:
+    """Return a case.
+
+    Raises:
+        ConfigError: for a payload of an arm without a tool, and a robot without a reference line.
+    """
+    assert nominal.setup.files is not None
+    if name.startswith("payload") and nominal.setup.files.tool is None:
+        raise ConfigError(f"case {name}: the arm carries no tool; accepted: with a tool file, or other cases")
+    return _MAKERS[name](nominal, name)

@@ -1,0 +1,139 @@
+"""The command rx90_controller_check, with the CS7B's node and with a controller that is not this project's."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from processes import Processes, command, wait_until
+
+from rx90_common.base.errors import DONE, FAILED, INTERRUPTED, REFUSED, VERDICT_NO
+from rx90_common.exchange import topics
+from rx90_emulator.cli.frame import run
+
+CS7B = command("rx90_controller")
+OWN = [sys.executable, str(Path(__file__).resolve().parents[2] / "support" / "user_servo.py")]
+WEAK = """\
+/**/rx90_controller:
+  ros__parameters: {servo: {kp: [20, 20, 20, 20, 20, 20], kv: [60, 60, 60, 60, 60, 60]}}
+"""
+
+
+def result(folder: Path) -> dict[str, Any]:
+    """Return what a check has written."""
+    assert "<h2>step</h2>" in (folder / "report.html").read_text(encoding="utf-8")
+    return dict(json.loads((folder / "result.json").read_text(encoding="utf-8")))
+
+
+def test_the_cs7b_as_a_node_passes_with_the_numbers_of_the_closed_loop(processes: Processes, tmp_path: Path) -> None:
+    """With commands lost and states sent twice, too, each number is that of the run without ROS, to the last bit."""
+    words = ("--output", tmp_path / "out", "--case", "step", "--case", "saturation", *CS7B)
+    done = processes.run("rx90_controller_check", *words)
+    assert done.returncode == DONE, done.stderr
+    found = result(tmp_path / "out")
+    assert found["passed"] is True
+    findings = [one for case in found["cases"] for one in case["findings"]]
+    assert len(findings) > 50
+    assert [one["value"] for one in findings] == [one["cs7b"] for one in findings]
+
+
+def test_bad_gains_do_not_pass_and_it_is_said_what_decided(processes: Processes, tmp_path: Path) -> None:
+    """A parameter file with weak gains: exit code 1, and lines with case, quantity, joint, value and limit."""
+    file = tmp_path / "weak.yaml"
+    file.write_text(WEAK, encoding="utf-8")
+    words = ("--output", tmp_path / "out", "--case", "step", *CS7B, "--ros-args", "--params-file", file)
+    done = processes.run("rx90_controller_check", *words)
+    assert done.returncode == VERDICT_NO, done.stderr
+    (beyond,) = [one for one in result(tmp_path / "out")["cases"][0]["findings"]
+                 if (one["quantity"], one["joint"]) == ("tracking_error_rms", "joint_2")]  # fmt: skip
+    assert beyond["value"] > beyond["limit"]
+    said = [line for line in done.stderr.splitlines() if "tracking_error_rms of joint_" in line]
+    assert len(said) == 1
+    assert said[0].startswith("rx90_controller_check: step: ")
+    assert " rad; accepted: up to " in said[0]
+
+
+def test_another_controller_gets_set_points_one_by_one_and_twice_the_same_run(
+    processes: Processes, tmp_path: Path
+) -> None:
+    """An rclpy node without trajectories follows set-points by their stamps, and a second check has the same bits."""
+    found = []
+    for name in ("first", "second"):
+        words = ("--output", tmp_path / name, "--case", "step", "--set-points", "set_points", *OWN, "motor")
+        done = processes.run("rx90_controller_check", *words)
+        assert done.returncode in (DONE, VERDICT_NO), done.stderr
+        found.append(result(tmp_path / name)["cases"])
+    assert found[0] == found[1]
+    values = {(one["quantity"], one["joint"]): one["value"] for one in found[0][0]["findings"]}
+    assert values["torque_off", "all"] == 0.0
+    assert 0.0 < values["tracking_error_peak", "joint_1"] < 5e-3  # of a way of 0.035 rad: it followed
+
+
+@pytest.mark.skipif(not hasattr(topics, "JOINT_COMMANDS"), reason="the simulation takes no joint_commands")
+def test_a_controller_of_the_joints_is_checked_at_its_rate(processes: Processes, tmp_path: Path) -> None:
+    """Torques at the joints at 1 kHz: the arm follows, and each loop has margins, beside those of the CS7B's motors."""
+    words = ("--output", tmp_path / "out", "--case", "step", "--case", "sweep", "--set-points", "set_points",
+             "--command-interface", "joint", *OWN, "joint")  # fmt: skip
+    done = processes.run("rx90_controller_check", *words)
+    assert done.returncode in (DONE, VERDICT_NO), done.stderr
+    step, sweep = result(tmp_path / "out")["cases"]
+    values = {(one["quantity"], one["joint"]): one["value"] for one in step["findings"]}
+    assert values["torque_off", "all"] == 0.0
+    assert 0.0 < values["tracking_error_peak", "joint_1"] < 5e-3  # of a way of 0.035 rad
+    margins = [one for one in sweep["findings"] if one["quantity"] == "phase_margin"]
+    assert [one["joint"] for one in margins] == [f"joint_{i}" for i in range(1, 7)]
+    assert all(30.0 < one["value"] < 100.0 and 30.0 < one["cs7b"] < 100.0 for one in margins)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((sys.executable, "-c", "print('no torque today'); raise SystemExit(4)"), "exit code 4: no torque today"),
+        ((sys.executable, "-c", "import time; time.sleep(60)"), "within 2 s"),
+    ],
+)
+def test_a_controller_that_ends_or_is_silent(
+    words: tuple[str, ...], said: str, processes: Processes, tmp_path: Path
+) -> None:
+    """It could not be carried out: exit code 3, one line that says why, no report."""
+    options = ("--output", tmp_path / "out", "--case", "step", "--timeout", "2")
+    done = processes.run("rx90_controller_check", *options, *words)
+    assert done.returncode == FAILED, done.stderr
+    assert said in done.stderr.splitlines()[-1]
+    assert not (tmp_path / "out" / "report.html").exists()
+
+
+def test_an_interrupted_check_leaves_no_controller(processes: Processes, tmp_path: Path) -> None:
+    """Ctrl-C ends the check with 130, and the controller with it."""
+    options = ("--output", tmp_path / "out", "--case", "line")
+    pid = tmp_path / "pid"
+    program = f"import os, pathlib, time; pathlib.Path({str(pid)!r}).write_text(str(os.getpid())); time.sleep(60)"
+    check = processes.start("rx90_controller_check", *options, sys.executable, "-c", program)
+    wait_until(lambda: pid.is_file() and bool(pid.read_text(encoding="utf-8")), "the controller")
+    check.signal(2)  # type: ignore[arg-type]
+    assert check.wait() == INTERRUPTED
+    assert not Path(f"/proc/{pid.read_text(encoding='utf-8')}").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["no_such_program"], "COMMAND 'no_such_program': no such program; accepted: "),
+        (["--case", "dance", "true"], "--case 'dance'; accepted: step, sweep, "),
+        (["--command-rate", "500", "true"], "--command-rate without --command-interface joint"),
+        (["--set-points", "set points", "true"], "--set-points 'set points'; accepted: a name such as "),
+        (["--limits", "nowhere.yaml", "true"], "nowhere.yaml: cannot be read"),
+    ],
+)
+def test_what_cannot_be_checked_is_refused(
+    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    ros_domain: int,  # noqa: ARG001 - its environment
+) -> None:  # fmt: skip
+    """Exit code 2, one line with the value and what is accepted, and no folder."""
+    monkeypatch.chdir(tmp_path)
+    assert run("rx90_controller_check", words) == REFUSED
+    assert said in capsys.readouterr().err.splitlines()[-1]
+    assert not (tmp_path / "controller_check").exists()
