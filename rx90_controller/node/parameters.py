@@ -26,6 +26,7 @@ from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CONTROLLER, CS7BParameters, read_controller
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, constraint_parameters
+from rx90_controller.trajectory.stream import INTERFACES, StreamOptions
 
 FILE_PARAMETERS: Final = ("urdf", "drives", "controller")
 """Files of the robot that the node can be given."""
@@ -46,6 +47,27 @@ def declare_own(node: Node) -> tuple[float, int]:
     horizon = declare(node, "start_horizon", 60.0, about, low=0.0, high=1e6)
     about = f"position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}"
     return horizon, declare(node, "detail_decimation", DETAIL_DECIMATION, about, low=1, high=1_000_000)
+
+
+def declare_stream(node: Node) -> StreamOptions:
+    """Declare how set-points become a stream, and return it.
+
+    Raises:
+        ConfigError: naming parameter, value and what is accepted.
+    """
+    usual = StreamOptions()
+    about = "from the stamp of a streamed set-point, or its arrival where it has none, until it is due, s"
+    delay = declare(
+        node, "stream.delay", usual.delay, f"{about}; two periods of the sender or more", low=1e-3, high=1.0
+    )
+    about = "time without set-points after which a stream has ended, and velocities are no longer held, s"
+    timeout = declare(node, "stream.timeout", usual.timeout, about, low=1e-3, high=60.0)
+    about = "trajectories on ~/joint_trajectory that end no further ahead are set-points of a stream, s; 0: none are"
+    window = declare(node, "stream.window", usual.window, about, low=0.0, high=10.0)
+    commands = declare(node, "stream.commands", usual.commands, f"what ~/commands are: {', '.join(INTERFACES)}")
+    if commands not in INTERFACES:
+        raise ConfigError(f"parameter stream.commands is {quoted(commands)}; accepted: {', '.join(INTERFACES)}")
+    return StreamOptions(delay, timeout, window, commands)
 
 
 @dataclass(frozen=True)
