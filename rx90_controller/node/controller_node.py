@@ -37,7 +37,7 @@ from rx90_common.exchange.endpoints import (
 from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
 from rx90_common.exchange.pacing import Pacer, ThrottledLog
 from rx90_common.exchange.parameters import declare_rates
-from rx90_common.exchange.ros_start import missing_control_msgs
+from rx90_common.exchange.ros_start import missing_control_msgs, missing_controller_manager_msgs
 from rx90_common.exchange.topics import (
     DETAILS,
     FREE_RUNNING,
@@ -54,10 +54,11 @@ from rx90_controller.node.parameters import (
     LAW_ENTRIES,
     allow_goal_changes,
     declare_goal_parameters,
+    declare_joints,
     declare_law,
     declare_own,
     declare_stream,
-    forget_law_parameters,
+    forget_robot,
 )
 from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
@@ -102,6 +103,7 @@ class Control:
         channel = node.make_channel(MOTOR_COMMANDS, MOTOR_STATES)
         horizon, decimation = declare_own(node)
         goals = declare_goal_parameters(node, cs7b.joint_names, rates)
+        declare_joints(node, cs7b.joint_names)
         if goals.without_use:
             self._log.warning(
                 f"not used, parameters of joint_trajectory_controller: {', '.join(goals.without_use)}; the law is the "
@@ -147,6 +149,10 @@ class Control:
         self.clients: ClientInterfaces | None = None
         if interfaces is not None:
             self.clients = interfaces.ClientInterfaces(node, loop, cs7b, goals.state_ticks, channel)
+        services = import_manager_services(node) if goals.manager else None
+        if services is not None:
+            hz = (rates.position_hz, rates.base_hz)
+            services.ManagerServices(node, goals.manager, loop, cs7b.joint_names, name, hz)
         self.publishers: tuple[Publisher, ...] = (
             *(row[0] for row in self._every_tick),
             *(row[0] for row in self._details),
@@ -284,6 +290,17 @@ def import_client_interfaces(node: ManagedNode) -> ModuleType | None:
     return client_interfaces
 
 
+def import_manager_services(node: ManagedNode) -> ModuleType | None:
+    """Return the module of what needs controller_manager_msgs; where that is missing say so once, and return None."""
+    missing = missing_controller_manager_msgs()
+    if missing is not None:
+        node.get_logger().info(f"the services of a controller_manager are off: {missing}")
+        return None
+    from rx90_controller.node import manager_services
+
+    return manager_services
+
+
 class ControllerNode:
     """The node; what it is configured for is a `Control`.
 
@@ -342,7 +359,7 @@ class ControllerNode:
             control, self._control = self._control, None
         if control is not None and control.clients is not None:
             control.clients.close()
-        forget_law_parameters(self.node)
+        forget_robot(self.node)
 
     # A simulation in this process.
 
