@@ -20,6 +20,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import TrajectoryError
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_controller.trajectory.paths import JointLimits
@@ -164,7 +165,7 @@ class Stream:
         self._limits, self._period, self._timeout = limits, period, timeout / period
         self.count = self.late = self.expires = 0
         self.latest = 0.0
-        self.own_clock, self._offset = False, 0.0  # ticks, from the stamps of another clock to the controller's time
+        self.own_clock, self._offset = False, 0  # ns, from the stamps of another clock to the controller's time
         self.beyond = ""
         self.said: set[str] = set()
         self._times, self._values, self._slopes = np.zeros(0), np.zeros((0, 6)), np.zeros((0, 6))
@@ -182,7 +183,7 @@ class Stream:
         """
         times, values, slopes = self._due(points, now), points.values, points.slopes.copy()
         self.count += len(times)
-        self.expires = math.ceil(max(float(now), times[-1]) + self._timeout)
+        self.expires = math.ceil(max(float(now), times[-1]) + self._timeout - 1e-6)
         if self.interface == POSITION:
             values = np.clip(values, self._limits.lower, self._limits.upper)
             self._note_beyond(points.values - values, points.values, "position", "rad")
@@ -221,13 +222,14 @@ class Stream:
         times = points.times / self._period
         if points.stamp_ns is None:
             return np.asarray(now + times)
-        stamp = points.stamp_ns * 1e-9 / self._period
+        tick_ns = round(self._period * NANOSECONDS)
+        ahead = points.stamp_ns - now * tick_ns  # whole ns: a stamp of today would lose some as a number of seconds
         if not self.count:
-            self.own_clock = abs(stamp - now) * self._period > _OTHER_CLOCK
-            self._offset = now - stamp if self.own_clock else 0.0
-        elif self.own_clock and not 0.0 <= stamp + self._offset + times[-1] - now <= 2.0 * times[-1]:
-            self._offset = now - stamp  # the clocks have run apart, or the stream has paused
-        return np.asarray(stamp + self._offset + times)
+            self.own_clock = abs(ahead) > _OTHER_CLOCK * NANOSECONDS
+            self._offset = -ahead if self.own_clock else 0
+        elif self.own_clock and not 0.0 <= (ahead + self._offset) / tick_ns + times[-1] <= 2.0 * times[-1]:
+            self._offset = -ahead  # the clocks have run apart, or the stream has paused
+        return np.asarray(now + (ahead + self._offset) / tick_ns + times)
 
     def news(self, delay: float) -> list[str]:
         """Return what is wrong with the stream and has not been said yet, a line for each kind; `delay` is in s."""
