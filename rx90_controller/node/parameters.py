@@ -124,7 +124,7 @@ def _take_out(node: Node, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def declare_joints(node: Node, names: Sequence[str]) -> None:
-    """Declare joints and interfaces, which are the arm's and cannot be chosen, for those who ask; until `forget_robot`."""
+    """Declare joints and interfaces, which are the arm's and cannot be chosen, for who asks; until `forget_robot`."""
     for name, own in zip(_OF_THE_ARM, (names, COMMAND_INTERFACES, STATE_INTERFACES), strict=True):
         node.declare_parameter(name, list(own), ParameterDescriptor(description=_OF_THE_ARM[name]))
 
