@@ -47,7 +47,7 @@ def test_rqt_finds_it_and_its_sliders_move_it(bench: Bench, shipped: Setup) -> N
 
 
 def test_moveit_finds_it_and_calls_its_action(bench: Bench) -> None:
-    """Ros2ControlManager has one active controller with six joints, has nothing to switch for it, and a goal succeeds."""
+    """Ros2ControlManager has one active controller with six joints, nothing to switch for it, and a goal succeeds."""
     from action_client import GoalClient, move
     from controller_clients import MoveIt
 
