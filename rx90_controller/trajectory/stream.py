@@ -391,10 +391,10 @@ def _follow(
 @inlined
 def _line(times: Array, values: Array, j: int, t: float) -> float:
     """Return the value at a time on the lines between the knots."""
-    last = times.size - 1
+    last: int = times.size - 1
     if t >= times[last]:
         return float(values[last, j])
-    k = max(np.searchsorted(times, t, side="right") - 1, 0)
+    k: int = max(np.searchsorted(times, t, side="right") - 1, 0)  # type: ignore[assignment]
     share = max((t - times[k]) / (times[k + 1] - times[k]), 0.0)
     return float(values[k, j] + share * (values[k + 1, j] - values[k, j]))
 
@@ -422,7 +422,8 @@ def _filter(error: float, rate: float, most: float, period: float) -> float:
     z1, z2 = (error / period + 0.5 * rate) / most, rate / most
     m = math.floor(0.5 * (1.0 + math.sqrt(1.0 + 8.0 * abs(z1))))
     sigma = z2 + z1 / m + 0.5 * (m - 1.0) * np.sign(z1)
-    return -most * min(max(sigma, -1.0), 1.0)
+    change: float = -most * min(max(sigma, -1.0), 1.0)
+    return change
 
 
 @inlined

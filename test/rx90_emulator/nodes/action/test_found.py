@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from action_bench import SUCCEEDED, Bench
+from action_bench import STEP, SUCCEEDED, Bench
 from ros_client import JOINTS
 
 from rx90_emulator.loop.setup import Setup
@@ -17,8 +17,8 @@ NAME = "rx90_controller"
 
 def test_rqt_finds_it_and_its_sliders_move_it(bench: Bench, shipped: Setup) -> None:
     """One manager, one running controller, six joints with limits in robot_description; a slider's points arrive."""
+    from action_client import move
     from controller_clients import Rqt
-    from std_msgs.msg import String
     from trajectory_msgs.msg import JointTrajectory
 
     rqt, client = Rqt(bench.client), bench.client
@@ -30,10 +30,7 @@ def test_rqt_finds_it_and_its_sliders_move_it(bench: Bench, shipped: Setup) -> N
     assert topics[f"{space}/controller_state"] == ["control_msgs/msg/JointTrajectoryControllerState"]
     assert topics[f"{space}/joint_trajectory"] == ["trajectory_msgs/msg/JointTrajectory"]
     assert "/robot_description" in topics
-    del String
     bench.home()
-    from action_client import move
-
     to = 0.1
     seconds = rqt.duration(to, float(shipped.robot.max_velocity.min()))
     message: Any = move(to, seconds).trajectory
@@ -48,7 +45,7 @@ def test_rqt_finds_it_and_its_sliders_move_it(bench: Bench, shipped: Setup) -> N
 
 def test_moveit_finds_it_and_calls_its_action(bench: Bench) -> None:
     """Ros2ControlManager has one active controller with six joints, nothing to switch for it, and a goal succeeds."""
-    from action_client import GoalClient, move
+    from action_client import move
     from controller_clients import MoveIt
 
     bench.client.spin_until(lambda: MoveIt.namespaces(bench.client) == ["/"], "a controller manager")
@@ -57,7 +54,6 @@ def test_moveit_finds_it_and_calls_its_action(bench: Bench) -> None:
     assert manager.joints(f"/{NAME}") == JOINTS
     assert manager.switch([f"/{NAME}"], []) == (True, "")
     assert manager.action(f"/{NAME}") == "/rx90_controller/follow_joint_trajectory"
-    assert GoalClient is not None
     assert bench.follow(move(0.05, 0.5)).status == SUCCEEDED
 
 
@@ -112,6 +108,7 @@ def test_an_inactive_controller_is_listed_so(bench: Bench) -> None:
     assert manager.managed[f"/{NAME}"].state == "inactive"
     assert Rqt(bench.client).running("/controller_manager") == []
     assert bench.client.transition(NAME, "activate")
+    bench.time.run(STEP)  # the torque comes back with a tick
     manager.discover()
     assert manager.active == {NAME: JOINTS}
 
