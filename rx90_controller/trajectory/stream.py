@@ -279,7 +279,9 @@ class Stream:
         coefficients = np.zeros((ticks, 6, 6))
         coefficients[:, :2] = states[:-1]
         coefficients[:, 2] = np.diff(states[:, 1], axis=0) / (2.0 * self._period)
-        return Spline(np.arange(ticks + 1) * self._period, coefficients, states[-1, 0].copy())
+        return Spline(
+            np.asarray(np.arange(ticks + 1) * self._period, dtype=np.float64), coefficients, states[-1, 0].copy()
+        )
 
     def _note_beyond(self, excess: Array, asked: Array, what: str, unit: str) -> None:
         if excess.any() and not self.beyond:

@@ -120,7 +120,7 @@ def test_one_line_says_that_the_action_is_off_and_how_to_turn_it_on(monkeypatch:
     ],
 )
 def test_a_file_for_another_controller_is_refused_with_the_difference(name: str, value: Any, said: str) -> None:
-    """Joints and interfaces of a file for joint_trajectory_controller are those of the arm, or what differs is named."""
+    """Joints and interfaces of a file for joint_trajectory_controller are the arm's, or what differs is named."""
     with pytest.raises(ConfigError, match=f"^parameter {name} is .*{said}"):
         declared("rx90_controller", {name: value})
 
@@ -129,5 +129,5 @@ def test_a_file_for_this_arm_is_taken(shipped: Setup) -> None:
     """The same keys with the arm's values, in any order, are taken; of streams what cannot be is refused."""
     mine = {"joints": list(reversed(shipped.robot.joint_names)), "state_interfaces": ["velocity", "position"]}
     assert declared("rx90_controller", {**mine, "command_interfaces": ["position"], "update_rate": 100}).values
-    with pytest.raises(ConfigError, match="stream.commands is 'effort'; accepted: position, velocity"):
+    with pytest.raises(ConfigError, match=r"stream\.commands is 'effort'; accepted: position, velocity"):
         declared("rx90_controller", {"stream.commands": "effort"})
