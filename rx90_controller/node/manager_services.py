@@ -8,6 +8,7 @@ controller_manager_msgs is.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Final
 
 from controller_manager_msgs.msg import ControllerState, HardwareComponentState, HardwareInterface
@@ -85,7 +86,7 @@ class ManagerServices:
             (CleanupController, "cleanup_controller"),
             (ReloadControllerLibraries, "reload_controller_libraries"),
         ):
-            serve(kind, name, lambda _, response, name=name: self._refuse(name, response))
+            serve(kind, name, partial(self._refuse, name))
 
     # What there is.
 
@@ -164,10 +165,10 @@ class ManagerServices:
         wanted = target.label == _ACTIVE.label if target.label else target.id == _ACTIVE.id
         response.ok, response.state = request.name == self._robot and wanted, _ACTIVE
         if not response.ok:
-            return self._refuse("set_hardware_component_state", response)
+            return self._refuse("set_hardware_component_state", request, response)
         return response
 
-    def _refuse(self, name: str, response: Any) -> Any:
+    def _refuse(self, name: str, _: Any, response: Any) -> Any:
         """Answer no, which has no room for a reason; the log has."""
         response.ok = False
         self._asked.say(name, f"{name}: {self._name} {_FIXED}; accepted: {_ANOTHER_WAY}")

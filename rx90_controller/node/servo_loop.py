@@ -171,7 +171,8 @@ class ServoLoop:
                 if end is not None:
                     what = "stopped" if end[1] else "trajectory ended"
                     self._note(f"{what} at {end[0] * self._period:.3f} s; holding")
-                if self._stream is not None and cs7b.position_tick > self._stream.expires:
+                stream, tick = self._stream, cs7b.position_tick
+                if stream is not None and tick > stream.expires and not cs7b.trajectory.moving(tick):
                     self._end_stream("holding")
             cs7b.step(states.position, states.velocity, states.torque)
             self._unpublished = slow

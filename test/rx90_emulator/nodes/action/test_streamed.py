@@ -34,7 +34,7 @@ def set_points(bench: Bench, messages: Sequence[Any], topic: str, seconds: float
     publisher.wait_for_all_acked()
     bench.client.known_to("rx90_controller")  # its executor has taken what came before the request
     bench.time.run(seconds)
-    followed = bench.set_points_from(begin, round(seconds * 1e3))
+    followed = bench.set_points_from(begin, round(seconds * 1e3) - 1)
     node.destroy_publisher(publisher)
     return followed
 
