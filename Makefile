@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 help:
 	@echo "make demo     run the emulated robot along the reference line and write the report"
 	@echo "make view     the same arm on a page in the browser, moving along the reference line until Ctrl-C"
-	@echo "make action   build control_msgs and tf2_msgs into the environment, for the action FollowJointTrajectory and for /tf"
+	@echo "make action   build control_msgs, controller_manager_msgs and tf2_msgs into the environment: the action, found as a controller, /tf"
 	@echo "make test     run all tests"
 	@echo "make test-jazzy  run the tests of models, loop, bags and identification with the versions of Ubuntu 24.04"
 	@echo "make bench    measure speed and accuracy into out/bench.json"

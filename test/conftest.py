@@ -85,6 +85,15 @@ def needs_action() -> None:
 
 
 @pytest.fixture(scope="session")
+def needs_manager() -> None:
+    """Skip where controller_manager_msgs is not built; fail where ACTION_REQUIRED is set."""
+    from rx90_common.exchange.ros_start import missing_controller_manager_msgs
+
+    if line := missing_controller_manager_msgs():
+        (pytest.fail if os.environ.get("ACTION_REQUIRED") else pytest.skip)(line)
+
+
+@pytest.fixture(scope="session")
 def needs_tf() -> None:
     """Skip where tf2_msgs is not there, which a compiler is needed for; fail where ACTION_REQUIRED is set."""
     try:

@@ -27,8 +27,9 @@ NODES = ("rx90_sim", "rx90_controller")
 # rosdep/python.yaml without a pip entry, and packages released for noble in jazzy/distribution.yaml. rosdep knows
 # python3-numba there too, but noble has no package of that name.
 RESOLVED_ON_NOBLE = """
-    ament_index_python builtin_interfaces control_msgs diagnostic_msgs launch launch_ros lifecycle_msgs pinocchio rclpy
-    rcl_interfaces robot_state_publisher rosgraph_msgs rviz2 sensor_msgs std_msgs std_srvs trajectory_msgs
+    ament_index_python builtin_interfaces control_msgs controller_manager_msgs diagnostic_msgs launch launch_ros
+    lifecycle_msgs pinocchio rclpy rcl_interfaces robot_state_publisher rosgraph_msgs rviz2 sensor_msgs std_msgs
+    std_srvs trajectory_msgs
     type_description_interfaces
     python3-hypothesis python3-jinja2 python3-matplotlib python3-numpy python3-pytest python3-scipy python3-serial
     python3-tqdm python3-yaml tf2_msgs xacro

@@ -1,4 +1,4 @@
-"""Build control_msgs and tf2_msgs into the virtual environment whose interpreter runs this, where that is not done yet.
+"""Build the types of `PACKAGES` into the virtual environment whose interpreter runs this, where that is not done yet.
 
 No package registry has them. rclpy's wheels bring what generates it and what it is linked with; from outside
 come a C++ compiler and, for the time of the build, empy 3.3.4: the generators' templates do not work with a newer one.
@@ -25,12 +25,12 @@ from pathlib import Path
 
 from tools.environment import ROOT, UnsuitableError, alone
 
-PACKAGES = ("control_msgs", "tf2_msgs")
+PACKAGES = ("control_msgs", "controller_manager_msgs", "tf2_msgs")
 DEFINITIONS = ROOT / "interfaces"
 # The packages whose types the definitions use, and those that rosidl adds to services and actions.
 USED = (
-    *("action_msgs", "builtin_interfaces", "geometry_msgs", "service_msgs", "std_msgs", "trajectory_msgs"),
-    "unique_identifier_msgs",
+    *("action_msgs", "builtin_interfaces", "geometry_msgs", "lifecycle_msgs", "service_msgs", "std_msgs"),
+    *("trajectory_msgs", "unique_identifier_msgs"),
 )
 LIBRARIES = ("generator_c", "typesupport_fastrtps_c", "typesupport_introspection_c")
 MODULE = "typesupport_c"
@@ -95,7 +95,7 @@ def build(packages: Sequence[str], site: Path) -> None:
     if sys.prefix == sys.base_prefix:
         raise UnsuitableError(
             f"{sys.executable} belongs to no virtual environment; accepted: make action, "
-            "or with ROS installed sudo apt install ros-jazzy-control-msgs ros-jazzy-tf2-msgs"
+            f"or with ROS installed sudo apt install {' '.join(debian_name(package) for package in PACKAGES)}"
         )
     compiler = find_compiler()
     _say(f"building {' and '.join(packages)} with {compiler[0]}")
@@ -114,6 +114,11 @@ def build(packages: Sequence[str], site: Path) -> None:
             modules = [f"{package}.{package}_s__rosidl_{MODULE}", *(f"{package}.{kind}" for kind in kinds)]
             _run([sys.executable, "-c", f"import {', '.join(modules)}"])
             _stamp(site / package).write_text(inputs(package), encoding="utf-8")
+
+
+def debian_name(package: str) -> str:
+    """Return the name of a package of ROS 2 Jazzy among Ubuntu's."""
+    return f"ros-jazzy-{package.replace('_', '-')}"
 
 
 def find_compiler() -> list[str]:

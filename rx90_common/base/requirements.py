@@ -83,7 +83,7 @@ def _accepted(module: str) -> str:
     # A system's own Python that is managed by its packages refuses pip; a virtual environment does not.
     folder = Path(sysconfig.get_path("stdlib"))
     managed = sys.prefix == sys.base_prefix and (folder / "EXTERNALLY-MANAGED").is_file()
-    if module in {"control_msgs", "tf2_msgs"}:  # in no registry of pip
+    if module in {"control_msgs", "controller_manager_msgs", "tf2_msgs"}:  # in no registry of pip
         sourced = os.environ.get("ROS_DISTRO") == "jazzy"
         package = f"ros-jazzy-{module.replace('_', '-')}"
         return f"sudo apt install {package}" if sourced else "make action, in the project's folder"

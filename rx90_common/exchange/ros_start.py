@@ -102,6 +102,16 @@ def missing_control_msgs() -> str | None:
     return None
 
 
+def missing_controller_manager_msgs() -> str | None:
+    """Return None where controller_manager_msgs can be used; else in one line what is missing and how to get it."""
+    try:
+        from controller_manager_msgs import controller_manager_msgs_s__rosidl_typesupport_c  # noqa: F401
+        from controller_manager_msgs.srv import ListControllers  # noqa: F401
+    except ImportError as error:
+        return missing_module(error) or str(error)
+    return None
+
+
 def controller_topic(node: Any, controller: str) -> str:
     """Return the absolute name of the topic on which a controller node, relative or absolute, takes trajectories.
 

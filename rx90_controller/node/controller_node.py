@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
@@ -37,7 +37,7 @@ from rx90_common.exchange.endpoints import (
 from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
 from rx90_common.exchange.pacing import Pacer, ThrottledLog
 from rx90_common.exchange.parameters import declare_rates
-from rx90_common.exchange.ros_start import missing_control_msgs
+from rx90_common.exchange.ros_start import missing_control_msgs, missing_controller_manager_msgs
 from rx90_common.exchange.topics import (
     DETAILS,
     FREE_RUNNING,
@@ -54,18 +54,21 @@ from rx90_controller.node.parameters import (
     LAW_ENTRIES,
     allow_goal_changes,
     declare_goal_parameters,
+    declare_joints,
     declare_law,
     declare_own,
-    forget_law_parameters,
+    declare_stream,
+    forget_robot,
 )
 from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
 from rx90_controller.trajectory.points import check_trajectory_bytes
+from rx90_controller.trajectory.stream import from_array, from_joint_state
 
 if TYPE_CHECKING:
     from rx90_controller.node.client_interfaces import ClientInterfaces
 
-_TRAJECTORY = "~/joint_trajectory"
+_TRAJECTORY, _SET_POINTS, _COMMANDS = "~/joint_trajectory", "~/joint_setpoints", "~/commands"
 _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
@@ -100,6 +103,7 @@ class Control:
         channel = node.make_channel(MOTOR_COMMANDS, MOTOR_STATES)
         horizon, decimation = declare_own(node)
         goals = declare_goal_parameters(node, cs7b.joint_names, rates)
+        declare_joints(node, cs7b.joint_names)
         if goals.without_use:
             self._log.warning(
                 f"not used, parameters of joint_trajectory_controller: {', '.join(goals.without_use)}; the law is the "
@@ -128,7 +132,7 @@ class Control:
         node.changes.allow(
             tuple(LAW_ENTRIES), lambda values: read_law(values).record(robot, drives, rates), loop.change_law
         )
-        loop.options, loop.tolerances = goals.options, goals.tolerances
+        loop.options, loop.tolerances, loop.streaming = goals.options, goals.tolerances, declare_stream(node)
         cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
         self._report = node.create_guard_condition(loop.report)
         self._pacer = pacer = Pacer(rates.period, 1.0)
@@ -138,11 +142,17 @@ class Control:
             subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS)
         qos = TRAJECTORY_QOS
         subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, qos, check_trajectory_bytes)
+        subscribe(node, JointState, _SET_POINTS, self._on_set_point, qos)
+        subscribe(node, Float64MultiArray, _COMMANDS, self._on_commands, qos)
         node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS)
         interfaces = import_client_interfaces(node)
         self.clients: ClientInterfaces | None = None
         if interfaces is not None:
             self.clients = interfaces.ClientInterfaces(node, loop, cs7b, goals.state_ticks, channel)
+        services = import_manager_services(node) if goals.manager else None
+        if services is not None:
+            hz = (rates.position_hz, rates.base_hz)
+            services.ManagerServices(node, goals.manager, loop, cs7b.joint_names, name, hz)
         self.publishers: tuple[Publisher, ...] = (
             *(row[0] for row in self._every_tick),
             *(row[0] for row in self._details),
@@ -216,6 +226,17 @@ class Control:
         except ExchangeError:
             pass  # ends `tick_loop`
 
+    def _on_set_point(self, message: JointState) -> None:
+        """Follow a streamed set-point: positions, with velocities or without, or velocities."""
+        loop = self.loop
+        names, some = self._cs7b.joint_names, loop.options.allow_partial_joints_goal
+        loop.receive_stream(lambda: from_joint_state(names, message, loop.streaming, partial=some), _SET_POINTS)
+
+    def _on_commands(self, message: Float64MultiArray) -> None:
+        """Follow a streamed set-point without names, as those of ros2_controllers' forward_command_controller are."""
+        loop, names = self.loop, self._cs7b.joint_names
+        loop.receive_stream(lambda: from_array(names, message, loop.streaming), _COMMANDS)
+
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data and not self.loop.active:
             response.message = INACTIVE
@@ -238,6 +259,7 @@ class Control:
             "saturated ticks": " ".join(str(n) for n in cs7b.saturated),
             "rejected trajectories": str(loop.rejected),
             "last rejection": loop.last_rejection or "none",
+            "stream": loop.stream or "none",
             "enabled": "true" if loop.enabled else "false",
         }
         if self.serving.mode == FREE_RUNNING:
@@ -253,7 +275,8 @@ class Control:
         if not loop.active:
             return DiagnosticStatus.OK, "inactive", values
         moving = cs7b.trajectory.moving(cs7b.position_tick)
-        return DiagnosticStatus.OK, "following a trajectory" if moving else "holding", values
+        doing = "following a stream" if loop.stream else "following a trajectory" if moving else "holding"
+        return DiagnosticStatus.OK, doing, values
 
 
 def import_client_interfaces(node: ManagedNode) -> ModuleType | None:
@@ -265,6 +288,17 @@ def import_client_interfaces(node: ManagedNode) -> ModuleType | None:
     from rx90_controller.node import client_interfaces
 
     return client_interfaces
+
+
+def import_manager_services(node: ManagedNode) -> ModuleType | None:
+    """Return the module of what needs controller_manager_msgs; where that is missing say so once, and return None."""
+    missing = missing_controller_manager_msgs()
+    if missing is not None:
+        node.get_logger().info(f"the services of a controller_manager are off: {missing}")
+        return None
+    from rx90_controller.node import manager_services
+
+    return manager_services
 
 
 class ControllerNode:
@@ -325,7 +359,7 @@ class ControllerNode:
             control, self._control = self._control, None
         if control is not None and control.clients is not None:
             control.clients.close()
-        forget_law_parameters(self.node)
+        forget_robot(self.node)
 
     # A simulation in this process.
 

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
 from rx90_common.base.config import load_yaml
@@ -26,12 +27,13 @@ from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CONTROLLER, CS7BParameters, read_controller
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, constraint_parameters
+from rx90_controller.trajectory.stream import INTERFACES, StreamOptions
 
 FILE_PARAMETERS: Final = ("urdf", "drives", "controller")
 """Files of the robot that the node can be given."""
 _LARGEST = 1e6  # rad, rad/s, s
 _WITHOUT_USE = re.compile(
-    r"(command_joints|(command|state)_interfaces|speed_scaling\.(command|state)_interface|open_loop_control|cmd_timeout"
+    r"(command_joints|update_rate|is_async|speed_scaling\.(command|state)_interface|open_loop_control|cmd_timeout"
     r"|interpolate_from_desired_state|interpolation_method|allow_integration_in_goal_trajectories"
     r"|set_last_command_interface_value_as_state_on_activation|gains\..+"
     r"|constraints\.(decelerate_on_cancel|[^.]+\.max_deceleration_on_cancel))"
@@ -48,6 +50,27 @@ def declare_own(node: Node) -> tuple[float, int]:
     return horizon, declare(node, "detail_decimation", DETAIL_DECIMATION, about, low=1, high=1_000_000)
 
 
+def declare_stream(node: Node) -> StreamOptions:
+    """Declare how set-points become a stream, and return it.
+
+    Raises:
+        ConfigError: naming parameter, value and what is accepted.
+    """
+    usual = StreamOptions()
+    about = "from the stamp of a streamed set-point, or its arrival where it has none, until it is due, s"
+    delay = declare(
+        node, "stream.delay", usual.delay, f"{about}; two periods of the sender or more", low=1e-3, high=1.0
+    )
+    about = "time without set-points after which a stream has ended, and velocities are no longer held, s"
+    timeout = declare(node, "stream.timeout", usual.timeout, about, low=1e-3, high=60.0)
+    about = "trajectories on ~/joint_trajectory that end no further ahead are set-points of a stream, s; 0: none are"
+    window = declare(node, "stream.window", usual.window, about, low=0.0, high=10.0)
+    commands = declare(node, "stream.commands", usual.commands, f"what ~/commands are: {', '.join(INTERFACES)}")
+    if commands not in INTERFACES:
+        raise ConfigError(f"parameter stream.commands is {quoted(commands)}; accepted: {', '.join(INTERFACES)}")
+    return StreamOptions(delay, timeout, window, commands)
+
+
 @dataclass(frozen=True)
 class GoalParameters:
     """What trajectories and goals are held to, and how often it is published how they go.
@@ -58,6 +81,7 @@ class GoalParameters:
         monitor_ticks: position ticks from one feedback to the next.
         state_ticks: position ticks from one state of the controller to the next.
         scaling: share of a trajectory's own speed at which it is followed, until another one is asked for.
+        manager: name of the controller_manager whose services are served; empty for none.
         without_use: parameters of joint_trajectory_controller that were given and have no counterpart here.
     """
 
@@ -66,22 +90,55 @@ class GoalParameters:
     monitor_ticks: int
     state_ticks: int
     scaling: float
+    manager: str
     without_use: tuple[str, ...]
+
+
+COMMAND_INTERFACES: Final = ("position",)
+STATE_INTERFACES: Final = ("position", "velocity")
+"""What the controller takes and measures of each joint, in the words of ros2_control."""
+_OF_THE_ARM: Final = {
+    "joints": "names of the joints, the arm's",
+    "command_interfaces": "what the controller takes for each joint; cannot be chosen",
+    "state_interfaces": "what the controller measures of each joint; cannot be chosen",
+}
 
 
 def has_no_use(name: str) -> bool:
     """Return whether a parameter is joint_trajectory_controller's, taken so that its files serve, and not used."""
-    return name == "joints" or _WITHOUT_USE.fullmatch(name) is not None
+    return name in _OF_THE_ARM or _WITHOUT_USE.fullmatch(name) is not None
 
 
 def _take_out(node: Node, names: Sequence[str]) -> tuple[str, ...]:
-    """Take what has no use out of the parameters given to a node, and return it; refuse joints of another arm."""
+    """Take what has no use out of the parameters given to a node, and return it; refuse what another arm would have."""
     given = node._parameter_overrides
     found = {name: given.pop(name).value for name in sorted(given) if has_no_use(name)}
-    joints = found.pop("joints", names)
-    if not (isinstance(joints, Sequence) and sorted(map(str, joints)) == sorted(names)):
-        raise ConfigError(f"parameter joints is {quoted(joints)}; accepted: {', '.join(names)}, in any order")
+    for name, own in zip(_OF_THE_ARM, (names, COMMAND_INTERFACES, STATE_INTERFACES), strict=True):
+        value = found.pop(name, own)
+        if not (isinstance(value, Sequence) and sorted(map(str, value)) == sorted(own)):
+            raise ConfigError(
+                f"parameter {name} is {quoted(value)}, {_difference(value, own)}; accepted: {', '.join(own)}, in any "
+                "order"
+            )
     return tuple(found)
+
+
+def declare_joints(node: Node, names: Sequence[str]) -> None:
+    """Declare joints and interfaces, which are the arm's and cannot be chosen, for who asks; until `forget_robot`."""
+    for name, own in zip(_OF_THE_ARM, (names, COMMAND_INTERFACES, STATE_INTERFACES), strict=True):
+        node.declare_parameter(name, list(own), ParameterDescriptor(description=_OF_THE_ARM[name]))
+
+
+def _difference(value: Any, own: Sequence[str]) -> str:
+    """Return in words what a list of names has too much or too little."""
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        return "no list"
+    names = [str(each) for each in value]
+    more = [name for k, name in enumerate(names) if name not in own or name in names[:k]]
+    parts = [f"{what} {', '.join(which)}" for what, which in (
+        ("too much:", more), ("missing:", [name for name in own if name not in names])
+    ) if which]  # fmt: skip
+    return "; ".join(parts)
 
 
 def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> GoalParameters:
@@ -113,6 +170,10 @@ def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> G
             node, "speed_scaling.initial_scaling_factor", 1.0,
             "share of their own speed at which trajectories are followed, until ~/speed_scaling_input says otherwise",
             low=0.0, high=1.0,
+        ),
+        declare(
+            node, "controller_manager", "controller_manager",
+            "name of the controller_manager whose services this node answers; empty: none, where another one runs",
         ),
         _take_out(node, names),
     )  # fmt: skip
@@ -146,9 +207,9 @@ LAW_ENTRIES: Final = {
 """The keys of a controller file whose values may change while the loops run, as `section.key`; what they may be."""
 
 
-def forget_law_parameters(node: Node) -> None:
-    """Undeclare the parameters, if they are declared: another file has other values."""
-    for name in LAW_ENTRIES:
+def forget_robot(node: Node) -> None:
+    """Undeclare the law's parameters and the arm's, if they are declared: another robot has others."""
+    for name in (*LAW_ENTRIES, *_OF_THE_ARM):
         if node.has_parameter(name):
             node.undeclare_parameter(name)
 

@@ -21,9 +21,12 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import message_time_ns
+from rx90_common.exchange.pacing import ThrottledLog
 from rx90_common.exchange.topics import OF_ACTION
 from rx90_controller.law.cs7b import CS7B, DriveFault
 from rx90_controller.trajectory.generator import PastError, points_left
+from rx90_controller.trajectory.points import points_from_message
 from rx90_controller.trajectory.request import (
     GoalOptions,
     GoalTolerances,
@@ -33,6 +36,7 @@ from rx90_controller.trajectory.request import (
     TrajectoryRequest,
     check_request,
 )
+from rx90_controller.trajectory.stream import SetPoints, Stream, StreamOptions, from_trajectory
 
 INACTIVE: Final = "the controller is inactive; accepted: in state active"
 _ATTEMPTS = 3  # to join a long trajectory beside the ticks, each with more time than the one before
@@ -98,7 +102,8 @@ class ServoLoop:
         running: whether there have been states.
         options: what else is accepted; may be changed for the next requests.
         tolerances: of goals that have none of their own, and of trajectories; may be changed for the next ones.
-        rejected: number of requests that were refused.
+        streaming: how set-points become a stream.
+        rejected: number of requests, and set-points of streams, that were refused.
         last_rejection: which was the last of them, when and why; empty before the first.
     """
 
@@ -114,6 +119,9 @@ class ServoLoop:
         self.options, self.tolerances = GoalOptions(), GoalTolerances.of_parameters(cs7b.joint_names)
         self._waiting: TrajectoryRequest | None = None  # for the first states
         self._followed: TrajectoryRequest | None = None  # a goal, or a trajectory that is held to tolerances
+        self.streaming = StreamOptions()
+        self._stream: Stream | None = None  # that is followed
+        self._complaints = ThrottledLog(partial(self._note, wrong=True))  # of set-points, which come by the hundred
         self._velocity, self._tick = np.zeros(6), -1  # measured last while something was followed
         self.rejected, self.last_rejection = 0, ""
         self._reports: deque[Callable[[], None]] = deque()
@@ -163,6 +171,9 @@ class ServoLoop:
                 if end is not None:
                     what = "stopped" if end[1] else "trajectory ended"
                     self._note(f"{what} at {end[0] * self._period:.3f} s; holding")
+                stream, tick = self._stream, cs7b.position_tick
+                if stream is not None and tick > stream.expires and not cs7b.trajectory.moving(tick):
+                    self._end_stream("holding")
             cs7b.step(states.position, states.velocity, states.torque)
             self._unpublished = slow
             fault = cs7b.fault
@@ -249,7 +260,7 @@ class ServoLoop:
     # Requests, from the executor's thread.
 
     def receive(self, message: Any, goal: Any = None, missing: str = "") -> TrajectoryRequest | None:
-        """Return a trajectory, checked by itself, or None if it is refused: the log says why.
+        """Return a trajectory, checked by itself, or None if it is refused: the log says why; or if it is of a stream.
 
         What takes long is not done between ticks. A trajectory of the topic is followed at once; a goal is left to
         `offer`, and must have points that still lie ahead.
@@ -260,6 +271,9 @@ class ServoLoop:
             missing: why no goal can be followed now, beside `inactive`.
         """
         kind = "trajectory" if goal is None else "goal"
+        if goal is None and self._is_streamed(message):
+            self.receive_stream(partial(self._streamed, message), "the trajectory topic")
+            return None
         try:
             request = check_request(message, self.tolerances, self.options, self._cs7b.rates.position_hz, goal)
             with self._lock:
@@ -301,6 +315,46 @@ class ServoLoop:
             self._waiting, request.state = request, State.WAITING
             instead = ", in place of the one that waited" if replaces else ""
             self._note(f"a {request.kind} waits for the simulation's first tick{instead}")
+
+    def receive_stream(self, read: Callable[[], SetPoints], source: str) -> None:
+        """Follow set-points of a stream, in place of what is followed, or refuse them: the log says why, now and then.
+
+        Args:
+            read: returns them, or raises TrajectoryError.
+            source: where they come from, in words.
+        """
+        try:
+            points = read()
+            with self._lock:
+                if reason := self.inactive or ("" if self.running else "no states have come yet; accepted: after them"):
+                    raise TrajectoryError(reason)
+                self._follow_stream(points, source)
+        except TrajectoryError as error:
+            with self._lock:
+                self._refused("set-point", error, quiet=True)
+                self._complaints.say(source, f"set-point from {source} ignored: {error}")
+
+    def _is_streamed(self, message: Any) -> bool:
+        """Return whether a trajectory of the topic is a set-point of a stream: its end is as near as that of one."""
+        if not self.running or not len(message.points):
+            return False
+        start = message_time_ns(message.header.stamp) / NANOSECONDS
+        end = message_time_ns(message.points[-1].time_from_start) / NANOSECONDS
+        ahead = end + (start - self._cs7b.position_tick * self._period if start else 0.0)
+        least = -self.streaming.window if self._stream is not None else 0.0
+        return end > 0.0 and least < ahead <= self.streaming.window
+
+    def _streamed(self, message: Any) -> SetPoints:
+        partial_joints = self.options.allow_partial_joints_goal
+        names = self._cs7b.joint_names
+        points = points_from_message(names, message, partial=partial_joints, moving_end=True)
+        return from_trajectory(points, message_time_ns(message.header.stamp) or None)
+
+    @property
+    def stream(self) -> str:
+        """Return what is streamed, in words; empty for nothing."""
+        stream = self._stream
+        return "" if stream is None else f"{stream.interface}, {stream.count} set-points, {stream.late} late"
 
     @property
     def has_goal(self) -> bool:
@@ -375,8 +429,29 @@ class ServoLoop:
         self._reports.append(partial(self._outputs.accepted, request.message, start_ns, source))
         self._note(text)
 
+    def _follow_stream(self, points: SetPoints, source: str) -> None:
+        cs7b, stream = self._cs7b, self._stream
+        now = cs7b.position_tick
+        if stream is None or stream.interface != points.interface or (stream.named != points.named).any():
+            self._drop("replaced by streamed set-points", wanted=True)
+            timeout = self.streaming.timeout
+            stream = Stream(points.interface, points.named, cs7b.trajectory.limits, self._period, timeout)
+            self._stream = stream
+            self._note(f"stream begins at {now * self._period:.3f} s: {points.interface} set-points from {source}")
+        cs7b.trajectory.follow_stream(stream, points, now)
+        for line in stream.news(self.streaming.delay):
+            self._note(f"stream: {line}", wrong=True)
+
+    def _end_stream(self, what: str) -> None:
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            late = f", {stream.late} of them late, by up to {stream.latest:.3g} s" if stream.late else ""
+            now = self._cs7b.position_tick * self._period
+            self._note(f"stream ended at {now:.3f} s after {stream.count} set-points{late}; {what}")
+
     def _drop(self, reason: str, *, wanted: bool = False) -> None:
-        """End the goal, if there is one, with -1 and a reason; `wanted`, so nothing went wrong."""
+        """End the stream, and the goal, if there is one, with -1 and a reason; `wanted`, so nothing went wrong."""
+        self._end_stream(reason)
         when = f", at {self._cs7b.position_tick * self._period:.6g} s"
         waiting, goal, self._followed = self._waiting, self._followed, None
         if waiting is not None and waiting.is_goal:

@@ -14,6 +14,7 @@ from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.paths import JointLimits, connect, stop
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.spline import FollowedPath, Path, joined, merged, remainder, resting, smooth
+from rx90_controller.trajectory.stream import POSITION, SetPoints, Stream
 
 _ADVICE = ", or velocities_from_positions, where the points' velocities do not belong to their positions"
 _MAX_HALT_RATIO = 3  # a stop along the path may take so many times as long as one joint by joint
@@ -64,6 +65,11 @@ class TrajectoryGenerator:
         spline = smooth(np.array([0.0, 1.0]), rest, rest)
         spline.bounds()
         self._followed(0, Path(spline, 0.0, 1.0)).halted(0, 1)
+        every = np.ones(6, dtype=np.bool_)
+        stream = Stream(POSITION, every, self.limits, self.period, 0.0)
+        one = SetPoints(POSITION, None, np.array([self.period]), rest[:1], rest[:1], every)
+        stream.take(one, 0, np.zeros((3, 6)))
+        stream.motion(0, np.zeros((3, 6)))
 
     def reset(self, hold: Array) -> None:
         """Drop every trajectory and hold a position, rad, shape (6,)."""
@@ -225,6 +231,21 @@ class TrajectoryGenerator:
             if first.velocity is not None and (first.degrees is None or first.degrees[0] > 1):
                 self.limits.check_start(held, first.velocity[0], self.period)
         return self._take(left, now, begin, follow=anywhere)
+
+    def follow_stream(self, stream: Stream, points: SetPoints, now: int) -> None:
+        """Follow set-points of a stream from position tick `now` on, in place of whatever runs or waits.
+
+        With speed scaling, within that share of the velocities. The motion's end is not announced by `ended`.
+        """
+        self._promote(now)
+        base = self._base(now)
+        rate = self._rate(base, now)
+        held = base.setpoints(now, 1)[0] if rate == 0.0 else base.entry(now)
+        if stream.take(points, now, held):
+            spline = stream.motion(now, held)
+            self._follow(base, Path(spline, 0.0, spline.duration), now, rate or self.factor)
+            assert self._next is not None
+            self._next.announced = True
 
     def stop(self, now: int, start: int | None) -> Schedule:
         """Brake every joint to rest from tick `start` on, `now` for None, and hold; return when that happens.

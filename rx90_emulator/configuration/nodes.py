@@ -31,6 +31,7 @@ from rx90_controller.node.parameters import (
     declare_goal_parameters,
     declare_law,
     declare_own,
+    declare_stream,
     has_no_use,
 )
 from rx90_emulator.configuration.kinds import NODE_PARAMETERS, FileKind
@@ -119,6 +120,7 @@ def _declare_controller(node: Any) -> None:
     for name, entry in LAW_ENTRIES.items():  # which say more than a descriptor: the range of each number
         node.entries[name] = replace(entry, default=node.entries[name].default)
     declare_goal_parameters(node, load_robot(files.urdf).joint_names, rates)
+    declare_stream(node)
 
 
 NODES: dict[str, Callable[[Any], object]] = {

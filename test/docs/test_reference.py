@@ -64,7 +64,8 @@ def test_services_are_those_of_the_nodes(nodes: Sequence[NodeReference]) -> None
         name: kind
         for node in nodes
         for name, kind in node.services.items()
-        if not OF_EVERY_NODE.fullmatch(name) and not kind.startswith(("control_msgs/", "lifecycle_msgs/"))
+        if not OF_EVERY_NODE.fullmatch(name)
+        and not kind.startswith(("control_msgs/", "controller_manager_msgs/", "lifecycle_msgs/"))
     }
     services = documented("service")
     assert services.pop("/change_state") == "lifecycle_msgs"

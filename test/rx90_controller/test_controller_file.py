@@ -15,6 +15,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.law.parameters import load_controller
 from rx90_controller.node import controller_node
+from rx90_emulator.configuration.nodes import declared
 from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
@@ -105,3 +106,28 @@ def test_one_line_says_that_the_action_is_off_and_how_to_turn_it_on(monkeypatch:
     node: Any = SimpleNamespace(get_logger=lambda: SimpleNamespace(info=said.append))
     assert controller_node.import_client_interfaces(node) is None
     assert said == ["the action follow_joint_trajectory is off: needs control_msgs; accepted: make action"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("joints", ["joint_1", "elbow"], "too much: elbow; missing: joint_2, joint_3, joint_4, joint_5, joint_6"),
+        ("joints", [f"joint_{i}" for i in (1, 2, 3, 4, 5, 6, 6)], "too much: joint_6; accepted: joint_1"),
+        ("command_interfaces", ["effort"], "too much: effort; missing: position; accepted: position"),
+        ("command_interfaces", ["position", "velocity"], "too much: velocity; accepted: position"),
+        ("state_interfaces", ["position"], "missing: velocity; accepted: position, velocity, in any order"),
+        ("state_interfaces", "position", "no list; accepted: position, velocity"),
+    ],
+)
+def test_a_file_for_another_controller_is_refused_with_the_difference(name: str, value: Any, said: str) -> None:
+    """Joints and interfaces of a file for joint_trajectory_controller are the arm's, or what differs is named."""
+    with pytest.raises(ConfigError, match=f"^parameter {name} is .*{said}"):
+        declared("rx90_controller", {name: value})
+
+
+def test_a_file_for_this_arm_is_taken(shipped: Setup) -> None:
+    """The same keys with the arm's values, in any order, are taken; of streams what cannot be is refused."""
+    mine = {"joints": list(reversed(shipped.robot.joint_names)), "state_interfaces": ["velocity", "position"]}
+    assert declared("rx90_controller", {**mine, "command_interfaces": ["position"], "update_rate": 100}).values
+    with pytest.raises(ConfigError, match=r"stream\.commands is 'effort'; accepted: position, velocity"):
+        declared("rx90_controller", {"stream.commands": "effort"})

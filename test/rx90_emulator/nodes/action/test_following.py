@@ -31,8 +31,8 @@ def test_names_and_types_are_those_of_the_original(bench: Bench) -> None:
 def test_its_parameter_file_serves(bench: Bench) -> None:
     """What is in a file for joint_trajectory_controller and has no counterpart is one line; the rest holds."""
     (line,) = [line for line in bench.cell.output.splitlines() if "joint_trajectory_controller" in line]
-    names = "cmd_timeout, command_interfaces, gains.joint_1.d, gains.joint_1.ff_velocity_scale, gains.joint_1.i, "
-    names += "gains.joint_1.i_clamp, gains.joint_1.p, interpolation_method, state_interfaces; "
+    names = "cmd_timeout, gains.joint_1.d, gains.joint_1.ff_velocity_scale, gains.joint_1.i, "
+    names += "gains.joint_1.i_clamp, gains.joint_1.p, interpolation_method; "
     assert "[WARN]" in line
     assert f"not used, parameters of joint_trajectory_controller: {names}" in line
 

@@ -1,0 +1,445 @@
+"""Streamed set-points: followed within the limits, as whole motions that end at rest; MoveIt Servo's from its source.
+
+The motors of the rig are where the set-points are. Its joints accelerate at 6 rad/s^2 (joint 2) to 60.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+from servo_rig import Rig, header
+
+from rx90_common.base.errors import TrajectoryError
+from rx90_common.description.drives import to_motor
+from rx90_controller.node.servo_loop import MotorStates
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
+from rx90_controller.trajectory.request import ResultCode, State
+from rx90_controller.trajectory.stream import (
+    INTERFACES,
+    POSITION,
+    VELOCITY,
+    SetPoints,
+    Stream,
+    StreamOptions,
+    from_array,
+    from_joint_state,
+)
+from rx90_emulator.loop.setup import Setup
+
+Array = NDArray[np.float64]
+T, RATIO = 1e-3, 4  # s, ticks of the position loop; base ticks in each
+DELAY = StreamOptions().delay
+Delivery = tuple[float, Any]
+"""When a message comes, s, and the message."""
+
+
+class Arm(Rig):
+    """A servo loop whose motors are where the set-points are; it keeps these."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self.limits, self._gear = self.cs7b.trajectory.limits, setup.drives.gear
+        self.options = StreamOptions()
+        self.loop.hold(self.states(0))
+        self.setpoints: list[Array] = []
+
+    @property
+    def now(self) -> float:
+        """Return the controller's time, s."""
+        return self.cs7b.position_tick * T
+
+    def states(self, tick: int) -> MotorStates:
+        """Return the states of a tick."""
+        motors = np.empty(6)
+        to_motor(self._gear, np.ascontiguousarray(self.cs7b.setpoint[0]), motors)
+        return MotorStates(tick * self.period, motors, np.zeros(6))
+
+    def play(self, deliveries: Sequence[Delivery], until: float) -> Array:
+        """Hand over each message when it comes; return all set-points so far, shape (n, 3, 6), a millisecond apart."""
+        waiting = sorted(deliveries, key=lambda each: each[0])
+        for tick in range(self.cs7b.position_tick, round(until / T)):
+            while waiting and waiting[0][0] <= tick * T + 1e-9:
+                self.take(waiting.pop(0)[1])
+            assert all(self.run(tick * RATIO, RATIO)), self.around.lines[-1]
+            self.setpoints.append(self.cs7b.setpoint.copy())
+        return np.array(self.setpoints)
+
+    def take(self, message: Any) -> None:
+        """Hand over a message as the node does."""
+        if hasattr(message, "points"):
+            self.loop.receive(message)
+            return
+        some = self.loop.options.allow_partial_joints_goal
+        read: Callable[[], Any] = lambda: from_joint_state(self.names, message, self.options, partial=some)  # noqa: E731
+        if hasattr(message, "data"):
+            read = lambda: from_array(self.names, message, self.options)  # noqa: E731
+        self.loop.receive_stream(read, "a topic")
+
+    def keeps_limits(self, setpoints: Array) -> None:
+        """Check that set-points, and the steps from one to the next, are within all limits."""
+        keeps_limits(self.limits, setpoints)
+
+
+def keeps_limits(limits: JointLimits, setpoints: Array) -> None:
+    """Check that set-points, and the steps from one to the next, are within all limits."""
+    q, v = setpoints[:, 0], setpoints[:, 1]
+    assert (q <= limits.upper + 1e-6).all()
+    assert (q >= limits.lower - 1e-6).all()
+    assert (np.abs(v) <= limits.velocity * (1 + 1e-9)).all()
+    assert (np.abs(np.diff(v, axis=0)) <= limits.acceleration * T * (1 + 1e-6)).all()
+    assert np.abs(np.diff(q, axis=0) - 0.5 * T * (v[1:] + v[:-1])).max() < 1e-8
+
+
+@pytest.fixture
+def arm(shipped: Setup) -> Arm:
+    """Return an arm that holds the zero position."""
+    return Arm(shipped)
+
+
+def state(
+    position: Any = (),
+    velocity: Any = (),
+    stamp: float = 0.0,
+    names: Sequence[str] | None = None,
+    effort: Any = (),
+    epoch: int = 0,
+) -> SimpleNamespace:
+    """Return a JointState; one number counts for all joints."""
+    names = [f"joint_{i}" for i in range(1, 7)] if names is None else names
+    rows = [[float(row)] * len(names) if np.isscalar(row) else list(row) for row in (position, velocity, effort)]
+    sec, nanosec = divmod(round(stamp * 1e9), 10**9)
+    return SimpleNamespace(
+        header=header((epoch + sec, nanosec)), name=list(names), position=rows[0], velocity=rows[1], effort=rows[2]
+    )
+
+
+def wave(times: Any) -> Any:
+    """Return a smooth motion from rest at 0 on that all joints can follow: 0.04 rad, 2 Hz, up to 3.2 rad/s^2."""
+    return 0.02 * (1.0 - np.cos(4.0 * np.pi * np.maximum(times, 0.0)))
+
+
+def sent(period: float, until: float, *, delay: float = 0.0, stamped: bool = True) -> Iterator[Delivery]:
+    """Yield the wave as messages, each `delay` late."""
+    for k in range(1, round(until / period)):
+        yield k * period + delay, state(wave(k * period), stamp=k * period if stamped else 0.0)
+
+
+@pytest.mark.parametrize("period", [0.001, 0.002, 0.01, 0.014])
+def test_the_motion_is_the_cubic_through_the_set_points_after_the_delay(arm: Arm, period: float) -> None:
+    """From 70 Hz to 1 kHz it is SciPy's Hermite spline with slopes of parabolas, `stream.delay` after the stamps."""
+    setpoints = arm.play(list(sent(period, 1.0)), 1.0)
+    times = period * np.arange(1, round(1.0 / period))
+    positions = wave(times)
+    slopes = np.gradient(positions, times, edge_order=2)  # of the parabola through three neighbours
+    oracle = CubicHermiteSpline(times + DELAY, positions, slopes)
+    at = T * np.arange(round((times[4] + DELAY) / T), round(times[-2] / T))
+    rows = np.rint(at / T).astype(int)
+    assert np.abs(setpoints[rows, 0] - oracle(at)[:, None]).max() < 3e-6
+    assert np.abs(setpoints[rows, 1] - oracle(at, 1)[:, None]).max() < 4e-3
+    arm.keeps_limits(setpoints)
+    assert not any("stream:" in line for line in arm.around.lines)
+
+
+def test_it_arrives_however_it_is_stamped(arm: Arm, shipped: Setup) -> None:
+    """A clock of its own, which is said once, gives the same motion as no stamps, and as an array without names."""
+    own, unstamped, array = arm, Arm(shipped), Arm(shipped)
+    messages = [(at, message.position) for at, message in sent(0.01, 0.5)]
+    first = own.play([(at, state(q, stamp=at, epoch=1_700_000_000)) for at, q in messages], 0.7)
+    second = unstamped.play([(at, state(q)) for at, q in messages], 0.7)
+    third = array.play([(at, SimpleNamespace(data=q)) for at, q in messages], 0.7)
+    assert (first == second).all()
+    assert (second == third).all()
+    (line,) = [line for line in own.around.lines if line.startswith("stream:")]
+    assert "stamps are of another clock" in line
+    assert "accepted: simulated time" in line
+
+
+@given(seed=st.integers(0, 2**32 - 1), spread=st.sampled_from([0.01, 0.3, 6.0]), interface=st.sampled_from(INTERFACES))
+@settings(max_examples=60, deadline=None)
+def test_whatever_is_streamed_the_limits_are_kept_and_the_end_is_rest(
+    shipped: Setup, seed: int, spread: float, interface: str
+) -> None:
+    """Random set-points, at random times, beyond all limits, of both interfaces: within the limits, and then at rest.
+
+    A position is reached unless it lies beyond a limit, where the arm stops at that.
+    """
+    random, limits, every = (
+        np.random.default_rng(seed),
+        shipped.controller.limits(shipped.robot),
+        np.ones(6, dtype=bool),
+    )
+    generator, parts = TrajectoryGenerator(limits, T, np.zeros(6)), []
+    stream, now = Stream(interface, every, limits, T, 0.1), 0
+    for _ in range(random.integers(1, 20)):
+        stamp = now * T + random.normal(0.0, 0.02) if random.random() < 0.8 else None
+        due = np.sort(random.uniform(0.0, 0.05, random.integers(1, 4)))
+        values, slopes = random.normal(0.0, spread, (2, len(due), 6))
+        slopes[random.random(len(due)) < 0.7] = np.nan
+        stamp_ns = None if stamp is None else round(stamp * 1e9)
+        generator.follow_stream(stream, SetPoints(interface, stamp_ns, due, values, slopes, every), now)
+        wait = int(random.integers(1, 60))
+        parts.append(generator.setpoints(now, wait))
+        now += wait
+    setpoints = np.concatenate([*parts, generator.setpoints(now, 8000)])
+    keeps_limits(limits, setpoints)
+    assert (setpoints[-1, 1:] == 0.0).all()
+    if interface == POSITION:
+        reached = np.clip(stream._values[-1], limits.lower, limits.upper)
+        assert np.abs(setpoints[-1, 0] - reached).max() < 1e-9
+
+
+def test_a_step_is_travelled_as_fast_as_the_limits_allow_without_overshoot(arm: Arm) -> None:
+    """A step of 1 rad takes the time of a trapezoid, v/a + way/v, is not overshot, and is said to be beyond limits."""
+    arm.loop.receive_stream(lambda: from_joint_state(arm.names, state(1.0), arm.options, partial=False), "a topic")
+    setpoints = arm.play([], 3.0)
+    arm.keeps_limits(setpoints)
+    assert (setpoints[:, 0] <= 1.0 + 1e-9).all()
+    for joint, (v, a) in enumerate(zip(arm.limits.velocity, arm.limits.acceleration, strict=True)):
+        fastest = 2.0 * math.sqrt(1.0 / a) if v * v > a else v / a + 1.0 / v
+        arrived = T * int(np.argmax(setpoints[:, 0, joint] > 1.0 - 1e-6))
+        assert 0.0 <= arrived - fastest < 0.032, joint  # the step is interpolated over the delay of 0.03 s
+    (line,) = [line for line in arm.around.lines if line.startswith("stream:")]
+    assert "behind the position asked for; followed within the limits" in line
+
+
+def test_a_late_set_point_is_told_once_while_the_last_one_is_held(arm: Arm) -> None:
+    """Without its successor a position is held; a late one is followed at once, and told of with its lateness."""
+    messages = list(sent(0.01, 0.6))
+    on_time, late = messages[:30], [(at + 0.2, message) for at, message in messages[30:]]
+    setpoints = arm.play(on_time + late, 1.2)
+    arm.keeps_limits(setpoints)
+    held = setpoints[440:505]
+    assert np.abs(held[:, 0] - wave(0.3)).max() < 1e-9
+    assert not held[:, 1].any()
+    assert np.abs(setpoints[-1, 0] - wave(0.59)).max() < 1e-9
+    told = [line for line in arm.around.lines if "came" in line]
+    assert told == [
+        "stream: a set-point came 0.17 s after it was due: the last one was held; accepted: within stream.delay, "
+        "0.03 s, of its stamp, or time_from_start ahead"
+    ]
+    ends = [line for line in arm.around.lines if line.startswith("stream ended")]
+    assert ends == [
+        "stream ended at 0.431 s after 30 set-points; holding",
+        "stream ended at 0.891 s after 29 set-points, 29 of them late, by up to 0.17 s; holding",
+    ]
+
+
+def test_velocities_are_followed_held_for_the_timeout_and_braked(arm: Arm) -> None:
+    """0.2 rad/s, sent for a second, is travelled until `stream.timeout` after the last one, then braked to rest."""
+    messages = [(k * 0.01, state(velocity=0.2, stamp=k * 0.01)) for k in range(1, 101)]
+    setpoints = arm.play(messages, 2.0)
+    arm.keeps_limits(setpoints)
+    last = 1.0 + DELAY + arm.options.timeout
+    assert np.abs(setpoints[100 : int(last / T) - 1, 1] - 0.2).max() < 1e-12
+    assert np.abs(setpoints[int(last / T) + 40 :, 1]).max() == 0.0
+    assert arm.around.lines[1] == f"stream begins at 0.010 s: {VELOCITY} set-points from a topic"
+
+
+def test_velocities_end_at_the_position_limit(arm: Arm) -> None:
+    """Joint 2, sent beyond its limit at full speed, brakes at its acceleration and stops there."""
+    row = np.array([0.0, 3.0, 0.0, 0.0, 0.0, 0.0])
+    setpoints = arm.play([(k * 0.01, state(velocity=row)) for k in range(1, 300)], 3.5)
+    arm.keeps_limits(setpoints)
+    assert 0.0 <= arm.limits.upper[1] - setpoints[-1, 0, 1] < 1e-4
+    assert np.abs(setpoints[:, 2, 1]).max() > 0.99 * arm.limits.acceleration[1]
+
+
+def test_goals_and_streams_replace_each_other_without_a_jump(arm: Arm) -> None:
+    """A set-point ends the goal, with -1 and why; a trajectory ends the stream; in between the velocity goes on."""
+    told: list[Any] = []
+    goal = arm.goal(arm.trajectory(0.3), SimpleNamespace(on_feedback=lambda _: None, on_result=told.append))
+    arm.loop.offer(goal)
+    arm.play([], 0.5)
+    arm.play([(0.5 + k * 0.01, state(0.2)) for k in range(10)], 0.6)
+    assert told == [goal]
+    assert (goal.state, goal.code) == (State.ABORTED, ResultCode.INVALID_GOAL)
+    assert goal.reason.startswith("replaced by streamed set-points, at 0.5")
+    arm.loop.receive(arm.trajectory(-0.1))
+    setpoints = arm.play([], 2.0)
+    arm.keeps_limits(setpoints)
+    assert np.abs(setpoints[-1, 0] + 0.1).max() < 1e-12
+    assert any(line.startswith("stream ended at 0.600 s after 10 set-points") for line in arm.around.lines)
+
+
+def test_joints_that_are_not_named_hold_and_speed_scaling_holds_all(arm: Arm) -> None:
+    """With `allow_partial_joints_goal` a stream may be of some joints; at speed scaling 0 nothing moves."""
+    one = state([0.2], names=["joint_3"])
+    arm.take(one)
+    assert "set-point from a topic ignored: joint 'joint_1' is missing" in arm.around.lines[-1]
+    arm.loop.options = type(arm.loop.options)(allow_partial_joints_goal=True)
+    arm.cs7b.trajectory.set_speed_scaling(0.0, 0)
+    assert not arm.play([(k * 0.01, one) for k in range(20)], 0.2)[:, 0].any()
+    arm.cs7b.trajectory.set_speed_scaling(1.0, arm.cs7b.position_tick)
+    setpoints = arm.play([(0.2 + k * 0.01, one) for k in range(20)], 1.0)
+    arm.keeps_limits(setpoints)
+    assert np.abs(setpoints[-1, 0] - np.array([0, 0, 0.2, 0, 0, 0])).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        (state(0.1, names=["joint_1", "elbow"]), "unknown joint 'elbow'; accepted: joint_1"),
+        (state([0.1] * 5), "5 position values of 6 joints; accepted: 6 or none"),
+        (state([0.1] * 5 + [math.nan]), "position of joint_6 is nan; accepted: a finite number"),
+        (state(), "neither position nor velocity; accepted: one of them, or both"),
+        (state(0.1, effort=1.0), "carries effort; accepted: position, with velocity or without, or velocity alone"),
+        (SimpleNamespace(data=[0.1] * 7), "7 numbers; accepted: 6, of joint_1"),
+        (SimpleNamespace(data=[math.inf] * 6), "position of joint_1 is inf; accepted: a finite number"),
+    ],
+)
+def test_what_is_no_set_point_is_one_line(arm: Arm, message: Any, said: str) -> None:
+    """It is named with what is accepted, counted, and moves nothing; hundreds of them are not as many lines."""
+    setpoints = arm.play([(k * T, message) for k in range(200)], 0.3)
+    assert not setpoints[:, :2].any()
+    (line,) = arm.around.lines[1:]
+    assert said in line
+    assert arm.loop.rejected == 200
+
+
+def test_without_torque_set_points_are_refused(arm: Arm) -> None:
+    """A controller that is switched off follows no stream, and says what is accepted."""
+    arm.loop.enable(False)
+    arm.take(state(0.1))
+    assert "the controller is disabled; accepted: after a call of ~/enable with true" in arm.around.lines[-1]
+    with pytest.raises(TrajectoryError, match="accepted"):
+        from_array(arm.names, SimpleNamespace(data=[]), arm.options)
+
+
+# Trajectories of the topic that are set-points.
+
+
+def trajectory(
+    points: Sequence[tuple[float, Array, Array | None]], stamp: float = 0.0, names: Sequence[str] = ()
+) -> SimpleNamespace:
+    """Return a JointTrajectory: times, positions and velocities or None."""
+    message = SimpleNamespace(header=state(stamp=stamp).header, joint_names=list(names or state().name), points=[])
+    for time, position, velocity in points:
+        sec, nanosec = divmod(round(time * 1e9), 10**9)
+        message.points.append(
+            SimpleNamespace(
+                positions=np.broadcast_to(position, 6).tolist(), effort=[], accelerations=[],
+                velocities=[] if velocity is None else np.broadcast_to(velocity, 6).tolist(),
+                time_from_start=SimpleNamespace(sec=sec, nanosec=nanosec),
+            )
+        )  # fmt: skip
+    return message
+
+
+@pytest.mark.parametrize("velocities", ["none", "rest", "their own"])
+def test_single_points_are_followed_at_their_time(arm: Arm, velocities: str) -> None:
+    """Points sent every 10 ms, each 20 ms ahead, with velocities, zeros or none, are passed through at their times."""
+    given: dict[str, Callable[[float], Any]] = {
+        "none": lambda _: None,
+        "rest": lambda _: np.zeros(6),
+        "their own": lambda t: (wave(t + 1e-6) - wave(t - 1e-6)) / 2e-6,
+    }
+    times = [0.01 * k for k in range(1, 100)]
+    messages = [(at, trajectory([(0.02, wave(at - 0.01), given[velocities](at - 0.01))])) for at in times]
+    setpoints = arm.play(messages, 1.3)
+    arm.keeps_limits(setpoints)
+    rows = np.array([round((at + 0.02) / T) for at in times[5:]])
+    assert np.abs(setpoints[rows, 0] - wave(rows * T - 0.03)[:, None]).max() < 2e-5
+    assert arm.loop.rejected == 0
+    assert [line.split(" at ")[0] for line in arm.around.lines] == ["ready", "stream begins", "stream ended"]
+
+
+class Servo:
+    """MoveIt Servo's loop for joint jogs (moveit2, branch jazzy, 4d84106): servo_node.cpp, servo.cpp, utils/common.cpp.
+
+    A state is (time stamp, positions, velocities). Positions are smoothed by its Butterworth filter.
+    """
+
+    PERIOD, LATENCY, COEFFICIENT = 0.01, 0.1, 1.5  # publish_period, max_expected_latency, low_pass_filter_coeff
+
+    def __init__(self, position: Array) -> None:
+        self.window: list[tuple[float, Array, Array]] = []
+        self._in, self._out = position.copy(), position.copy()
+
+    def _smooth(self, position: Array) -> tuple[Array, Array]:
+        """Return positions and velocities of `doSmoothing`."""
+        before, self._in = self._in, position
+        last = self._out
+        self._out = (position + before - (1.0 - self.COEFFICIENT) * last) / (1.0 + self.COEFFICIENT)
+        return self._out, (self._out - last) / self.PERIOD
+
+    def cycle(self, now: float, velocity: Array | None, measured: Array) -> SimpleNamespace | None:
+        """Return what one cycle publishes: at a velocity, or None for a command that has timed out."""
+        if self.window and self.window[-1][0] > now:
+            _, current, last = self.window[-1]
+        else:
+            self.window.clear()
+            current, last = measured, np.zeros(6)
+            self._in = self._out = measured.copy()
+        if velocity is None and (np.abs(last) < 1e-4).all():
+            return None
+        target = current if velocity is None else current + velocity * self.PERIOD
+        self._update_window(now, *self._smooth(target))
+        if len(self.window) < 3:
+            return None
+        first = self.window[0][0]
+        points = [(stamp - first, q, v) for stamp, q, v in self.window[:-1]]
+        return trajectory(points, stamp=first)
+
+    def _update_window(self, now: float, position: Array, velocity: Array) -> None:
+        """Do what `updateSlidingWindow` does."""
+        stamp = now + self.LATENCY
+        while self.window and self.window[0][0] < now - self.LATENCY:
+            self.window.pop(0)
+        while self.window and self.window[-1][0] == stamp:
+            self.window.pop()
+        if len(self.window) >= 2:
+            (t0, q0, _), (t1, q1, _) = self.window[-2:]
+            signs = np.sign(q0 - q1) - np.sign(position - q1)
+            v1, v2 = (position - q1) / (stamp - t1), (q1 - q0) / (t1 - t0)
+            last = np.where(signs == 0, 0.0, np.where(np.abs(v1) < np.abs(v2), v1, v2))
+            self.window[-1], velocity = (t1, q1, last), last.copy()
+        self.window.append((stamp, position, velocity))
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.003])
+def test_moveit_servo_drives_the_arm(arm: Arm, jitter: float) -> None:
+    """Its windows of points, with stamps in the past and velocities at the end, are one stream that is followed.
+
+    Jogged to and fro, with wake-ups that are late at random, the arm is where Servo wanted it at that time, and where
+    it stopped in the end. Nothing is rejected.
+    """
+    servo, random, wanted = Servo(np.zeros(6)), np.random.default_rng(1), {}
+    for k in range(1, 200):
+        at = k * 0.01 + jitter * random.random()
+        arm.play([], math.floor(at / T) * T)
+        speed = 0.25 * np.ones(6) if k < 60 else -0.15 * np.ones(6) if k < 120 else None
+        message = servo.cycle(at, speed, arm.cs7b.setpoint[0].copy())
+        if message is None:
+            continue
+        arm.loop.receive(message)
+        wanted |= {stamp: q for stamp, q, _ in servo.window[:-1]}
+    setpoints = arm.play([], 3.0)
+    arm.keeps_limits(setpoints)
+    assert arm.loop.rejected == 0
+    assert not any("rejected" in line or "came" in line for line in arm.around.lines)
+    stamps = np.array([stamp for stamp in wanted if stamp > 0.3])
+    actual = np.array([np.interp(stamps, T * np.arange(len(setpoints)), setpoints[:, 0, j]) for j in range(6)]).T
+    furthest = np.abs(actual - np.array([wanted[stamp] for stamp in stamps])).max(axis=0)
+    assert furthest.max() < 7e-3  # where Servo turns faster than joint 2 can
+    assert furthest[3:].max() < 1e-4
+    assert np.abs(setpoints[-1, 0] - wanted[max(wanted)]).max() < 1e-9
+    assert max(np.abs(q).max() for q in wanted.values()) > 0.08
+
+
+def test_longer_trajectories_are_none_of_a_stream(arm: Arm) -> None:
+    """What ends further ahead than `stream.window` is a trajectory as ever: refused beyond limits, not followed."""
+    arm.loop.receive(trajectory([(0.101, 0.5 * np.ones(6), np.zeros(6))]))
+    assert "trajectory rejected: point 0: " in arm.around.lines[-1]
+    arm.loop.streaming = StreamOptions(window=0.0)
+    arm.loop.receive(trajectory([(0.02, 0.5 * np.ones(6), None)]))
+    assert arm.around.lines[-1].startswith("trajectory rejected: point 0: ")
+    assert not arm.play([], 0.2)[:, 0].any()

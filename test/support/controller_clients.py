@@ -1,0 +1,125 @@
+"""Clients that look for controllers, call by call as their sources do; to be imported where their types are.
+
+rqt_joint_trajectory_controller: ros2_controllers 94e74de, joint_trajectory_controller.py and utils.py.
+MoveIt's Ros2ControlManager and Ros2ControlMultiManager: moveit2 4d84106, controller_manager_plugin.cpp.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from controller_manager_msgs.srv import ListControllers, SwitchController
+from ros_client import Client
+
+CM_SERVICES = {
+    "list_controllers": "controller_manager_msgs/srv/ListControllers",
+    "list_controller_types": "controller_manager_msgs/srv/ListControllerTypes",
+    "load_controller": "controller_manager_msgs/srv/LoadController",
+    "unload_controller": "controller_manager_msgs/srv/UnloadController",
+    "switch_controller": "controller_manager_msgs/srv/SwitchController",
+    "reload_controller_libraries": "controller_manager_msgs/srv/ReloadControllerLibraries",
+}
+
+
+class Rqt:
+    """What the plugin does until it shows the sliders of a controller, and sends what they say."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    def managers(self) -> list[str]:
+        """Return the namespaces of `get_controller_managers`."""
+        services = self._client.node.get_service_names_and_types()
+        sloppy = [name.split("/list_controllers")[0] or "/" for name, _ in services if "/list_controllers" in name]
+        return sorted(space for space in sloppy if self._is_manager(space))
+
+    def _is_manager(self, space: str) -> bool:
+        types = dict(self._client.node.get_service_names_and_types())
+        space = space if space.endswith("/") else f"{space}/"
+        return all(
+            f"{space}{name}" in types and types[f"{space}{name}"][0] == kind for name, kind in CM_SERVICES.items()
+        )
+
+    def running(self, manager: str) -> list[Any]:
+        """Return the controllers of `_running_jtc_info`."""
+        answer = self._client.asking.call(ListControllers, f"{manager}/list_controllers", ListControllers.Request())
+        found = [each for each in answer.controller if "JointTrajectoryController" in each.type]
+        return [each for each in found if each.state == "active"]
+
+    @staticmethod
+    def joint_names(controller: Any) -> list[str]:
+        """Return the names of `_jtc_joint_names`."""
+        names: list[str] = []
+        for interface in controller.required_state_interfaces:
+            name, kind = "/".join(interface.split("/")[:-1]), interface.split("/")[-1]
+            if name not in names and kind == "position":
+                names.append(name)
+        return names
+
+    @staticmethod
+    def controller_namespace(manager: str, controller: str) -> str:
+        """Return the namespace of `_resolve_controller_ns`."""
+        space = manager.rsplit("/", 1)[0]
+        return f"{space if space == '/' else space + '/'}{controller}"
+
+    @staticmethod
+    def duration(move: float, most: float, speed_scale: float = 0.5) -> float:
+        """Return the time_from_start of `_update_cmd_cb` for a joint, s; `most` is its maximum velocity."""
+        return max(abs(move) / most, 5.0 / 10.0) / speed_scale
+
+
+class MoveIt:
+    """Ros2ControlManager for a namespace, as Ros2ControlMultiManager finds them."""
+
+    HANDLED = ("joint_trajectory_controller/JointTrajectoryController",)  # of moveit_ros_control_interface_plugins.xml
+
+    def __init__(self, client: Client, space: str = "/") -> None:
+        self._client, self._space = client, space
+        self.managed: dict[str, Any] = {}
+        self.active: dict[str, Any] = {}
+        self.discover()
+
+    @staticmethod
+    def namespaces(client: Client) -> list[str]:
+        """Return the namespaces that Ros2ControlMultiManager makes managers for."""
+        names = [name for name, _ in client.node.get_service_names_and_types()]
+        found = (name.find("controller_manager/list_controllers") for name in names)
+        return [name[:at] for name, at in zip(names, found, strict=True) if at >= 0]
+
+    def discover(self) -> None:
+        """Do what `discover` does: joints in place of interfaces, handles by type."""
+        service = f"{self._space}controller_manager/list_controllers"
+        answer = self._client.asking.call(ListControllers, service, ListControllers.Request())
+        self.managed, self.active = {}, {}
+        for controller in answer.controller:
+            assert not controller.chain_connections
+            if controller.state == "active":
+                self.active[controller.name] = [each.split("/")[0] for each in controller.claimed_interfaces]
+            if controller.type in self.HANDLED:
+                self.managed[f"{self._space}{controller.name}"] = controller
+
+    def joints(self, name: str) -> list[str]:
+        """Return the joints of `getControllerJoints`."""
+        return [each.split("/")[0] for each in self.managed[name].required_command_interfaces]
+
+    def action(self, name: str) -> str:
+        """Return the action that the handle of a controller calls."""
+        return f"{name}/follow_joint_trajectory"
+
+    def switch(self, activate: list[str], deactivate: list[str]) -> tuple[bool, str]:
+        """Do what `switchControllers` does, and return its answer with the manager's message."""
+        self.discover()
+        claimed = {joint: name for name, joints in self.active.items() for joint in joints}
+        stop = [self.managed[name].name for name in deactivate if name in self.managed]
+        start = [self.managed[name].name for name in activate if name in self.managed]
+        for name in activate:
+            owners = [claimed[joint] for joint in self.joints(name) if joint in claimed]
+            stop += [owner for owner in dict.fromkeys(owners) if owner not in stop]
+        start, stop = [each for each in start if each not in stop], [each for each in stop if each not in start]
+        if not start and not stop:
+            return True, ""
+        request = SwitchController.Request(activate_controllers=start, deactivate_controllers=stop)
+        request.strictness = SwitchController.Request.STRICT
+        service = f"{self._space}controller_manager/switch_controller"
+        answer = self._client.asking.call(SwitchController, service, request)
+        return bool(answer.ok), str(answer.message)
