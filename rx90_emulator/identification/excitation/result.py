@@ -25,6 +25,7 @@ from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.excitation.friction import FrictionSelection
 from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
 from rx90_emulator.identification.excitation.known_payload import DriveGains, LoadParts
+from rx90_emulator.identification.excitation.law import overall
 from rx90_emulator.identification.excitation.least_squares import LinearFit, time_blocks
 from rx90_emulator.identification.excitation.physical import Consistency
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
@@ -105,6 +106,11 @@ class ExcitationIdentification:
     def speeds(self) -> tuple[SpeedResiduals, ...]:
         """Return what is left at each speed of the elements."""
         return residuals_by_speed(self.problem, self.problem.torque - self.friction.predicted)
+
+    @property
+    def speed_ranges(self) -> tuple[tuple[float, float], ...]:
+        """Return the least and the greatest speed of each element at which there were data, rad/s; 0 for none."""
+        return tuple(overall(one.ranges) for one in self.friction.fitted)
 
     @property
     def unit(self) -> str:

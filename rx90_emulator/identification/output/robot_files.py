@@ -248,6 +248,7 @@ def robot_texts(
             bandwidths=result.problem.runs[0].bandwidths,
             unit=result.unit,
             warnings=notes,
+            speeds=dict(zip(elements, result.speed_ranges, strict=True)),
         ),
     }
     if base is None:

@@ -90,7 +90,8 @@ def identified(
     robot = SimpleNamespace(fallback_name=fallback, setup=None)
     consistency, bags = SimpleNamespace(inertias=inertias), (("excitation", source),)
     given = {"problem": problem, "robot": robot, "consistency": consistency, "elements": elements, "bags": bags}
-    return SimpleNamespace(**given, unit="Nm", element_notes={}, notes=())
+    ranges = ((0.05, 2.0),) * len(elements)
+    return SimpleNamespace(**given, unit="Nm", element_notes={}, notes=(), speed_ranges=ranges)
 
 
 @pytest.fixture(scope="module")
