@@ -30,8 +30,8 @@ _DECADES = 3  # of speed that are drawn on either side
 _POINTS = 400  # on either side
 _COLUMNS = 2
 _LEGEND = (
-    "* assumed; a/b: for positive/negative velocity; +- standard deviation; at v rad/s: the torque at constant velocity, without load, "
-    "at the reference temperature"
+    "* assumed; a/b: for positive/negative velocity; +- standard deviation; at v rad/s: the torque at constant velocity, "
+    "without load, at the reference temperature"
 )
 
 
@@ -226,8 +226,8 @@ def comparison_json(choices: Sequence[FrictionChoice], speed: float) -> str:
             for path, one in values.items():
                 value = None if one.value == np.inf else one.value
                 stated: dict[str, Any] = {"unit": one.unit, "provenance": one.provenance, "source": one.source}
-                attributes = (path.replace(".", "_"), f"{path}_{SIGNS[0]}")
-                stated |= {"deviation": spreads[each] for each in attributes if each in spreads}
+                known = spreads.get(path.replace(".", "_"), spreads.get(f"{path}_{SIGNS[0]}"))
+                stated |= {} if known is None else {"deviation": known}
                 parameters[path] = {"value": value, **stated, "assumed": one.provenance == ASSUMED}
             speeds = [share * speed for share in _SPEEDS]
             torques = [_torques(choice.file.elements[name], v) for v in speeds]

@@ -46,7 +46,7 @@ from rx90_emulator.identification.identify import check_given_once, read_records
 from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions, model_parts
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import BagLayout, RecordedRobot
-from rx90_emulator.identification.validation.prediction import filtered_runs, validation_bandwidths, written_torque
+from rx90_emulator.identification.validation.prediction import recorded_equations, validation_bandwidths, written_torque
 
 _NO_PAYLOADS: Mapping[str, Payload] = MappingProxyType({})
 _DEFAULT_ROBOT = RobotOptions()
@@ -117,8 +117,7 @@ def identify_excitation(
     records, notes = _shocks_left_out(records, source)
 
     def equations(some: Sequence[JointRecord], bandwidths: Bandwidths) -> ExcitationProblem:
-        runs = [run for record in some for run in filtered_runs(record, source, bandwidths)]
-        return ExcitationProblem.of(source.arm, runs, [carried[run.source.path] for run in runs], rotors=rotors)
+        return recorded_equations(some, source, bandwidths, carried, rotors=rotors)
 
     bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
     notes = (*notes, *recording_notes(records["excitation"], bandwidths), *short_note(problem), *_held_note(source))
