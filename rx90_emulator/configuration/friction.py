@@ -30,7 +30,7 @@ _DECADES = 3  # of speed that are drawn on either side
 _POINTS = 400  # on either side
 _COLUMNS = 2
 _LEGEND = (
-    "* assumed; a/b: for positive/negative velocity; +- standard deviation; at v rad/s: the torque at constant velocity, "
+    "* assumed; a/b: for positive/negative velocity; +- standard deviation; at v rad/s: torque at constant velocity, "
     "without load, at the reference temperature"
 )
 
