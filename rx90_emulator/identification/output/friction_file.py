@@ -16,7 +16,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import plain
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import FRICTION_UNITS
-from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.friction.friction_file import ALL_ELEMENTS, FrictionFile
 from rx90_emulator.identification.estimates import (
     LARGEST,
     NOT_IN_MODEL,
@@ -128,7 +128,8 @@ def elements_text(
     check_numbers(identification, LARGEST, "identification")
     source = f"{len(labels)} bag{'s' * (len(labels) != 1)}, {date}; omega_d is not identified"
     source += "" if fallback_name is None else f", it is that of {fallback_name}"
-    about = {name: {"note": text} for name, text in notes.items()}
+    about: dict[str, dict[str, Any]] = {name: {"note": text} for name, text in notes.items()}
+    about[ALL_ELEMENTS] = {"provenance": {"omega_d": "assumed"}}
     file = FrictionFile(rounded, "identified", source, identification, about=about, joints=joints)
     text = file.text(_REMARKS)
     return in_unit(text, unit)
