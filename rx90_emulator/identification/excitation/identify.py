@@ -14,6 +14,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
 from rx90_emulator.identification.excitation.checks import check_signs, check_zeros
 from rx90_emulator.identification.excitation.choice import stages
+from rx90_emulator.identification.excitation.consistency import Consistency, make_consistent, written_arm
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.excitation.friction import (
     ALL_PARTS,
@@ -30,18 +31,14 @@ from rx90_emulator.identification.excitation.known_payload import (
 )
 from rx90_emulator.identification.excitation.law import Part
 from rx90_emulator.identification.excitation.payload import Payload, payloads_of
-from rx90_emulator.identification.excitation.physical import Consistency, make_consistent
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, described_inertials
 from rx90_emulator.identification.excitation.recording import recording_notes, short_note, without_shocks
 from rx90_emulator.identification.excitation.result import (
     ExcitationIdentification,
-    TorqueValidation,
     base_parameters,
-    run_torques,
     simulated_elements,
-    trends,
-    written_arm,
 )
+from rx90_emulator.identification.excitation.torques import TorqueValidation, run_torques, trends
 from rx90_emulator.identification.identify import check_given_once, read_records
 from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions, model_parts
 from rx90_emulator.identification.records import JointRecord

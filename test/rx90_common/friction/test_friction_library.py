@@ -61,7 +61,7 @@ def stated(file: FrictionFile, *keys: str) -> dict[str, Any]:
 
 
 def test_a_file_says_where_its_data_are_and_how_to_come_to_it(file: FrictionFile) -> None:
-    """Address, revision, licence and bags' digests are there; the commands are those of the page that describes them."""
+    """Address, revision, licence and bags' digests are there; the commands are those of the page."""
     recording, page = stated(file, "recording"), MEASURED.read_text(encoding="utf-8")
     assert file.provenance == "identified"
     assert set(recording) == {
@@ -81,7 +81,7 @@ def test_a_file_says_where_its_data_are_and_how_to_come_to_it(file: FrictionFile
 
 
 def test_identified_values_stand_in_their_intervals(file: FrictionFile) -> None:
-    """Each identified value is the middle of its interval of 1.96 deviations; every element has one, and all a range."""
+    """Each identified value is the middle of its interval of 1.96 deviations; every element has some, and a range."""
     assert set(stated(file, "speeds")) == set(file.elements) == set(stated(file, "parameters"))
     for name, element in file.elements.items():
         low, high = stated(file, "speeds")[name]
