@@ -229,7 +229,8 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     texts = robot_texts(result, file, None)
     assert set(texts) == {"robot.urdf", "friction.yaml"}
     friction = yaml.safe_load(texts["friction.yaml"])
-    assert list(friction["elements"]) == ["a", "b", "c"]
+    assert list(friction["elements"]) == ["provenance", "a", "b", "c"]
+    assert friction["elements"]["provenance"] == {"omega_d": "assumed"}
     assert [friction["joints"][name]["rotor_inertia"] for name in "abc"] == pytest.approx(inertias.rotors, rel=1e-5)
     assert [friction["joints"][name]["offset"] for name in "abc"] == pytest.approx(theta[33:], rel=1e-4)
 
