@@ -173,8 +173,8 @@ def _add_friction(friction: argparse.ArgumentParser) -> None:
 def _friction(options: argparse.Namespace) -> int:
     """Show friction elements beside each other, each number with its source, and put elements of one file into another.
 
-    FRICTION is a shipped robot (rx90b), published friction (puma560), a friction file or a robot folder, and
-    FRICTION:ELEMENT one element of it.
+    FRICTION is a shipped robot (rx90b), published friction (puma560), friction identified from an open recording
+    (panda_gaz), a friction file or a robot folder, and FRICTION:ELEMENT one element of it.
     """
     # Here, because --help must not wait for them.
     from rx90_common.report.picture import write_picture

@@ -15,13 +15,13 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import listed, one_line, plain, quoted
 from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import FILES, ROBOTS, shipped_robots
-from rx90_common.friction.element import FRICTION_PARAMETERS, FrictionElement
+from rx90_common.friction.element import FRICTION_PARAMETERS, SIGNS, FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.report.plot import COLOURS, Curve, Dash, Panel, Plot
 from rx90_emulator.configuration.origins import ASSUMED, OF_CODE, OTHERS, ShownValue, aligned, file_values, place_of
 
-PUBLISHED = "friction"
-"""The folder below config/ with published friction of other machines."""
+SETS = ("friction", "friction/library")
+"""The folders below config/ with friction of other machines: published, and identified from open recordings."""
 
 _SPEEDS = (0.01, 0.1, 1.0)
 """Shares of the highest speed at which the table has the torque."""
@@ -30,8 +30,8 @@ _DECADES = 3  # of speed that are drawn on either side
 _POINTS = 400  # on either side
 _COLUMNS = 2
 _LEGEND = (
-    "* assumed; a/b: for positive/negative velocity; at v rad/s: the torque at constant velocity, without load, "
-    "at the reference temperature"
+    "* assumed; a/b: for positive/negative velocity; +- standard deviation; at v rad/s: torque at constant velocity, "
+    "without load, at the reference temperature"
 )
 
 
@@ -78,17 +78,26 @@ class FrictionChoice:
                 values[names[0]][".".join(names[1:])] = one
         return cls(name, file, values, bool(sign), place_of(path))
 
+    def deviations(self, element: str) -> dict[str, float]:
+        """Return the standard deviations that the file states of what was identified, by the element's attributes."""
+        stated = (self.file.identification or {}).get("parameters", {}).get(element, {})
+        return {name: one["deviation"] for name, one in stated.items() if "deviation" in one}
+
 
 def shipped_friction() -> tuple[str, ...]:
-    """Return the names of the friction that the package ships: those of its robots, and the published ones."""
-    return (*shipped_robots(), *sorted(path.stem for path in config_path(PUBLISHED).glob("*.yaml")))
+    """Return the names of the friction that the package ships: of its robots, the published ones, the library's."""
+    return (*shipped_robots(), *_shipped_sets())
+
+
+def _shipped_sets() -> dict[str, Path]:
+    return {path.stem: path for folder in SETS for path in sorted(config_path(folder).glob("*.yaml"))}
 
 
 def _path_of(name: str) -> Path | None:
     if name in shipped_robots():
         return config_path(ROBOTS) / name / FILES["friction"]
-    if name in shipped_friction():
-        return config_path(PUBLISHED) / f"{name}.yaml"
+    if name in (sets := _shipped_sets()):
+        return sets[name]
     try:
         folder = Path(name).expanduser() / FILES["friction"]
         return folder if name and folder.is_file() else resolve_config(name)
@@ -155,11 +164,14 @@ def comparison_table(choices: Sequence[FrictionChoice], speed: float) -> str:
         for name, values in choice.values.items():
             law = choice.file.elements[name]
             assumed = {path.partition(".")[0] for path, one in values.items() if one.provenance == ASSUMED}
+            spreads = choice.deviations(name)
             numbers = [
-                _both(*(getattr(law, each) for each in one.attributes)) + "*" * (one.name in assumed)
+                _both(getattr(law, each) for each in one.attributes)
+                + _spread(spreads[each] for each in one.attributes if each in spreads)
+                + "*" * (one.name in assumed)
                 for one in FRICTION_PARAMETERS
             ]
-            torques = [_both(*_torques(law, v)) for v in speeds]
+            torques = [_both(_torques(law, v)) for v in speeds]
             rows.append((f"{choice.name}:{name}", *numbers, *torques, ", ".join(law.parts) or "-"))
     lines = aligned(rows, right=range(1, len(rows[0])))
     return "\n".join(map(one_line, [*lines, "", _LEGEND, *_sources(choices)]))
@@ -196,8 +208,13 @@ def _torques(law: FrictionElement, speed: float) -> tuple[float, float]:
     return float(law.steady_torque(speed)), -float(law.steady_torque(-speed))
 
 
-def _both(*values: float) -> str:
-    return "/".join(f"{value:.4g}" for value in dict.fromkeys(values))
+def _both(values: Iterable[float], digits: int = 4) -> str:
+    return "/".join(f"{value:.{digits}g}" for value in dict.fromkeys(values))
+
+
+def _spread(deviations: Iterable[float]) -> str:
+    text = _both(deviations, 2)
+    return f" +- {text}" if text else ""
 
 
 def comparison_json(choices: Sequence[FrictionChoice], speed: float) -> str:
@@ -205,10 +222,12 @@ def comparison_json(choices: Sequence[FrictionChoice], speed: float) -> str:
     content: list[dict[str, Any]] = []
     for choice in choices:
         for name, values in choice.values.items():
-            parameters = {}
+            parameters, spreads = {}, choice.deviations(name)
             for path, one in values.items():
                 value = None if one.value == np.inf else one.value
-                stated = {"unit": one.unit, "provenance": one.provenance, "source": one.source}
+                stated: dict[str, Any] = {"unit": one.unit, "provenance": one.provenance, "source": one.source}
+                known = spreads.get(path.replace(".", "_"), spreads.get(f"{path}_{SIGNS[0]}"))
+                stated |= {} if known is None else {"deviation": known}
                 parameters[path] = {"value": value, **stated, "assumed": one.provenance == ASSUMED}
             speeds = [share * speed for share in _SPEEDS]
             torques = [_torques(choice.file.elements[name], v) for v in speeds]

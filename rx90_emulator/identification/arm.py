@@ -185,7 +185,8 @@ class RigidArm:
             position: rad, shape (m, n).
             acceleration: rad/s^2, shape (m, n).
         """
-        return regressor @ inertial + rotor_and_spring_torque(self.rotor, self.spring, position, acceleration)
+        beside = rotor_and_spring_torque(self.rotor, self.spring, position, acceleration)
+        return regressor @ inertial + beside + self.offset
 
     def stiffness_of(self, inertial: Array, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return the derivative of `torque_of` by the positions, Nm/rad, shape (m, n, n), all arguments as there."""

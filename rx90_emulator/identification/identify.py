@@ -225,24 +225,42 @@ def check_friction(
     if not bags:
         raise IdentificationError("no bag to hold the friction against; accepted: --validation BAG ...")
     check_given_once(by_use)
-    file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
     source = RecordedRobot.load(robot, by_use["validation"], follow=True)
-    names, where = source.arm.element_names, str(file.path or "--friction")
-    lugre = file.select(names)
-    for name in file.elements:
-        if name not in names:
-            said = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
-            raise IdentificationError(f"{where}: {said}")
-    refuse_parts(file.elements, "a validation by recorded torques", f"{where}: elements.", held=("bristles",))
-    try:
-        source = replace(source, arm=source.arm.with_joints(file.joints))
-    except IdentificationError as error:
-        raise IdentificationError(f"{where}: {error}") from error
+    file, lugre, arm = with_friction(source.arm, friction, "a validation by recorded torques")
+    source, where = replace(source, arm=arm), str(file.path or "--friction")
     currents = (file.identification or {}).get("unit") == "A"
     records = read_records(by_use, source, progress, currents=currents)["validation"]
     if currents and any(record.unit == "Nm" for record in records):
         raise IdentificationError(f"{where}: its torques are in A; accepted: bags with efforts in A")
     return _validations(records, progress, source, lugre, tolerances, bandwidths=_bandwidths(file, where))
+
+
+def with_friction(
+    arm: RigidArm, friction: FrictionFile | Path | str, use: str
+) -> tuple[FrictionFile, tuple[FrictionElement, ...], RigidArm]:
+    """Return a friction file, its elements in the order of the arm's, and the arm with what its `joints` state.
+
+    Args:
+        arm: without friction.
+        friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.
+        use: what it is for, which takes no parts of the friction but bristles, in words.
+
+    Raises:
+        IdentificationError: for elements or joints that are none of the arm's.
+        ConfigError: for a file that cannot be used.
+    """
+    file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
+    names, where = arm.element_names, str(file.path or "friction")
+    elements = file.select(names)
+    for name in file.elements:
+        if name not in names:
+            said = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
+            raise IdentificationError(f"{where}: {said}")
+    refuse_parts(file.elements, use, f"{where}: elements.", held=("bristles",))
+    try:
+        return file, elements, arm.with_joints(file.joints)
+    except IdentificationError as error:
+        raise IdentificationError(f"{where}: {error}") from error
 
 
 def _bandwidths(file: FrictionFile, where: str) -> Bandwidths | None:

@@ -1,13 +1,14 @@
-"""Whether the encoders' zeros are those of the URDF, by what gravity asks of the joints that slide.
+"""Whether the encoders' zeros are those of the URDF: the decision, what is said of it, and the fits of slow motions.
 
-A wrong zero bends the arm in the wrong place. With the URDF's inertials as known within some 20 %, the torques tell:
-quarter turns are tried one joint and two neighbours at a time, and small errors are an extra column, the torque's
-derivative by the angle. An axis along gravity has no such derivative, and a link whose weight is uncertain makes good
-for a small error; both show in the deviation. A payload or a spring that the model lacks asks for other torques, as a
-wrong zero does; the message names it, too.
+A wrong zero bends the arm in the wrong place. Logs are off by quarter turns where URDF and encoder count from other
+poses, and by some hundredths of a radian after a bad calibration. `find_zeros` tries quarter turns one joint and two
+neighbours at a time, then small errors by the torque's derivatives, and doubts what makes the fit clearly better. A
+payload or a spring that the model lacks asks for other torques, as a wrong zero does; the message names it, too.
 
-The quarter turns, what is found and the option that helps are shared with the search in excitation runs, where the
-inertials are free (excitation/checks.py).
+It asks fits of the torque with other angles. Those of excitation runs, where the inertials are free, are in
+excitation/checks.py. Those here are of gravity on joints that slide, with the URDF's inertials as known within some
+20 %: a small error is an extra column. An axis along gravity has no such derivative, and a link whose weight is
+uncertain makes good for a small error; both show in the deviation.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from itertools import pairwise, product
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,22 +28,20 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.records import JointRecord
 
-QUARTERS: Final = (-0.5 * math.pi, 0.5 * math.pi, math.pi)
-"""Turns by which the zeros of URDF and encoder differ where they count from other poses, rad."""
+_QUARTERS = (-0.5 * math.pi, 0.5 * math.pi, math.pi)  # rad, between zeros of URDF and encoder that count differently
 _MIN_GAIN = 0.02  # share of a joint's unexplained torque that a doubt must take away, at least
 SMALLEST: Final = 0.01
 """Error of a zero that counts, rad: elasticity and rounded geometry pass for less."""
-STEP: Final = 1e-4
-"""Of differences by an angle, rad."""
+_SIGNIFICANT_SD = 5.0  # standard deviations from which a small error is one
+_MAX_SMALL_ERROR = 0.4  # rad: up to which the derivative is good for the torque
+ROUNDS: Final = 3
+"""Of weights, and of Gauss and Newton."""
 _INERTIAL_PRIOR_SD = 0.2  # of a link's mass, first moment and inertia: standard deviation of the URDF's values
 _MIN_LEVER = 0.05  # m: distance of a link's centre of mass that is not known better than this, times _INERTIAL_PRIOR_SD
 _CHI2_DROP = 36.0  # by which a quarter turn must lower chi squared: six standard deviations
-_SIGNIFICANT_SD = 5.0  # standard deviations from which a small error is one
-_MAX_SMALL_ERROR = 0.4  # rad: up to which the derivative is good for the torque
 _ZERO_PRIOR_SD = 1.0  # rad, standard deviation of a zero of which nothing is known
 _UNINFORMATIVE_SHARE = 0.5  # of it, from which the torques tell nothing of a zero
 _PRIORS = (1e-6, 1.0, 1.0 / _ZERO_PRIOR_SD)  # of columns of friction, of errors of inertials in their units, of zeros
-_ROUNDS = 3  # of weights, and of Gauss and Newton
 _MAX_INSTANTS, _SCREENING_STRIDE = 400, 5  # instants that are looked at, and which of them rule out most turns
 _MEAN_S, _CLUSTER_S = 0.05, 1.0  # s over which a run is averaged, and within which its errors are taken as one
 _SLIDING_SPEED = 0.02  # rad/s from which an element slides
@@ -115,6 +114,60 @@ The first is that of the fit in which all is free, "".
 """
 
 
+class ZeroFits(Protocol):
+    """Fits of recorded torques with joints that stand further on than recorded, by angles of n joints, rad, (n,)."""
+
+    @property
+    def torque(self) -> Array:
+        """Return the mean square of the torque of each joint, Nm^2, shape (n,)."""
+
+    def left(self, shift: Array) -> Left:
+        """Return the mean square of what fits with such angles leave of it."""
+
+    def best(self, trials: list[Array], start: Array) -> Array:
+        """Return those of some angles that leave least, by the weights of others."""
+
+    def clearly_better(self, shift: Array, than: Array) -> bool:
+        """Return whether some angles explain more of the torque than others, by more than chance."""
+
+    def small(self, start: Array) -> tuple[Array, Array]:
+        """Return what is missing beside such angles, by derivatives, and its standard deviations, rad, each (n,)."""
+
+    def told(self, deviation: Array) -> Mask:
+        """Return the joints whose zero the torques tell, by the deviations of `small`, shape (n,)."""
+
+
+def find_zeros(fits: ZeroFits, names: tuple[str, ...], zero: Array | None, joints: Mask) -> ZeroCheck:
+    """Look for zeros that explain the torques clearly better.
+
+    Args:
+        fits: of the torque, with the zeros as they were given.
+        names: n joints.
+        zero: recorded angles where those of the URDF are 0, rad, shape (n,); by default 0.
+        joints: whose zeros may be wrong, shape (n,).
+    """
+    none, own = np.zeros(len(names)), np.flatnonzero(joints).tolist()
+    turned = none
+    for _ in own:
+        single, double = quarter_turns(turned, own)
+        best = fits.best(single, turned)
+        if double and fits.clearly_better(two := fits.best(double, turned), best):
+            best = two
+        if not fits.clearly_better(best, turned):
+            break
+        turned = best
+    small, deviation = fits.small(turned)
+    sure = joints & is_error(small, deviation) & (np.abs(small) < _MAX_SMALL_ERROR)
+    told, known = fits.told(deviation), np.where(sure, deviation, 0.0)
+    check = ZeroCheck(names, none if zero is None else zero, none, known, told, 0.0, 0.0)
+    return check_of(check, turned + np.where(sure, small, 0.0), fits.left, fits.torque)
+
+
+def is_error(small: Array, deviation: Array) -> Mask:
+    """Return which small errors are large beside their deviation, and large enough to count, each shape (n,)."""
+    return np.asarray(np.abs(small) > np.maximum(SMALLEST, _SIGNIFICANT_SD * deviation))
+
+
 def check_of(check: ZeroCheck, shift: Array, left: Callable[[Array], Left], torque: Array) -> ZeroCheck:
     """Return which angles are doubted: those without which a fit would be worse, and what they make of it.
 
@@ -165,9 +218,9 @@ def quarter_turns(start: Array, joints: Iterable[int]) -> tuple[list[Array], lis
     Opposite turns of neighbours leave the rest of the arm where it is: either alone may be no better.
     """
     axes = dict(zip(joints, np.eye(len(start))[list(joints)], strict=True))
-    single = [start + turn * axis for axis in axes.values() for turn in QUARTERS]
+    single = [start + turn * axis for axis in axes.values() for turn in _QUARTERS]
     neighbours = [(axes[a], axes[b]) for a, b in pairwise(axes) if b == a + 1]
-    double = [start + a * first + b * second for first, second in neighbours for a, b in product(QUARTERS, repeat=2)]
+    double = [start + a * first + b * second for first, second in neighbours for a, b in product(_QUARTERS, repeat=2)]
     return single, double
 
 
@@ -218,32 +271,9 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
         arm: rigid-body model with the inertials of the URDF.
         zero: recorded angles where those of the URDF are 0, rad, shape (n,); by default 0.
     """
-    none = np.zeros(len(arm.names))
     stride = max(1, math.ceil(len(instants.torque) / _MAX_INSTANTS))
-    search = _Search(Instants(**{one.name: getattr(instants, one.name)[::stride] for one in fields(Instants)}), arm)
-    turned, own = none, np.flatnonzero(arm.identified).tolist()
-    for _ in own:
-        # By the scatter that the better angles leave: with wrong ones all of it passes for noise.
-        better = (
-            best
-            for best in (search.best(trials, turned) for trials in quarter_turns(turned, own) if trials)
-            if search.fit(turned, search.weight(best)).squares - search.fit(best, search.weight(best)).squares
-            > _CHI2_DROP
-        )
-        found = next(better, None)
-        if found is None:
-            break
-        turned = found
-    small, deviation = search.small(turned)
-    sure = (
-        arm.identified
-        & (np.abs(small) > np.maximum(SMALLEST, _SIGNIFICANT_SD * deviation))
-        & (np.abs(small) < _MAX_SMALL_ERROR)
-    )
-    shift = turned + np.where(sure, small, 0.0)
-    told = deviation < _UNINFORMATIVE_SHARE * _ZERO_PRIOR_SD
-    check = ZeroCheck(arm.names, none if zero is None else zero, none, deviation, told, 0.0, 0.0)
-    return check_of(check, shift, search.left, search.torque).of_joints(arm.identified)
+    fits = _SlidingFits(Instants(**{one.name: getattr(instants, one.name)[::stride] for one in fields(Instants)}), arm)
+    return find_zeros(fits, arm.names, zero, arm.identified).of_joints(arm.identified)
 
 
 class _Fit(NamedTuple):
@@ -253,7 +283,7 @@ class _Fit(NamedTuple):
     covariance: Array
 
 
-class _Search:
+class _SlidingFits:
     """Weighted fits of friction, errors of the inertials and of the zeros, with other angles."""
 
     def __init__(self, instants: Instants, arm: RigidArm) -> None:
@@ -296,10 +326,22 @@ class _Search:
                 best, least = trials[k], squares
         return best
 
+    def clearly_better(self, shift: Array, than: Array) -> bool:
+        """Return whether chi squared is less by six standard deviations, by the scatter that the better angles leave.
+
+        With wrong ones all of it passes for noise.
+        """
+        weight = self.weight(shift)
+        return self.fit(than, weight).squares - self.fit(shift, weight).squares > _CHI2_DROP
+
+    def told(self, deviation: Array) -> Mask:
+        """Return the joints of whose zero more is known than before."""
+        return deviation < _UNINFORMATIVE_SHARE * _ZERO_PRIOR_SD
+
     def small(self, start: Array) -> tuple[Array, Array]:
         """Return small errors beside quarter turns and their standard deviations, rad, each shape (n,)."""
         shift, weight, count = np.zeros(len(start)), self.weight(start), len(start)
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             # The torque's derivatives by the angles, with the inertials that fit.
             first = self._friction.shape[1]
             inertial = self._inertial + self._known * self.fit(start + shift, weight).values[first:]
@@ -316,7 +358,7 @@ class _Search:
 
     def _found_weight(self, shift: tuple[float, ...]) -> Array:
         weight = np.ones(len(self._joint))
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             weight = self._weight_of(self.fit(np.array(shift), weight).residual)
         return weight
 

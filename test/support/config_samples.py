@@ -77,7 +77,7 @@ def shipped() -> list[tuple[str, Path]]:
     robots = [config_path(f"robots/{name}") for name in shipped_robots()]
     found = [(role, folder / file) for folder in robots for role, file in FILES.items() if role != "urdf"]
     found += [("moveit_limits", folder / "moveit" / "joint_limits.yaml") for folder in robots]
-    found += [("friction", path) for path in sorted(config_path("friction").glob("*.yaml"))]
+    found += [("friction", path) for path in sorted(config_path("friction").rglob("*.yaml"))]
     found += [("rig", path) for path in sorted(config_path("rig").glob("*.yaml"))]
     found += [("sweep_plan", path) for path in sorted(config_path("sweep").glob("*.yaml"))]
     return [(kind, path) for kind, path in found if path.is_file()]

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -41,25 +42,27 @@ _SINGULAR = 1e-10  # relative: directions that the remaining rows do not determi
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """Bandwidths, their equations, and how well they predict the torque of the narrowest.
+    """Bandwidths, their equations, and how well they predict the torque of the narrowest, which is asked for if needed.
 
     Attributes:
         bandwidths: of both filters.
         problem: the equations.
-        residual: of the compared rows, each by the parameters fitted without its block of time, Nm, shape (r,).
-        share: RMS of these over the RMS torque.
+        compared: those of the narrowest.
     """
 
     bandwidths: Bandwidths
     problem: ExcitationProblem
-    residual: Array
-    share: float
+    compared: ExcitationProblem
 
-    @classmethod
-    def of(cls, bandwidths: Bandwidths, problem: ExcitationProblem, compared: ExcitationProblem) -> _Candidate:
-        """Predict the rows of other equations."""
-        residual = _left_out(problem, compared)
-        return cls(bandwidths, problem, residual, float(np.linalg.norm(residual) / np.linalg.norm(compared.torque)))
+    @cached_property
+    def residual(self) -> Array:
+        """Return that of the compared rows, each by the parameters fitted without its block of time, Nm, shape (r,)."""
+        return _left_out(self.problem, self.compared)
+
+    @property
+    def share(self) -> float:
+        """Return the RMS of these over the RMS torque."""
+        return float(np.linalg.norm(self.residual) / np.linalg.norm(self.compared.torque))
 
 
 def choose_bandwidths(
@@ -81,12 +84,12 @@ def choose_bandwidths(
         bandwidths = Bandwidths(given, given / 3.0)
         return bandwidths, equations(records, bandwidths)
     widest, silent = Bandwidths.of(records), next(filter(None, (record.no_velocity for record in records)), "")
-    candidates = _candidates(widest, records, equations)
+    candidates, number = _compared(widest, records, equations)
     compared = candidates[-1].problem
     if all(run.reference is not None for run in compared.runs):
         # The velocities of emulated drives' observers predict low frequencies better, and make rotors up to 2 % wrong.
         silent = "the set-points in the bags tell more than they"
-    best, reason = candidates[_best(candidates, compared)], widest.reason
+    best, reason = candidates[number], widest.reason
     if len(candidates) > 1:
         figures = ", ".join(f"{100.0 * one.share:.3g} % with {one.bandwidths.position:.3g} Hz" for one in candidates)
         below, position = compared.runs[0].bandwidths.torque, best.bandwidths.position
@@ -115,23 +118,23 @@ def _recorded_velocity(
     """
     recorded = compared.runs[0].bandwidths._replace(recorded_velocity=True)
     twin = equations(records, recorded)
-    second = _Candidate.of(recorded, twin, twin)
+    second = _Candidate(recorded, twin, twin).residual
     first_key, second_key = (
         (one.run * len(one.arm.names) + one.joint) * max(len(run.rows) for run in compared.runs) + one.place
         for one in (compared, twin)
     )
     # Where an element stops in one motion, it need not in the other.
     _, rows, its = np.intersect1d(first_key, second_key, assume_unique=True, return_indices=True)
-    pair = replace(first, residual=first.residual[rows]), replace(second, residual=second.residual[its])
+    pair = first.residual[rows], second[its]
     better = _best(pair, compared, rows) == 1
     size = float(np.linalg.norm(compared.torque[rows]))
-    differences, velocities = (100.0 * float(np.linalg.norm(one.residual)) / size for one in pair)
+    differences, velocities = (100.0 * float(np.linalg.norm(one)) / size for one in pair)
     text = f"from recorded velocities it is predicted to {velocities:.3g} %, from differences of positions to "
     return better, f"{text}{differences:.3g} %: {'the former' if better else 'differences'} are used"
 
 
-def _candidates(widest: Bandwidths, records: Sequence[JointRecord], equations: Equations) -> list[_Candidate]:
-    """Return what is compared, the widest first, the narrowest last: it has ten times the band of the motion.
+def _compared(widest: Bandwidths, records: Sequence[JointRecord], equations: Equations) -> tuple[list[_Candidate], int]:
+    """Return what is compared, the widest first, and the number of the best; the last has ten times the motion's band.
 
     What is between them is tried where the narrowest predicts clearly better than the widest.
     """
@@ -151,22 +154,23 @@ def _candidates(widest: Bandwidths, records: Sequence[JointRecord], equations: E
     first = last = (widest, equations(records, widest))
     while narrower and first is last:
         last = at(narrower.pop()) or first
-    if first is last:
-        return [_Candidate.of(*first, first[1])]
-    ends = [_Candidate.of(*one, last[1]) for one in (first, last)]
-    clearly = _best(ends, last[1]) == 1
-    between = [_Candidate.of(*one, last[1]) for one in map(at, narrower if clearly else ()) if one is not None]
-    return [ends[0], *between, ends[1]]
+    found = [_Candidate(*one, last[1]) for one in ((first,) if first is last else (first, last))]
+    best = _best([one.residual for one in found], last[1]) if len(found) > 1 else 0
+    between = [_Candidate(*one, last[1]) for one in map(at, narrower if best else ()) if one is not None]
+    if between:
+        found[1:1] = between
+        best = _best([one.residual for one in found], last[1])
+    return found, best
 
 
-def _best(candidates: Sequence[_Candidate], compared: ExcitationProblem, rows: Index | slice = slice(None)) -> int:
-    """Return the first candidate whose error of these rows is not clearly larger than the least, joints alike."""
+def _best(residuals: Sequence[Array], compared: ExcitationProblem, rows: Index | slice = slice(None)) -> int:
+    """Return the first of some residuals of these rows that are not clearly larger than the least, joints alike."""
     joint, block = compared.joint[rows], time_blocks(compared)[rows]
     least = np.ones(joint.max() + 1)  # of each joint: the RMS of the candidate that predicts it best
     for number in np.unique(joint).tolist():
         own = joint == number
-        least[number] = max(min(float(np.sqrt(np.mean(one.residual[own] ** 2))) for one in candidates), 1e-12)
-    squares = [np.bincount(block, (one.residual / least[joint]) ** 2) for one in candidates]
+        least[number] = max(min(float(np.sqrt(np.mean(one[own] ** 2))) for one in residuals), 1e-12)
+    squares = [np.bincount(block, (one / least[joint]) ** 2) for one in residuals]
     best = min(squares, key=np.sum)
     for number, own in enumerate(squares):
         more, deviation = float(np.sum(own - best)), float(np.std(own - best, ddof=1) * math.sqrt(len(own)))

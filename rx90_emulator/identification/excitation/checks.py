@@ -1,9 +1,7 @@
 """Whether signs and encoder zeros are right, by the simplest model: rigid body, Coulomb and viscous friction.
 
-A wrong zero bends the arm in the wrong place, and no inertia makes good for it. Logs are off by quarter turns where
-URDF and encoder count from other poses, and by some hundredths of a radian after a bad calibration: quarter turns are
-tried one joint and two neighbours at a time, then small errors by their derivatives. A zero that base parameters can
-make good for (a vertical first axis, the last joint) changes no torque, and is never blamed.
+A wrong zero bends the arm in the wrong place, and no inertia makes good for it; `zeros.find_zeros` decides. A zero that
+base parameters can make good for (a vertical first axis, the last joint) changes no torque, and is never blamed.
 
 A motor's torque constant of the wrong sign turns its torque round: the drive seems to be driven by friction. A gear of
 the wrong sign turns torque and motion round: power and friction are right, and the joint bends the other way. Both,
@@ -28,7 +26,7 @@ from rx90_emulator.identification.excitation.law import COULOMB, VISCOUS, Elemen
 from rx90_emulator.identification.excitation.least_squares import solve, time_blocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.options import RobotOptions
-from rx90_emulator.identification.zeros import SMALLEST, STEP, ZeroCheck, check_of, quarter_turns
+from rx90_emulator.identification.zeros import ROUNDS, SMALLEST, Left, ZeroCheck, find_zeros, is_error
 
 _NO_OPTIONS = RobotOptions()
 
@@ -67,7 +65,7 @@ class WrongSign(NamedTuple):
 _TURNED_ROUND = ((False, True), (True, True), (True, False))
 """Motion and torque: a wrong sign of the torque constant, of the gear, of the position alone."""
 _MIN_SIGN_GAIN = 0.15  # share of the torque error, at least, that a right sign explains
-_SIGN_SE = 3.0  # standard errors by which it must explain more
+_CLEAR_SE = 3.0  # standard errors by which a sign, or a zero, must explain more
 
 
 def check_signs(problem: ExcitationProblem, options: RobotOptions = _NO_OPTIONS) -> None:
@@ -114,12 +112,8 @@ def _right_signs(wrong: Sequence[WrongSign], options: RobotOptions, count: int) 
 
 
 _SCREENING_ROWS = 2500  # that quarter turns are compared on, at most: evenly taken from all
-_QUARTER_TURN_SE = 3.0  # standard errors by which a change must explain more
-_ZERO_ERROR_SE = 4.0  # deviations from which a small error is one
-_MIN_SECOND_JOINT_GAIN = 0.005  # share of the squares that a second joint must explain, to be turned with the first
-_MIN_TORQUE_GAIN = 0.02  # share of the torque error, at least
-_MAX_SMALL_ERROR = 0.3  # rad, of an error that counts as small
-_MAX_ROUNDS = 3  # of Gauss and Newton
+_STEP = 1e-4  # rad, of differences by an angle
+_MIN_TORQUE_GAIN = 0.02  # share of the torque error that a change must explain, at least
 _MIN_INDEPENDENT_SHARE = 1e-4  # share of a derivative's squares that the other columns must leave, to tell the zero
 
 
@@ -130,20 +124,8 @@ def check_zeros(problem: ExcitationProblem, zero: Array | None = None) -> ZeroCh
         problem: equations with the zeros as they were given.
         zero: these, recorded angles where those of the URDF are 0, rad, shape (n,); by default 0.
     """
-    none = np.zeros(len(problem.arm.names))
-    search = _Search(problem)
-    told = search.told() & problem.arm.identified
-    quarters = search.quarter_turned(told)
-    small, deviation = search.small(quarters, told)
-    shift = quarters + small
-
-    def mean_square(values: Array) -> Array:
-        return np.asarray(np.bincount(problem.joint, values**2, len(none)) / len(problem))
-
-    check = ZeroCheck(problem.arm.names, none if zero is None else zero, none, deviation, told, 0.0, 0.0)
-    return check_of(
-        check, shift, lambda angles: {"": mean_square(search.residual(angles))}, mean_square(problem.torque)
-    )
+    fits = _Search(problem)
+    return find_zeros(fits, problem.arm.names, zero, fits.doubtful)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,50 +177,53 @@ class _Search:
         # Whole instants are taken, so that no more regressors are computed than rows are compared.
         self._some = np.flatnonzero(problem.sample % max(1, math.ceil(len(problem) / _SCREENING_ROWS)) == 0)
 
-    def told(self) -> Mask:
+    @cached_property
+    def doubtful(self) -> Mask:
         """Return the joints whose zero the torques tell: no base parameter makes good for its error, shape (n,)."""
-        columns, slopes = (
-            values * self._weight for values in self._derivatives(np.zeros(len(self._problem.arm.names)))
-        )
+        arm = self._problem.arm
+        columns, slopes = (values * self._weight for values in self._derivatives(np.zeros(len(arm.names))))
         left = slopes - _projected(columns, slopes)
         size = np.sum(slopes**2, axis=0)
-        return np.asarray(np.sum(left**2, axis=0) > _MIN_INDEPENDENT_SHARE * np.maximum(size, 1e-300))
+        return np.asarray(
+            arm.identified & (np.sum(left**2, axis=0) > _MIN_INDEPENDENT_SHARE * np.maximum(size, 1e-300))
+        )
 
-    def quarter_turned(self, told: Mask) -> Array:
-        """Return the quarter turns of joints that explain clearly more, rad, shape (n,)."""
-        best = np.zeros(len(told))
-        squares = self._squares(best)
-        joints = np.flatnonzero(told).tolist()
-        for _ in joints:
-            single, double = quarter_turns(best, joints)
-            shift, less = self._least(single)
-            if double:
-                two = self._least(double)
-                if two[1].sum() < less.sum() - _MIN_SECOND_JOINT_GAIN * squares.sum():
-                    shift, less = two
-            if not self._explains(squares, less, _QUARTER_TURN_SE, _MIN_TORQUE_GAIN):
-                break
-            best, squares = shift, less
-        return best
+    def told(self, _deviation: Array) -> Mask:
+        """Return the same, which no deviation changes."""
+        return self.doubtful
 
-    def small(self, start: Array, told: Mask) -> tuple[Array, Array]:
-        """Return small errors beside quarter turns and their deviations, rad, each shape (n,): 0 where none is sure."""
-        shift, spread = np.zeros((2, len(start)))
-        sure = told
-        for _ in range(_MAX_ROUNDS if told.any() else 0):
+    @property
+    def torque(self) -> Array:
+        """Return the mean square of the torque of each joint, Nm^2, shape (n,)."""
+        return self._mean_square(self._problem.torque)
+
+    def left(self, shift: Array) -> Left:
+        """Return the same of what rigid body, Coulomb and viscous friction leave of it with shifted angles."""
+        return {"": self._mean_square(solve(self._problem, self._columns(shift, self._all)).residual)}
+
+    def _mean_square(self, values: Array) -> Array:
+        squares = np.bincount(self._problem.joint, values**2, len(self._problem.arm.names))
+        return np.asarray(squares / len(self._problem))
+
+    def best(self, trials: list[Array], _start: Array) -> Array:
+        """Return those of some angles that leave least."""
+        return min(trials, key=lambda shift: float(self._squares(shift).sum()))
+
+    def clearly_better(self, shift: Array, than: Array) -> bool:
+        """Return whether some angles explain more than others: block by block, and by a share that counts."""
+        return self._explains(self._squares(than), self._squares(shift), _CLEAR_SE, _MIN_TORQUE_GAIN)
+
+    def small(self, start: Array) -> tuple[Array, Array]:
+        """Return small errors beside quarter turns and their deviations, rad, each shape (n,)."""
+        told, (shift, spread) = self.doubtful, np.zeros((2, len(start)))
+        for _ in range(ROUNDS if told.any() else 0):
             columns, slopes = self._derivatives(start + shift)
             fit, first = solve(self._problem, np.hstack([columns, slopes[:, told]])), columns.shape[1]
             shift[told] += fit.value[first:]
             spread[told] = fit.deviation[first:]
-            sure = told & (np.abs(shift) > np.maximum(SMALLEST, _ZERO_ERROR_SE * spread))
-            if np.abs(fit.value[first:]).max() < 0.1 * SMALLEST or not sure.any():
+            if np.abs(fit.value[first:]).max() < 0.1 * SMALLEST or not is_error(shift, spread).any():
                 break
-        sure = sure & (np.abs(shift) < _MAX_SMALL_ERROR)
-        return np.where(sure, shift, 0.0), np.where(sure, spread, 0.0)
-
-    def residual(self, shift: Array) -> Array:
-        """Return what rigid body, Coulomb and viscous friction leave of the torque with shifted angles, Nm."""
-        return solve(self._problem, self._columns(shift, self._all)).residual
+        return shift, spread
 
     def wrong_signs(self) -> tuple[tuple[WrongSign, ...], float, float]:
         """Return the motors whose signs are wrong, and what is unexplained of their torque before and without that."""
@@ -248,7 +233,7 @@ class _Search:
             there = {one.motor for one in wrong}
             tried = [(*wrong, WrongSign(k, *how)) for k in motors if k not in there for how in _TURNED_ROUND]
             best, other = min(((one, self._signed(one)) for one in tried), key=lambda pair: pair[1].deficit)
-            if not self._explains(*self._compared(now, other), _SIGN_SE, _MIN_SIGN_GAIN):
+            if not self._explains(*self._compared(now, other), _CLEAR_SE, _MIN_SIGN_GAIN):
                 break
             # Where nothing tells which way the joint bends, the torque is more often wrong than the position.
             plain = (*wrong, best[-1]._replace(motion=False, torque=True))
@@ -271,7 +256,7 @@ class _Search:
 
     def _beats(self, other: _Signed, now: _Signed) -> bool:
         """Return whether a hypothesis explains clearly more than another wrong sign."""
-        return self._explains(*self._compared(now, other), _SIGN_SE, _MIN_TORQUE_GAIN)
+        return self._explains(*self._compared(now, other), _CLEAR_SE, _MIN_TORQUE_GAIN)
 
     def _compared(self, now: _Signed, other: _Signed) -> tuple[Array, Array]:
         """Return the squares that two hypotheses leave in each block, weighted by the noise that the other one finds.
@@ -323,16 +308,12 @@ class _Search:
         left = target - _projected(self._columns(shift, rows) * weight, target)
         return np.bincount(self._block[rows], left**2, int(self._block.max()) + 1).astype(np.float64)
 
-    def _least(self, shifts: Sequence[Array]) -> tuple[Array, Array]:
-        """Return those of some angles that leave least, and the squares they leave in each block."""
-        return min(((one, self._squares(one)) for one in shifts), key=lambda found: float(found[1].sum()))
-
     def _derivatives(self, shift: Array) -> tuple[Array, Array]:
         """Return the columns of the simple model, shape (r, q), and the torque's derivatives by angles, (r, n)."""
         columns, b = self._columns(shift, self._all), len(self._problem.names)
-        value, steps = solve(self._problem, columns).value[:b], STEP * np.eye(len(shift))
+        value, steps = solve(self._problem, columns).value[:b], _STEP * np.eye(len(shift))
         sides = (self._columns(shift + step, self._all) - self._columns(shift - step, self._all) for step in steps)
-        return columns, np.column_stack([side[:, :b] @ value / (2.0 * STEP) for side in sides])
+        return columns, np.column_stack([side[:, :b] @ value / (2.0 * _STEP) for side in sides])
 
 
 def _projected(columns: Array, target: Array) -> Array:

@@ -16,7 +16,8 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.estimates import ElementEstimate, ParameterEstimate
-from rx90_emulator.identification.excitation.choice import ModelRow, Selection, TimeBlocks, select_parts
+from rx90_emulator.identification.excitation.choice import ModelRow, Selection, select_parts
+from rx90_emulator.identification.excitation.cross_validation import TimeBlocks
 from rx90_emulator.identification.excitation.fit import Key
 from rx90_emulator.identification.excitation.law import (
     FITTED,

@@ -14,6 +14,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
 from rx90_emulator.identification.excitation.checks import check_signs, check_zeros
 from rx90_emulator.identification.excitation.choice import stages
+from rx90_emulator.identification.excitation.consistency import Consistency, make_consistent, written_arm
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.excitation.friction import (
     ALL_PARTS,
@@ -30,23 +31,19 @@ from rx90_emulator.identification.excitation.known_payload import (
 )
 from rx90_emulator.identification.excitation.law import Part
 from rx90_emulator.identification.excitation.payload import Payload, payloads_of
-from rx90_emulator.identification.excitation.physical import Consistency, make_consistent
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, described_inertials
 from rx90_emulator.identification.excitation.recording import recording_notes, short_note, without_shocks
 from rx90_emulator.identification.excitation.result import (
     ExcitationIdentification,
-    TorqueValidation,
     base_parameters,
-    run_torques,
     simulated_elements,
-    trends,
-    written_arm,
 )
+from rx90_emulator.identification.excitation.torques import TorqueValidation, run_torques, trends
 from rx90_emulator.identification.identify import check_given_once, read_records
 from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions, model_parts
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import BagLayout, RecordedRobot
-from rx90_emulator.identification.validation.prediction import filtered_runs, validation_bandwidths, written_torque
+from rx90_emulator.identification.validation.prediction import recorded_equations, validation_bandwidths, written_torque
 
 _NO_PAYLOADS: Mapping[str, Payload] = MappingProxyType({})
 _DEFAULT_ROBOT = RobotOptions()
@@ -117,8 +114,7 @@ def identify_excitation(
     records, notes = _shocks_left_out(records, source)
 
     def equations(some: Sequence[JointRecord], bandwidths: Bandwidths) -> ExcitationProblem:
-        runs = [run for record in some for run in filtered_runs(record, source, bandwidths)]
-        return ExcitationProblem.of(source.arm, runs, [carried[run.source.path] for run in runs], rotors=rotors)
+        return recorded_equations(some, source, bandwidths, carried, rotors=rotors)
 
     bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
     notes = (*notes, *recording_notes(records["excitation"], bandwidths), *short_note(problem), *_held_note(source))

@@ -43,7 +43,8 @@ from rx90_common.base.quoting import listed
 from rx90_common.friction.parts.load import DIRECTIONS, LARGEST_COEFFICIENT, LoadPart
 from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.excitation.checks import coulomb_viscous
-from rx90_emulator.identification.excitation.choice import Scored, TimeBlocks, select_parts
+from rx90_emulator.identification.excitation.choice import select_parts
+from rx90_emulator.identification.excitation.cross_validation import Scored, TimeBlocks
 from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, fit_shapes
 from rx90_emulator.identification.excitation.friction import (
     WITHOUT_BRISTLES,

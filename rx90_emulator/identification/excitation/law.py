@@ -275,6 +275,12 @@ class ElementMotion(NamedTuple):
         return found
 
 
+def overall(ranges: tuple[tuple[float, float], tuple[float, float]]) -> tuple[float, float]:
+    """Return the least and the greatest speed of the ranges of both directions; (0, 0) stands for no data."""
+    moved = [pair for pair in ranges if pair[1] > 0.0]
+    return min((low for low, _ in moved), default=0.0), max((high for _, high in moved), default=0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class ElementRows:
     """The rows of a problem that one element acts on.
@@ -321,8 +327,7 @@ class ElementRows:
     @cached_property
     def speed_range(self) -> tuple[float, float]:
         """Return the least and the greatest speed with data in any direction, rad/s."""
-        ranges = [pair for pair in self.speeds if pair[1] > 0.0]
-        return min((low for low, _ in ranges), default=0.0), max((high for _, high in ranges), default=0.0)
+        return overall(self.speeds)
 
     @cached_property
     def shortest_presliding(self) -> float:

@@ -16,16 +16,14 @@ from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.share import resolve_config
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.friction.friction_set import refuse_parts
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.excitation.problem import BaseGroups, ExcitationProblem, StandardColumns
-from rx90_emulator.identification.identify import check_given_once, read_records
+from rx90_emulator.identification.identify import check_given_once, read_records, with_friction
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.robot import RecordedRobot
-from rx90_emulator.identification.validation.prediction import drive_torque, filtered_runs
+from rx90_emulator.identification.validation.prediction import drive_torque, recorded_equations
 
 _DEFAULT_ROBOT = RobotOptions()
 
@@ -93,8 +91,7 @@ def excitation_problem(
     check_given_once(paths)
     source = RecordedRobot.load(robot, paths["excitation"], massless=True, follow=True)
     records = read_records(paths, source, lambda _: None, currents=True)["excitation"]
-    chosen = bandwidths or Bandwidths.of(records)
-    return ExcitationProblem.of(source.arm, [run for one in records for run in filtered_runs(one, source, chosen)])
+    return recorded_equations(records, source, bandwidths or Bandwidths.of(records))
 
 
 def predict_torque(
@@ -108,8 +105,12 @@ def predict_torque(
 ) -> Array:
     """Return the torque that the drives give at the joints along a motion, by a friction file and an arm's description.
 
+    As in `check_friction`, offsets in the file's `joints` are added, and rotors and springs there take the place of the
+    robot's.
+
     Args:
-        friction: the file, by its content, its path or the name of a shipped one; bristles begin undeflected.
+        friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's, and
+            bristles begin undeflected.
         time: s, even, shape (m,).
         position: rad, shape (m, n).
         velocity: rad/s, shape (m, n); by default differences of the positions.
@@ -120,7 +121,7 @@ def predict_torque(
         Nm, shape (m, n).
 
     Raises:
-        IdentificationError: for times that are not even, and arrays of another shape.
+        IdentificationError: for times that are not even, arrays of another shape, and a file of another arm.
         ConfigError: for a file that cannot be used.
     """
     arm, at, angle = RecordedRobot.load(robot).arm, np.asarray(time, dtype=np.float64), np.asarray(position, np.float64)
@@ -131,7 +132,5 @@ def predict_torque(
     for name, values in (("position", angle), ("velocity", speed), ("acceleration", change)):
         if values.shape != (len(at), len(arm.names)):
             raise IdentificationError(f"{name} has shape {values.shape}; accepted: ({len(at)}, {len(arm.names)})")
-    file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
-    refuse_parts(file.elements, "a prediction of torques", f"{file.path or 'friction'}: elements.", held=("bristles",))
-    elements = file.select(arm.element_names)
-    return drive_torque(arm, elements, (angle, speed, change), float(at[1] - at[0]))
+    _, elements, held = with_friction(arm, friction, "a prediction of torques")
+    return drive_torque(held, elements, (angle, speed, change), float(at[1] - at[0]))

@@ -9,12 +9,14 @@ from datetime import datetime, timezone
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from rx90_common.base.config import check_numbers
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import plain
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import FRICTION_UNITS
-from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.friction.friction_file import ALL_ELEMENTS, FrictionFile
 from rx90_emulator.identification.estimates import (
     LARGEST,
     NOT_IN_MODEL,
@@ -36,12 +38,17 @@ _LARGEST = {"Nm": 1e6, "rad/s": 1e4, "1": 1e3, "Nm/rad": 1e12, "Nm s/rad": 1e9, 
 """Of values with these units: orders of magnitude beyond any arm's, and no result of a fit that went well."""
 _NO_JOINTS: Mapping[str, Mapping[str, float]] = MappingProxyType({})
 _NO_WARNINGS: Mapping[str, str] = MappingProxyType({})
+_NO_SPEEDS: Mapping[str, tuple[float, float]] = MappingProxyType({})
 _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
 
 
 def six_digits(value: float) -> float:
     """Return six digits of a value: what is beyond them is far below any standard deviation."""
     return float(f"{value:.6g}")
+
+
+def _three_digits(value: float) -> float:
+    return float(f"{value:.3g}")
 
 
 def friction_text(result: FrictionIdentification, now: datetime | None = None) -> str:
@@ -59,6 +66,7 @@ def elements_text(
     bandwidths: Bandwidths | None = None,
     unit: str = "Nm",
     warnings: Mapping[str, str] = _NO_WARNINGS,
+    speeds: Mapping[str, tuple[float, float]] = _NO_SPEEDS,
 ) -> str:
     """Return the text of a file with these elements.
 
@@ -72,6 +80,7 @@ def elements_text(
         bandwidths: of excitation runs, which a validation of the file filters with again.
         unit: of the torques, where they are currents.
         warnings: why an element's values are not to be trusted, by its name.
+        speeds: least and greatest at which there were data, rad/s, by element; with `result` those of its sweeps.
 
     Raises:
         IdentificationError: for a value that no arm has, or that is no number.
@@ -96,6 +105,11 @@ def elements_text(
         identification["bandwidths"] = {"position": float(bandwidths.position), "torque": float(bandwidths.torque)}
         identification["bandwidths"] |= {"recorded_velocity": True} if bandwidths.recorded_velocity else {}
     if result is not None:
+        sizes = {name: np.abs(one.velocity) for name, one in zip(names, result.sliding.curves, strict=True)}
+        speeds = {name: (float(one.min()), float(one.max())) for name, one in sizes.items() if len(one)}
+    if speeds:
+        identification["speeds"] = {name: [_three_digits(speed) for speed in pair] for name, pair in speeds.items()}
+    if result is not None:
         usage, fits = result.sliding.usage, zip(names, result.sliding.quality, strict=True)
         identification["sweeps"] = {labels[use.bag]: use.text(names) for use in usage if use.bag in labels}
         identification["fit"] = {name: one.content for name, one in fits if one is not None}
@@ -112,9 +126,10 @@ def elements_text(
         name: _provenance(one, rounded[name], labels, date, fallback_name) for name, one in named.items()
     }
     check_numbers(identification, LARGEST, "identification")
-    source = f"{len(labels)} bags, {date}; omega_d is not identified"
+    source = f"{len(labels)} bag{'s' * (len(labels) != 1)}, {date}; omega_d is not identified"
     source += "" if fallback_name is None else f", it is that of {fallback_name}"
-    about = {name: {"note": text} for name, text in notes.items()}
+    about: dict[str, dict[str, Any]] = {name: {"note": text} for name, text in notes.items()}
+    about[ALL_ELEMENTS] = {"provenance": {"omega_d": "assumed"}}
     file = FrictionFile(rounded, "identified", source, identification, about=about, joints=joints)
     text = file.text(_REMARKS)
     return in_unit(text, unit)

@@ -19,12 +19,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Mark, Panel, Plot, Scale
-from rx90_emulator.identification.excitation.result import (
-    ExcitationIdentification,
-    JointTorque,
-    RunTorques,
-    misfits,
-)
+from rx90_emulator.identification.excitation.result import ExcitationIdentification
+from rx90_emulator.identification.excitation.torques import JointTorque, RunTorques, misfits
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.output import summary
 from rx90_emulator.identification.output.robot_files import torque_constants

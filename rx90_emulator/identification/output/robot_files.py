@@ -30,14 +30,10 @@ from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.friction.friction_set import element_names
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import LARGEST, ParameterEstimate
-from rx90_emulator.identification.excitation.choice import CrossValidation
-from rx90_emulator.identification.excitation.physical import central
-from rx90_emulator.identification.excitation.result import (
-    ASSUMED,
-    ExcitationIdentification,
-    RunTorques,
-    misfits,
-)
+from rx90_emulator.identification.excitation.cross_validation import CrossValidation
+from rx90_emulator.identification.excitation.prior import central
+from rx90_emulator.identification.excitation.result import ASSUMED, ExcitationIdentification
+from rx90_emulator.identification.excitation.torques import RunTorques, misfits
 from rx90_emulator.identification.output.friction_file import elements_text, six_digits
 from rx90_emulator.identification.output.summary import bodies_warnings, gain_warnings, in_currents
 from rx90_emulator.identification.records import in_unit
@@ -248,6 +244,7 @@ def robot_texts(
             bandwidths=result.problem.runs[0].bandwidths,
             unit=result.unit,
             warnings=notes,
+            speeds=dict(zip(elements, result.speed_ranges, strict=True)),
         ),
     }
     if base is None:

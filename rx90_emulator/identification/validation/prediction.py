@@ -8,10 +8,12 @@ are compared at the rows of excitation runs: where the joint moves, reversals in
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from operator import attrgetter
+from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -25,6 +27,7 @@ from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.tracing import prescribed_torque
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
+from rx90_emulator.identification.excitation.payload import Payload
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.recording import without_shocks
 from rx90_emulator.identification.options import (
@@ -46,6 +49,7 @@ from rx90_emulator.identification.validation.measured import (
 from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest, torque_criteria
 from rx90_emulator.identification.zeros import ZeroCheck, check_zeros, record_instants
 
+_NO_PAYLOADS: Mapping[Path, Payload | None] = MappingProxyType({})
 _MAX_WEIGHT_SD = 0.05  # standard deviation over RMS torque up to which a joint's error of the weights is applied
 _BRISTLE_STEP_S = 1e-3  # s, over which a velocity is held, at most
 _MAX_BANDWIDTH_OVER_RATE = 0.3  # of the positions, where a bag is slower than those that a file was identified from
@@ -121,6 +125,23 @@ def filtered_runs(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwid
         return filter_record(record, bandwidths)
     # A torque of this project's plant is that of the tick that ends at its stamp; a real arm's is not.
     return filter_record(record, bandwidths, _reference(record), 0.5 * robot.plant_period)
+
+
+def recorded_equations(
+    records: Sequence[JointRecord],
+    robot: RecordedRobot,
+    bandwidths: Bandwidths,
+    payloads: Mapping[Path, Payload | None] = _NO_PAYLOADS,
+    *,
+    rotors: bool = True,
+) -> ExcitationProblem:
+    """Return the equations of records behind filters, stacked; payloads by the paths of the bags, by default none.
+
+    Raises:
+        IdentificationError: for runs that are too short for the filters, and if no joint moves.
+    """
+    runs = [run for record in records for run in filtered_runs(record, robot, bandwidths)]
+    return ExcitationProblem.of(robot.arm, runs, [payloads.get(run.source.path) for run in runs], rotors=rotors)
 
 
 @lru_cache(8)  # equations are made of the same records for several bandwidths

@@ -94,6 +94,20 @@ def test_an_element_is_taken_with_its_sources(capsys: Captured, tmp_path: Path) 
     assert FrictionFile.read(tmp_path / "all.yaml").elements == every
 
 
+def test_a_set_of_the_library_is_found_by_its_name_and_has_its_deviations(capsys: Captured) -> None:
+    """Beside a published set of the same arm: values with the deviations of the file, and omega_d as assumed."""
+    names = ("ur10e_mamedov:wrist_1_joint", "ur10e:wrist_1_joint")
+    identified, published = (one["parameters"] for one in json.loads(told(capsys, *names, "--json")))
+    stated = FrictionFile.read(config_path("friction/library/ur10e_mamedov.yaml")).identification
+    assert stated is not None
+    for parameter, attribute in (("tau_c", "tau_c_positive"), ("c2", "c2"), ("alpha", "alpha")):
+        assert identified[parameter]["deviation"] == stated["parameters"]["wrist_1_joint"][attribute]["deviation"]
+        assert identified[parameter]["provenance"] == "identified"
+    assert identified["omega_d"]["assumed"]
+    assert not any("deviation" in one for one in published.values())
+    assert "2.025 +- 0.083" in told(capsys, *names)
+
+
 def test_what_was_identified_is_not_said_of_what_was_taken(capsys: Captured, tmp_path: Path) -> None:
     """An element that is replaced loses its entry in `identification`; the others keep theirs."""
     one = FrictionElement(1.0, 1.0, 1.0, 1.0, 0.05, 1.0, 1e3, 1.0, 1.0)

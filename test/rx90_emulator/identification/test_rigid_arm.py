@@ -49,13 +49,16 @@ def test_torque_equals_the_plants_mass_matrix_and_bias(shipped: Setup, arm: Rigi
 
 
 def test_the_regressor_is_the_derivative_by_the_inertial_parameters(arm: RigidArm) -> None:
-    """The regressor times Pinocchio's own parameters is the rigid torque without rotors and spring."""
+    """The regressor times Pinocchio's own parameters is the rigid torque without rotors, spring and offsets."""
     rng = np.random.default_rng(1)
     q, v, a = (rng.uniform(-1, 1, (20, 6)) for _ in range(3))
     parameters = np.concatenate([body.toDynamicParameters() for body in list(arm.model.inertias)[1:]])
     rest = a @ arm.rotor.T + arm.spring * np.sin(q)
     assert np.abs(arm.regressor(q, v, a) @ parameters + rest - arm.torque(q, v, a)).max() < 1e-9
-    assert np.abs(arm.torque_of(arm.regressor(q, v, a), arm.inertial, q, a) - arm.torque(q, v, a)).max() < 1e-9
+    shifted, offset = arm.with_joints({"joint_2": {"offset": 3.0}}), np.array([0.0, 3.0, 0.0, 0.0, 0.0, 0.0])
+    assert np.abs(shifted.torque(q, v, a) - offset - arm.torque(q, v, a)).max() < 1e-9
+    for one in (arm, shifted):
+        assert np.abs(one.torque_of(one.regressor(q, v, a), one.inertial, q, a) - one.torque(q, v, a)).max() < 1e-9
 
 
 def test_the_stiffness_is_the_derivative_by_the_positions(arm: RigidArm) -> None:

@@ -28,12 +28,8 @@ from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.excitation.filtering import Bandwidths
-from rx90_emulator.identification.excitation.physical import (
-    BaseEstimate,
-    ConsistentInertias,
-    InertialPrior,
-    consistent_inertias,
-)
+from rx90_emulator.identification.excitation.physical import BaseEstimate, ConsistentInertias, consistent_inertias
+from rx90_emulator.identification.excitation.prior import InertialPrior
 from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot_files import (
@@ -90,7 +86,8 @@ def identified(
     robot = SimpleNamespace(fallback_name=fallback, setup=None)
     consistency, bags = SimpleNamespace(inertias=inertias), (("excitation", source),)
     given = {"problem": problem, "robot": robot, "consistency": consistency, "elements": elements, "bags": bags}
-    return SimpleNamespace(**given, unit="Nm", element_notes={}, notes=())
+    ranges = ((0.05, 2.0),) * len(elements)
+    return SimpleNamespace(**given, unit="Nm", element_notes={}, notes=(), speed_ranges=ranges)
 
 
 @pytest.fixture(scope="module")
@@ -232,7 +229,8 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     texts = robot_texts(result, file, None)
     assert set(texts) == {"robot.urdf", "friction.yaml"}
     friction = yaml.safe_load(texts["friction.yaml"])
-    assert list(friction["elements"]) == ["a", "b", "c"]
+    assert list(friction["elements"]) == ["provenance", "a", "b", "c"]
+    assert friction["elements"]["provenance"] == {"omega_d": "assumed"}
     assert [friction["joints"][name]["rotor_inertia"] for name in "abc"] == pytest.approx(inertias.rotors, rel=1e-5)
     assert [friction["joints"][name]["offset"] for name in "abc"] == pytest.approx(theta[33:], rel=1e-4)
 

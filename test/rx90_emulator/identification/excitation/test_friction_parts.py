@@ -18,14 +18,8 @@ from scipy.signal import lfilter
 from benchmarks.random_arms import FrictionLaw
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.choice import (
-    PartKey,
-    Scored,
-    Selection,
-    TimeBlocks,
-    element_groups,
-    left_out,
-)
+from rx90_emulator.identification.excitation.choice import PartKey, Selection, element_groups
+from rx90_emulator.identification.excitation.cross_validation import Scored, TimeBlocks, left_out
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, fit_shapes, nonnegative
 from rx90_emulator.identification.excitation.friction import (

@@ -26,7 +26,7 @@ from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
 from rx90_emulator.identification.excitation.law import Part
-from rx90_emulator.identification.excitation.result import (
+from rx90_emulator.identification.excitation.torques import (
     JointTorque,
     RunTorques,
     TorqueValidation,

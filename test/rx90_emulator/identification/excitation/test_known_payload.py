@@ -28,7 +28,7 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.excitation import filtering, identify, instruments
 from rx90_emulator.identification.excitation.checks import coulomb_viscous
-from rx90_emulator.identification.excitation.choice import Scored
+from rx90_emulator.identification.excitation.cross_validation import Scored
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.excitation.friction import identify_friction_parts
 from rx90_emulator.identification.excitation.identify import identify_excitation
