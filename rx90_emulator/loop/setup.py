@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import check_type, warn_caller
+from rx90_common.base.errors import ConfigError, check_type, warn_caller
+from rx90_common.base.quoting import counted, plain
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import RobotModel, load_robot
@@ -25,7 +28,7 @@ class Setup:
     Attributes:
         robot: the arm with its tool.
         drives: gears, motors, brakes, spring, end stops.
-        friction: the seven elements.
+        friction: the elements.
         controller: gains, limits and switches.
         rates: of the loops.
         files: where they were read from, and the robot's own task and poses; None if they were not read.
@@ -56,12 +59,15 @@ class Setup:
         check_seed(seed)  # before files are read
         files, rates = files or RobotFiles(), rates or Rates()
         check_type(rates=(rates, Rates))
-        robot = load_robot(files.urdf, files.tool)
+        robot, drives = load_robot(files.urdf, files.tool), load_drives(files.drives)
+        check_joints(robot, files.drives, "gear", len(drives.gear))
+        controller = load_controller(files.controller)
+        check_joints(robot, files.controller, "inertia", len(controller.inertia))
         return cls(
             robot,
-            load_drives(files.drives),
-            load_friction(files.friction, robot.joint_names),
-            load_controller(files.controller),
+            drives,
+            load_friction(files.friction, drives.turning.element_names(robot.joint_names)),
+            controller,
             rates,
             files,
             seed,
@@ -81,12 +87,24 @@ class Setup:
 
     def warn_of_friction(self) -> None:
         """Warn of elements that are not passive up to the joints' full speed."""
-        warn_caller(self.friction.passivity_warnings(self.robot.max_velocity.tolist()))
+        reach = np.abs(self.drives.turning.element_matrix) @ self.robot.max_velocity
+        warn_caller(self.friction.passivity_warnings(reach.tolist()))
 
     def warn_of_heat(self, temperatures: Array) -> None:
-        """Warn of joints that got warmer, degrees Celsius, shape (n, 7), than the law of their friction holds."""
+        """Warn of joints that got warmer, degrees Celsius, shape (n, e), than the law of their friction holds."""
         hot = beyond_law(self.friction, temperatures.max(axis=0)) if len(temperatures) else ""
         warn_caller([hot] if hot else [])
+
+
+def check_joints(robot: RobotModel, file: Path, first: str, count: int) -> None:
+    """Check that a file with lists of one value for each joint has as many as the arm has joints.
+
+    Raises:
+        ConfigError: naming file, list and both numbers.
+    """
+    joints = len(robot.joint_names)
+    if count != joints:
+        raise ConfigError(f"{plain(file)}: {first} has {counted(count, 'number')}; accepted: {joints}, one for each joint")
 
 
 def load_setup(
@@ -107,7 +125,7 @@ def load_setup(
         urdf: the arm.
         tool: what its flange carries; "none" for nothing.
         drives: gears, motors, brakes, end stops.
-        friction: the seven elements.
+        friction: the elements.
         controller: gains and feed-forward.
         rates: of the loops, 4 kHz and 1 kHz if left out.
         seed: of all that is random in the arm.
