@@ -64,7 +64,6 @@ def cogging_state_dtype(motors: int) -> np.dtype[np.void]:
     return np.dtype([(name, np.float64, motors) for name in ("angle", "speed", "torque")], align=True)
 
 
-
 def fill_cogging(record: Any, cogging: Cogging, gear: Array) -> None:
     """Write the constants, with torques as seen through the gears."""
     terms = len(cogging.harmonic)

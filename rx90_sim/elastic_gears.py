@@ -104,7 +104,6 @@ def transmission_state_dtype(drives: int) -> np.dtype[np.void]:
     )
 
 
-
 @kernel
 def mean_torque(
     stiffness: float, damping: float, half_play: float, twist: float, way: float, step: float

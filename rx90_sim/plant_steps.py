@@ -180,7 +180,7 @@ def _first(bear: Any) -> int | None:
 
 
 def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -> _Rows:
-    speeds = np.abs(drives.turning.element_matrix) @ max_velocity
+    speeds = drives.turning.reach(max_velocity)
     slopes = [e.viscous_slopes(speed) for e, speed in zip(friction.elements, speeds, strict=True)]
     c1 = np.array([element.c1 for element in friction.elements])
     least, cold, fast = np.array(slopes).T

@@ -50,7 +50,7 @@ class ArmSize(NamedTuple):
     wrist: bool
 
 
-RX_SIZE = ArmSize(6, 7, wrist=True)
+_RX_JOINTS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class Coupling:
     def usual(cls, joints: int) -> Coupling:
         """Return that of an arm whose files say nothing of it: the RX family's wrist for six joints, else none."""
         turns = np.eye(joints)
-        if joints == RX_SIZE.joints:
+        if joints == _RX_JOINTS:
             turns[5, 4] = 1.0
         return cls(turns)
 
@@ -103,7 +103,7 @@ class Coupling:
     def size(self) -> ArmSize:
         """Return what compiled code is made for."""
         joints = len(self.turns)
-        wrist = joints == RX_SIZE.joints and np.array_equal(self.turns, Coupling.usual(joints).turns)
+        wrist = joints == _RX_JOINTS and np.array_equal(self.turns, Coupling.usual(joints).turns)
         return ArmSize(joints, joints + len(self.sums), wrist)
 
     @cached_property
@@ -130,6 +130,10 @@ class Coupling:
         for element, value in zip(self.element_of_motor, motors, strict=True):
             found[element] = value
         return found
+
+    def reach(self, speeds: Array) -> list[float]:
+        """Return the most that the elements can have, shape (e,), where joints have these speeds, rad/s, shape (n,)."""
+        return [float(value) for value in np.abs(self.element_matrix) @ speeds]
 
     def coupled(self, motors: Array) -> Array:
         """Return what motors have of their own, such as rotor inertias, between joints: C^T diag(motors) C, (n, n)."""
@@ -163,6 +167,10 @@ class Coupling:
         gears["element"], gears["element_columns"] = self.element_matrix, self.element_matrix.T
         gears["element_of_motor"] = self.element_of_motor
         gears["belongs"], gears["passed"] = belongs.T, np.vstack([passed, back.T[sums]]).T
+
+
+RX_WRIST = Coupling.usual(6)
+"""The coupling of the RX family."""
 
 
 def sum_name(names: Sequence[str], row: Array) -> str:

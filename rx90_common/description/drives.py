@@ -22,7 +22,6 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import counted
 from rx90_common.description.coupling import Coupling
 
-
 MOST_TERMS = 8
 """Of the Fourier series."""
 
@@ -73,7 +72,9 @@ class Cogging(Declared):
     @classmethod
     def of_file(cls, content: Mapping[str, Any] | None, **fields: Any) -> Cogging:
         """Return what a block of a drives file says; none for none."""
-        phases = {} if content is None else {"phase": ((0.0,) * len(content["amplitude"][0]),) * len(content["amplitude"])}
+        phases = (
+            {} if content is None else {"phase": ((0.0,) * len(content["amplitude"][0]),) * len(content["amplitude"])}
+        )
         return super().of_file(content and {**phases, **content}, **fields)
 
     @property
@@ -201,7 +202,9 @@ _rigid_or_soft = _above_0(
     "Stiffness between the motor, seen through its gear, and what it moves; .inf where that is rigid.", "Nm/rad",
     infinite=True,
 )  # fmt: skip
-_play = Numbers("Play: the way, at the joint, from one flank to the other.", "rad", count=PER_JOINT, low=0.0, high=_MOST_PLAY)
+_play = Numbers(
+    "Play: the way, at the joint, from one flank to the other.", "rad", count=PER_JOINT, low=0.0, high=_MOST_PLAY
+)
 
 
 @dataclass(frozen=True)
@@ -245,7 +248,9 @@ class Elasticity(Declared):
 _six = partial(Numbers, count=PER_JOINT, low=0.0)
 _positive = partial(_six, above=True)
 _turns = Numbers(
-    "Motor revolutions per joint revolution; negative where they turn against each other.", count=PER_JOINT, nonzero=True
+    "Motor revolutions per joint revolution; negative where they turn against each other.",
+    count=PER_JOINT,
+    nonzero=True,
 )
 _coupling = Rows(
     "Turns of each motor (row) for turns of the joints (columns), without the gears; left out: each motor turns with its "
@@ -306,7 +311,9 @@ class DriveParameters(Declared):
         self.__dict__.update(self.fitted(joints, "gear").__dict__)
         if self.cogging.amplitude.shape[0] and self.cogging.amplitude.shape[1] != joints:
             columns = self.cogging.amplitude.shape[1]
-            raise ConfigError(f"cogging: amplitude has rows of {columns} numbers; accepted: {joints}, as many as gear has")
+            raise ConfigError(
+                f"cogging: amplitude has rows of {columns} numbers; accepted: {joints}, as many as gear has"
+            )
         if len(self.turning.turns) != joints:
             given = self.coupling.tolist()
             raise ConfigError(f"coupling is {given}; accepted: {joints} rows and columns, as many as gear has numbers")

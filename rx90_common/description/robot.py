@@ -17,7 +17,9 @@ import pinocchio as pin
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import LEFT_OUT, Number, Numbers
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Entries, Group
+from rx90_common.base.quoting import counted, plain
 from rx90_common.base.section import Section
 from rx90_common.description.chain import RigidChain, rigid_chain
 from rx90_common.description.urdf import Placement, UrdfFile, inertia_fault
@@ -206,6 +208,17 @@ class RobotModel:
     chain: RigidChain
     tcp_frame: str
     placements: tuple[Placement, ...]
+
+    def check_count(self, file: Path, name: str, values: Array) -> None:
+        """Check that a file with lists of one value for each joint has as many as the arm has joints.
+
+        Raises:
+            ConfigError: naming file, list, its length and what is accepted.
+        """
+        joints = len(self.joint_names)
+        if len(values) != joints:
+            accepted = f"accepted: {joints}, one for each joint of {plain(self.model.name)}"
+            raise ConfigError(f"{plain(file)}: {name} has {counted(len(values), 'number')}; {accepted}")
 
 
 def load_robot(urdf: Path, tool: Path | None = None) -> RobotModel:

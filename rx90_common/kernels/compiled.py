@@ -72,8 +72,8 @@ def by_type(choose: _Function) -> _Function:
     def never(*_: Any) -> Any:
         raise TypeError(f"{choose.__qualname__} is compiled into its callers; accepted: a call from a kernel")
 
-    options = {"error_model": "numpy", "forceinline": True}
-    overload(never, jit_options=options, strict=False)(choose)  # type: ignore[no-untyped-call]  # numba has no types there
+    options: Any = {"error_model": "numpy", "forceinline": True}
+    overload(never, jit_options=options, strict=False)(choose)
     return cast(_Function, never)
 
 

@@ -214,7 +214,7 @@ def size(_: Any, values: Any) -> Any:
         count = values.shape[-1]
     else:
         return None
-    return types.IntegerLiteral(count)(values), lambda *_: ir.Constant(ir.IntType(types.intp.bitwidth), count)
+    return types.IntegerLiteral(count)(values), lambda *_: ir.Constant(ir.IntType(64), count)
 
 
 @Operation[Callable[[_Array, int], Lanes]].of

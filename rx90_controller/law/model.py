@@ -189,6 +189,7 @@ class ModelFiles:
                     f"beside the controller file, or model.{role} in it"
                 )
         robot, drives = load_robot(self.urdf, self.tool), load_drives(self.drives)
+        robot.check_count(self.drives, "gear", drives.gear)
         friction = load_friction(self.friction, drives.turning.element_names(robot.joint_names)).elements
         known = tuple(replace(element, scatter=None) for element in friction)
         return ArmModel(manipulator_record(robot.chain, drives), known, drives)
@@ -303,9 +304,7 @@ def _parted_friction(law: Any, own: Any, begins: bool) -> None:
             start_temperatures(friction.parts.temperature, state.parts.temperature, n)
             state.warm = 1
     angle, velocity = element_inputs(law.gear, own.q), element_inputs(law.gear, own.v)
-    z, torque = parts_step(
-        friction.elements, friction.parts, state.parts, load(state.z, n), angle, velocity, period, n
-    )
+    z, torque = parts_step(friction.elements, friction.parts, state.parts, load(state.z, n), angle, velocity, period, n)
     store(state.z, z)
     store(state.parts.friction, torque)
     advance_load(friction.parts.load, state.parts, transmitted, period, n)

@@ -334,7 +334,9 @@ def straight(
     knots = np.column_stack([start, start + ramp]).ravel()[kept]
     bend = np.zeros((2 * len(start), position.shape[1]))
     bend[::2] = (after - before) / np.where(ramp > 0.0, 2.0 * ramp, 1.0)[:, None]
-    ways = np.stack([(before + after) * (ramp / 2.0)[:, None], after * cruise[:, None]], axis=1).reshape(-1, bend.shape[1])[kept]
+    ways = np.stack([(before + after) * (ramp / 2.0)[:, None], after * cruise[:, None]], axis=1).reshape(
+        -1, bend.shape[1]
+    )[kept]
     coefficients = np.zeros((len(knots), 6, bend.shape[1]))
     coefficients[:, 0] = np.cumsum(np.concatenate([position[:1], ways[:-1]]), axis=0)
     coefficients[:, 1], coefficients[:, 2] = np.stack([before, after], axis=1).reshape(bend.shape)[kept], bend[kept]

@@ -117,7 +117,9 @@ class TrajectoryPoints:
                     f"point {len(v) - 1}: {robot_joints[fastest]} ends at {v[-1, fastest]:g} rad/s; accepted: 0 within "
                     f"{_REST_VELOCITY:.3g} rad/s, the arm rests at the last point"
                 )
-        return cls(np.array(times, dtype=np.float64), q, v, a, np.isin(np.arange(len(robot_joints)), columns), degrees=degrees)
+        return cls(
+            np.array(times, dtype=np.float64), q, v, a, np.isin(np.arange(len(robot_joints)), columns), degrees=degrees
+        )
 
     def prepared(self) -> TrajectoryPoints:
         """Return them as they are: nothing need be computed beforehand; kept for programs that call it."""

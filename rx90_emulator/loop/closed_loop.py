@@ -205,7 +205,7 @@ def simulate_commands(
     controller.reset(plant.motor_states()[0])
     warm = bool(plant.temperatures.elements) or setup.drives.winding.used
     fast, slow = empty_series(
-        ticks, rates.ratio, record_fast, rates.temperature_ticks if warm else 0, setup.drives.turning.size
+        ticks, rates.ratio, record_fast, rates.temperature_ticks if warm else 0, arm=setup.drives.turning.size
     )
     setpoints = (sample or setpoints_of)(controller.trajectory, commands, len(slow.joint_states))
     run_setpoints(plant, controller, setpoints, ticks, fast, slow)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, check_type, write_error
-from rx90_common.description.coupling import RX_SIZE, ArmSize
+from rx90_common.description.coupling import ArmSize
 from rx90_common.exchange.topics import (
     DETAIL_DECIMATION,
     DETAILS,
@@ -72,7 +72,7 @@ class SlowSeries(NamedTuple):
 
 
 def empty_series(
-    ticks: int, ratio: int, record_fast: bool, warm_ticks: int = 0, arm: ArmSize = RX_SIZE
+    ticks: int, ratio: int, record_fast: bool, warm_ticks: int = 0, *, arm: ArmSize
 ) -> tuple[FastSeries, SlowSeries]:
     """Return arrays for a run of `ticks` base ticks; temperatures are kept once in `warm_ticks`, not at all for 0.
 

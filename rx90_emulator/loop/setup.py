@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, check_type, warn_caller
-from rx90_common.base.quoting import counted, plain
+from rx90_common.base.errors import check_type, warn_caller
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import RobotModel, load_robot
@@ -60,9 +57,9 @@ class Setup:
         files, rates = files or RobotFiles(), rates or Rates()
         check_type(rates=(rates, Rates))
         robot, drives = load_robot(files.urdf, files.tool), load_drives(files.drives)
-        check_joints(robot, files.drives, "gear", len(drives.gear))
+        robot.check_count(files.drives, "gear", drives.gear)
         controller = load_controller(files.controller)
-        check_joints(robot, files.controller, "inertia", len(controller.inertia))
+        robot.check_count(files.controller, "inertia", controller.inertia)
         return cls(
             robot,
             drives,
@@ -87,24 +84,12 @@ class Setup:
 
     def warn_of_friction(self) -> None:
         """Warn of elements that are not passive up to the joints' full speed."""
-        reach = np.abs(self.drives.turning.element_matrix) @ self.robot.max_velocity
-        warn_caller(self.friction.passivity_warnings(reach.tolist()))
+        warn_caller(self.friction.passivity_warnings(self.drives.turning.reach(self.robot.max_velocity)))
 
     def warn_of_heat(self, temperatures: Array) -> None:
         """Warn of joints that got warmer, degrees Celsius, shape (n, e), than the law of their friction holds."""
         hot = beyond_law(self.friction, temperatures.max(axis=0)) if len(temperatures) else ""
         warn_caller([hot] if hot else [])
-
-
-def check_joints(robot: RobotModel, file: Path, first: str, count: int) -> None:
-    """Check that a file with lists of one value for each joint has as many as the arm has joints.
-
-    Raises:
-        ConfigError: naming file, list and both numbers.
-    """
-    joints = len(robot.joint_names)
-    if count != joints:
-        raise ConfigError(f"{plain(file)}: {first} has {counted(count, 'number')}; accepted: {joints}, one for each joint")
 
 
 def load_setup(

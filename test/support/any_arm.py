@@ -39,7 +39,7 @@ def write_arm(folder: Path, joints: int, coupling: Sequence[Sequence[float]] | N
             "motor": {"torque_constant": [0.3] * joints, "peak_current": [p / 0.3 / 50.0 for p in peak]},
             "encoder": {"counts_per_revolution": 65536, "velocity_bandwidth": 400.0},
             "brake": {
-                "torque": peak, "stiffness": [1e5 * i for i in inertia], "damping": [400.0 * i for i in inertia]
+                "torque": peak, "stiffness": [2e4 * i for i in inertia], "damping": [40.0 * i for i in inertia]
             },
             "spring": {"torque": [2.0 * (i == 1) for i in range(joints)]},
             "end_stops": {"stiffness": [1e3 * i for i in inertia], "damping": [20.0 * i for i in inertia]},
