@@ -54,7 +54,7 @@ def test_matrices_give_what_the_wrists_fixed_order_gives(
     """The shipped arm with everything on is the same, to rounding, by the code for any coupling and by its own."""
     setup = everything(shipped, side)
     rest, pose = np.zeros((2, 6)), np.array([0.0, 0.5, 0.8, 0.0, 0.5, 0.0])
-    points = TrajectoryPoints(np.array([0.0, 0.3]), np.stack([pose, pose + 0.15]), rest, rest)
+    points = TrajectoryPoints(np.array([0.0, 0.3]), np.stack([pose, pose + 0.05]), rest, rest)
     fixed = simulate(setup, points, duration=0.35)
     monkeypatch.setattr(Coupling, "size", property(lambda _: ArmSize(6, 7, wrist=False)))
     by_matrices = simulate(dataclasses.replace(setup, drives=dataclasses.replace(setup.drives)), points, duration=0.35)
