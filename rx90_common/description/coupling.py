@@ -211,7 +211,7 @@ def has_matrices(gear: Any) -> bool:
 @inlined
 def times(columns: Any, x: Array) -> Lanes:
     """Return the product of a matrix, by its columns, and an array."""
-    total = x[0] * load(columns[0], size(columns))
+    total: Lanes = x[0] * load(columns[0], size(columns))
     for k in range(1, len(columns)):
         total = fma(x[k], load(columns[k], size(columns)), total)
     return total

@@ -60,7 +60,7 @@ def assumed_files(
         damping = 2.0 * _HALF_CRITICAL * pole * inertia.least
         return {"stiffness": _six(pole * pole * inertia.least), "damping": _six(damping)}
 
-    drives = {
+    drives: dict[str, dict[str, Any]] = {
         "transmission": {
             "gear": _six(gear), "rotor_inertia": _six(rotors),
             "coupling": [[float(value) for value in row] for row in turning.turns],
@@ -71,7 +71,7 @@ def assumed_files(
         "spring": {"torque": [0.0] * n},
         "end_stops": held(_STOP_HZ),
     }  # fmt: skip
-    controller = {
+    controller: dict[str, dict[str, Any]] = {
         "servo": {
             "inertia": _six(nominal), "kp": [_KP] * n, "kv": [_KV] * n, "ki": [_KI] * n,
             "integrator_limit": _six(effort),
