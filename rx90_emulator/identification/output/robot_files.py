@@ -7,8 +7,9 @@ from.
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
@@ -29,8 +30,8 @@ from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import ALPHA_BOUNDS
-from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.estimates import LARGEST, ParameterEstimate
+from rx90_emulator.identification.arm import RigidArm, all_joints
+from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.excitation.choice import CrossValidation
 from rx90_emulator.identification.excitation.physical import central
 from rx90_emulator.identification.excitation.result import (
@@ -129,6 +130,22 @@ def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -
     return data.decode("utf-8")
 
 
+def with_fixed(urdf: str, joints: Collection[str]) -> str:
+    """Return the URDF with these joints fixed; nothing else in it is changed."""
+
+    def fixed(joint: re.Match[str]) -> str:
+        if (name := _NAME.search(joint["head"])) is None or name["name"] not in joints:
+            return joint[0]
+        head = re.sub(r"""(\stype\s*=\s*)(["']).*?\2""", r'\1"fixed"', joint["head"])
+        return head + re.sub(r"<mimic\b[^>]*?(/>|>\s*</mimic\s*>)", "", joint["body"])
+
+    return _JOINT.sub(fixed, urdf)
+
+
+_JOINT = re.compile(r"(?P<head><joint\b[^>]*>)(?P<body>.*?</joint\s*>)", re.DOTALL)
+_NAME = re.compile(r"""\sname\s*=\s*(["'])(?P<name>.*?)\1""")
+
+
 def _inertial(link: str, pseudo: Array) -> str:
     """Return the element, its numbers to the last bit: what is loaded is what was identified."""
     mass, center, inertia = central(pseudo)
@@ -180,11 +197,13 @@ class FolderBase(NamedTuple):
         turning: its coupling.
         files: whose drives and controller it begins with, and whose tool, task and poses it keeps; None for drives and
             controller that are assumed in proportion to the arm.
+        held: joints of the URDF that were held at 0 in the identification, and become fixed.
     """
 
     robot: RobotModel
     turning: Coupling
     files: RobotFiles | None
+    held: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, files: RobotFiles) -> FolderBase:
@@ -202,22 +221,18 @@ def folder_base(arm: RigidArm, urdf: Path) -> tuple[FolderBase | None, str]:
     if not arm.identified.all():
         followed = listed(name for name, own in zip(arm.names, arm.identified, strict=True) if not own)
         return None, f"{alone}{followed} only followed the recording; the simulation needs friction of every joint"
+    held = tuple(name for name in all_joints(urdf) if name not in arm.names)
     try:
-        robot, turning = load_robot(urdf), Coupling(arm.coupling)
+        robot, turning = load_robot(urdf, held=held), Coupling(arm.coupling)
     except ConfigError as error:
         return None, f"{alone}{error}"
-    if robot.joint_names != arm.names:
-        held = listed(name for name in robot.joint_names if name not in arm.names)
-        return (
-            None,
-            f"{alone}{held} of the URDF not identified; the simulation needs every joint, or a URDF without",
-        )
+    fixed = f"; {listed(held)} fixed at 0, as in the identification" if held else ""
     if turning.size.wrist:
         files = RobotFiles(urdf=urdf, tool=None, task=None, poses=None)
         begun = f"drives and controller are those of {files.drives.parent.name} but for what was identified or given"
-        return FolderBase(robot, turning, files), begun
+        return FolderBase(robot, turning, files, held), begun + fixed
     begun = "what of drives and controller was not identified or given is assumed, in proportion to the arm"
-    return FolderBase(robot, turning, None), begun
+    return FolderBase(robot, turning, None, held), begun + fixed
 
 
 def robot_texts(
@@ -289,22 +304,11 @@ def robot_texts(
     }
     if base is None:
         return texts
-    drives, controller = _begun(base, texts[FILES["urdf"]], np.asarray(inertias.rotors), new)
+    texts[FILES["urdf"]] = written = with_fixed(texts[FILES["urdf"]], base.held)
+    drives, controller = _begun(base, written, np.asarray(inertias.rotors), new)
     for block in dict.fromkeys(block for block, _ in new):
         drives[block] = marked(drives[block], {key: one for (there, key), one in new.items() if there == block})
-    # The friction that each motor turns against, at speeds up to the nominal ones.
-    turned, speed = [[one.element] for one in result.elements[: len(names)]], base.robot.max_velocity.tolist()
-    for motor, one in zip(base.turning.sums, result.elements[len(names) :], strict=True):
-        turned[motor].append(one.element)
-    viscous, exponent = zip(*(viscous_sum(some, top) for some, top in zip(turned, speed, strict=True)), strict=True)
-    coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in turned]
-    source = "the identified friction of each joint"
-    if base.turning.size.wrist:
-        source += "; of joint 6 and of element 7, with which motor 6 turns as well"
-    elif base.turning.sums:
-        source += f", and of {listed(elements[len(names) :])} at the motors that turn so"
-    values = {"coulomb_torque": coulomb, "viscous_friction": viscous, "viscous_exponent": exponent}
-    feed_forward = {key: Identified(_numbers(some), "derived", source) for key, some in values.items()}
+    feed_forward = _compensation(result.elements, elements, base)
     controller["feed_forward"] = marked(controller["feed_forward"], feed_forward)
     texts[FILES["drives"]] = _DRIVES_HEAD + yaml_text(drives)
     texts[FILES["controller"]] = _CONTROLLER_HEAD + yaml_text(controller)
@@ -313,6 +317,26 @@ def robot_texts(
         if path is not None:
             texts[FILES[role]] = without_schema_line(path.read_text(encoding="utf-8"))
     return texts
+
+
+def _compensation(
+    found: Sequence[IdentifiedElement], elements: Sequence[str], base: FolderBase
+) -> dict[str, Identified]:
+    """Return what the controller's feed-forward compensates of the identified friction, of elements of these names."""
+    joints = len(base.robot.joint_names)
+    # The friction that each motor turns against, at speeds up to the nominal ones.
+    turned, speed = [[one.element] for one in found[:joints]], base.robot.max_velocity.tolist()
+    for motor, one in zip(base.turning.sums, found[joints:], strict=True):
+        turned[motor].append(one.element)
+    viscous, exponent = zip(*(viscous_sum(some, top) for some, top in zip(turned, speed, strict=True)), strict=True)
+    coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in turned]
+    source = "the identified friction of each joint"
+    if base.turning.size.wrist:
+        source += "; of joint 6 and of element 7, with which motor 6 turns as well"
+    elif base.turning.sums:
+        source += f", and of {listed(elements[joints:])} at the motors that turn so"
+    values = {"coulomb_torque": coulomb, "viscous_friction": viscous, "viscous_exponent": exponent}
+    return {key: Identified(_numbers(some), "derived", source) for key, some in values.items()}
 
 
 def _begun(
