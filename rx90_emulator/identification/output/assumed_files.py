@@ -2,7 +2,8 @@
 
 An identification tells links, rotors and friction. What the simulation needs beside them is chosen such that it moves
 the arm and does not stand in the way: motors that give what the URDF's efforts say, brakes and end stops about as stiff
-as those of the RX90B on its inertia, gains that are stable for the inertia of every pose.
+as those of the RX90B on its inertia, gains that are stable for the inertia of every pose, and the arm itself as the
+model of the feed-forward.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ _POSES: Final = 200
 _GEAR, _COUNTS, _OBSERVER_HZ = 100.0, 65536, 400.0
 _TORQUE_CONSTANT = 0.1  # Nm/A
 _BRAKE_HZ, _STOP_HZ, _HALF_CRITICAL = 50.0, 10.0, 0.5
-_KP, _KV, _KI = 50.0, 200.0, 1e5  # 1/s, 1/s, 1/s^3
+_FASTEST = 1000.0  # 1/s: what the velocity loops come to together, where the arm is lightest; the observer has 2500
+_HIGHEST_KV = 400.0  # 1/s
 _SOURCE = "nothing is known of it: chosen in proportion to the arm's inertia and to the efforts of its URDF"
 
 
@@ -30,7 +32,9 @@ class _Inertia(NamedTuple):
     """Of the motors, seen through their gears, kg m^2, shape (n,) each."""
 
     mean: Array  # over poses, the others held
+    nominal: Array  # that the controller takes
     least: Array  # in any pose, the others free
+    most: float  # how many times as large `nominal` is, at most, as what a motion of several motors takes
 
 
 def assumed_files(
@@ -48,7 +52,7 @@ def assumed_files(
     """
     inertia, n = _inertia(robot, model, turning, rotors), len(rotors)
     effort = np.abs(turning.joint_turns.T) @ robot.max_effort
-    nominal = np.sqrt(inertia.mean * inertia.least)
+    kv = min(_HIGHEST_KV, _FASTEST / inertia.most)
     gear, constant = (
         np.array(known[key].value if key in known else [usual] * n)
         for key, usual in ((("transmission", "gear"), _GEAR), (("motor", "torque_constant"), _TORQUE_CONSTANT))
@@ -73,11 +77,12 @@ def assumed_files(
     }  # fmt: skip
     controller: dict[str, dict[str, Any]] = {
         "servo": {
-            "inertia": _six(nominal), "kp": [_KP] * n, "kv": [_KV] * n, "ki": [_KI] * n,
+            "inertia": _six(inertia.nominal), "kp": _six(np.full(n, kv / 4.0)), "kv": _six(np.full(n, kv)),
+            "ki": _six(np.full(n, kv**3 / 80.0)),
             "integrator_limit": _six(effort),
         },
         "feed_forward": {
-            "velocity": True, "acceleration": True, "coulomb": True, "viscous": True,
+            "velocity": True, "acceleration": True, "coulomb": True, "viscous": True, "inverse_dynamics": True,
             "coulomb_torque": [0.0] * n, "coulomb_velocity": 0.01, "viscous_friction": [0.0] * n,
         },
         "current_loop": {"bandwidth": 800.0, "slew_rate": _six(2000.0 * current)},
@@ -98,10 +103,15 @@ def _six(values: Array) -> list[float]:
 
 def _inertia(robot: RobotModel, model: Any, turning: Coupling, rotors: Array) -> _Inertia:
     data, back = model.createData(), turning.joint_turns
-    held, free = [], []
+    held, free, masses = [], [], []
     for share in np.random.default_rng(0).uniform(size=(_POSES, len(rotors))):
         upper = np.triu(pin.crba(model, data, robot.lower + share * (robot.upper - robot.lower)))
         mass = back.T @ (upper + np.triu(upper, 1).T) @ back + np.diag(rotors)
         held.append(np.diag(mass))
         free.append(1.0 / np.diag(np.linalg.inv(mass)))
-    return _Inertia(np.mean(held, axis=0), np.min(free, axis=0))
+        masses.append(mass)
+    mean, least = np.mean(held, axis=0), np.min(free, axis=0)
+    nominal = np.sqrt(mean * least)
+    root = np.sqrt(nominal)
+    most = max(float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(mass) * root)[-1]) for mass in masses)
+    return _Inertia(mean, nominal, least, most)
