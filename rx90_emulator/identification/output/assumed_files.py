@@ -82,7 +82,8 @@ def assumed_files(
             "integrator_limit": _six(effort),
         },
         "feed_forward": {
-            "velocity": True, "acceleration": True, "coulomb": True, "viscous": True, "inverse_dynamics": True, "friction_model": True,
+            "velocity": True, "acceleration": True, "coulomb": True, "viscous": True,
+            "inverse_dynamics": True, "friction_model": True,
             "coulomb_torque": [0.0] * n, "coulomb_velocity": 0.01, "viscous_friction": [0.0] * n,
         },
         "current_loop": {"bandwidth": 800.0, "slew_rate": _six(2000.0 * current)},
