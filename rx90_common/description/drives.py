@@ -115,7 +115,7 @@ class CurrentSensor(Declared):
     @property
     def used(self) -> bool:
         """Return whether any sensor has an error."""
-        return bool(np.any([self.offset, self.noise, self.resolution]))
+        return any(bool(np.any(error)) for error in (self.offset, self.noise, self.resolution))
 
 
 COPPER = 0.00393

@@ -91,7 +91,7 @@ def test_the_shipped_file_says_that_it_is_assumed_and_is_passive(shipped: Setup,
     """The shipped set carries its provenance and gives no passivity warning at any joint speed."""
     assert "provenance: assumed" in shipped_files.friction.read_text()
     assert shipped.friction.names == ELEMENTS
-    assert shipped.friction.passivity_warnings(shipped.robot.max_velocity.tolist()) == []
+    assert shipped.friction.passivity_warnings(shipped.drives.turning.reach(shipped.robot.max_velocity)) == []
 
 
 def test_a_damping_that_is_not_passive_is_warned_of(
@@ -101,7 +101,7 @@ def test_a_damping_that_is_not_passive_is_warned_of(
     path = edited_yaml(shipped_files.friction, ("elements", "joint_1", "omega_d"), None, remove=True)
     friction = load_friction(path, RX_WRIST.element_names(NAMES))
     speeds = shipped.robot.max_velocity.tolist()
-    (line,) = friction.passivity_warnings(speeds)
+    (line,) = friction.passivity_warnings(RX_WRIST.reach(np.asarray(speeds)))
     assert line.startswith(f"{path}: elements.joint_1.c1 is 100 ")
     assert "\n" not in line
     # At full speed the Stribeck part is gone: c1 < 4 tau_c / v.
@@ -300,7 +300,7 @@ def test_parts_leave_less_to_the_passivity_limit(shipped: Setup) -> None:
     warned = FrictionSet(
         shipped.friction.names, (dataclasses.replace(tight, ripple=ripple), *shipped.friction.elements[1:])
     )
-    (line,) = warned.passivity_warnings(shipped.robot.max_velocity.tolist())
+    (line,) = warned.passivity_warnings(shipped.drives.turning.reach(shipped.robot.max_velocity))
     assert "elements.joint_1.c1" in line
     assert "ripple" in line
 
@@ -320,18 +320,25 @@ def test_a_warning_names_the_part_that_leaves_less(shipped: Setup, part: Frictio
     slow = dataclasses.replace(shipped.friction.elements[0], omega_s=1.0)  # static friction counts where c1 does
     tight = dataclasses.replace(slow, c1=0.99 * slow.passive_damping(speeds[0]))
     others = shipped.friction.elements[1:]
-    assert FrictionSet(shipped.friction.names, (tight, *others)).passivity_warnings(speeds) == []
+    assert (
+        FrictionSet(shipped.friction.names, (tight, *others)).passivity_warnings(RX_WRIST.reach(np.asarray(speeds)))
+        == []
+    )
     parted = dataclasses.replace(tight, load=LoadPart(0.1, 0.2), **{named: part})
-    (line,) = FrictionSet(shipped.friction.names, (parted, *others)).passivity_warnings(speeds)
+    (line,) = FrictionSet(shipped.friction.names, (parted, *others)).passivity_warnings(
+        RX_WRIST.reach(np.asarray(speeds))
+    )
     assert f"where {named} leaves least friction" in line
     several = dataclasses.replace(parted, ripple=RipplePart((1.0,), (0.05,)), scatter=ScatterPart(0.01, 10.0))
-    (line,) = FrictionSet(shipped.friction.names, (several, *others)).passivity_warnings(speeds)
+    (line,) = FrictionSet(shipped.friction.names, (several, *others)).passivity_warnings(
+        RX_WRIST.reach(np.asarray(speeds))
+    )
     assert f"where {'temperature, ' * (named == 'temperature')}ripple and scatter leave least friction" in line
 
 
 def test_a_set_has_seven_elements(shipped: Setup) -> None:
     """Six or eight elements are no friction set."""
-    with pytest.raises(ConfigError, match="6 elements and 7 names; accepted: 7"):
+    with pytest.raises(ConfigError, match="6 elements and 7 names; accepted: as many"):
         FrictionSet(shipped.friction.names, shipped.friction.elements[:6])
     assert np.all([e.c0 > 0 for e in shipped.friction.elements])
 
