@@ -188,7 +188,7 @@ def held(setup: Setup, other: Setup, ticks: int) -> tuple[Array, Any]:
     plant.reset(pose)
     controller.reset(plant.motor_states()[0])
     setpoints = controller.trajectory.setpoints(0, ticks // 2)
-    fast, slow = empty_series(2 * ticks, 4, record_fast=False)
+    fast, slow = empty_series(2 * ticks, 4, record_fast=False, arm=RX_WRIST.size)
     for first, law in ((0, controller.law), (ticks, other.cs7b().law)):
         run_ticks(plant.constants, plant.state, law, controller.state, setpoints, 4, 4000, first, ticks, fast, slow)
     moved = slow.joint_states[:, 0] - slow.joint_states[ticks // 4, 0]

@@ -38,10 +38,10 @@ def inverse(setup: Setup, q: Array, v: Array, a: Array) -> Array:
 
 
 @numba.njit
-def factorise_and_solve(mass: Array, factor: Array, x: Array) -> None:
+def factorise_and_solve(mass: Array, work: Any, x: Array) -> None:
     """Write the factor of a matrix, and the solution for what x holds."""
-    factorise(mass, factor)
-    solve(factor, x)
+    factorise(mass, work[0].factor)
+    solve(work[0].factor, x)
 
 
 def random_urdf(seed: int) -> str:
@@ -155,8 +155,8 @@ def test_factor_and_solve_equal_lapack() -> None:
     for _ in range(50):
         root = rng.normal(size=(6, 6))
         mass, b = root @ root.T + 0.05 * np.eye(6), rng.normal(size=6)
-        factor, x = np.zeros((6, 6)), b.copy()
-        factorise_and_solve(mass, factor, x)
+        work, x = np.zeros(1, [("factor", np.float64, (6, 6))]), b.copy()
+        factorise_and_solve(mass, work, x)
         assert x == pytest.approx(np.linalg.solve(mass, b), rel=1e-10, abs=1e-12)
 
 

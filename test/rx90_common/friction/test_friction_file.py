@@ -100,8 +100,8 @@ def test_a_damping_that_is_not_passive_is_warned_of(
     """The paper's constant c1 gives one line with file, element, value and the c1 that is accepted."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_1", "omega_d"), None, remove=True)
     friction = load_friction(path, RX_WRIST.element_names(NAMES))
-    speeds = shipped.robot.max_velocity.tolist()
-    (line,) = friction.passivity_warnings(RX_WRIST.reach(np.asarray(speeds)))
+    speeds = shipped.drives.turning.reach(shipped.robot.max_velocity)
+    (line,) = friction.passivity_warnings(speeds)
     assert line.startswith(f"{path}: elements.joint_1.c1 is 100 ")
     assert "\n" not in line
     # At full speed the Stribeck part is gone: c1 < 4 tau_c / v.
@@ -316,14 +316,11 @@ def test_parts_leave_less_to_the_passivity_limit(shipped: Setup) -> None:
 )
 def test_a_warning_names_the_part_that_leaves_less(shipped: Setup, part: FrictionPart, named: str) -> None:
     """However little a part takes away, it is named where c1 would be passive without it."""
-    speeds = shipped.robot.max_velocity.tolist()
+    speeds = shipped.drives.turning.reach(shipped.robot.max_velocity)
     slow = dataclasses.replace(shipped.friction.elements[0], omega_s=1.0)  # static friction counts where c1 does
     tight = dataclasses.replace(slow, c1=0.99 * slow.passive_damping(speeds[0]))
     others = shipped.friction.elements[1:]
-    assert (
-        FrictionSet(shipped.friction.names, (tight, *others)).passivity_warnings(RX_WRIST.reach(np.asarray(speeds)))
-        == []
-    )
+    assert FrictionSet(shipped.friction.names, (tight, *others)).passivity_warnings(speeds) == []
     parted = dataclasses.replace(tight, load=LoadPart(0.1, 0.2), **{named: part})
     (line,) = FrictionSet(shipped.friction.names, (parted, *others)).passivity_warnings(
         RX_WRIST.reach(np.asarray(speeds))
