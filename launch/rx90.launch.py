@@ -22,7 +22,7 @@ ARGUMENTS = (
     ("namespace", "", "of all nodes; then /clock, /tf and /tf_static are in it too"),
     ("time_mode", "lock_step", "lock_step or free_running"),
     ("real_time_factor", "1.0", "pace in lock_step; 0.0: as fast as it goes"),
-    ("initial_position", "[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "joint positions at the start and after a reset, rad"),
+    ("initial_position", "[0.0]", "joint positions at the start and after a reset, rad; one for each, or one for all"),
     ("paused", "false", "begin with time standing still"),
     ("autostart", "true", "be active at once; else as the nodes' lifecycle services say"),
     ("robot", DEFAULT_ROBOT, "name of a shipped robot, or your own robot folder"),

@@ -1,22 +1,23 @@
 """Read a URDF and say in one line what is wrong with it, before any library sees it.
 
-Only a fixed-base arm of six revolute joints in series passes; fixed side branches are allowed.
+Only a fixed-base arm of 1 to 7 revolute joints in series passes; fixed side branches are allowed.
 """
 
 from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
 import numpy as np
 
+from rx90_common.base.entries import MOST_JOINTS
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 
-JOINT_COUNT = 6
 _INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # A thin body may miss the triangle inequality by the rounding of its printed digits.
 _TRIANGLE_TOLERANCE = 1e-6
@@ -126,10 +127,12 @@ class _CheckedElements:
         where = f"link '{name}' inertial"
         origin = self._origin(inertial, where)
         mass = self._numbers(inertial.find("mass"), f"{where} mass", "value", None)[0]
-        if mass <= 0.0:
-            self.refuse(f"{where} mass", mass, "a number > 0 kg")
         element = inertial.find("inertia")
         values = tuple(self._numbers(element, f"{where} inertia", key, None)[0] for key in _INERTIA_KEYS)
+        if mass == 0.0 and not any(values):  # some write it so where there is nothing but a frame
+            return None
+        if mass <= 0.0:
+            self.refuse(f"{where} mass", mass, "a number > 0 kg")
         fault = inertia_fault(values)
         if fault is not None:
             text = " ".join(f"{key}={value:g}" for key, value in zip(_INERTIA_KEYS, values, strict=True))
@@ -161,6 +164,10 @@ class _CheckedElements:
 class UrdfFile(_CheckedElements):
     """A checked URDF.
 
+    Args:
+        file: where it is.
+        held: joints that do not move, whatever the file says.
+
     Attributes:
         file: where it came from.
         root: the XML element `robot`.
@@ -170,8 +177,13 @@ class UrdfFile(_CheckedElements):
         ConfigError: naming file, element, value and what is accepted.
     """
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file: Path, held: Collection[str] = ()) -> None:
         super().__init__(file)
+        for joint in self.root.findall("joint"):
+            if joint.get("name") in held:
+                joint.set("type", "fixed")
+                for mimic in joint.findall("mimic"):
+                    joint.remove(mimic)
         self._links = self._named("link")
         self._joints = self._named("joint")
         for name, link in self._links.items():
@@ -209,7 +221,7 @@ class UrdfFile(_CheckedElements):
         for name, joint in self._joints.items():
             kind = joint.get("type")
             if kind not in {"revolute", "fixed"}:
-                self.refuse(f"joint '{name}' type", kind, "revolute (six of them in series) or fixed")
+                self.refuse(f"joint '{name}' type", kind, f"revolute (1 to {MOST_JOINTS} of them in series) or fixed")
             if joint.find("mimic") is not None:
                 self.refuse(f"joint '{name}'", "mimic", "joints that move by themselves")
             self._origin(joint, f"joint '{name}'")
@@ -246,25 +258,25 @@ class UrdfFile(_CheckedElements):
         return path[::-1]
 
     def _chain(self) -> list[str]:
-        """Return the revolute joints from base to tip; check that there are six, in series, with mass."""
+        """Return the revolute joints from base to tip; check that there are not too many, in series, with mass."""
         moving = [name for name, joint in self._joints.items() if joint.get("type") == "revolute"]
-        if len(moving) != JOINT_COUNT:
-            self.refuse("the number of revolute joints", len(moving), f"{JOINT_COUNT}, in series")
+        if not 1 <= len(moving) <= MOST_JOINTS:
+            self.refuse("the number of revolute joints", len(moving), f"1 to {MOST_JOINTS}, in series")
         paths = {
             name: [j for j in self._path(self._end(name, "child"), self._parent_joint) if j in moving]
             for name in moving
         }
         last = max(paths, key=lambda name: len(paths[name]))
-        if len(paths[last]) != JOINT_COUNT:
+        if len(paths[last]) != len(moving):
             side = next(name for name in moving if name not in paths[last])
-            self.refuse(f"joint '{side}'", "on a side branch", f"{JOINT_COUNT} revolute joints in series")
+            self.refuse(f"joint '{side}'", "on a side branch", "revolute joints in series")
         self._check_masses(paths[last])
         return paths[last]
 
     def _check_masses(self, chain: list[str]) -> None:
         heavy = set()
         for name, link in self._links.items():
-            if link.find("inertial") is not None:
+            if self._body(name, link) is not None:
                 heavy.update([j for j in self._path(name, self._parent_joint) if j in chain][-1:])
         for joint in chain:
             if joint not in heavy:

@@ -192,9 +192,11 @@ def _pieces(width: int) -> list[tuple[int, int]]:
 
 
 def _place(context: Any, builder: Any, array: Any, kind: Any, offset: int, size: int) -> Any:
-    """Return the address of `size` numbers from `offset` on in an array."""
+    """Return the address of `size` numbers from `offset` on in an array, as that of one number or of a vector."""
     start = context.make_array(kind)(context, builder, array).data
     number = builder.gep(start, [_INDEX(offset)])
+    if size == 1:
+        return number
     return builder.bitcast(number, ir.VectorType(_DOUBLE, size).as_pointer())
 
 
@@ -203,6 +205,18 @@ def _check_contiguous(array: Any) -> None:
         raise TypingError(f"lanes lie in {array}; accepted: a contiguous array of one dimension")
     if array.dtype != types.float64:
         raise TypingError(f"lanes hold {array.dtype}; accepted: float64")
+
+
+@Operation[Callable[[_Array | Lanes], int]].of
+def size(_: Any, values: Any) -> Any:
+    """Return, as a literal, how many lanes there are, or how long the rows are of an array that lies in a record."""
+    if isinstance(values, LanesType):
+        count = values.width
+    elif isinstance(values, types.NestedArray):
+        count = values.shape[-1]
+    else:
+        return None
+    return types.IntegerLiteral(count)(values), lambda *_: ir.Constant(ir.IntType(64), count)
 
 
 @Operation[Callable[[_Array, int], Lanes]].of
@@ -218,6 +232,9 @@ def load(_: Any, array: Any, width: Any) -> Any:
         for offset, size in _pieces(kind.width):
             place = _place(context, builder, arguments[0], signature.args[0], offset, size)
             piece = builder.load(place, align=8)
+            if size == 1:  # no vector of one: LLVM 20's optimiser fails an assertion of its own with them
+                total = builder.insert_element(total, piece, _INDEX(offset))
+                continue
             spread = _shuffle(builder, piece, piece, [min(i, size - 1) for i in range(kind.padded)])
             inside = range(offset, offset + size)
             order = [kind.padded + i - offset if i in inside else i for i in range(kind.padded)]
@@ -235,7 +252,10 @@ def store(_: Any, array: Any, value: Any) -> Any:
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         for offset, size in _pieces(value.width):
             place = _place(context, builder, arguments[0], signature.args[0], offset, size)
-            piece = _shuffle(builder, arguments[1], arguments[1], list(range(offset, offset + size)))
+            if size == 1:
+                piece = builder.extract_element(arguments[1], _INDEX(offset))
+            else:
+                piece = _shuffle(builder, arguments[1], arguments[1], list(range(offset, offset + size)))
             builder.store(piece, place, align=8)
         return context.get_dummy_value()
 
@@ -254,10 +274,10 @@ def lane(_: Any, x: Any, index: Any) -> Any:
 
 @Operation[Callable[[Lanes, int], Lanes]].of
 def first(_: Any, x: Any, width: Any) -> Any:
-    """Return the first `width` lanes; `width` is a literal."""
+    """Return the first `width` lanes, or all where there are no more; `width` is a literal."""
     if not isinstance(width, types.IntegerLiteral):
         return None
-    kind = LanesType(width.literal_value)
+    kind = LanesType(min(width.literal_value, x.width))
 
     def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         return _shuffle(builder, arguments[0], arguments[0], list(range(kind.padded)))

@@ -42,11 +42,11 @@ from rx90_common.exchange.topics import (
     DETAILS,
     FREE_RUNNING,
     MOTOR_COMMANDS,
-    MOTOR_NAMES,
     MOTOR_STATES,
     TIME_MODE,
     TRAJECTORY_ACCEPTED,
     TimeMode,
+    motor_names,
 )
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.parameters import (
@@ -97,6 +97,9 @@ class Control:
         rates = declare_rates(node)
         robot, drives = load_robot(files.urdf), load_drives(files.drives)
         law, read_law = declare_law(node, files.controller)
+        robot.check_count(files.drives, "gear", drives.gear)
+        robot.check_count(files.controller, "inertia", law.inertia)
+        motor = motor_names(len(robot.joint_names))
         self._cs7b = cs7b = CS7B(robot, drives, law, rates)
         cs7b.warm_up()
         name, tick_ns = plain(robot.model.name), rates.period_ns * rates.ratio
@@ -118,7 +121,7 @@ class Control:
             return publish(node, JointState, f"~/{name}", STATE_QOS)
 
         # The arrays are always the same, brought up to date by a call of the same method.
-        codec, motors = JointStateCodec(cs7b.joint_names), JointStateCodec(MOTOR_NAMES)
+        codec, motors = JointStateCodec(cs7b.joint_names), JointStateCodec(motor)
         self._every_tick = [
             (topic("reference"), cs7b.reference, codec.encoder(*cs7b.reference())),
             (topic("tracking_error"), cs7b.tracking_error, codec.encoder(*cs7b.tracking_error())),
@@ -136,14 +139,13 @@ class Control:
         cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
         self._report = node.create_guard_condition(loop.report)
         self._pacer = pacer = Pacer(rates.period, 1.0)
-        self.serving = Serving(channel, MOTOR_NAMES, rates, loop, pacer, name, self.info, self.error, local=local)
+        self.serving = Serving(channel, motor, rates, loop, pacer, name, self.info, self.error, local=local)
         self._complaints = ThrottledLog(self.error)
         if not local:
             subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS)
-        qos = TRAJECTORY_QOS
-        subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, qos, check_trajectory_bytes)
-        subscribe(node, JointState, _SET_POINTS, self._on_set_point, qos)
-        subscribe(node, Float64MultiArray, _COMMANDS, self._on_commands, qos)
+        subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, TRAJECTORY_QOS, check_trajectory_bytes)
+        subscribe(node, JointState, _SET_POINTS, self._on_set_point, TRAJECTORY_QOS)
+        subscribe(node, Float64MultiArray, _COMMANDS, self._on_commands, TRAJECTORY_QOS)
         node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS)
         interfaces = import_client_interfaces(node)
         self.clients: ClientInterfaces | None = None
@@ -151,8 +153,9 @@ class Control:
             self.clients = interfaces.ClientInterfaces(node, loop, cs7b, goals.state_ticks, channel)
         services = import_manager_services(node) if goals.manager else None
         if services is not None:
-            hz = (rates.position_hz, rates.base_hz)
-            services.ManagerServices(node, goals.manager, loop, cs7b.joint_names, name, hz)
+            services.ManagerServices(
+                node, goals.manager, loop, cs7b.joint_names, name, (rates.position_hz, rates.base_hz)
+            )
         self.publishers: tuple[Publisher, ...] = (
             *(row[0] for row in self._every_tick),
             *(row[0] for row in self._details),

@@ -38,7 +38,7 @@ _WITHOUT_USE = re.compile(
     r"|set_last_command_interface_value_as_state_on_activation|gains\..+"
     r"|constraints\.(decelerate_on_cancel|[^.]+\.max_deceleration_on_cancel))"
 )
-_OF_JOINTS: Final = "; six values, one for each motor, seen from its joint"
+_OF_JOINTS: Final = "; one value for each motor, seen from its joint"
 _CHANGEABLE: Final = ("servo", "feed_forward", "supervision")
 
 

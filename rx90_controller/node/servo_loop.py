@@ -122,7 +122,7 @@ class ServoLoop:
         self.streaming = StreamOptions()
         self._stream: Stream | None = None  # that is followed
         self._complaints = ThrottledLog(partial(self._note, wrong=True))  # of set-points, which come by the hundred
-        self._velocity, self._tick = np.zeros(6), -1  # measured last while something was followed
+        self._velocity, self._tick = np.zeros(len(cs7b.joint_names)), -1  # measured last while something was followed
         self.rejected, self.last_rejection = 0, ""
         self._reports: deque[Callable[[], None]] = deque()
 

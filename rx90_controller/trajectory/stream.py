@@ -59,9 +59,9 @@ class SetPoints(NamedTuple):
         interface: one of INTERFACES.
         stamp_ns: what `times` count from, ns; None for the time of arrival.
         times: when each is due, s from there, shape (n,), increasing.
-        values: rad or rad/s, shape (n, 6).
-        slopes: their derivatives by time, NaN where none are given, shape (n, 6).
-        named: which joints they are of, shape (6,); the others brake and hold.
+        values: rad or rad/s, shape (n, j).
+        slopes: their derivatives by time, NaN where none are given, shape (n, j).
+        named: which joints they are of, shape (j,); the others brake and hold.
     """
 
     interface: str
@@ -97,13 +97,15 @@ def from_joint_state(names: Sequence[str], message: Any, options: StreamOptions,
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
             raise TrajectoryError(f"{field} of {given[bad[0]]} is {values[bad[0]]}; accepted: a finite number")
-        row = np.zeros(6)
+        row = np.zeros(len(names))
         row[columns] = values if len(values) else 0.0
         rows.append(row if len(values) else None)
     position, velocity, effort = rows
     if effort is not None:
         raise TrajectoryError("carries effort; accepted: position, with velocity or without, or velocity alone")
-    return _one(position, velocity, message_time_ns(message.header.stamp), options, np.isin(np.arange(6), columns))
+    return _one(
+        position, velocity, message_time_ns(message.header.stamp), options, np.isin(np.arange(len(names)), columns)
+    )
 
 
 def from_array(names: Sequence[str], message: Any, options: StreamOptions) -> SetPoints:
@@ -119,7 +121,7 @@ def from_array(names: Sequence[str], message: Any, options: StreamOptions) -> Se
     if len(bad):
         raise TrajectoryError(f"{options.commands} of {names[bad[0]]} is {values[bad[0]]}; accepted: a finite number")
     position, velocity = (values, None) if options.commands == POSITION else (None, values)
-    return _one(position, velocity, 0, options, np.ones(6, dtype=np.bool_))
+    return _one(position, velocity, 0, options, np.ones(len(names), dtype=np.bool_))
 
 
 def _one(
@@ -128,7 +130,7 @@ def _one(
     if position is None and velocity is None:
         raise TrajectoryError("neither position nor velocity; accepted: one of them, or both")
     interface, values = (VELOCITY, velocity) if position is None else (POSITION, position)
-    slopes = np.full(6, np.nan) if position is None or velocity is None else velocity
+    slopes = np.full(len(named), np.nan) if position is None or velocity is None else velocity
     times = np.array([options.delay])
     return SetPoints(interface, stamp_ns or None, times, np.array([values]), np.array([slopes]), named)
 
@@ -144,7 +146,7 @@ class Stream:
 
     Args:
         interface: one of INTERFACES.
-        named: which joints it is of, shape (6,).
+        named: which joints it is of, shape (j,).
         limits: that the motion keeps.
         period: of the position loop, s.
         timeout: `StreamOptions.timeout`, s.
@@ -168,7 +170,8 @@ class Stream:
         self.own_clock, self._offset = False, 0  # ns, from the stamps of another clock to the controller's time
         self.beyond = ""
         self.said: set[str] = set()
-        self._times, self._values, self._slopes = np.zeros(0), np.zeros((0, 6)), np.zeros((0, 6))
+        self._times = np.zeros(0)
+        self._values = self._slopes = np.zeros((0, len(named)))
 
     def take(self, points: SetPoints, now: int, held: Array) -> bool:
         """Take set-points; return whether they change the motion.
@@ -179,7 +182,7 @@ class Stream:
         Args:
             points: of the same interface and joints.
             now: the first tick that may still be changed.
-            held: the set-point at that tick, shape (3, 6).
+            held: the set-point at that tick, shape (3, j).
         """
         times, values, slopes = self._due(points, now), points.values, points.slopes.copy()
         self.count += len(times)
@@ -192,7 +195,7 @@ class Stream:
                 slopes[-1] = np.nan  # a single point that rests is what senders are used to; the next one is to come
         if not len(self._times):
             self._times, self._values = np.array([float(now)]), held[None, 0 if self.interface == POSITION else 1]
-            self._slopes = held[None, 1] if self.interface == POSITION else np.zeros((1, 6))
+            self._slopes = held[None, 1] if self.interface == POSITION else np.zeros((1, len(self.named)))
         elif self._times[-1] >= now:
             # What the motion already goes by stays: a slope that changed on the way there would be a jump.
             used = int(np.searchsorted(self._times, now)) + 1
@@ -202,7 +205,7 @@ class Stream:
                 return False  # there already, as a sender that repeats itself wants it
             self._times = np.array([float(now)])
             self._values = self._values[-1:] if self.interface == POSITION else held[None, 1]
-            self._slopes = np.zeros((1, 6))
+            self._slopes = np.zeros((1, len(self.named)))
         if times[-1] <= now:
             self.late += 1
             self.latest = max(self.latest, (now - times[-1]) * self._period)
@@ -245,20 +248,23 @@ class Stream:
         return list(fresh.values())
 
     def motion(self, now: int, held: Array) -> Spline:
-        """Return the motion from tick `now` on, at the set-point `held`, shape (3, 6), to rest; times in s from there.
+        """Return the motion from tick `now` on, at the set-point `held`, shape (3, j), to rest; times in s from there.
 
         What is asked for beyond the limits is followed within them, and `beyond` says so.
         """
-        free = ~self.named if self.interface == POSITION else np.ones(6, dtype=np.bool_)
+        free = ~self.named if self.interface == POSITION else np.ones_like(self.named)
         times, values = self._times, self._values
         slopes = self._bessel() if self.interface == POSITION else np.zeros_like(values)
         if self.interface == VELOCITY:
             values = np.where(self.named, values, 0.0)
             last = max(float(now), times[-1]) + self._timeout
-            times, values = np.append(times, [last, last + 1.0]), np.vstack([values, values[-1:], np.zeros((1, 6))])
+            times, values = (
+                np.append(times, [last, last + 1.0]),
+                np.vstack([values, values[-1:], np.zeros((1, len(self.named)))]),
+            )
         count = self._expected(now, times[-1], values[-1], held)
         while True:
-            states, behind = np.empty((count + 1, 2, 6)), np.zeros(6)
+            states, behind = np.empty((count + 1, 2, len(self.named))), np.zeros(len(self.named))
             states[0] = held[:2]
             limits = self._limits
             ticks = _follow(
@@ -276,7 +282,7 @@ class Stream:
         if ticks == 0:
             return resting(held[0].copy())
         states = states[: ticks + 1]
-        coefficients = np.zeros((ticks, 6, 6))
+        coefficients = np.zeros((ticks, 6, len(self.named)))
         coefficients[:, :2] = states[:-1]
         coefficients[:, 2] = np.diff(states[:, 1], axis=0) / (2.0 * self._period)
         return Spline(
@@ -293,7 +299,7 @@ class Stream:
             )
 
     def _bessel(self) -> Array:
-        """Return the slopes at the set-points, 1/s, those that are not given from parabolas; shape (n, 6)."""
+        """Return the slopes at the set-points, 1/s, those that are not given from parabolas; shape (n, j)."""
         if len(self._times) == 1:
             return np.nan_to_num(self._slopes)
         span = np.diff(self._times)[:, None] * self._period
@@ -306,7 +312,7 @@ class Stream:
     def _expected(self, now: int, last: float, target: Array, held: Array) -> int:
         """Return in how many ticks the motion should have come to rest."""
         v, a = self._limits.velocity, self._limits.acceleration
-        way = np.abs(target - held[0]) if self.interface == POSITION else np.zeros(6)
+        way = np.abs(target - held[0]) if self.interface == POSITION else np.zeros(len(held[0]))
         rest = float(((way / v) + 2.0 * v / a).max()) / self._period
         return math.ceil(max(last - now, 0.0) + rest) + _MARGIN
 
@@ -329,20 +335,20 @@ def _follow(
 
     Args:
         times: of the knots in ticks from now, shape (n,).
-        values: at the knots: positions, of free joints velocities, shape (n, 6).
-        slopes: at the knots, rad for each tick, shape (n, 6).
-        free: which joints follow velocities, shape (6,).
-        velocity: limits, rad/s, shape (6,).
-        acceleration: limits, rad/s^2, shape (6,).
-        lower: limits of positions, rad, shape (6,).
+        values: at the knots: positions, of free joints velocities, shape (n, j).
+        slopes: at the knots, rad for each tick, shape (n, j).
+        free: which joints follow velocities, shape (j,).
+        velocity: limits, rad/s, shape (j,).
+        acceleration: limits, rad/s^2, shape (j,).
+        lower: limits of positions, rad, shape (j,).
         upper: likewise.
         period: of a tick, s.
-        states: positions and velocities, shape (m + 1, 2, 6), of which the first is given; the others are filled in.
-        behind: set to the largest distance from the reference up to the last knot, shape (6,).
+        states: positions and velocities, shape (m + 1, 2, j), of which the first is given; the others are filled in.
+        behind: set to the largest distance from the reference up to the last knot, shape (j,).
     """
     room: int = states.shape[0] - 1
     last, ticks = times.size - 1, 0
-    for j in range(6):
+    for j in range(velocity.size):
         most, top = acceleration[j], velocity[j]
         done, k = False, 0
         for i in range(room):

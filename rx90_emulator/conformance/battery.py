@@ -48,9 +48,9 @@ class TorqueSines(NamedTuple):
 
     Attributes:
         begin: s; from then on, for `_SWEEP_PERIODS` periods of 1 s.
-        frequency: whole Hz, shape (6, k), no number twice.
-        amplitude: Nm, motor side, shape (6,).
-        phase: rad, shape (6, k).
+        frequency: whole Hz, shape (n, k), no number twice.
+        amplitude: Nm, motor side, shape (n,).
+        phase: rad, shape (n, k).
     """
 
     begin: float
@@ -122,7 +122,7 @@ class Nominal(NamedTuple):
     Attributes:
         setup: the nominal arm and the CS7B.
         folder: for the files of arms that differ from it.
-        needed: the largest torques of the motors, Nm, shape (6,), with which the CS7B does a case.
+        needed: the largest torques of the motors, Nm, shape (n,), with which the CS7B does a case.
     """
 
     setup: Setup
@@ -138,7 +138,7 @@ class Nominal(NamedTuple):
 
     @property
     def pose(self) -> Array:
-        """Return where the line begins, rad, shape (6,)."""
+        """Return where the line begins, rad, shape (n,)."""
         return np.array(plan_line(self.setup, self.task).points.position[0])
 
     def scaled(self, role: str, keys: Sequence[str], factor: float | Array) -> tuple[RobotFiles, Setup]:
@@ -169,7 +169,7 @@ def _of_motion(nominal: Nominal, name: str, about: str, motion: Motion, watched:
 
 
 def _inward(pose: Array, setup: Setup) -> Array:
-    """Return the direction of each joint away from its nearer limit, 1 or -1, shape (6,)."""
+    """Return the direction of each joint away from its nearer limit, 1 or -1, shape (n,)."""
     return np.where(pose > 0.5 * (setup.robot.lower + setup.robot.upper), -1.0, 1.0)
 
 
@@ -189,11 +189,12 @@ def _sweep(nominal: Nominal, name: str) -> Case:
     motion = Motion(pose)
     motion.sweep(speed, 1.0, plateau, float(setup.controller.max_acceleration.min()))
     ramp = float(motion.points(setup.robot.joint_names).times[1])
-    wanted = np.geomspace(_SLOWEST, _FASTEST, 6 * _SINES)
+    joints = len(pose)
+    wanted = np.geomspace(_SLOWEST, _FASTEST, joints * _SINES)
     whole: list[int] = []
     for frequency in wanted:  # no number twice: the next one then
         whole.append(max(round(frequency), whole[-1] + 1 if whole else 0))
-    frequency = np.array(whole, dtype=np.float64).reshape(_SINES, 6).T
+    frequency = np.array(whole, dtype=np.float64).reshape(_SINES, joints).T
     phase = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, frequency.shape)
     sines = TorqueSines(START + ramp + 0.1, frequency, _SINE_TORQUE * setup.drives.peak_torque, phase)
     about = (

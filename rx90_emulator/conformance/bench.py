@@ -25,7 +25,7 @@ from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.endpoints import LATCHED_QOS, STATE_QOS, TRAJECTORY_QOS, wait_until_received
 from rx90_common.exchange.ros_start import controller_topic
-from rx90_common.exchange.topics import MOTOR_NAMES, TRAJECTORY_ACCEPTED
+from rx90_common.exchange.topics import TRAJECTORY_ACCEPTED, motor_names
 from rx90_common.process.children import ChildProcess, ProcessGroup
 from rx90_common.process.files import write_text
 from rx90_common.process.interrupts import interrupts_later
@@ -97,7 +97,7 @@ class _Run:
             self._accepts = f"{topic.rpartition('/')[0]}/{TRAJECTORY_ACCEPTED}"
             self.node.create_subscription(kind, self._accepts, self._note_accepted, LATCHED_QOS)
         else:
-            self._point = np.zeros((2, 6))
+            self._point = np.zeros((2, len(self.case.setup.robot.joint_names)))
             self._encode = JointStateCodec(self.case.setup.robot.joint_names).encoder(*self._point)
         lifecycle.started([self._simulation])
         return [self]
@@ -198,7 +198,8 @@ class _CheckedChannel(Channel):
         super().__init__(*arguments)
         self._run, case = run, run.case
         run.channel_made(self)
-        names = case.setup.robot.joint_names if run.candidate.interface.at_joints else MOTOR_NAMES
+        joints = case.setup.robot.joint_names
+        names = joints if run.candidate.interface.at_joints else motor_names(len(joints))
         self._states, self._commands = JointStateCodec(names), JointStateCodec(names)
         self._period_ns, self._stamp, self._before = case.setup.rates.period_ns, -1, -1
 
@@ -240,7 +241,7 @@ def run_on_topics(
 
     Args:
         case: the case.
-        set_points: one for each tick of the position loop, shape (m, 3, 6).
+        set_points: one for each tick of the position loop, shape (m, 3, n).
         candidate: the controller.
         folder: for the controller's log, and parameters.
         progress: gets the number of the tick that begins.

@@ -13,7 +13,6 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.robot_files import provenance_of
-from rx90_common.exchange.topics import MOTOR_NAMES
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, Curve, Level, Panel, Plot
 from rx90_emulator.conformance.battery import Case, Nominal, make_case
@@ -41,7 +40,7 @@ class CaseResult:
     Attributes:
         record: of the controller.
         of_cs7b: of the CS7B.
-        set_points: one for each tick of the position loop, shape (m, 3, 6).
+        set_points: one for each tick of the position loop, shape (m, 3, n).
         findings: all that was measured.
     """
 
@@ -208,7 +207,6 @@ def check_controller(
     of_cs7b = Nominal(nominal, arms, lambda case: np.asarray(np.nanmax(np.abs(run_cs7b(case, nominal).sent), axis=0)))
     cases = [make_case(name, of_cs7b) for name in names]
     total = sum(case.ticks for case in cases)
-    commanded = nominal.robot.joint_names if candidate.interface.at_joints else MOTOR_NAMES
 
     def results() -> Iterator[CaseResult]:
         before = 0
@@ -220,7 +218,7 @@ def check_controller(
                     progress(before + tick, total)
 
             record = run_on_topics(case, points, candidate, folder, tell)
-            values, of_other = (measure(one, points, commanded) for one in (record, other))
+            values, of_other = (measure(one, points) for one in (record, other))
             found = judge(case, values, of_other, limits)
             yield CaseResult(record, other, points, tuple(found))
             before += case.ticks

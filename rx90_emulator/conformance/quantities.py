@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, NamedTuple
@@ -18,7 +18,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.declared import Declared
 from rx90_common.base.entries import Number
-from rx90_common.exchange.topics import MOTOR_NAMES
+from rx90_common.exchange.topics import motor_names
 from rx90_emulator.conformance.battery import START, Case, TorqueSines
 from rx90_emulator.conformance.runs import Record
 from rx90_emulator.loop.line import path_accuracy
@@ -167,15 +167,15 @@ def judge(case: Case, values: Values, of_cs7b: Values, limits: CheckLimits) -> l
     return findings
 
 
-def measure(record: Record, set_points: Array, commanded: Sequence[str] = MOTOR_NAMES) -> Values:
+def measure(record: Record, set_points: Array) -> Values:
     """Return what is measured in a run.
 
     Args:
         record: of the run.
-        set_points: one for each tick of the position loop, shape (m, 3, 6).
-        commanded: names of the motors or joints whose commands open the loops.
+        set_points: one for each tick of the position loop, shape (m, 3, n).
     """
     case, joints = record.case, record.case.setup.robot.joint_names
+    commanded = joints if record.interface.at_joints else motor_names(len(joints))
     done = len(record.position) * record.interface.ticks
     off = np.isnan(record.torque).any(axis=1)
     values: Values = {("time_run", "all"): min(done, case.ticks) * case.setup.rates.period,

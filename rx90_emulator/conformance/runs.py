@@ -8,7 +8,6 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import DivergenceError
-from rx90_common.description.drives import to_joint, to_joint_torque
 from rx90_emulator.conformance.battery import START, Case
 from rx90_emulator.loop.setup import Setup
 
@@ -33,8 +32,8 @@ class Record:
     Attributes:
         case: what was run.
         interface: what was commanded.
-        position: of the joints by the encoders, rad, shape (n, 6).
-        torque: what the controller asked for, at the joints, Nm, shape (n, 6); NaN where it asked for none.
+        position: of the joints by the encoders, rad, shape (t, n).
+        torque: what the controller asked for, at the joints, Nm, shape (t, n); NaN where it asked for none.
         sent: the same as it was sent, at the motors or at the joints.
         added: the torques that were added to it.
         fault: why the run ended early, if it did.
@@ -70,21 +69,22 @@ class Wire:
     def __init__(self, case: Case, interface: Interface | None = None) -> None:
         self.case, self.interface = case, interface or Interface()
         rows = -(-case.ticks // self.interface.ticks)
-        self._added = np.zeros((rows, 6))
+        joints = len(case.setup.robot.joint_names)
+        self._added = np.zeros((rows, joints))
         if case.sines is not None:
             scale = np.abs(case.setup.drives.gear) if self.interface.at_joints else 1.0
             times = case.setup.rates.period * self.interface.ticks * np.arange(rows, dtype=np.float64)
             self._added = case.sines.torques(times) * scale
-        self._states, self._sent = np.full((rows, 6), np.nan), np.full((rows, 6), np.nan)
+        self._states, self._sent = np.full((rows, joints), np.nan), np.full((rows, joints), np.nan)
         self._held: Array | None = None
         self.done = 0
 
     def note_states(self, tick: int, position: Array) -> None:
-        """Keep the measured positions of a tick, rad, shape (6,), on the controller's side."""
+        """Keep the measured positions of a tick, rad, shape (n,), on the controller's side."""
         self._states[tick // self.interface.ticks] = position
 
     def carry(self, tick: int, command: Array | None) -> Array | None:
-        """Return what the drives get of a command, Nm, shape (6,), None for no torque; the same when it comes again."""
+        """Return what the drives get of a command, Nm, shape (n,), None for no torque; the same when it comes again."""
         row, case = tick // self.interface.ticks, self.case
         if command is not None:
             self._sent[row] = command
@@ -97,11 +97,10 @@ class Wire:
     def record(self, fault: str | None = None) -> Record:
         """Return the record so far."""
         states, sent = self._states[: self.done], self._sent[: self.done]
-        position, torque, gear = states.copy(), sent.copy(), self.case.setup.drives.gear
+        position, torque, drives = states.copy(), sent.copy(), self.case.setup.drives
         if not self.interface.at_joints:
-            for k in range(self.done):
-                to_joint(gear, states[k], position[k])
-                to_joint_torque(gear, sent[k], torque[k])
+            position = states / drives.gear @ drives.turning.joint_turns.T
+            torque = sent * drives.gear @ drives.turning.turns
         return Record(self.case, self.interface, position, torque, sent, self._added[: self.done], fault)
 
 

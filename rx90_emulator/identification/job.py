@@ -29,7 +29,7 @@ from rx90_emulator.identification.options import (
 )
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.report import check_page, excitation_page, measured_page, report_page
-from rx90_emulator.identification.output.robot_files import parameters_text, robot_files
+from rx90_emulator.identification.output.robot_files import folder_base, parameters_text, robot_files
 from rx90_emulator.identification.output.summary import (
     check_summary,
     excitation_summary,
@@ -234,6 +234,8 @@ def run_excitation(
         result = identify_excitation(bags, robot, validation, tolerances, progress=step, **how)
     folder = write_excitation(result, output, force=force)
     print(f"{excitation_summary(result)}\n{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
+    if result.robot.setup is None:
+        print(f"{folder}: {folder_base(result.problem.arm, Path(str(result.options.urdf)))[1]}")
     return result.confirmed
 
 

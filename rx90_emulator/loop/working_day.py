@@ -9,7 +9,7 @@ is linear and has an exponential as its answer (Rosenbrock's method; what is lef
 temperature's change, or of the second until the slope is known). It is followed over as many whole cycles as no
 temperature changes by more than a bound in, then the next cycle is simulated. Windings go with an exponential of their
 own time constant towards where the simulated cycle drove them. What the controller's model believes of the joints goes
-the way of the joints, as elements of its own: arrays of 14, the plant's seven first.
+the way of the joints, as elements of its own: arrays of 2 e, the e of the plant first.
 
 Each simulated cycle begins with a reset, so with the same random numbers: else what scatter changes between two cycles
 would count as the slope s.
@@ -51,10 +51,10 @@ class Cycle(NamedTuple):
     """What one simulated cycle gave, in plant and controller.
 
     Attributes:
-        warm: temperatures in its middle, degrees Celsius, shape (14,).
-        end: temperatures at its end, degrees Celsius, shape (14,).
+        warm: temperatures in its middle, degrees Celsius, shape (2 e,).
+        end: temperatures at its end, degrees Celsius, shape (2 e,).
         windings: temperatures at its end, degrees Celsius, shape (6,).
-        heat: mean, of friction and motors, W, shape (14,).
+        heat: mean, of friction and motors, W, shape (2 e,).
         friction: mean size of the friction torque, Nm, shape (7,).
         worst: path error of the way there, m.
         rms: the same.
@@ -130,7 +130,7 @@ def repeat_line(
 class ThermalRun:
     """What `repeat_line` does, step by step, so that whoever is interrupted has what was done.
 
-    Temperatures are those of 14 joints, of the plant and of the controller's model, and of six windings.
+    Temperatures are those of 2 e joints, of the plant and of the controller's model, and of the windings.
 
     Attributes:
         done: how many cycles have been passed.
@@ -139,6 +139,8 @@ class ThermalRun:
     def __init__(self, setup: Setup, task: LineTask, change: float = CHANGE) -> None:
         check_type(setup=(setup, Setup), task=(task, LineTask))
         parts = [element.temperature for element in setup.friction.elements]
+        motors, elements, _ = setup.drives.turning.size
+        self._count = 2 * elements
         if not any(parts):
             where = "" if setup.friction.file is None else f"{setup.friction.file}: "
             raise ConfigError(f"{where}no friction element has a temperature; accepted: one or more")
@@ -146,19 +148,19 @@ class ThermalRun:
             raise ConfigError(f"the change between cycles is {change} K; accepted: a finite number > 0")
         setup.warn_of_friction()
         self._setup, self._task, self._cycles = setup, task, _Cycles(setup, task)
-        self._bound = change * np.repeat([1.0, _WINDING_CHANGE], [14, 6])
+        self._bound = change * np.repeat([1.0, _WINDING_CHANGE], [2 * elements, motors])
         controller = setup.controller
         known = (
             controller.model.constants.friction if controller.model and controller.feed_forward.friction_model else ()
         )
-        parts += [element.temperature for element in known] or [None] * 7
+        parts += [element.temperature for element in known] or [None] * elements
         # J/K, W/K, degrees Celsius; what has no temperature stays at 0.
         self._capacity, self._conductance, self._ambient, start = np.array(
             [(1.0, 0.0, 0.0, 0.0) if one is None else (one.capacity, 1.0 / one.resistance, one.ambient, one.start)
              for one in parts]
         ).T  # fmt: skip
-        self._now = np.concatenate([start, np.full(6, setup.drives.winding.initial)])
-        self._slope = np.zeros(14)
+        self._now = np.concatenate([start, np.full(motors, setup.drives.winding.initial)])
+        self._slope = np.zeros(self._count)
         self._known: Cycle | None = None
         self._rows: list[tuple[float, Array, Cycle]] = []
         self.done = 0
@@ -177,7 +179,7 @@ class ThermalRun:
 
     def advance(self, total: int) -> bool:
         """Simulate a cycle and go on to where the next one is to be, at most the last; return whether there is one."""
-        cycle, duration = self._cycles.run(self._now[:14], self._now[14:]), self._cycles.duration
+        cycle, duration = self._cycles.run(self._now[: self._count], self._now[self._count :]), self._cycles.duration
         self._rows.append((self.done * duration, self._now, cycle))
         left = total - 1 - self.done
         if left <= 0:
@@ -201,16 +203,17 @@ class ThermalRun:
         """Return the cycles that were simulated, and warn of joints that got too warm for their law."""
         times, temperatures, cycles = zip(*self._rows, strict=True)
         now = np.array(temperatures)
-        self._setup.warn_of_heat(now[:, :7])
+        e = len(self._setup.friction.names)
+        self._setup.warn_of_heat(now[:, :e])
         heat, *values = (np.array([getattr(one, name) for one in cycles]) for name in _VALUES)
-        rows = (np.array(times), now[:, :7], now[:, 14:], heat[:, :7], now[:, 7:14], *values)
+        rows = (np.array(times), now[:, :e], now[:, 2 * e :], heat[:, :e], now[:, e : 2 * e], *values)
         return RepeatedLine(self._setup, self._task, self._cycles.duration, *rows)
 
     def _learn(self, cycle: Cycle) -> None:
         """Take the slope of the heat over temperature from this cycle and the last one that was far enough from it."""
         known = self._known = self._known or cycle
         risen = cycle.warm - known.warm
-        far = np.abs(risen) > _LEAST_CHANGE * self._bound[:14]
+        far = np.abs(risen) > _LEAST_CHANGE * self._bound[: self._count]
         slope = np.minimum((cycle.heat - known.heat) / np.where(far, risen, 1.0), _MOST_FEEDBACK * self._conductance)
         self._slope = np.where(far, slope, self._slope)
         self._known = known._replace(
@@ -224,11 +227,14 @@ class ThermalRun:
         """
         loss, end = self._conductance - self._slope, self._now.copy()
         inflow = cycle.heat - self._slope * cycle.warm + self._conductance * self._ambient
-        np.divide(inflow, loss, out=end[:14], where=loss > 0.0)
-        winding, winding_rate = self._setup.drives.winding, np.zeros(6)
+        np.divide(inflow, loss, out=end[: self._count], where=loss > 0.0)
+        winding = self._setup.drives.winding
+        winding_rate = np.zeros(len(winding.resistance))
         if winding.used:
             winding_rate += 1.0 / (winding.heat_capacity * winding.thermal_resistance)
-            end[14:] -= (cycle.windings - end[14:]) / np.expm1(-winding_rate * self._cycles.duration)
+            end[self._count :] -= (cycle.windings - end[self._count :]) / np.expm1(
+                -winding_rate * self._cycles.duration
+            )
         return np.concatenate([loss / self._capacity, winding_rate]), end
 
 
@@ -249,7 +255,7 @@ class _Cycles:
         self._setup, self._task, self._ticks = setup, task, ticks
         self._plant, self._controller = setup.plant(), setup.cs7b()
         self._believed = ModelTemperatures(self._controller.law, self._controller.state)
-        self._fast, self._slow = empty_series(ticks, rates.ratio, record_fast=False)
+        self._fast, self._slow = empty_series(ticks, rates.ratio, record_fast=False, arm=setup.drives.turning.size)
         self._start = there.position[0]
         self._plant.reset(self._start)
         self._controller.reset(self._plant.motor_states()[0])
@@ -258,13 +264,13 @@ class _Cycles:
         self._there, self.duration = turn, ticks * rates.period
 
     def run(self, joints: Array, windings: Array) -> Cycle:
-        """Return what a cycle gives that begins with these temperatures, degrees Celsius, shapes (14,) and (6,)."""
+        """Return what a cycle gives that begins with these temperatures, degrees Celsius, shapes (2 e,) and (n,)."""
         plant, believed = self._plant, self._believed
         plant.reset(self._start)
-        plant.temperatures.set(joints[:7])
+        plant.temperatures.set(joints[: joints.size // 2])
         plant.state["temperature"] = windings
         self._controller.reset(plant.motor_states()[0])
-        believed.set(joints[7:])
+        believed.set(joints[joints.size // 2 :])
         run_setpoints(plant, self._controller, self._setpoints, self._ticks, self._fast, self._slow)
         end = np.concatenate([plant.temperatures.now, believed.now])
         times = np.arange(self._there, dtype=np.float64) * self._setup.rates.position_period

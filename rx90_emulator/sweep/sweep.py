@@ -93,7 +93,7 @@ def measure(task: LineTask, result: RunResult) -> tuple[float | int, ...]:
     rows = _window(task, result.times)
     slow = result.slow
     tip = tip_position(result.setup.robot.chain, slow.joint_states[rows, 0])
-    peaks, work = np.zeros((3, 6)), np.zeros(7)
+    peaks, work = np.zeros((3, slow.joint_states.shape[2])), np.zeros(slow.friction_states.shape[2])
     peaks_and_work(
         slow.joint_states[rows], slow.friction_states[rows], slow.tracking_error[rows],
         result.setup.rates.position_period, peaks, work,

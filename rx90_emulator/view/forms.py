@@ -55,7 +55,7 @@ class LinePreview(NamedTuple):
 
     @property
     def share(self) -> Array:
-        """Return the peak speeds of the joints along the line, as shares of their limits, shape (6,)."""
+        """Return the peak speeds of the joints along the line, as shares of their limits, shape (n,)."""
         return np.asarray(np.abs(self.plan.velocity).max(axis=0) / self.plan.path.robot.max_velocity)
 
     def text(self) -> str:
@@ -117,7 +117,7 @@ class LineForm:
         self._give()
 
     def follow(self, here: Array | None, missing: str) -> None:
-        """Take where the arm is, rad, shape (6,), None for unknown, and what is missing to send a line, if anything.
+        """Take where the arm is, rad, shape (n,), None for unknown, and what is missing to send a line, if anything.
 
         Where the arm has come to rest elsewhere, the approach is another one.
         """
@@ -133,7 +133,7 @@ class LineForm:
 
         Args:
             typed: the line, in the order of FIELDS.
-            here: where the arm stands, rad, shape (6,); None: nobody knows, it is at the line's start.
+            here: where the arm stands, rad, shape (n,); None: nobody knows, it is at the line's start.
 
         Raises:
             LineError: naming a value and what is accepted, or where on the line the arm cannot go and why.
@@ -153,7 +153,7 @@ class LineForm:
         line = approached(plan, plan.start_pose if here is None else here, self._limits, SET_POINT, Approach())
         way = np.empty((0, 3))
         if here is not None and line.approach > 0.0:
-            rest = np.zeros((2, 6))
+            rest = np.zeros((2, len(here)))
             motion = interpolate(np.array([0.0, line.approach]), np.stack([here, plan.start_pose]), rest, rest)
             way = tip_position(self._robot.chain, motion.sample(np.linspace(0.0, line.approach, _DRAWN))[:, 0])
         return LinePreview(plan, line, way)

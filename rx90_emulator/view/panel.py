@@ -181,19 +181,19 @@ def jog(position: Array, velocity: Array, target: Array, limits: JointLimits) ->
     up to the controller's limits is for what is left.
 
     Args:
-        position: of the arm, rad, shape (6,).
-        velocity: rad/s, shape (6,).
-        target: rad, shape (6,).
+        position: of the arm, rad, shape (n,).
+        velocity: rad/s, shape (n,).
+        target: rad, shape (n,).
         limits: the controller's.
     """
     # Slower than it is, it cannot be at once.
     top = np.maximum(_GENTLE.speed * limits.velocity, np.abs(velocity)) * (1.0 + _ROUNDING)
     most = np.minimum(_GENTLE.acceleration, limits.acceleration)
-    rest = np.zeros((1, 6))
+    rest = np.zeros((1, len(target)))
     ends, speeds = np.stack([position, target]), np.vstack([velocity, rest])
     duration = _SHORTEST
     while True:
-        motion = interpolate(np.array([0.0, duration]), ends, speeds, np.zeros((2, 6)))
+        motion = interpolate(np.array([0.0, duration]), ends, speeds, np.zeros_like(ends))
         sampled = np.abs(motion.sample(_SAMPLES * duration))
         if (sampled[:, 1] <= top).all() and (sampled[:, 2] <= most).all():
             return TrajectoryPoints(np.array([round(duration, 3)]), target[None], rest, rest)

@@ -17,7 +17,7 @@ from rx90_common.exchange.endpoints import Listeners, wait_until_matched, wait_u
 from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.lockstep import LockstepSimulation
 from rx90_common.exchange.pacing import OnceLog, Pacer, ThrottledLog
-from rx90_common.exchange.topics import COMMAND_INTERFACES, JOINT_INTERFACE, LOCK_STEP, MOTOR_NAMES
+from rx90_common.exchange.topics import COMMAND_INTERFACES, JOINT_INTERFACE, LOCK_STEP, motor_names
 from rx90_sim.joint_interface import JointInterface
 from rx90_sim.node.held_command import HeldCommand, NewestCommand
 from rx90_sim.node.joint_commands import CommandWatch, JointCommands
@@ -181,7 +181,7 @@ class Ticks:
     """
 
     def __init__(self, node: ManagedNode, robot: RobotModel, plant: Plant, parameters: SimulationParameters) -> None:
-        self._node, self._plant, self._initial_position = node, plant, parameters.initial_position
+        self._node, self._plant, self._initial_position = node, plant, parameters.start(robot)
         rates, log = parameters.rates, node.get_logger()
         self._period_ns = rates.period_ns
         self._lock_step = parameters.time_mode == LOCK_STEP
@@ -211,8 +211,9 @@ class Ticks:
             limit = parameters.command_age_limit
             self.held: HeldCommand = NewestCommand(channel, self._decode, rates.period_ns, limit, log.info, once)
         else:
-            commands, throttled = JointStateCodec(MOTOR_NAMES), ThrottledLog(log.error)
-            self._encode_states = JointStateCodec(MOTOR_NAMES).encoder(*plant.motor_states())
+            motors = motor_names(len(plant.joint_names))
+            commands, throttled = JointStateCodec(motors), ThrottledLog(log.error)
+            self._encode_states = JointStateCodec(motors).encoder(*plant.motor_states())
             self._decode = lambda raw: commands.decode(raw)[3]
             self._complain, otherwise = partial(throttled.say, "command"), ""
             timeout, interrupting = parameters.command_timeout, self.control.interrupting

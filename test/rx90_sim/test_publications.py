@@ -94,6 +94,7 @@ def arm(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     publisher = KeepingPublisher()
     monkeypatch.setattr(publications, "publish", lambda *_: publisher)
     plant = SimpleNamespace(
+        joint_names=[f"joint_{k}" for k in range(6)],
         friction_names=[f"element_{k}" for k in range(7)],
         temperatures=SimpleNamespace(elements=(2,), now=np.arange(30.0, 37.0)),
         constants={"winding": np.array([(1,)], dtype=[("used", int)])},

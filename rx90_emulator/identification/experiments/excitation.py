@@ -30,8 +30,6 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
 from rx90_emulator.identification.experiments.limits import (
-    CARRIES,
-    TURNS,
     friction_torque,
     limit_shares,
     motor_torque_limit,
@@ -267,12 +265,13 @@ class ExcitationPlan:
             for name, one in self._shares(motion, rigid + friction).items()
         }
         near, slope = self.workspace.nearness(motion[0], self.options.clearance)
-        by_velocity = over["speed"] / robot.max_velocity + over["motor_speed"] / robot.max_velocity @ TURNS
-        carried = over["motor_torque"] / motor_torque_limit(self.setup) @ CARRIES
+        turns, carries = self.setup.drives.turning.turns, self.setup.drives.turning.joint_turns.T
+        by_velocity = over["speed"] / robot.max_velocity + over["motor_speed"] / robot.max_velocity @ turns
+        carried = over["motor_torque"] / motor_torque_limit(self.setup) @ carries
         by_torque = 2.0 * (over["torque"] / robot.max_effort + carried) / share
         by_motion = (
             2.0 * over["position"] / self._reach + slope,
-            2.0 * by_velocity / self.speed + by_torque @ TURNS.T * by_speed @ TURNS,
+            2.0 * by_velocity / self.speed + by_torque @ turns.T * by_speed @ turns,
             2.0 * over["acceleration"] / (share * self.setup.controller.max_acceleration),
         )
         return sum(float(np.sum(one**2)) for one in over.values()) + near, by_motion, by_torque

@@ -7,33 +7,32 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_common.base.rates import Rates
-from rx90_common.description.drives import coupling_matrix
+from rx90_common.description.coupling import Coupling
 from rx90_common.description.rigid_torque import rigid_torque
-from rx90_common.exchange.topics import MOTOR_NAMES
+from rx90_common.exchange.topics import motor_names
 from rx90_controller.trajectory import TrajectoryGenerator
 from rx90_emulator.identification.experiments.plan import Experiment
 from rx90_emulator.loop.setup import Setup
 
 _PERIOD = Rates().position_period
 _TORQUE_STRIDE = 10
-TURNS: Array = coupling_matrix()
-"""Speeds of motors, seen through their gears, per speeds of joints, shape (6, 6)."""
-CARRIES: Array = np.asarray(np.linalg.inv(TURNS).T)
-"""Torques of motors, seen through their gears, per torques of joints, shape (6, 6)."""
-COUPLED_MOTORS: tuple[int, ...] = tuple(
-    np.flatnonzero(((TURNS - np.eye(6) != 0.0) | (CARRIES - np.eye(6) != 0.0)).any(axis=1)).tolist()
-)
-"""The numbers of the motors that turn with, or carry, more than their joint."""
+
+
+def coupled_motors(turning: Coupling) -> tuple[int, ...]:
+    """Return the numbers of the motors that turn with, or carry, more than their joint."""
+    one = np.eye(len(turning.turns))
+    return tuple(np.flatnonzero(((turning.turns != one) | (one != turning.joint_turns.T)).any(axis=1)).tolist())
 
 
 def motor_torque_limit(setup: Setup) -> Array:
-    """Return the torque that each motor gives at most, seen through its gear, Nm, shape (6,)."""
+    """Return the torque that each motor gives at most, seen through its gear, Nm, shape (n,)."""
     return np.asarray(np.abs(setup.drives.gear) * setup.drives.peak_torque)
 
 
 def whose(setup: Setup, limit: str) -> tuple[str, ...]:
     """Return the names of the joints or the motors that a limit of `limit_shares` is of."""
-    return MOTOR_NAMES if limit.startswith("motor_") else setup.robot.joint_names
+    joints = setup.robot.joint_names
+    return motor_names(len(joints)) if limit.startswith("motor_") else joints
 
 
 def limit_shares(
@@ -45,22 +44,22 @@ def limit_shares(
 
     Args:
         setup: ranges, speeds, efforts of the joints, accelerations of the controller, peak torques of the drives.
-        motion: position rad, velocity rad/s and acceleration rad/s² of the joints, shape (3, m, 6).
-        torque: with friction, Nm, shape (k, 6).
+        motion: position rad, velocity rad/s and acceleration rad/s² of the joints, shape (3, m, n).
+        torque: with friction, Nm, shape (k, n).
         share: of accelerations and torques that counts as all of them.
         speed: the same of the speeds.
         margin: that the joints' ranges are narrower by at either end, rad.
     """
     position, velocity, acceleration = motion
-    robot = setup.robot
+    robot, turning = setup.robot, setup.drives.turning
     middle, reach = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower) - margin
     return {
         "position": (position - middle) / reach,
         "speed": velocity / (speed * robot.max_velocity),
-        "motor_speed": velocity @ TURNS.T / (speed * robot.max_velocity),
+        "motor_speed": velocity @ turning.turns.T / (speed * robot.max_velocity),
         "acceleration": acceleration / (share * setup.controller.max_acceleration),
         "torque": torque / (share * robot.max_effort),
-        "motor_torque": torque @ CARRIES.T / (share * motor_torque_limit(setup)),
+        "motor_torque": torque @ turning.joint_turns / (share * motor_torque_limit(setup)),
     }
 
 
@@ -69,21 +68,22 @@ def friction_torque(setup: Setup, velocity: Array, smooth: float = 0.0) -> tuple
 
     Args:
         setup: with Coulomb and viscous friction of each motor, seen through its gear, in the controller.
-        velocity: of the joints, rad/s, shape (m, 6).
+        velocity: of the joints, rad/s, shape (m, n).
         smooth: speed over which Coulomb friction changes its sign, rad/s.
 
     Returns:
-        Joint torques, Nm, shape (m, 6), and the derivative of each motor's friction by its speed, shape (m, 6), which
+        Joint torques, Nm, shape (m, n), and the derivative of each motor's friction by its speed, shape (m, n), which
         is without Coulomb friction where its sign jumps.
     """
-    motors, controller = velocity @ TURNS.T, setup.controller
+    turns, controller = setup.drives.turning.turns, setup.controller
+    motors = velocity @ turns.T
     speed, exponent = np.abs(motors), controller.viscous_exponent
     sign = np.tanh(motors / smooth) if smooth else np.sign(motors)
     slope = controller.viscous * exponent * np.maximum(speed, 1e-6) ** (exponent - 1.0)
     if smooth:
         slope = slope + controller.coulomb * (1.0 - sign**2) / smooth
     torque = sign * controller.coulomb + np.sign(motors) * controller.viscous * speed**exponent
-    return np.asarray(torque @ TURNS), np.asarray(slope)
+    return np.asarray(torque @ turns), np.asarray(slope)
 
 
 def check_experiment(experiment: Experiment, setup: Setup) -> tuple[dict[str, Array], Array]:
@@ -96,7 +96,7 @@ def check_experiment(experiment: Experiment, setup: Setup) -> tuple[dict[str, Ar
         setup: robot, drives and controller.
 
     Returns:
-        Shares by the names of `limit_shares`, each of shape (6,), and set-points, shape (m, 3, 6).
+        Shares by the names of `limit_shares`, each of shape (n,), and set-points, shape (m, 3, n).
 
     Raises:
         IdentificationError: if it leaves a joint's or a motor's limits, of torque too, naming which, amount and limit.

@@ -13,10 +13,11 @@ from rx90_common.bags.topics import absolute
 from rx90_common.bags.writing import string_message, write_joint_states
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.exchange.topics import MOTOR_NAMES
+from rx90_common.base.quoting import listed
+from rx90_common.exchange.topics import motor_names
 from rx90_emulator.identification.experiments.excitation import ROWS, ExcitationPlan, plan_excitation
 from rx90_emulator.identification.experiments.folder import TOPICS, write_emulated, write_index
-from rx90_emulator.identification.experiments.limits import COUPLED_MOTORS, TURNS, check_experiment
+from rx90_emulator.identification.experiments.limits import check_experiment, coupled_motors
 from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.experiments.plan import Experiment
 from rx90_emulator.loop.closed_loop import simulate
@@ -30,7 +31,8 @@ def describe(plan: Sequence[Experiment], setup: Setup) -> str:
         IdentificationError: if an experiment leaves a limit.
     """
     lines = [f"{'experiment':<30}{'runs':>6}{'time s':>9}   most of the speed limit   most of the torque limit"]
-    names = (*setup.robot.joint_names, *MOTOR_NAMES)
+    joints = setup.robot.joint_names
+    names = (*joints, *motor_names(len(joints)))
     for one in plan:
         shares, _ = check_experiment(one, setup)
         used = [np.append(shares[name], shares[f"motor_{name}"]) for name in ("speed", "torque")]
@@ -62,9 +64,13 @@ def describe_excitation(plan: ExcitationPlan) -> str:
     scaled = information / np.outer(size, size)
     condition = np.sqrt(np.linalg.cond(scaled)) if size.all() else np.inf
     noise = "as given" if plan.options.torque_noise else "1 % of the URDF's effort, assumed"
+    coupled = listed(f"motor_{number + 1}" for number in coupled_motors(plan.setup.drives.turning))
+    if coupled:
+        lines.append(
+            f"{coupled}: through their gears; accepted are the speed of their joint alone (assumed) and the drive's "
+            "peak torque"
+        )
     lines += [
-        f"{', '.join(MOTOR_NAMES[number] for number in COUPLED_MOTORS)}: through their gears; accepted are the speed "
-        "of their joint alone (assumed) and the drive's peak torque",
         f"condition number {condition:.3g}, log det of the information {np.linalg.slogdet(information)[1]:.4g} "
         f"({len(information)} parameters; without the validation)",
         f"expected deviations at a torque noise ({noise}) of {', '.join(f'{value:.3g}' for value in plan.noise)} Nm in "
@@ -105,9 +111,10 @@ def _run_lines(plan: ExcitationPlan, experiment: Experiment) -> Iterator[str]:
         cells = "".join(f"{shares[key][number]:>6.0%}" for key in ("position", "speed", "acceleration", "torque"))
         yield f"{head:<23}  {name:<10}{cells}   {speeds(setpoints[:, 1, number])}"
         head = ""
-    for number in COUPLED_MOTORS:
+    turning = plan.setup.drives.turning
+    for number in coupled_motors(turning):
         used = f"{shares['motor_speed'][number]:>12.0%}{shares['motor_torque'][number]:>12.0%}"
-        yield f"{'':<25}{MOTOR_NAMES[number]:<10}{used}   {speeds(setpoints[:, 1] @ TURNS[number])}"
+        yield f"{'':<25}{f'motor_{number + 1}':<10}{used}   {speeds(setpoints[:, 1] @ turning.turns[number])}"
     for wall, (distance, name) in zip(plan.workspace.walls, plan.workspace.lowest(setpoints[::5, 0]), strict=True):
         yield f"{'':<25}{wall.name}: {name} comes as near as {distance:.3f} m"
 

@@ -127,4 +127,4 @@ def test_drives_and_friction_are_the_published_ones(tx40: Setup) -> None:
     assert viscous[6] == 0.616
     assert tx40.controller.coulomb[:5].tolist() == coulomb[:5]
     assert tx40.controller.viscous == pytest.approx([*viscous[:5], 0.65])
-    assert tx40.friction.passivity_warnings(tx40.robot.max_velocity.tolist()) == []
+    assert tx40.friction.passivity_warnings(tx40.drives.turning.reach(tx40.robot.max_velocity)) == []

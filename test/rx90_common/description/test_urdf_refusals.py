@@ -34,7 +34,6 @@ CASES = {
         '<joint name="base_fixed" type="floating">',
         "'base_fixed' type is 'floating'",
     ),
-    "five joints": (JOINT_5, '<joint name="joint_5" type="fixed">', "number of revolute joints is 5"),
     "side branch": ('<parent link="link_5"/>', '<parent link="link_4"/>', "on a side branch"),
     "two roots": ('<parent link="base_link"/>\n    <child link="link_1"/>', '<parent link="flange"/>'
                   '<child link="link_1"/>', "a loop|root links"),

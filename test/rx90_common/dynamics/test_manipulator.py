@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.description.robot import load_robot
-from rx90_common.dynamics import BODY_DTYPE, manipulator_record
+from rx90_common.dynamics import body_dtype, manipulator_record
 from rx90_common.dynamics.manipulator import factorise, inverse_dynamics, mass_and_bias, solve
 from rx90_emulator.loop.setup import Setup
 
@@ -31,17 +31,17 @@ def compiled(setup: Setup, q: Array, v: Array) -> tuple[Array, Array]:
 
 def inverse(setup: Setup, q: Array, v: Array, a: Array) -> Array:
     """Return the compiled inverse dynamics."""
-    body, torque = np.zeros(1, BODY_DTYPE), np.empty(6)
+    body, torque = np.zeros(1, body_dtype(6)), np.empty(6)
     arm = manipulator_record(setup.robot.chain, setup.drives)
     inverse_dynamics(arm[0], body[0], q, v, a, torque)
     return torque
 
 
 @numba.njit
-def factorise_and_solve(mass: Array, factor: Array, x: Array) -> None:
+def factorise_and_solve(mass: Array, work: Any, x: Array) -> None:
     """Write the factor of a matrix, and the solution for what x holds."""
-    factorise(mass, factor)
-    solve(factor, x)
+    factorise(mass, work[0].factor)
+    solve(work[0].factor, x)
 
 
 def random_urdf(seed: int) -> str:
@@ -155,8 +155,8 @@ def test_factor_and_solve_equal_lapack() -> None:
     for _ in range(50):
         root = rng.normal(size=(6, 6))
         mass, b = root @ root.T + 0.05 * np.eye(6), rng.normal(size=6)
-        factor, x = np.zeros((6, 6)), b.copy()
-        factorise_and_solve(mass, factor, x)
+        work, x = np.zeros(1, [("factor", np.float64, (6, 6))]), b.copy()
+        factorise_and_solve(mass, work, x)
         assert x == pytest.approx(np.linalg.solve(mass, b), rel=1e-10, abs=1e-12)
 
 

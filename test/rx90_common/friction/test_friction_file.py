@@ -22,6 +22,7 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import REQUIRED
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.section import PROVENANCE
+from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, FrictionSet, load_friction
 from rx90_common.friction.compiled_elements import element_arrays
@@ -42,7 +43,7 @@ ELEMENTS = (*NAMES, "joint_5_6")
 
 def refusal(path: Path) -> str:
     """Return the one line with which the file is refused."""
-    return refusal_by(lambda file: load_friction(file, NAMES), path)
+    return refusal_by(lambda file: load_friction(file, RX_WRIST.element_names(NAMES)), path)
 
 
 @pytest.mark.parametrize("name", ELEMENTS)
@@ -81,7 +82,7 @@ def test_one_sided_torques_are_checked_too(
 def test_each_sign_gets_its_own_torques(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
     """A pair {positive, negative} reaches the element of each sign; a single value reaches both."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_4", "tau_c"), {"positive": 6.0, "negative": 7.0})
-    element = load_friction(path, NAMES).elements[3]
+    element = load_friction(path, RX_WRIST.element_names(NAMES)).elements[3]
     assert (element.tau_c_positive, element.tau_c_negative) == (6.0, 7.0)
     assert (element.tau_s_positive, element.tau_s_negative) == (7.5, 7.5)
 
@@ -90,7 +91,7 @@ def test_the_shipped_file_says_that_it_is_assumed_and_is_passive(shipped: Setup,
     """The shipped set carries its provenance and gives no passivity warning at any joint speed."""
     assert "provenance: assumed" in shipped_files.friction.read_text()
     assert shipped.friction.names == ELEMENTS
-    assert shipped.friction.passivity_warnings(shipped.robot.max_velocity.tolist()) == []
+    assert shipped.friction.passivity_warnings(shipped.drives.turning.reach(shipped.robot.max_velocity)) == []
 
 
 def test_a_damping_that_is_not_passive_is_warned_of(
@@ -98,8 +99,8 @@ def test_a_damping_that_is_not_passive_is_warned_of(
 ) -> None:
     """The paper's constant c1 gives one line with file, element, value and the c1 that is accepted."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_1", "omega_d"), None, remove=True)
-    friction = load_friction(path, NAMES)
-    speeds = shipped.robot.max_velocity.tolist()
+    friction = load_friction(path, RX_WRIST.element_names(NAMES))
+    speeds = shipped.drives.turning.reach(shipped.robot.max_velocity)
     (line,) = friction.passivity_warnings(speeds)
     assert line.startswith(f"{path}: elements.joint_1.c1 is 100 ")
     assert "\n" not in line
@@ -117,10 +118,10 @@ def test_an_omega_d_that_is_left_out_may_be_written(shipped_files: RobotFiles, e
         path = edited_yaml(shipped_files.friction, ("elements", "joint_1", key), value)
         assert check.is_valid(load_yaml(path).content) == good
         if good:
-            assert load_friction(path, NAMES).elements[0].omega_d == math.inf
+            assert load_friction(path, RX_WRIST.element_names(NAMES)).elements[0].omega_d == math.inf
         else:
             with pytest.raises(ConfigError, match=rf"joint_1.{key} is {value}; accepted: a (finite )?number >= 1e-09"):
-                load_friction(path, NAMES)
+                load_friction(path, RX_WRIST.element_names(NAMES))
 
 
 def test_files_and_legends_follow_from_the_fields(shipped_files: RobotFiles) -> None:
@@ -299,7 +300,7 @@ def test_parts_leave_less_to_the_passivity_limit(shipped: Setup) -> None:
     warned = FrictionSet(
         shipped.friction.names, (dataclasses.replace(tight, ripple=ripple), *shipped.friction.elements[1:])
     )
-    (line,) = warned.passivity_warnings(shipped.robot.max_velocity.tolist())
+    (line,) = warned.passivity_warnings(shipped.drives.turning.reach(shipped.robot.max_velocity))
     assert "elements.joint_1.c1" in line
     assert "ripple" in line
 
@@ -315,22 +316,26 @@ def test_parts_leave_less_to_the_passivity_limit(shipped: Setup) -> None:
 )
 def test_a_warning_names_the_part_that_leaves_less(shipped: Setup, part: FrictionPart, named: str) -> None:
     """However little a part takes away, it is named where c1 would be passive without it."""
-    speeds = shipped.robot.max_velocity.tolist()
+    speeds = shipped.drives.turning.reach(shipped.robot.max_velocity)
     slow = dataclasses.replace(shipped.friction.elements[0], omega_s=1.0)  # static friction counts where c1 does
     tight = dataclasses.replace(slow, c1=0.99 * slow.passive_damping(speeds[0]))
     others = shipped.friction.elements[1:]
     assert FrictionSet(shipped.friction.names, (tight, *others)).passivity_warnings(speeds) == []
     parted = dataclasses.replace(tight, load=LoadPart(0.1, 0.2), **{named: part})
-    (line,) = FrictionSet(shipped.friction.names, (parted, *others)).passivity_warnings(speeds)
+    (line,) = FrictionSet(shipped.friction.names, (parted, *others)).passivity_warnings(
+        RX_WRIST.reach(np.asarray(speeds))
+    )
     assert f"where {named} leaves least friction" in line
     several = dataclasses.replace(parted, ripple=RipplePart((1.0,), (0.05,)), scatter=ScatterPart(0.01, 10.0))
-    (line,) = FrictionSet(shipped.friction.names, (several, *others)).passivity_warnings(speeds)
+    (line,) = FrictionSet(shipped.friction.names, (several, *others)).passivity_warnings(
+        RX_WRIST.reach(np.asarray(speeds))
+    )
     assert f"where {'temperature, ' * (named == 'temperature')}ripple and scatter leave least friction" in line
 
 
 def test_a_set_has_seven_elements(shipped: Setup) -> None:
     """Six or eight elements are no friction set."""
-    with pytest.raises(ConfigError, match="6 elements and 7 names; accepted: 7"):
+    with pytest.raises(ConfigError, match="6 elements and 7 names; accepted: as many"):
         FrictionSet(shipped.friction.names, shipped.friction.elements[:6])
     assert np.all([e.c0 > 0 for e in shipped.friction.elements])
 

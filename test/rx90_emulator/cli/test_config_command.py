@@ -157,14 +157,14 @@ def test_a_parameter_file_of_the_nodes_is_checked(tmp_path: Path, capsys: Captur
     file.write_text(NODE_FILE + "rviz2: {ros__parameters: {odd: 1}}\n", encoding="utf-8")
     assert run("rx90_config", ["check", str(file)]) == 0
     assert capsys.readouterr().out == f"{file}: node_parameters, no problem\n"
-    edited(file, ("factor: 0.5", "factor: -1"), ("4, 5, 6]", "4, 5]"), ("coulomb:", "columb:"))
+    edited(file, ("factor: 0.5", "factor: -1"), ("4, 5, 6]", "4, 5, 6, 7, 8]"), ("coulomb:", "columb:"))
     assert run("rx90_config", ["check", str(file)]) == 1
     said = capsys.readouterr().out.splitlines()
     assert said[0] == (
         f"{file}:3: /**/rx90_sim.ros__parameters.real_time_factor is -1; accepted: a number in [0, 1000]"
     )
     assert said[1].startswith(
-        f"{file}:7: rx90_controller.ros__parameters.servo.kp is [1, 2, 3, 4, 5]; accepted: 6 numb"
+        f"{file}:7: rx90_controller.ros__parameters.servo.kp is [1, 2, 3, 4, 5, 6, 7, 8]; accepted: 1 to "
     )
     assert f"{file}:8: rx90_controller.ros__parameters.feed_forward.columb is unknown to rx90_controller" in said[2]
     file.write_text("rx90_sim: {ros__parameters: {paused: {}}}\n", encoding="utf-8")

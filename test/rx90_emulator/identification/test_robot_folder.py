@@ -19,6 +19,7 @@ from foreign_arms import urdf_text
 from numpy.typing import NDArray
 from schema_faults import schema_faults
 
+from benchmarks.any_arm import joint_names, write_arm
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction import FrictionElement
@@ -33,6 +34,7 @@ from rx90_emulator.identification.excitation.prior import InertialPrior
 from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot_files import (
+    FolderBase,
     Identified,
     folder_base,
     marked,
@@ -42,7 +44,7 @@ from rx90_emulator.identification.output.robot_files import (
 )
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.setup import Setup, load_setup
 
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(5)
@@ -132,7 +134,7 @@ def case(tmp_path_factory: pytest.TempPathFactory, source: BagSource) -> Case:
     inertias = consistent_inertias(estimate_of(columns, values), prior)
     elements = tuple(element_of(one, source) for one in true.friction.elements)
     result = identified(arm, inertias, columns, elements, source, "other.yaml")
-    for name, text in robot_texts(result, base.urdf, base).items():
+    for name, text in robot_texts(result, base.urdf, FolderBase.of(base)).items():
         (place / name).write_text(text)
     return Case(true, before, columns, inertias.parameters, RobotFiles.named(str(place)))
 
@@ -244,6 +246,46 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     assert rest_of(texts["robot.urdf"]) == rest_of(urdf)
     assert '<!-- kept --><link name="bare"/>' in texts["robot.urdf"]
     assert "recorded 20" in texts["robot.urdf"].partition("<link")[0]
+
+
+GRIPPER = """<link name="finger"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0"
+iyz="0"/></inertial></link><link name="frame"><inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0"
+ixz="0" iyz="0"/></inertial></link><joint name="grip" type="prismatic"><parent link="link_3"/><child link="finger"/>
+<axis xyz="1 0 0"/><limit lower="0" upper="0.1" velocity="1" effort="1"/></joint><joint name="end" type="fixed">
+<parent link="finger"/><child link="frame"/></joint></robot>"""
+
+
+def test_folder_of_an_arm_with_a_differential_runs(tmp_path: Path, source: BagSource) -> None:
+    """A gripper held in the identification becomes fixed; the folder's torque is the regressor's, and its loop follows.
+
+    The motors of joints 2 and 3 turn with both.
+    """
+    turns = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 1.0, -1.0]])
+    file = write_arm(tmp_path / "foreign", 3) / "robot.urdf"
+    file.write_text(file.read_text().replace("</robot>", GRIPPER))
+    arm = RigidArm.from_urdf(file, joint_names(3), coupling=turns, rotor_inertia=[0.5, 0.3, 0.2])
+    columns = StandardColumns(arm)
+    prior = InertialPrior.of_urdf(file, arm.names, [0.5, 0.3, 0.2])
+    theta = columns.values()
+    inertias = consistent_inertias(estimate_of(columns, theta), prior)
+    element = FrictionElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e3, 1.0, 0.5)
+    result = identified(arm, inertias, columns, (element_of(element, source),) * 5, source)
+    base, why = folder_base(arm, file)
+    assert base is not None, why
+    assert why.endswith("; grip fixed at 0, as in the identification")
+    folder = tmp_path / "written"
+    folder.mkdir()
+    for name, text in robot_texts(result, file, base).items():
+        (folder / name).write_text(text)
+    setup = load_setup(robot=folder)
+    assert setup.friction.names == (*joint_names(3), "arm_2+arm_3", "arm_2-arm_3")
+    motion = RNG.uniform(-2.0, 2.0, (3, 10, 3))
+    written = RigidArm.from_setup(setup).torque(*motion)
+    np.testing.assert_allclose(written, columns.torque(*motion) @ inertias.parameters, rtol=0.0, atol=1e-8)
+    rest = np.zeros((2, 3))
+    points = TrajectoryPoints(np.array([0.0, 1.0]), np.stack([rest[0], rest[0] + 0.3]), rest, rest)
+    tracking = simulate(setup, points).slow.tracking_error[:, 0]
+    assert np.abs(tracking).max() < 2e-3
 
 
 def rest_of(urdf: str) -> str:

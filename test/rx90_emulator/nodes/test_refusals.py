@@ -67,7 +67,7 @@ def _values() -> Iterator[tuple[str, Any, str]]:
         accepted = "list of numbers" if isinstance(about["default"], list) else type(about["default"]).__name__
         yield from ((declared.name, value, accepted) for value in wrong)
     yield "time_mode", "sometimes", "lock_step, free_running"
-    yield "initial_position", [0.0], "six, rad"
+    yield "initial_position", [0.0, 0.0], "6, one for each joint, or one for all, rad"
 
 
 @pytest.mark.ros
