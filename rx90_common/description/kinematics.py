@@ -1,6 +1,6 @@
 """Kinematics of the tool centre point, for one pose or many at once, path errors, and transforms from link to link.
 
-Every function takes joint angles of shape (..., 6) and broadcasts over the leading axes. `tip_position`, for
+Every function takes joint angles of shape (..., n) and broadcasts over the leading axes. `tip_position`, for
 evaluations, is fast, and does not give the same bits on every machine.
 """
 
@@ -35,8 +35,8 @@ class Pose(NamedTuple):
 
 
 class _Frames(NamedTuple):
-    center: Array  # (..., 6, 3) joint centres in the base frame, m
-    axis: Array  # (..., 6, 3) joint axes in the base frame
+    center: Array  # (..., n, 3) joint centres in the base frame, m
+    axis: Array  # (..., n, 3) joint axes in the base frame
     tcp: Pose
 
 
@@ -55,12 +55,12 @@ def _frames(chain: RigidChain, q: Array) -> _Frames:
 
 
 def forward(chain: RigidChain, q: Array) -> Pose:
-    """Return the pose of the tool centre point at `q` (..., 6) rad."""
+    """Return the pose of the tool centre point at `q` (..., n) rad."""
     return _frames(chain, q).tcp
 
 
 def jacobian(chain: RigidChain, q: Array) -> Array:
-    """Return the geometric Jacobian (..., 6, 6) of the tool centre point in base axes.
+    """Return the geometric Jacobian (..., 6, n) of the tool centre point in base axes.
 
     Rows 0-2 give its velocity in m/s, rows 3-5 the angular velocity in rad/s, per rad/s of each joint.
     """

@@ -333,7 +333,7 @@ class TrajectoryGenerator:
         allowed = np.where(outside > 0.0, outside + limits.start_tolerance, 0.0)
         points = points.held_at(held[0])
         limits.check_points(points, allowed)
-        spline = connect(points, np.where(points.named, held, [held[0], np.zeros(6), np.zeros(6)]), limits)
+        spline = connect(points, np.where(points.named, held, [held[0], *np.zeros_like(held[1:])]), limits)
         last = spline.duration
         if points.velocity is not None and points.velocity[-1].any():
             spline = joined(spline, last, stop(spline.final, points.velocity[-1], limits.acceleration))

@@ -99,7 +99,7 @@ class TrajectoryPoints:
         _check_times(times)
         columns = [list(robot_joints).index(name) for name in names]
         q, v, a = (
-            _table(what, rows, len(times), columns, names)
+            _table(what, rows, len(times), columns, robot_joints)
             for what, rows in (("positions", position), ("velocities", velocity), ("accelerations", acceleration))
         )
         if q is None:
@@ -113,7 +113,8 @@ class TrajectoryPoints:
                     f"point {len(v) - 1}: {robot_joints[fastest]} ends at {v[-1, fastest]:g} rad/s; accepted: 0 within "
                     f"{_REST_VELOCITY:.3g} rad/s, the arm rests at the last point"
                 )
-        return cls(np.array(times, dtype=np.float64), q, v, a, np.isin(np.arange(6), columns), degrees=degrees)
+        named = np.isin(np.arange(len(robot_joints)), columns)
+        return cls(np.array(times, dtype=np.float64), q, v, a, named, degrees=degrees)
 
     def prepared(self) -> TrajectoryPoints:
         """Return them as they are: nothing need be computed beforehand; kept for programs that call it."""
@@ -187,9 +188,9 @@ def _check_times(times: Sequence[float]) -> None:
 
 
 def _table(
-    what: str, rows: Sequence[Sequence[float]], points: int, columns: list[int], names: list[str]
+    what: str, rows: Sequence[Sequence[float]], points: int, columns: list[int], robot_joints: Sequence[str]
 ) -> Array | None:
-    """Return the vectors of all points with their values in the columns of their joints, shape (n, 6)."""
+    """Return the vectors of all points with their values in the columns of their joints, shape (n, joints)."""
     if len(rows) not in (0, points):
         raise TrajectoryError(f"{what} of {len(rows)} points; accepted: of {points}, as many as there are times")
     if not any(len(row) for row in rows):
@@ -202,8 +203,9 @@ def _table(
     values = np.array([row if len(row) else [0.0] * len(columns) for row in rows], dtype=np.float64)
     if not np.isfinite(values).all():
         i, k = np.argwhere(~np.isfinite(values))[0]
-        raise TrajectoryError(f"point {i}: {what} of {names[k]} is {values[i, k]}; accepted: a finite number")
-    table = np.zeros((points, 6))
+        name = robot_joints[columns[k]]
+        raise TrajectoryError(f"point {i}: {what} of {name} is {values[i, k]}; accepted: a finite number")
+    table = np.zeros((points, len(robot_joints)))
     table[:, columns] = values
     return table
 

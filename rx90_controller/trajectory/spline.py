@@ -45,7 +45,7 @@ class Spline:
 
     def sample(self, times: Array) -> Array:
         """Return set-points at `times`, s, shape (m,): position, velocity, acceleration, shape (m, 3, 6)."""
-        setpoints = np.empty((times.size, 3, 6))
+        setpoints = np.empty((times.size, 3, self.final.size))
         sample_spline(self.times, self.coefficients, self.final, times, setpoints)
         return setpoints
 
@@ -54,7 +54,7 @@ class Spline:
 
         Between its ends a polynomial lies within its control points as a Bezier curve (Farin 2002, chapter 5).
         """
-        low, high = np.full((3, 6), np.inf), np.full((3, 6), -np.inf)
+        low, high = (np.full((3, self.final.size), end) for end in (np.inf, -np.inf))
         _control_points(self.coefficients, np.diff(self.times), low, high)
         return low, high
 
@@ -64,7 +64,7 @@ def _control_points(coefficients: Array, span: Array, low: Array, high: Array) -
     """Lower `low` and raise `high`, shape (3, 6), to the control points of all pieces."""
     scaled = np.empty(6)
     for k in range(span.size):
-        for j in range(6):
+        for j in range(low.shape[1]):
             for row in range(3):
                 degree = 5 - row
                 factor = 1.0
@@ -93,14 +93,14 @@ def sample_spline(knots: Array, coefficients: Array, final: Array, times: Array,
     for m in range(times.size):
         t = times[m]
         if t >= knots[last]:
-            for j in range(6):
+            for j in range(final.size):
                 setpoints[m, 0, j] = final[j]
                 setpoints[m, 1, j] = 0.0
                 setpoints[m, 2, j] = 0.0
             continue
         k = max(np.searchsorted(knots, t, side="right") - 1, 0)
         s = t - knots[k]
-        for j in range(6):
+        for j in range(final.size):
             c0, c1, c2 = coefficients[k, 0, j], coefficients[k, 1, j], coefficients[k, 2, j]
             c3, c4, c5 = coefficients[k, 3, j], coefficients[k, 4, j], coefficients[k, 5, j]
             setpoints[m, 0, j] = c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5))))
@@ -110,7 +110,7 @@ def sample_spline(knots: Array, coefficients: Array, final: Array, times: Array,
 
 def resting(position: Array) -> Spline:
     """Return the spline that holds a position, rad, shape (6,)."""
-    return Spline(np.zeros(1), np.zeros((0, 6, 6)), position)
+    return Spline(np.zeros(1), np.zeros((0, 6, position.size)), position)
 
 
 def smooth(times: Array, position: Array, velocity: Array) -> Spline:
@@ -155,7 +155,7 @@ def interpolate(times: Array, position: Array, velocity: Array, acceleration: Ar
         acceleration: rad/s^2, shape (n, 6).
     """
     h = np.diff(times)[:, None]
-    coefficients = np.zeros((times.size - 1, 6, 6))
+    coefficients = np.zeros((times.size - 1, 6, position.shape[1]))
     p0, rise = position[:-1], np.diff(position, axis=0)
     coefficients[:, 0] = p0
     if acceleration is None:
@@ -185,7 +185,7 @@ def joined(first: Spline, at: float, second: Spline) -> Spline:
     times, coefficients = [first.times[:-1][kept]], [first.coefficients[kept]]
     if at > first.duration:
         times.append(first.times[-1:])
-        coefficients.append(np.zeros((1, 6, 6)))
+        coefficients.append(np.zeros((1, 6, first.final.size)))
         coefficients[-1][0, 0] = first.final
     times.append(at + second.times)
     coefficients.append(second.coefficients)
@@ -207,16 +207,16 @@ def merged(spline: Spline, other: Spline, joints: Mask) -> Spline:
 
 
 def _expanded(spline: Spline, knots: Array) -> Array:
-    """Return the coefficients of a spline by the times since other knots that include its own, shape (n, 6, 6)."""
+    """Return the coefficients of a spline by the times since other knots that include its own, shape (n, 6, joints)."""
     piece = np.maximum(np.searchsorted(spline.times, knots, side="right") - 1, 0)
     ended = knots >= spline.duration
-    coefficients = np.zeros((len(knots), 6, 6))
+    coefficients = np.zeros((len(knots), 6, spline.final.size))
     coefficients[ended, 0] = spline.final
     old = spline.coefficients[piece[~ended]]
     since = (knots[~ended] - spline.times[piece[~ended]])[:, None]
     for power in range(6):
         # Taylor's formula, by Horner's scheme.
-        value = np.zeros((len(old), 6))
+        value = np.zeros((len(old), spline.final.size))
         for n in range(5, power - 1, -1):
             value = value * since + math.comb(n, power) * old[:, n]
         coefficients[~ended, power] = value
