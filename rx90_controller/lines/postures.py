@@ -138,9 +138,10 @@ class Postures:
         """Return continuous angles (n, m) at distances (n,) in m as far as the arm reaches, and why no farther."""
         chain, poses = self.robot.chain, line_poses(self.task, distance)
         if self.closed_form is not None:
-            q = self.closed_form.solve(chain, poses, self.task.branch)
-            there = ~np.isnan(q).any(axis=1)
-            return (q, "") if there.all() else (q[: int(np.argmin(there))], _OUT_OF_REACH)
+            solved_at = self.closed_form.solve(chain, poses, self.task.branch)
+            there = ~np.isnan(solved_at).any(axis=1)
+            return (solved_at, "") if there.all() else (solved_at[: int(np.argmin(there))], _OUT_OF_REACH)
+        q: Array | None
         first = Pose(poses.position[0], poses.rotation[0])
         if self.task.start_posture is None:
             q, missed = solve_anywhere(self.robot, first), _OUT_OF_REACH
