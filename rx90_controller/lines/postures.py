@@ -164,7 +164,7 @@ class Postures:
     def _missed(self, pose: Pose, guess: Array) -> str:
         error = pose_error(self.robot.chain, newton_steps(self.robot.chain, pose, guess), pose)
         metres, turn = float(length(error[:3])), float(length(error[3:]))
-        return f"out of reach, the tool stays {metres:.3g} m and {turn:.3g} rad away; {_REACHABLE}"
+        return f"out of reach, Newton's steps end {metres:.3g} m and {turn:.3g} rad away; {_REACHABLE}"
 
     def derivatives(self, q: Array) -> tuple[Array, Array]:
         """Return first and second derivatives of angles (n, m) by the distance, rad/m and rad/m², each (n, m)."""
