@@ -28,7 +28,7 @@ from benchmarks.mujoco_lugre import mujoco_arm
 from benchmarks.plain_loops import run_lanes, run_plain
 from benchmarks.report import in_turns, merge, print_times, ratios, timed
 from rx90_common.base.arrays import Array
-from rx90_common.description.drives import element_matrix
+from rx90_common.description.coupling import RX_WRIST
 from rx90_common.dynamics.manipulator import mass_and_bias
 from rx90_common.friction.curves import LINEAR_SPEED
 from rx90_emulator.loop.closed_loop import simulate
@@ -116,7 +116,7 @@ class PythonLaw:
         return torques
 
 
-_ELEMENT_INPUT = element_matrix()
+_ELEMENT_INPUT = RX_WRIST.element_matrix
 """Input velocities of the friction elements for joint velocities."""
 
 

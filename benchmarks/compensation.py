@@ -32,7 +32,7 @@ from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, tim
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.config import load_yaml, yaml_text
 from rx90_common.base.rates import Rates
-from rx90_common.description.drives import to_joint, to_motor_torque
+from rx90_common.description.coupling import to_joint, to_motor_torque
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.arm_elements import add_to_joints, element_inputs
 from rx90_common.friction.bristle import bristle_step

@@ -18,9 +18,9 @@ from scipy.integrate import odeint
 from tqdm import tqdm
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.drives import to_joint_torque
+from rx90_common.description.coupling import RX_WRIST, to_joint_torque
 from rx90_common.dynamics.manipulator import mass_and_bias
-from rx90_common.friction import ELEMENT_COUNT, FrictionElement, FrictionSet
+from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 from rx90_common.friction.curves import LINEAR_SPEED
 from rx90_common.kernels.compiled import kernel
@@ -181,6 +181,6 @@ def decoupled_setup(shipped: Setup, elements: Sequence[FrictionElement], inertia
         peak_current=1e6 * six,
         spring_torque=0.0 * six,
     )
-    padded = [*elements, *[negligible_element()] * (ELEMENT_COUNT - len(elements))]
+    padded = [*elements, *[negligible_element()] * (RX_WRIST.size.elements - len(elements))]
     friction = FrictionSet(shipped.friction.names, tuple(padded))
     return dataclasses.replace(shipped, robot=robot, drives=drives, friction=friction)

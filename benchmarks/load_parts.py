@@ -23,7 +23,7 @@ import pinocchio as pin
 import rx90_emulator as rx
 from benchmarks.report import arguments, merge
 from rx90_common.base.arrays import Array
-from rx90_common.description.drives import element_matrix
+from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
@@ -75,7 +75,7 @@ def transmitted_of(setup: Setup, motion: Motion, body: Payload | None) -> tuple[
 
 def torque_of(setup: Setup, motion: Motion, body: Payload | None, coefficients: Array) -> Array:
     """Return joint torques, Nm: rigid bodies, rotors, springs, and friction with load parts, shape (7, 2)."""
-    matrix, laws = element_matrix(), setup.friction.elements
+    matrix, laws = RX_WRIST.element_matrix, setup.friction.elements
     inputs, (rigid, carried) = motion[1] @ matrix.T, transmitted_of(setup, motion, body)
     share = np.where(carried * inputs >= 0.0, coefficients[:, 0], coefficients[:, 1])
     coulomb = [law.tau_c_positive for law in laws] + share * np.abs(carried)
@@ -87,7 +87,7 @@ def least_deviation(setup: Setup, motions: Sequence[Motion], body: Payload, coef
 
     Unknown besides are base parameters, Coulomb and viscous torques; what the elements transmit counts as known.
     """
-    arm, share = RigidArm.from_setup(setup), element_matrix().T
+    arm, share = RigidArm.from_setup(setup), RX_WRIST.element_matrix.T
     standard = StandardColumns(arm)
     leading = list(BaseGroups.of(standard).leading)
     information: Array | float = 0.0

@@ -17,7 +17,7 @@ import numpy as np
 
 from rx90_common.base.errors import ExchangeError
 from rx90_common.exchange.ros_start import prepare
-from rx90_common.exchange.topics import MOTOR_NAMES
+from rx90_common.exchange.topics import motor_names
 
 _READY_TIMEOUT = 60.0
 _SILENCE = 5.0
@@ -99,7 +99,7 @@ def _ask(exchanges: int, rounds: int) -> tuple[float, float]:
                 if time.monotonic() > deadline:
                     raise ExchangeError(f"{end.subscribe_topic}: no peer within {_READY_TIMEOUT} s")
                 time.sleep(0.01)
-        message = JointStateCodec(MOTOR_NAMES).encoder(*np.linspace(-1.0, 1.0, 18).reshape(3, 6))(0)
+        message = JointStateCodec(motor_names(6)).encoder(*np.linspace(-1.0, 1.0, 18).reshape(3, 6))(0)
 
         def rate(end: Any, count: int) -> float:
             began = time.perf_counter()
@@ -124,7 +124,7 @@ def _answer(end: Any, parent: int) -> None:
 
     from rx90_common.exchange.cdr import JointStateCodec
 
-    message = JointStateCodec(MOTOR_NAMES).encode(0, effort=np.zeros(6))
+    message = JointStateCodec(motor_names(6)).encode(0, effort=np.zeros(6))
 
     def pong(channel: Any) -> None:
         while not end.is_set() and os.getppid() == parent:

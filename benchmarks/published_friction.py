@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.report import PLOT, arguments, publish
 from rx90_common.base.arrays import Array
-from rx90_common.friction import ELEMENT_COUNT
+from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.load import LoadPart
@@ -81,11 +81,14 @@ def _viscous(temperature: float) -> float:
 
 def of_element(torque: float, temperature: float) -> Array:
     """Return the friction of that element in steady motion at SPEEDS under a load, as the plant's kernel has it."""
-    elements = [element_at(temperature)] * ELEMENT_COUNT
-    parts, states = np.zeros(1, parts_dtype(ELEMENT_COUNT)), np.zeros(1, parts_state_dtype(ELEMENT_COUNT))
-    fill_parts(parts[0], elements, np.ones(ELEMENT_COUNT).tolist(), 1.0, 0)
-    friction = np.empty((len(SPEEDS), ELEMENT_COUNT))
-    _steady(element_arrays(elements), parts, states, np.full(ELEMENT_COUNT, torque), SPEEDS, friction)
+    elements = [element_at(temperature)] * RX_WRIST.size.elements
+    parts, states = (
+        np.zeros(1, parts_dtype(RX_WRIST.size.elements)),
+        np.zeros(1, parts_state_dtype(RX_WRIST.size.elements)),
+    )
+    fill_parts(parts[0], elements, np.ones(RX_WRIST.size.elements).tolist(), 1.0, 0)
+    friction = np.empty((len(SPEEDS), RX_WRIST.size.elements))
+    _steady(element_arrays(elements), parts, states, np.full(RX_WRIST.size.elements, torque), SPEEDS, friction)
     return friction[:, 0]
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.drives import element_matrix
+from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_emulator.identification.estimates import PRESLIDING, SLIDING, ElementEstimate
@@ -23,7 +23,7 @@ from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
-INPUT = element_matrix()
+INPUT = RX_WRIST.element_matrix
 WRIST = np.eye(6)
 WRIST[5, 4] = 1.0
 PERIOD = 1e-3

@@ -18,7 +18,8 @@ from scipy import linalg
 from benchmarks.hybrid_reference import Work
 from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, ratios, timed
 from rx90_common.base.arrays import Array
-from rx90_common.description.drives import Elasticity, coupling_matrix
+from rx90_common.description.coupling import RX_WRIST
+from rx90_common.description.drives import Elasticity
 from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, INK, Curve, Panel, Plot
 from rx90_controller.lines.task import load_task
@@ -48,7 +49,7 @@ def frequencies(setup: Setup) -> tuple[Array, Array]:
     """Return the analytic eigenfrequencies at POSE with held and with free motors, Hz, six each."""
     upper = np.triu(pin.crba(setup.robot.model, setup.robot.model.createData(), POSE))
     mass = upper + np.triu(upper, 1).T
-    stiffness, wrist = np.diag(EXAMPLE), coupling_matrix()
+    stiffness, wrist = np.diag(EXAMPLE), RX_WRIST.turns
     coupled = stiffness @ wrist
     held = linalg.eigh(wrist.T @ coupled, mass, eigvals_only=True)
     both = np.block([[wrist.T @ coupled, -coupled.T], [-coupled, stiffness]])

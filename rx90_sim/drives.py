@@ -33,33 +33,35 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.arrays import Array, Record
-from rx90_common.description.drives import MOST_TERMS, Cogging, CurrentSensor, Windings, to_motor
+from rx90_common.description.coupling import add_drive_torques, to_motor
+from rx90_common.description.drives import MOST_TERMS, Cogging, CurrentSensor, Windings
 from rx90_common.friction.bristle import decay
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import WHOLE, sine_cosine
 from rx90_common.kernels.elementary_arrays import exponential_less_one_of, sines_cosines
-from rx90_common.kernels.lanes import Lanes, Number, absolute, fma, load, select, store
+from rx90_common.kernels.lanes import Lanes, Number, absolute, fma, load, select, size, store
 from rx90_common.kernels.random_numbers import GOLDEN, mixed, nearly_normal
 
 _SMALL = 1e-2  # rad; below it the series of sin(x) / x is exact to rounding, and 0 is not divided by
 _STREAM = np.uint64(1 << 32)  # the sequences of the sensors begin away from those of the friction
 
-COGGING_DTYPE = np.dtype(
-    [
-        ("terms", np.int64),
-        ("harmonic", np.float64, MOST_TERMS),
-        ("cosine", np.float64, (MOST_TERMS, 6)),  # Nm, joint side
-        ("sine", np.float64, (MOST_TERMS, 6)),
-    ],
-    align=True,
-)
-"""Constants: torque = cosine cos(h angle) - sine sin(h angle)."""
 
-COGGING_STATE_DTYPE = np.dtype(
-    [("angle", np.float64, 6), ("speed", np.float64, 6), ("torque", np.float64, 6)],  # of the motors; joint side, Nm
-    align=True,
-)
-"""Workspace."""
+def cogging_dtype(motors: int) -> np.dtype[np.void]:
+    """Return the type of the constants: torque = cosine cos(h angle) - sine sin(h angle)."""
+    return np.dtype(
+        [
+            ("terms", np.int64),
+            ("harmonic", np.float64, MOST_TERMS),
+            ("cosine", np.float64, (MOST_TERMS, motors)),  # Nm, joint side
+            ("sine", np.float64, (MOST_TERMS, motors)),
+        ],
+        align=True,
+    )
+
+
+def cogging_state_dtype(motors: int) -> np.dtype[np.void]:
+    """Return the type of the workspace: of the motors; torques joint side, Nm."""
+    return np.dtype([(name, np.float64, motors) for name in ("angle", "speed", "torque")], align=True)
 
 
 def fill_cogging(record: Any, cogging: Cogging, gear: Array) -> None:
@@ -84,47 +86,47 @@ def _mean_of_wave(half: Lanes) -> Lanes:
 
 @kernel
 def add_cogging(plant: Any, state: Any, angle: Array, velocity: Array, torque: Array, step: float) -> None:
-    """Add the mean cogging over a step to torques of the six joints.
+    """Add the mean cogging over a step to torques of the joints.
 
     Args:
-        plant: constants, PLANT_DTYPE.
-        state: state, STATE_DTYPE.
-        angle: of the joints as the motors have them, rad, in the middle of the step, shape (6,).
+        plant: constants, `plant_dtype`.
+        state: state, `state_dtype`.
+        angle: of the joints as the motors have them, rad, in the middle of the step, shape (n,).
         velocity: the same, rad/s; mean over the step.
-        torque: Nm, shape (6,).
+        torque: Nm, shape (n,).
         step: s.
     """
     motors, cogging = state.cogging, plant.cogging
     to_motor(plant.gear, angle, motors.angle)
     to_motor(plant.gear, velocity, motors.speed)
-    position, half = load(motors.angle, 6), 0.5 * step * load(motors.speed, 6)
+    n = size(motors.angle)
+    position, half = load(motors.angle, n), 0.5 * step * load(motors.speed, n)
     total = 0.0 * position
     for k in range(cogging.terms):
         harmonic = cogging.harmonic[k]
         sine, cosine = sine_cosine(harmonic * position)
-        wave = load(cogging.cosine[k], 6) * cosine - load(cogging.sine[k], 6) * sine
+        wave = load(cogging.cosine[k], n) * cosine - load(cogging.sine[k], n) * sine
         total = total + wave * _mean_of_wave(harmonic * half)
     store(motors.torque, total)
-    for i in range(6):
-        torque[i] += motors.torque[i]
-    torque[4] += motors.torque[5]  # motor 6 turns with joints 5 and 6
+    add_drive_torques(plant.gear, motors.torque, torque)
 
 
-WINDING_DTYPE = np.dtype(
-    [
-        ("used", np.int64),
-        ("heat", np.float64, 6),  # of the square of the torque at the reference temperature, K/s / Nm^2
-        ("coefficient", np.float64),
-        ("reference", np.float64),
-        ("cooling", np.float64, 6),  # 1/s
-        ("ambient", np.float64),
-        ("initial", np.float64),
-        ("limit", np.float64),
-        ("slope", np.float64),  # share of the peak current for each degree below the limit
-    ],
-    align=True,
-)
-"""Constants, motor side."""
+def winding_dtype(motors: int) -> np.dtype[np.void]:
+    """Return the type of the constants, motor side."""
+    return np.dtype(
+        [
+            ("used", np.int64),
+            ("heat", np.float64, motors),  # of the square of the torque at the reference temperature, K/s / Nm^2
+            ("coefficient", np.float64),
+            ("reference", np.float64),
+            ("cooling", np.float64, motors),  # 1/s
+            ("ambient", np.float64),
+            ("initial", np.float64),
+            ("limit", np.float64),
+            ("slope", np.float64),  # share of the peak current for each degree below the limit
+        ],
+        align=True,
+    )
 
 
 def fill_windings(record: Any, windings: Windings, torque_constant: Array) -> None:
@@ -154,10 +156,11 @@ def relative_resistance(winding: Any, temperature: Lanes) -> Lanes:
 
 @kernel
 def warm_windings(winding: Any, torque: Array, temperature: Array, duration: float) -> None:
-    """Advance the temperatures, degrees Celsius, shape (6,), over a time, s, of constant torques, Nm, shape (6,)."""
-    pushed, before = load(torque, 6), load(temperature, 6)
-    heat = load(winding.heat, 6) * pushed * pushed
-    cooling = load(winding.cooling, 6)
+    """Advance the temperatures, degrees Celsius, shape (n,), over a time, s, of constant torques, Nm, shape (n,)."""
+    n = size(winding.heat)
+    pushed, before = load(torque, n), load(temperature, n)
+    heat = load(winding.heat, n) * pushed * pushed
+    cooling = load(winding.cooling, n)
     rate = heat * relative_resistance(winding, before) - cooling * (before - winding.ambient)
     mean, _ = decay(duration * (cooling - heat * winding.coefficient))
     store(temperature, before + duration * rate * mean)
@@ -167,8 +170,8 @@ def current_shares(plant: Record, temperature: Array) -> Array:
     """Return the share of its peak current that each amplifier gives its winding, 1 where it is not too warm.
 
     Args:
-        plant: constants, shape (1,), PLANT_DTYPE.
-        temperature: of the windings, degrees Celsius, shape (6,).
+        plant: constants, shape (1,), `plant_dtype`.
+        temperature: of the windings, degrees Celsius, shape (n,).
     """
     winding = plant["winding"][0]
     return np.array([current_share(winding, float(one)) if winding["used"] else 1.0 for one in temperature])
@@ -192,28 +195,32 @@ def whole_steps(value: Number, step: Number) -> Number:
     return whole * step
 
 
-SENSOR_DTYPE = np.dtype(
-    [
-        ("used", np.int64),
-        ("seed", np.uint64),
-        ("offset", np.float64, 6),
-        ("noise", np.float64, 6),
-        ("resolution", np.float64, 6),
-        ("gain", np.float64),  # of the current loop, for a tick
-        ("torque_constant", np.float64, 6),
-    ],
-    align=True,
-)
-"""Constants, A."""
+def sensor_dtype(motors: int) -> np.dtype[np.void]:
+    """Return the type of the constants, A."""
+    return np.dtype(
+        [
+            ("used", np.int64),
+            ("seed", np.uint64),
+            ("offset", np.float64, motors),
+            ("noise", np.float64, motors),
+            ("resolution", np.float64, motors),
+            ("gain", np.float64),  # of the current loop, for a tick
+            ("torque_constant", np.float64, motors),
+        ],
+        align=True,
+    )
 
-SENSOR_STATE_DTYPE = np.dtype(
-    [
-        ("counter", np.uint64, 6),
-        ("error", np.float64, 6),  # by how much the current is less than without errors, A
-        ("torque", np.float64, 6),  # reported, motor side, Nm
-    ],
-    align=True,
-)
+
+def sensor_state_dtype(motors: int) -> np.dtype[np.void]:
+    """Return the type of the state."""
+    return np.dtype(
+        [
+            ("counter", np.uint64, motors),
+            ("error", np.float64, motors),  # by how much the current is less than without errors, A
+            ("torque", np.float64, motors),  # reported, motor side, Nm
+        ],
+        align=True,
+    )
 
 
 def fill_sensor(record: Any, sensor: CurrentSensor, torque_constant: Array, period: float, seed: int) -> None:
@@ -229,7 +236,7 @@ def fill_sensor(record: Any, sensor: CurrentSensor, torque_constant: Array, peri
 @kernel
 def reset_sensors(sensor: Any, state: Any) -> None:
     """Begin without a current, with random numbers that are always the same for a seed."""
-    for i in range(6):
+    for i in range(size(state.error)):
         state.counter[i] = mixed(sensor.seed + mixed(_STREAM + np.uint64(i)))
         state.error[i] = 0.0
         _measure(sensor, state, i, 0.0)
@@ -237,8 +244,8 @@ def reset_sensors(sensor: Any, state: Any) -> None:
 
 @kernel
 def sense_currents(sensor: Any, state: Any, torque: Array, powered: bool) -> None:
-    """Take the errors off motor torques, Nm, shape (6,), and write what is reported of them."""
-    for i in range(6):
+    """Take the errors off motor torques, Nm, shape (n,), and write what is reported of them."""
+    for i in range(size(state.error)):
         if powered:
             torque[i] -= sensor.torque_constant[i] * state.error[i]
         current = torque[i] / sensor.torque_constant[i]

@@ -2,7 +2,7 @@
 
 Arm, friction and end stops are evaluated once, at the predicted midpoint of the step, as in the rigid plant's step; the
 transmitted torques are implicit, so that no stiffness limits the step. With the twists t of the gears, their torques s
-and the matrix C of the wrist coupling (rx90_common.description.drives), for a step's mean accelerations
+and the matrix C of the coupling (rx90_common.description.coupling), for a step's mean accelerations
 
     M a + h = C^T s - friction on the links + end stops,   B (C a + d2t/dt2) = drive torque - friction - s.
 
@@ -38,8 +38,17 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.description.coupling import (
+    add_drive,
+    add_drive_torques,
+    add_twist,
+    ratios,
+    share_among_drives,
+    turn_of_drive,
+)
 from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
 from rx90_common.kernels.compiled import inlined, kernel
+from rx90_common.kernels.lanes import size
 from rx90_sim.drives import add_cogging
 from rx90_sim.joint_friction import (
     add_brakes,
@@ -54,40 +63,45 @@ _MOST_ITERATIONS = 50  # of Newton's method, which takes two or three
 _TOLERANCE = 1e-12  # of a transmitted torque, relative to the torques about it
 _MOST_SAG_ROUNDS = 100
 
-TRANSMISSION_DTYPE = np.dtype(
-    [
-        ("flexible", np.int64),  # whether any drive is elastic; if not, nothing below is used
-        ("link_friction", np.int64),  # whether the friction of the joints acts on the links
-        ("elastic", np.int64, 6),
-        ("rotor", np.float64, 6),  # joint side, kg m^2
-        ("stiffness", np.float64, 6),  # 0 for rigid drives
-        ("damping", np.float64, 6),
-        ("half_play", np.float64, 6),
-    ],
-    align=True,
-)
-"""Constants; drive 6 moves q5 + q6."""
 
-TRANSMISSION_STATE_DTYPE = np.dtype(
-    [
-        ("twist", np.float64, 6),  # of the motor, seen through the gear, beyond what it moves, rad
-        ("rate", np.float64, 6),
-        ("torque", np.float64, 6),  # mean over the last step, Nm
-        ("friction", np.float64, 6),  # on the motors, brakes and cogging included, mean over the last step, Nm
-        ("link_torque", np.float64, 6),  # on the links, but for the transmitted one, in the last step, Nm
-        # Workspace of a step.
-        ("acceleration", np.float64, 6),  # of the twist
-        ("twist_mid", np.float64, 6),
-        ("rate_mid", np.float64, 6),
-        ("motor_angle", np.float64, 6),  # of the joints as the motors have them, rad
-        ("motor_velocity", np.float64, 6),
-        ("drive", np.float64, 6),  # torque of the motors less friction, Nm
-        ("offset", np.float64, 6),  # torque = offset + slope acceleration
-        ("slope", np.float64, 6),
-        ("matrix", np.float64, (6, 6)),
-    ],
-    align=True,
-)
+def transmission_dtype(drives: int) -> np.dtype[np.void]:
+    """Return the type of the constants."""
+    return np.dtype(
+        [
+            ("flexible", np.int64),  # whether any drive is elastic; if not, nothing below is used
+            ("link_friction", np.int64),  # whether the friction of the joints acts on the links
+            ("elastic", np.int64, drives),
+            ("rotor", np.float64, drives),  # joint side, kg m^2
+            ("stiffness", np.float64, drives),  # 0 for rigid drives
+            ("damping", np.float64, drives),
+            ("half_play", np.float64, drives),
+        ],
+        align=True,
+    )
+
+
+def transmission_state_dtype(drives: int) -> np.dtype[np.void]:
+    """Return the type of the state."""
+    return np.dtype(
+        [
+            ("twist", np.float64, drives),  # of the motor, seen through the gear, beyond what it moves, rad
+            ("rate", np.float64, drives),
+            ("torque", np.float64, drives),  # mean over the last step, Nm
+            ("friction", np.float64, drives),  # on the motors, with brakes and cogging, mean over the last step, Nm
+            ("link_torque", np.float64, drives),  # on the links, but for the transmitted one, in the last step, Nm
+            # Workspace of a step.
+            ("acceleration", np.float64, drives),  # of the twist
+            ("twist_mid", np.float64, drives),
+            ("rate_mid", np.float64, drives),
+            ("motor_angle", np.float64, drives),  # of the joints as the motors have them, rad
+            ("motor_velocity", np.float64, drives),
+            ("drive", np.float64, drives),  # torque of the motors less friction, Nm
+            ("offset", np.float64, drives),  # torque = offset + slope acceleration
+            ("slope", np.float64, drives),
+            ("matrix", np.float64, (drives, drives)),
+        ],
+        align=True,
+    )
 
 
 @kernel
@@ -146,26 +160,28 @@ def twist_at_rest(stiffness: float, half_play: float, torque: float) -> float:
 def hang_links(plant: Any, state: Any) -> None:
     """Move the links, `state.q`, from where the motors are to where they rest in the twisted gears; `state.v` is 0."""
     constants, gears = plant.transmission, state.transmission
-    for i in range(6):
+    n = size(state.q)
+    for i in range(n):
         gears.motor_angle[i] = state.q[i]
     # The weight changes little with the sag: each round leaves a hundredth or so of the error.
     for _ in range(_MOST_SAG_ROUNDS):
         mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
-        _twist_by_weight(constants, gears, state.bias)
+        _twist_by_weight(plant, gears, state.bias)
+        add_twist(plant.gear, gears.motor_angle, gears.twist, -1.0, state.q_mid)
         settled = True
-        for i in range(6):
-            resting = gears.motor_angle[i] - gears.twist[i] + (gears.twist[4] if i == 5 else 0.0)
-            settled = settled and resting == state.q[i]
-            state.q[i] = resting
+        for i in range(n):
+            settled = settled and state.q_mid[i] == state.q[i]
+            state.q[i] = state.q_mid[i]
         if settled:
             return
 
 
 @inlined
-def _twist_by_weight(constants: Any, gears: Any, weight: Array) -> None:
+def _twist_by_weight(plant: Any, gears: Any, weight: Array) -> None:
     """Write the torques that the gears transmit to an arm at rest, and their twists."""
-    for i in range(6):
-        gears.torque[i] = weight[i] - (weight[5] if i == 4 else 0.0)
+    constants = plant.transmission
+    share_among_drives(plant.gear, weight, gears.torque)
+    for i in range(size(constants.rotor)):
         gears.twist[i] = 0.0
         if constants.elastic[i]:
             gears.twist[i] = twist_at_rest(constants.stiffness[i], constants.half_play[i], gears.torque[i])
@@ -175,8 +191,8 @@ def _twist_by_weight(constants: Any, gears: Any, weight: Array) -> None:
 def elastic_reset(plant: Any, state: Any) -> None:
     """Twist the gears such that they carry the arm at rest, on closed brakes; its weight is `state.bias`."""
     gears = state.transmission
-    _twist_by_weight(plant.transmission, gears, state.bias)
-    for i in range(6):
+    _twist_by_weight(plant, gears, state.bias)
+    for i in range(size(state.bias)):
         gears.rate[i] = gears.acceleration[i] = 0.0
         gears.friction[i] = -gears.torque[i]
         gears.link_torque[i] = -state.bias[i]
@@ -185,13 +201,14 @@ def elastic_reset(plant: Any, state: Any) -> None:
 @kernel
 def elastic_substep(plant: Any, state: Any, step: float) -> None:
     """Evaluate arm and friction at the predicted midpoint and step with the mean accelerations found there."""
-    gears, half = state.transmission, 0.5 * step
-    for i in range(6):
-        gears.drive[i] = plant.gear[i] * state.motor_torque[i] - gears.friction[i]
+    gears, half, gear = state.transmission, 0.5 * step, ratios(plant.gear)
+    n = size(state.q)
+    for i in range(n):
+        gears.drive[i] = gear[i] * state.motor_torque[i] - gears.friction[i]
     # The last step's torques, with those that the motors have now, predict the midpoint to second order. The last
     # step's accelerations would not do: those of a very stiff spring may alternate from step to step.
     _balance(plant, state, step)
-    for i in range(6):
+    for i in range(n):
         state.v_mid[i] = state.v[i] + half * state.acceleration[i]
         state.q_mid[i] = state.q[i] + half * (state.v[i] + 0.5 * half * state.acceleration[i])
         gears.rate_mid[i] = gears.rate[i] + half * gears.acceleration[i]
@@ -200,55 +217,50 @@ def elastic_substep(plant: Any, state: Any, step: float) -> None:
     _add_friction(plant, state, step)
     add_stops(plant, state)
     mass_and_bias(plant.arm, state.body, state.q_mid, state.v_mid, state.mass_matrix, state.bias)
-    for i in range(6):
+    for i in range(n):
         gears.link_torque[i] = state.rhs[i] - state.bias[i]
     _balance(plant, state, step)
-    for i in range(6):
+    for i in range(n):
         acceleration, turn = state.acceleration[i], gears.acceleration[i]
         state.q[i] += step * (state.v[i] + half * acceleration)
         state.v[i] += step * acceleration
         gears.twist[i] += step * (gears.rate[i] + half * turn)
         gears.rate[i] += step * turn
     if plant.parts.used:
-        for i in range(6):
-            state.rhs[i] = gears.torque[i]
-        state.rhs[4] += gears.torque[5]
+        for i in range(n):
+            state.rhs[i] = 0.0
+        add_drive_torques(plant.gear, gears.torque, state.rhs)
         if plant.transmission.link_friction:  # lies between gear and link: the link gets what friction leaves
-            take_last_friction(state, state.rhs)
+            take_last_friction(plant, state, state.rhs)
         advance_loads(plant, state, state.rhs, state.acceleration, step)
 
 
 @kernel
-def on_motor_side(state: Any) -> tuple[Array, Array]:
+def on_motor_side(plant: Any, state: Any) -> tuple[Array, Array]:
     """Return the positions and velocities of the joints as the motors have them, rad and rad/s; workspace."""
     gears = state.transmission
-    _to_motor_side(state.q, gears.twist, gears.motor_angle)
-    _to_motor_side(state.v, gears.rate, gears.motor_velocity)
+    add_twist(plant.gear, state.q, gears.twist, 1.0, gears.motor_angle)
+    add_twist(plant.gear, state.v, gears.rate, 1.0, gears.motor_velocity)
     return gears.motor_angle, gears.motor_velocity
 
 
 @kernel
 def add_twists(plant: Any, state: Any, motor: Array) -> None:
-    """Add the twists of the gears to motor positions, rad, shape (6,)."""
-    for i in range(6):
-        motor[i] += plant.gear[i] * state.transmission.twist[i]
-
-
-@kernel
-def _to_motor_side(joint: Array, twist: Array, motor: Array) -> None:
-    """Write the joints' positions (or velocities) as the motors have them: the links' and the twists (their rates)."""
-    for i in range(6):
-        motor[i] = joint[i] + twist[i]
-    motor[5] -= twist[4]
+    """Add the twists of the gears to motor positions, rad, shape (n,)."""
+    gear = ratios(plant.gear)
+    for i in range(size(state.q)):
+        motor[i] += gear[i] * state.transmission.twist[i]
 
 
 @kernel
 def _add_friction(plant: Any, state: Any, step: float) -> None:
     """Write the motors' torques with cogging; take those of friction and closed brakes off motors or links."""
     gears = state.transmission
-    _to_motor_side(state.q_mid, gears.twist_mid, gears.motor_angle)
-    _to_motor_side(state.v_mid, gears.rate_mid, gears.motor_velocity)
-    for i in range(6):
+    gear = ratios(plant.gear)
+    n = size(state.q)
+    add_twist(plant.gear, state.q_mid, gears.twist_mid, 1.0, gears.motor_angle)
+    add_twist(plant.gear, state.v_mid, gears.rate_mid, 1.0, gears.motor_velocity)
+    for i in range(n):
         gears.drive[i] = state.drive_torque[i]
     if plant.cogging.terms > 0:
         add_cogging(plant, state, gears.motor_angle, gears.motor_velocity, gears.drive, step)
@@ -257,10 +269,10 @@ def _add_friction(plant: Any, state: Any, step: float) -> None:
         add_brakes(plant, state, gears.motor_velocity, gears.drive, step)
     else:
         add_friction(plant, state, gears.motor_angle, gears.motor_velocity, gears.drive, step)
-    # As torques of the motors: motor 6 gives what joint 6 gets, motor 5 what joint 5 gets less motor 6's share.
-    gears.drive[4] -= gears.drive[5]
-    for i in range(6):
-        gears.friction[i] = plant.gear[i] * state.motor_torque[i] - gears.drive[i]
+    # As torques of the motors.
+    share_among_drives(plant.gear, gears.drive, gears.drive)
+    for i in range(n):
+        gears.friction[i] = gear[i] * state.motor_torque[i] - gears.drive[i]
 
 
 @kernel
@@ -269,15 +281,15 @@ def _balance(plant: Any, state: Any, step: float) -> None:
     constants, gears = plant.transmission, state.transmission
     for _ in range(_MOST_ITERATIONS):
         _linearise(constants, gears, step)
-        _accelerate_links(constants, gears, state)
-        if _accelerate_twists(constants, gears, state.acceleration, step):
+        _accelerate_links(plant, gears, state)
+        if _accelerate_twists(plant, gears, state.acceleration, step):
             return
 
 
 @inlined
 def _linearise(constants: Any, gears: Any, step: float) -> None:
     """Write the transmitted torques as functions of the accelerations of the twists, about their present ones."""
-    for i in range(6):
+    for i in range(size(constants.rotor)):
         if constants.elastic[i]:
             turn = gears.acceleration[i]
             way = step * (gears.rate[i] + 0.5 * step * turn)
@@ -289,36 +301,32 @@ def _linearise(constants: Any, gears: Any, step: float) -> None:
 
 
 @inlined
-def _accelerate_links(constants: Any, gears: Any, state: Any) -> None:
+def _accelerate_links(plant: Any, gears: Any, state: Any) -> None:
     """Write the mean acceleration of the links, the motors eliminated."""
-    matrix, a = gears.matrix, state.acceleration
-    for i in range(6):
+    constants, matrix, a = plant.transmission, gears.matrix, state.acceleration
+    n = size(gears.matrix)
+    for i in range(n):
         for j in range(i + 1):
             matrix[i, j] = state.mass_matrix[i, j]
         a[i] = gears.link_torque[i]
-    for i in range(6):
+    for i in range(n):
         inertia, torque = constants.rotor[i], gears.drive[i]
         if constants.elastic[i]:
             share = 1.0 / (inertia + gears.slope[i])
             torque = (inertia * gears.offset[i] + gears.slope[i] * torque) * share
             inertia *= gears.slope[i] * share
-        matrix[i, i] += inertia
-        a[i] += torque
-        if i == 5:
-            matrix[4, 4] += inertia
-            matrix[5, 4] += inertia
-            a[4] += torque
-    factorise(matrix, state.factor)
+        add_drive(plant.gear, i, inertia, torque, gears.matrix, state.acceleration)
+    factorise(gears.matrix, state.factor)
     solve(state.factor, a)
 
 
 @inlined
-def _accelerate_twists(constants: Any, gears: Any, a: Array, step: float) -> bool:
+def _accelerate_twists(plant: Any, gears: Any, a: Array, step: float) -> bool:
     """Write accelerations of the twists and transmitted torques; return whether the torques are those of the twists."""
-    found = True
-    for i in range(6):
+    found, constants = True, plant.transmission
+    for i in range(size(constants.rotor)):
         inertia, drive = constants.rotor[i], gears.drive[i]
-        inertial = inertia * (a[i] + a[4] if i == 5 else a[i])
+        inertial = inertia * turn_of_drive(plant.gear, a, i)
         if not constants.elastic[i]:
             gears.torque[i] = drive - inertial
             continue

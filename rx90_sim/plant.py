@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any, NoReturn
 
 import numpy as np
@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError, DivergenceError
 from rx90_common.base.rates import Rates
+from rx90_common.description.coupling import ArmSize, gear_field
 from rx90_common.description.drives import LINK, DriveParameters
 from rx90_common.description.robot import RobotModel
-from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE, manipulator_record
-from rx90_common.friction import ELEMENT_COUNT, FrictionElement, FrictionSet
+from rx90_common.dynamics import body_dtype, manipulator_dtype, manipulator_record
+from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.arm_elements import fill_arm_parts
 from rx90_common.friction.compiled_elements import element_arrays, elements_dtype
 from rx90_common.friction.parts.scatter import check_seed
@@ -23,80 +24,91 @@ from rx90_common.friction.parts.step import parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.temperature import follow_temperatures
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.elementary_arrays import exponential_of
+from rx90_common.kernels.lanes import size
 from rx90_sim.drives import (
-    COGGING_DTYPE,
-    COGGING_STATE_DTYPE,
-    SENSOR_DTYPE,
-    SENSOR_STATE_DTYPE,
-    WINDING_DTYPE,
+    cogging_dtype,
+    cogging_state_dtype,
     fill_cogging,
     fill_sensor,
     fill_windings,
+    sensor_dtype,
+    sensor_state_dtype,
+    winding_dtype,
 )
-from rx90_sim.elastic_gears import TRANSMISSION_DTYPE, TRANSMISSION_STATE_DTYPE
+from rx90_sim.elastic_gears import transmission_dtype, transmission_state_dtype
 from rx90_sim.plant_step import friction_states, plant_reset, plant_step
 from rx90_sim.plant_steps import MOST_STEPS, plant_steps
 
-_NO_COMMAND = np.zeros(6)
 _MOST_CORRECTIONS = 50
-PLANT_DTYPE = np.dtype(
-    [
-        ("arm", MANIPULATOR_DTYPE),
-        ("friction", elements_dtype(ELEMENT_COUNT)),
-        ("brake", elements_dtype(ELEMENT_COUNT)),  # a closed brake is a stiff bristle element on its motor
-        ("parts", parts_dtype(ELEMENT_COUNT)),
-        ("gear", np.float64, 6),
-        ("peak_torque", np.float64, 6),
-        ("resolution", np.float64, 6),  # of the encoder, motor side, rad
-        ("observer_position", np.float64),  # gains of the velocity observer
-        ("observer_velocity", np.float64),
-        ("lower", np.float64, 6),
-        ("upper", np.float64, 6),
-        ("stop_stiffness", np.float64, 6),
-        ("stop_damping", np.float64, 6),
-        ("period", np.float64),
-        ("substeps", np.int64),
-        ("speed_limit", np.float64, 6),
-        ("transmission", TRANSMISSION_DTYPE),
-        ("cogging", COGGING_DTYPE),
-        ("winding", WINDING_DTYPE),
-        ("sensor", SENSOR_DTYPE),
-    ],
-    align=True,
-)
 
-STATE_DTYPE = np.dtype(
-    [
-        ("q", np.float64, 6),
-        ("v", np.float64, 6),
-        ("z", np.float64, ELEMENT_COUNT),
-        ("brake_z", np.float64, ELEMENT_COUNT),
-        ("brakes_closed", np.int64),
-        ("acceleration", np.float64, 6),  # mean over the last step
-        ("drive_torque", np.float64, 6),  # joint side, Nm
-        ("motor_torque", np.float64, 6),
-        ("motor_position", np.float64, 6),  # what the encoder says
-        ("motor_velocity", np.float64, 6),  # what the observer makes of it
-        ("observer", np.float64, 6),  # the observer's position
-        ("saturated", np.int64, 6),  # ticks in which a motor gave less than its command
-        # Workspace of a step; the factor of the mass matrix is also the next step's predictor.
-        ("body", BODY_DTYPE),
-        ("mass_matrix", np.float64, (6, 6)),
-        ("factor", np.float64, (6, 6)),
-        ("bias", np.float64, 6),
-        ("q_mid", np.float64, 6),
-        ("v_mid", np.float64, 6),
-        ("rhs", np.float64, 6),
-        ("transmission", TRANSMISSION_STATE_DTYPE),
-        ("cogging", COGGING_STATE_DTYPE),
-        ("sensor", SENSOR_STATE_DTYPE),
-        ("temperature", np.float64, 6),  # of the windings, degrees Celsius
-        # Of friction elements with parts alone.
-        ("parts", parts_state_dtype(ELEMENT_COUNT)),
-        ("after_friction", np.float64, 6),  # workspace: drive torque less friction, Nm
-    ],
-    align=True,
-)
+
+@cache
+def plant_dtype(arm: ArmSize) -> np.dtype[np.void]:
+    """Return the type of the constants of a plant."""
+    n, e, _ = arm
+    return np.dtype(
+        [
+            ("arm", manipulator_dtype(n)),
+            ("friction", elements_dtype(e)),
+            ("brake", elements_dtype(e)),  # a closed brake is a stiff bristle element on its motor
+            ("parts", parts_dtype(e)),
+            gear_field("gear", arm),
+            ("peak_torque", np.float64, n),
+            ("resolution", np.float64, n),  # of the encoder, motor side, rad
+            ("observer_position", np.float64),  # gains of the velocity observer
+            ("observer_velocity", np.float64),
+            ("lower", np.float64, n),
+            ("upper", np.float64, n),
+            ("stop_stiffness", np.float64, n),
+            ("stop_damping", np.float64, n),
+            ("period", np.float64),
+            ("substeps", np.int64),
+            ("speed_limit", np.float64, n),
+            ("transmission", transmission_dtype(n)),
+            ("cogging", cogging_dtype(n)),
+            ("winding", winding_dtype(n)),
+            ("sensor", sensor_dtype(n)),
+        ],
+        align=True,
+    )
+
+
+@cache
+def state_dtype(arm: ArmSize) -> np.dtype[np.void]:
+    """Return the type of the state of a plant."""
+    n, e, _ = arm
+    return np.dtype(
+        [
+            ("q", np.float64, n),
+            ("v", np.float64, n),
+            ("z", np.float64, e),
+            ("brake_z", np.float64, e),
+            ("brakes_closed", np.int64),
+            ("acceleration", np.float64, n),  # mean over the last step
+            ("drive_torque", np.float64, n),  # joint side, Nm
+            ("motor_torque", np.float64, n),
+            ("motor_position", np.float64, n),  # what the encoder says
+            ("motor_velocity", np.float64, n),  # what the observer makes of it
+            ("observer", np.float64, n),  # the observer's position
+            ("saturated", np.int64, n),  # ticks in which a motor gave less than its command
+            # Workspace of a step; the factor of the mass matrix is also the next step's predictor.
+            ("body", body_dtype(n)),
+            ("mass_matrix", np.float64, (n, n)),
+            ("factor", np.float64, (n, n)),
+            ("bias", np.float64, n),
+            ("q_mid", np.float64, n),
+            ("v_mid", np.float64, n),
+            ("rhs", np.float64, n),
+            ("transmission", transmission_state_dtype(n)),
+            ("cogging", cogging_state_dtype(n)),
+            ("sensor", sensor_state_dtype(n)),
+            ("temperature", np.float64, n),  # of the windings, degrees Celsius
+            # Of friction elements with parts alone.
+            ("parts", parts_state_dtype(e)),
+            ("after_friction", np.float64, n),  # workspace: drive torque less friction, Nm
+        ],
+        align=True,
+    )
 
 
 def plant_record(
@@ -107,12 +119,12 @@ def plant_record(
     substeps: int | None = None,
     seed: int = 0,
 ) -> np.ndarray[Any, Any]:
-    """Return the plant's constants, shape (1,), dtype PLANT_DTYPE.
+    """Return the plant's constants, shape (1,), of `plant_dtype`.
 
     Args:
         robot: the arm.
         drives: gears, motors, brakes, spring, end stops.
-        friction: the seven elements.
+        friction: the elements.
         rates: of the loops.
         substeps: plant steps in a tick; None for as many as the arm needs (rx90_sim.plant_steps).
         seed: of all that is random in the plant.
@@ -126,7 +138,8 @@ def plant_record(
     arm = manipulator_record(robot.chain, drives)
     substeps = plant_steps(robot, drives, friction, arm, rates.period, substeps)
     _check_relax_times(friction, rates.period / substeps)
-    record = np.zeros(1, PLANT_DTYPE)
+    turning = drives.turning
+    record = np.zeros(1, plant_dtype(turning.size))
     plant = record[0]
     plant["arm"] = arm[0]
     _fill_transmission(plant["transmission"], drives)
@@ -135,10 +148,10 @@ def plant_record(
     if plant["transmission"]["flexible"]:
         plant["arm"]["rotor"] = 0.0  # the rotors move on their own
     plant["friction"] = element_arrays(friction.elements)[0]
-    fill_arm_parts(plant["parts"], friction.elements, drives.gear, drives.motor_heat, rates.period, seed)
+    fill_arm_parts(plant["parts"], friction.elements, turning, drives.gear, drives.motor_heat, rates.period, seed)
     fill_sensor(plant["sensor"], drives.current_sensor, drives.torque_constant, rates.period, seed)
     _fill_brakes(plant["brake"], drives)
-    plant["gear"] = drives.gear
+    turning.fill(plant, "gear", drives.gear)
     plant["peak_torque"] = drives.peak_torque
     plant["resolution"] = 2.0 * math.pi / drives.encoder_counts
     pole = exponential_of(-2.0 * math.pi * drives.velocity_bandwidth * rates.period)
@@ -186,19 +199,20 @@ def _fill_transmission(transmission: Any, drives: DriveParameters) -> None:
 def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
     """Write the brakes, bristle elements with the inputs of the friction elements.
 
-    Motor 6 turns with joints 5 and 6 together, so its brake is the seventh; on joint 6 alone there is none.
+    The brake of a motor that turns with several joints is behind those of the joints, and its own joint has none: in the
+    RX family motor 6 turns with joints 5 and 6 together, so its brake is the seventh.
     """
     data = np.array([drives.brake_torque, drives.brake_stiffness, drives.brake_damping])
     brakes = _brake_elements(data.tobytes())
     brake["tau_c"] = brake["tau_s"] = brake["alpha"] = 1.0
     for name in brakes.dtype.names or ():
-        brake[name][..., [0, 1, 2, 3, 4, 6]] = brakes[name][0]
+        brake[name][..., drives.turning.element_of_motor] = brakes[name][0]
 
 
 @lru_cache(maxsize=32)
 def _brake_elements(data: bytes) -> Record:
     """Return torque, stiffness and damping as bristle elements; runs of a sweep mostly have the same."""
-    brakes = np.frombuffer(data).reshape(3, 6).T.tolist()
+    brakes = np.frombuffer(data).reshape(3, -1).T.tolist()
     return element_arrays([FrictionElement(tau, tau, tau, tau, 1.0, 1.0, c0, c1, 0.0) for tau, c0, c1 in brakes])
 
 
@@ -206,11 +220,11 @@ class Plant:
     """The arm with its drives and friction, advanced tick by tick.
 
     Attributes:
-        joint_names: names of the six joints.
-        friction_names: names of the seven friction elements.
+        joint_names: names of the joints.
+        friction_names: names of the friction elements.
         tick: number of the tick whose states are sampled now.
-        constants: compiled constants, shape (1,), PLANT_DTYPE.
-        state: compiled state, shape (1,), STATE_DTYPE.
+        constants: compiled constants, shape (1,), of `plant_dtype`.
+        state: compiled state, shape (1,), of `state_dtype`.
         temperatures: how warm the joints are.
     """
 
@@ -226,28 +240,29 @@ class Plant:
         self.joint_names = robot.joint_names
         self.friction_names = friction.names
         self.constants = plant_record(robot, drives, friction, rates, substeps, seed)
-        self.state: np.ndarray[Any, Any] = (state := np.zeros(1, STATE_DTYPE))
+        self.state: np.ndarray[Any, Any] = (state := np.zeros(1, state_dtype(drives.turning.size)))
         self.tick = 0
         self._lower, self._upper = robot.lower, robot.upper
         sensed = self.constants["sensor"]["used"][0]
         torque = state["sensor"]["torque"][0] if sensed else state["motor_torque"][0]
         self._motor_states = state["motor_position"][0], state["motor_velocity"][0], torque
         self._joint_states = state["q"][0], state["v"][0], state["drive_torque"][0]
-        self._friction_states = state["z"][0], np.zeros(ELEMENT_COUNT), np.zeros(ELEMENT_COUNT)
+        self._friction_states = state["z"][0], np.zeros(len(friction.names)), np.zeros(len(friction.names))
+        self._no_command = np.zeros(len(self.joint_names))
         self.temperatures = JointTemperatures(friction, self.constants, state)
-        self.reset(np.clip(np.zeros(6), self._lower, self._upper))
+        self.reset(np.clip(self._no_command, self._lower, self._upper))
 
     def reset(self, position: ArrayLike) -> None:
-        """Put the arm at rest at `position`, rad, shape (6,), brakes closed, tick 0.
+        """Put the arm at rest at `position`, rad, shape (n,), brakes closed, tick 0.
 
         It is the position by the encoders; where gears are elastic, the links hang a little off it.
 
         Raises:
-            ConfigError: if the position is not six finite numbers within the joint limits.
+            ConfigError: if the position is not a finite number for each joint within the joint limits.
         """
         target = np.array(position, dtype=np.float64)
-        if target.shape != (6,):
-            raise ConfigError(f"initial position has shape {target.shape}; accepted: (6,)")
+        if target.shape != self._lower.shape:
+            raise ConfigError(f"initial position has shape {target.shape}; accepted: {self._lower.shape}")
         for name, value, low, high in zip(self.joint_names, target, self._lower, self._upper, strict=True):
             if not low <= value <= high:
                 raise ConfigError(f"initial position of {name} is {value} rad; accepted: [{low:.4f}, {high:.4f}]")
@@ -255,7 +270,7 @@ class Plant:
         self.tick = 0
 
     def position_of(self, links: ArrayLike) -> Array:
-        """Return the position for `reset`, rad, shape (6,), that leaves the links at rest where they are wanted.
+        """Return the position for `reset`, rad, shape (n,), that leaves the links at rest where they are wanted.
 
         To the last bit wherever rounding allows, so that a run that is done again from its first sample has the same
         bits.
@@ -274,7 +289,7 @@ class Plant:
         """Compile, or load, every kernel that a run calls, and come back to the state before."""
         before, tick = self.state.copy(), self.tick
         self.reset(before["q"][0])
-        self.step(_NO_COMMAND)
+        self.step(self._no_command)
         self.step(None)
         self.friction_states()
         self.state[:], self.tick = before, tick
@@ -283,13 +298,13 @@ class Plant:
         """Hold motor torques for one tick; None takes the torque away and closes the brakes.
 
         Args:
-            command: motor torques, motor side, Nm, shape (6,).
+            command: motor torques, motor side, Nm, shape (n,).
 
         Raises:
             DivergenceError: naming joint and tick; the state is then no longer of use.
         """
         if command is None:
-            joint = plant_step(self.constants, self.state, _NO_COMMAND, False)
+            joint = plant_step(self.constants, self.state, self._no_command, False)
         else:
             joint = plant_step(self.constants, self.state, command, True)
         self.tick += 1
@@ -316,11 +331,11 @@ class Plant:
 
     @property
     def saturated(self) -> NDArray[np.int64]:
-        """Return for how many ticks each motor gave less than its command, shape (6,)."""
+        """Return for how many ticks each motor gave less than its command, shape (n,)."""
         return np.array(self.state["saturated"][0])
 
     def winding_temperatures(self) -> Array:
-        """Return how warm the windings of the motors are, degrees Celsius, shape (6,)."""
+        """Return how warm the windings of the motors are, degrees Celsius, shape (n,)."""
         return np.array(self.state["temperature"][0])
 
     def motor_states(self) -> tuple[Array, Array, Array]:
@@ -331,11 +346,11 @@ class Plant:
         return self._motor_states
 
     def joint_states(self) -> tuple[Array, Array, Array]:
-        """Return joint position rad, velocity rad/s and drive torque at the joint Nm, shape (6,); views, as above."""
+        """Return joint position rad, velocity rad/s and drive torque at the joint Nm, shape (n,); views, as above."""
         return self._joint_states
 
     def friction_states(self) -> tuple[Array, Array, Array]:
-        """Return bristle deflection rad, input velocity rad/s and friction torque Nm, shape (7,).
+        """Return bristle deflection rad, input velocity rad/s and friction torque Nm, shape (e,).
 
         Always the same arrays, brought up to date by this call.
         """
@@ -348,14 +363,14 @@ class JointTemperatures:
     """Views of a plant's state.
 
     Args:
-        friction: the seven elements.
-        constants: of the plant, shape (1,), PLANT_DTYPE.
-        state: of the plant, shape (1,), STATE_DTYPE.
+        friction: the elements.
+        constants: of the plant, shape (1,), of `plant_dtype`.
+        state: of the plant, shape (1,), of `state_dtype`.
 
     Attributes:
         elements: places of the elements that have a temperature in `FrictionSet.names`.
-        now: degrees Celsius, shape (7,); 0 for the other elements.
-        heat: of friction and motors since the last reset, J, shape (7,).
+        now: degrees Celsius, shape (e,); 0 for the other elements.
+        heat: of friction and motors since the last reset, J, shape (e,).
     """
 
     def __init__(self, friction: FrictionSet, constants: np.ndarray[Any, Any], state: np.ndarray[Any, Any]) -> None:
@@ -366,8 +381,8 @@ class JointTemperatures:
         self.heat: Array = warmth["heat"][0]
 
     def set(self, temperatures: ArrayLike) -> None:
-        """Make the joints so warm, degrees Celsius, shape (7,); those without a temperature take none."""
-        wanted = np.broadcast_to(np.asarray(temperatures, dtype=np.float64), ELEMENT_COUNT)
+        """Make the joints so warm, degrees Celsius, shape (e,); those without a temperature take none."""
+        wanted = np.broadcast_to(np.asarray(temperatures, dtype=np.float64), self.now.shape)
         for i in self.elements:
             self.now[i] = wanted[i]
         _follow(self._constants, self._state)
@@ -378,7 +393,7 @@ class JointTemperatures:
 
 
 def beyond_law(friction: FrictionSet, temperatures: Array) -> str:
-    """Return the same for any temperatures of the seven elements, degrees Celsius."""
+    """Return the same for any temperatures of the elements, degrees Celsius."""
     return ", ".join(
         f"{name} at {now:.1f} °C keeps the friction of {part.highest:g} °C, the highest of its law"
         for name, element, now in zip(friction.names, friction.elements, temperatures, strict=True)
@@ -389,4 +404,4 @@ def beyond_law(friction: FrictionSet, temperatures: Array) -> str:
 @kernel
 def _follow(plants: Record, states: Record) -> None:
     """Give the elements the friction of their temperatures."""
-    follow_temperatures(plants[0].parts.temperature, states[0].parts.temperature, 7)
+    follow_temperatures(plants[0].parts.temperature, states[0].parts.temperature, size(states[0].z))

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Record
-from rx90_common.description.drives import to_joint_torque, to_motor
+from rx90_common.description.coupling import to_joint_torque, to_motor
 from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
-from rx90_common.friction.arm_elements import element_inputs
+from rx90_common.friction.arm_elements import element_inputs, element_of_motor
 from rx90_common.kernels.compiled import kernel
-from rx90_common.kernels.lanes import load, store
+from rx90_common.kernels.lanes import load, size, store
 from rx90_sim.drives import (
     add_cogging,
     current_share,
@@ -47,12 +47,12 @@ def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -
     """Put the arm at rest, brakes closed, in static equilibrium, with the motors where `position` has the joints.
 
     Args:
-        plants: constants, shape (1,), PLANT_DTYPE.
-        states: state, shape (1,), STATE_DTYPE, overwritten.
-        position: rad, shape (6,). Links that hang in elastic gears are a little off it.
+        plants: constants, shape (1,), `plant_dtype`.
+        states: state, shape (1,), `state_dtype`, overwritten.
+        position: rad, shape (n,). Links that hang in elastic gears are a little off it.
     """
     plant, state = plants[0], states[0]
-    for i in range(6):
+    for i in range(size(state.q)):
         state.q[i] = position[i]
         state.v[i] = state.acceleration[i] = state.drive_torque[i] = state.motor_torque[i] = 0.0
         state.saturated[i] = 0
@@ -71,19 +71,20 @@ def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -
     if plant.transmission.flexible:
         elastic_reset(plant, state)
         add_twists(plant, state, state.observer)
-    store(state.motor_position, whole_steps(load(state.observer, 6), load(plant.resolution, 6)))
-    for i in range(6):
+    n = size(state.q)
+    store(state.motor_position, whole_steps(load(state.observer, n), load(plant.resolution, n)))
+    for i in range(n):
         state.motor_velocity[i] = 0.0
 
 
 @kernel
 def _hold_cogging(plant: Any, state: Any, position: NDArray[np.float64]) -> None:
     """Let the brakes hold the motors against their cogging, too."""
-    for i in range(6):
+    for i in range(size(state.rhs)):
         state.rhs[i] = 0.0
     add_cogging(plant, state, position, state.v, state.rhs, plant.period)
-    for i in range(6):
-        element = i if i < 5 else 6
+    for i in range(size(state.rhs)):
+        element = element_of_motor(plant.gear, i)
         state.brake_z[element] += state.cogging.torque[i] / plant.brake.c0[element]
 
 
@@ -92,9 +93,9 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
     """Hold the motor torques of `command` for one tick, then sample the encoders.
 
     Args:
-        plants: constants, shape (1,), PLANT_DTYPE.
-        states: state, shape (1,), STATE_DTYPE, advanced in place.
-        command: motor torques, motor side, Nm, shape (6,); ignored without power.
+        plants: constants, shape (1,), `plant_dtype`.
+        states: state, shape (1,), `state_dtype`, advanced in place.
+        command: motor torques, motor side, Nm, shape (n,); ignored without power.
         powered: false takes the torque away and closes the brakes.
 
     Returns:
@@ -113,7 +114,7 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
         advance_parts(plant, state)
     if plant.winding.used:
         warm_windings(plant.winding, state.motor_torque, state.temperature, plant.period)
-    for i in range(6):
+    for i in range(size(state.v)):
         # The comparison is false for NaN too.
         if not abs(state.v[i]) <= plant.speed_limit[i]:
             return _worst_joint(plant, state)
@@ -128,25 +129,26 @@ def sample_drives(plants: Record, states: Record) -> None:
     to_motor(plant.gear, state.q, state.motor_position)
     if plant.transmission.flexible:
         add_twists(plant, state, state.motor_position)
-    angle = load(state.motor_position, 6)
+    n = size(state.q)
+    angle = load(state.motor_position, n)
     position, velocity = observe(
         angle,
-        load(state.observer, 6),
-        load(state.motor_velocity, 6),
+        load(state.observer, n),
+        load(state.motor_velocity, n),
         plant.period,
         plant.observer_position,
         plant.observer_velocity,
     )
     store(state.observer, position)
     store(state.motor_velocity, velocity)
-    store(state.motor_position, whole_steps(angle, load(plant.resolution, 6)))
+    store(state.motor_position, whole_steps(angle, load(plant.resolution, n)))
 
 
 @kernel
 def _worst_joint(plant: Any, state: Any) -> int:
     """Return the joint that exceeds its speed limit most: those next to a diverging joint exceed theirs, too."""
     worst, most = 0, -1.0
-    for i in range(6):
+    for i in range(size(state.v)):
         if math.isnan(state.motor_torque[i]):
             return i
         excess = abs(state.v[i]) / plant.speed_limit[i]
@@ -159,12 +161,12 @@ def _worst_joint(plant: Any, state: Any) -> int:
 
 @kernel
 def friction_states(plants: Record, states: Record, velocity: NDArray[np.float64], torque: NDArray[np.float64]) -> None:
-    """Write input velocity, rad/s, and friction torque, Nm, of the seven elements, shape (7,)."""
+    """Write input velocity, rad/s, and friction torque, Nm, of the elements, shape (e,)."""
     plant, state = plants[0], states[0]
     angle, speed = state.q, state.v
     if plant.transmission.flexible and not plant.transmission.link_friction:
-        angle, speed = on_motor_side(state)
-    store(velocity, element_inputs(speed))
+        angle, speed = on_motor_side(plant, state)
+    store(velocity, element_inputs(plant.gear, speed))
     friction_now(plant, state, angle, speed, torque)
 
 
@@ -173,9 +175,9 @@ def _actuate(plant: Any, state: Any, command: NDArray[np.float64], powered: bool
     """Turn motor torques into joint torques and predict how their jump changes the acceleration."""
     if powered == (state.brakes_closed == 1):
         state.brakes_closed = 0 if powered else 1
-        for i in range(7):
+        for i in range(size(state.brake_z)):
             state.brake_z[i] = 0.0
-    for i in range(6):
+    for i in range(size(state.rhs)):
         torque = command[i] if powered else 0.0
         peak = plant.peak_torque[i]
         if plant.winding.used:
@@ -190,10 +192,10 @@ def _actuate(plant: Any, state: Any, command: NDArray[np.float64], powered: bool
     to_joint_torque(plant.gear, state.motor_torque, state.drive_torque)
     if plant.transmission.flexible:
         return
-    for i in range(6):
+    for i in range(size(state.rhs)):
         state.rhs[i] += state.drive_torque[i]
     solve(state.factor, state.rhs)
-    for i in range(6):
+    for i in range(size(state.rhs)):
         state.acceleration[i] += state.rhs[i]
 
 
@@ -201,25 +203,26 @@ def _actuate(plant: Any, state: Any, command: NDArray[np.float64], powered: bool
 def _substep(plant: Any, state: Any, step: float) -> None:
     """Evaluate arm and friction at the predicted midpoint and step with the mean acceleration found there."""
     half = 0.5 * step
-    for i in range(6):
+    n = size(state.q)
+    for i in range(n):
         state.v_mid[i] = state.v[i] + half * state.acceleration[i]
         state.q_mid[i] = state.q[i] + half * (state.v[i] + 0.5 * half * state.acceleration[i])
-    for i in range(6):
+    for i in range(n):
         state.rhs[i] = state.drive_torque[i]
     if plant.cogging.terms > 0:
         add_cogging(plant, state, state.q_mid, state.v_mid, state.rhs, step)
     # Friction first: the arm does not wait for it, so the processor works on both where one would stall.
     add_friction(plant, state, state.q_mid, state.v_mid, state.rhs, step)
     if plant.parts.used:
-        for i in range(6):
+        for i in range(n):
             state.after_friction[i] = state.rhs[i]
     add_stops(plant, state)
     mass_and_bias(plant.arm, state.body, state.q_mid, state.v_mid, state.mass_matrix, state.bias)
-    for i in range(6):
+    for i in range(n):
         state.rhs[i] -= state.bias[i]
     factorise(state.mass_matrix, state.factor)
     solve(state.factor, state.rhs)
-    for i in range(6):
+    for i in range(n):
         acceleration = state.rhs[i]
         state.q[i] += step * (state.v[i] + half * acceleration)
         state.v[i] += step * acceleration

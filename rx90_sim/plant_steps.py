@@ -41,11 +41,12 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError
-from rx90_common.description.drives import LINK, DriveParameters, coupling_matrix, element_matrix
+from rx90_common.description.coupling import Coupling
+from rx90_common.description.drives import LINK, DriveParameters
 from rx90_common.description.robot import RobotModel
-from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE
+from rx90_common.dynamics import body_dtype, manipulator_dtype
 from rx90_common.dynamics.manipulator import mass_and_bias
-from rx90_common.friction import ELEMENT_COUNT, FrictionSet
+from rx90_common.friction import FrictionSet
 from rx90_common.friction.element import SIGNS
 from rx90_common.kernels.compiled import kernel
 
@@ -61,16 +62,17 @@ GROWTH: Final = 0.1
 DIRECTIONS: Final = 20.0
 """How many times the friction torque of one direction may be that of the other."""
 
-# 128 points that fill a cube evenly: multiples of powers of a root of x^7 = x + 1, modulo 1 (Kronecker's sequence).
-_SHARES = (0.5 + np.arange(1.0, 129.0)[:, None] * 1.112775684278706 ** -np.arange(1.0, 7.0)) % 1.0
-_BODY = np.zeros(1, BODY_DTYPE)  # workspace
+# Roots of x^(n + 1) = x + 1 for n = 1 to 7.
+_ROOTS = (
+    1.618033988749895, 1.324717957244746, 1.2207440846057596, 1.1673039782614187, 1.1347241384015194, 1.112775684278706,
+    1.0969815577985598,
+)  # fmt: skip
 _LARGE = 1e100  # beyond all that an eigenvalue can be computed of
 _GEAR_DAMPING = 0.05  # d / (h k) from which a gear's vibration is gone within some ten steps
-_FRICTION, _HELD, _GEARS = slice(0, ELEMENT_COUNT), slice(0, ELEMENT_COUNT + 12), slice(ELEMENT_COUNT + 12, None)
 
 
 class _Rows(NamedTuple):
-    """What acts on the arm: seven friction elements, six brakes, end stops, gears; each a stiffness and a damper.
+    """What acts on the arm: friction elements, brakes, end stops, gears; each a stiffness and a damper.
 
     Attributes:
         names: of stiffness and damping of each, for messages.
@@ -78,6 +80,7 @@ class _Rows(NamedTuple):
         stiffness: Nm/rad.
         damping: the least at rest, Nm s/rad.
         most_damping: the most up to full speed, Nm s/rad.
+        elements: of friction; brakes, stops and gears share the rest.
     """
 
     names: Sequence[tuple[str, str]]
@@ -85,6 +88,12 @@ class _Rows(NamedTuple):
     stiffness: Array
     damping: Array
     most_damping: Array
+    elements: int
+
+    @property
+    def held(self) -> int:
+        """Return how many are no gears."""
+        return self.elements + 2 * (len(self.names) - self.elements) // 3
 
 
 class _Load(NamedTuple):
@@ -117,8 +126,8 @@ def plant_steps(
     Args:
         robot: its limits.
         drives: brakes, end stops, gears.
-        friction: the seven elements.
-        arm: the rigid arm, shape (1,), MANIPULATOR_DTYPE; with the rotors.
+        friction: the elements.
+        arm: the rigid arm, shape (1,), of `manipulator_dtype(n)`; with the rotors.
         period: of a tick, s.
         asked: steps in a tick, None for as many as it needs.
         braked: whether there are brakes and end stops.
@@ -130,9 +139,9 @@ def plant_steps(
     """
     _check_directions(friction)
     rows = _rows(drives, friction, robot.max_velocity)
-    numbers = (np.asarray(one, np.float64).tobytes() for one in (robot.lower, robot.upper, drives.rotor_inertia))
+    numbers = robot.lower, robot.upper, drives.rotor_inertia, drives.turning.turns
     elastic, link_friction = drives.elasticity.elastic.tobytes(), drives.elasticity.friction_side == LINK
-    gram = _compliance(arm.tobytes(), *numbers, elastic, link_friction)
+    gram = _compliance(arm.tobytes(), *(one.astype(np.float64).tobytes() for one in numbers), elastic, link_friction)
     most = MOST_AUTOMATIC if asked is None else asked
 
     def bear(steps: int) -> bool:
@@ -171,7 +180,7 @@ def _first(bear: Any) -> int | None:
 
 
 def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -> _Rows:
-    speeds = (*max_velocity, max_velocity[4] + max_velocity[5])
+    speeds = drives.turning.reach(max_velocity)
     slopes = [e.viscous_slopes(speed) for e, speed in zip(friction.elements, speeds, strict=True)]
     c1 = np.array([element.c1 for element in friction.elements])
     least, cold, fast = np.array(slopes).T
@@ -184,13 +193,14 @@ def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -
         for name, by_c1 in zip(friction.names, c1 >= 0.5 * most, strict=True)
     ]
     for block in ("brake_", "stop_", "elasticity."):
-        names += [(f"drives.{block}stiffness[{i}]", f"drives.{block}damping[{i}]") for i in range(6)]
+        names += [(f"drives.{block}stiffness[{i}]", f"drives.{block}damping[{i}]") for i in range(len(max_velocity))]
     return _Rows(
         names,
         np.concatenate([np.where(c1 >= 0.5 * most, c1, most), others]),
         np.concatenate([[e.c0 for e in friction.elements], drives.brake_stiffness, drives.stop_stiffness, gears]),
         np.concatenate([rest, others]),
         np.concatenate([most, others]),
+        len(friction.elements),
     )
 
 
@@ -198,7 +208,7 @@ def _loads(rows: _Rows, gram: Array, step: float, braked: bool) -> Iterator[_Loa
     """Yield what has to keep within its bound for a step, s."""
     k, d = step * step * rows.stiffness, step * rows.damping
     still = math.sqrt(8.0 * GROWTH * step)  # k whose undamped vibration grows by GROWTH
-    for part, most_k, most_d in ((_FRICTION, 0.05, 0.5), (_HELD, 0.25, 0.8))[: 1 + braked]:
+    for part, most_k, most_d in ((slice(rows.elements), 0.05, 0.5), (slice(rows.held), 0.25, 0.8))[: 1 + braked]:
         stiff = _load(k, part, gram, most_k, None)
         yield stiff
         yield _load(step * rows.most_damping, part, gram, most_d, 0.0)
@@ -206,7 +216,7 @@ def _loads(rows: _Rows, gram: Array, step: float, braked: bool) -> Iterator[_Loa
         with np.errstate(over="ignore"):  # damping that is refused beside it
             bare = k - cover * d
         yield _load(bare, part, gram, still, cover)
-    yield _load(k - d / _GEAR_DAMPING, _GEARS, gram, 0.25, 1.0 / _GEAR_DAMPING)
+    yield _load(k - d / _GEAR_DAMPING, slice(rows.held, None), gram, 0.25, 1.0 / _GEAR_DAMPING)
 
 
 def _load(values: Array, part: slice, gram: Array, most: float, cover: float | None) -> _Load:
@@ -226,29 +236,36 @@ def _load(values: Array, part: slice, gram: Array, most: float, cover: float | N
 
 
 @lru_cache(maxsize=8)
-def _compliance(arm: bytes, lower: bytes, upper: bytes, rotor: bytes, elastic: bytes, link_friction: bool) -> Array:
-    """Return the largest entries, by size, of W M^-1 W^T over the arm's range, 1/(kg m^2), shape (25, 25).
+def _compliance(
+    arm: bytes, lower: bytes, upper: bytes, rotor: bytes, turns: bytes, elastic: bytes, link_friction: bool
+) -> Array:
+    """Return the largest entries, by size, of W M^-1 W^T over the arm's range, 1/(kg m^2), shape (e + 3 n,) twice.
 
     The inertia that a row feels alone is the inverse of its entry on the diagonal.
     """
     low, high, inertia = np.frombuffer(lower), np.frombuffer(upper), np.diag(np.frombuffer(rotor))
     soft = np.frombuffer(elastic, np.bool_)
-    coupling, inputs = coupling_matrix(), element_matrix()
-    count = int(soft.sum())
-    whole = np.zeros((6 + count, 6 + count))
+    n = len(soft)
+    coupling = np.frombuffer(turns).reshape(n, n)
+    inputs = Coupling(coupling).element_matrix
+    count, e = int(soft.sum()), len(inputs)
+    whole = np.zeros((n + count, n + count))
     if count:  # the motors run ahead of the links by twists
-        whole[:6, 6:] = (coupling.T @ inertia)[:, soft]
-        whole[6:, :6] = (inertia @ coupling)[soft]
-        whole[6:, 6:] = inertia[np.ix_(soft, soft)]
-    w = np.zeros((ELEMENT_COUNT + 18, 6 + count))
-    w[:ELEMENT_COUNT, :6] = inputs
+        whole[:n, n:] = (coupling.T @ inertia)[:, soft]
+        whole[n:, :n] = (inertia @ coupling)[soft]
+        whole[n:, n:] = inertia[np.ix_(soft, soft)]
+    w = np.zeros((e + 3 * n, n + count))
+    w[:e, :n] = inputs
     if not link_friction:  # of the joints as the motors have them, for those of the motors
-        w[:ELEMENT_COUNT, 6:] = (inputs @ np.linalg.inv(coupling))[:, soft]
-    w[7:13, :6], w[7:13, 6:] = coupling, np.eye(6)[:, soft]
-    w[13:19, :6] = np.eye(6)
-    w[19:, 6:] = np.eye(6)[:, soft]
+        w[:e, n:] = (inputs @ np.linalg.inv(coupling))[:, soft]
+    w[e : e + n, :n], w[e : e + n, n:] = coupling, np.eye(n)[:, soft]
+    w[e + n : e + 2 * n, :n] = np.eye(n)
+    w[e + 2 * n :, n:] = np.eye(n)[:, soft]
     largest = np.zeros((len(w), len(w)))
-    _raise_to_largest(np.frombuffer(arm, MANIPULATOR_DTYPE), _BODY, low + _SHARES * (high - low), whole, w, largest)
+    # 128 points that fill a cube evenly: multiples of powers of a root, modulo 1 (Kronecker's sequence).
+    shares = (0.5 + np.arange(1.0, 129.0)[:, None] * _ROOTS[n - 1] ** -np.arange(1.0, n + 1.0)) % 1.0
+    arms, bodies = np.frombuffer(arm, manipulator_dtype(n)), np.zeros(1, body_dtype(n))
+    _raise_to_largest(arms, bodies, low + shares * (high - low), whole, w, largest)
     return largest
 
 
@@ -256,11 +273,12 @@ def _compliance(arm: bytes, lower: bytes, upper: bytes, rotor: bytes, elastic: b
 def _raise_to_largest(arms: Record, bodies: Record, poses: Array, whole: Array, w: Array, largest: Array) -> None:
     """Raise `largest` to the entries of W M^-1 W^T, by size; M's block of the joints in `whole` is overwritten."""
     rows, size = w.shape
-    mass, bias, still = np.empty((6, 6)), np.empty(6), np.zeros(6)
+    n = poses.shape[1]
+    mass, bias, still = np.empty((n, n)), np.empty(n), np.zeros(n)
     factor, solved = np.empty((size, size)), np.empty((rows, size))
     for pose in range(len(poses)):
         mass_and_bias(arms[0], bodies[0], poses[pose], still, mass, bias)
-        whole[:6, :6] = mass
+        whole[:n, :n] = mass
         for i in range(size):  # M = L L^T
             for j in range(i + 1):
                 total = whole[i, j]

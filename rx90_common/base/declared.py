@@ -16,12 +16,13 @@ REQUIRED stands behind it: then the default means that the whole block is left o
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import MISSING, Field, dataclass, fields, replace
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, Integer, NotAccepted, Number, Numbers
+from rx90_common.base.entries import LEFT_OUT, PER_JOINT, REQUIRED, Entry, Integer, NotAccepted, Number, Numbers
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group, Variants
 from rx90_common.base.quoting import quoted
@@ -58,6 +59,11 @@ class Declaration:
     def by_owner(self) -> bool:
         """Return whether the entry is a group, which the owner reads and checks."""
         return isinstance(self.entry, Group | Variants)
+
+    @property
+    def per_joint(self) -> bool:
+        """Return whether it has a value for each joint, or motor, of an arm."""
+        return self.spread or (isinstance(self.entry, Numbers) and self.entry.count == PER_JOINT)
 
     @property
     def spread(self) -> bool:
@@ -97,6 +103,27 @@ class Declared:
                 raise ConfigError(f"{place} is {quoted(fault.value)}; accepted: {fault.accepted}") from None
             if one.kind is not _ARRAY:  # as a file gives it: no NumPy scalar, which writers do not know
                 object.__setattr__(self, one.name, checked)
+
+    def fitted(self: _Self, joints: int, first: str) -> _Self:
+        """Return the same with every array that has a value for each joint as long as `first`, with one for each of so
+        many joints. A single value stands for all of them, as defaults do.
+
+        Raises:
+            ConfigError: for another number of values.
+        """
+        fitting = copy(self)
+        for one in declarations(type(self)).values():
+            value = getattr(self, one.name)
+            if isinstance(value, Declared):
+                object.__setattr__(fitting, one.name, value.fitted(joints, first))
+            if not one.per_joint or np.shape(value) == (joints,):
+                continue
+            if np.shape(value) != (1,):
+                place = f"{self.name}{': ' * bool(self.name)}{one.name}"
+                accepted = f"{joints} numbers, as many as {first} has"
+                raise ConfigError(f"{place} is {quoted(in_file(value))}; accepted: {accepted}")
+            object.__setattr__(fitting, one.name, np.full(joints, value[0]))
+        return fitting
 
     @classmethod
     def group(cls, default: Any = REQUIRED) -> Group:
@@ -181,7 +208,7 @@ def _values(owner: type[Declared], content: Mapping[str, Any]) -> dict[str, Any]
         if one.entry is None:
             values[one.name] = one.kind.of_file(inner.get(last))
         elif last in inner and not one.by_owner:
-            value = np.full(6, inner[last], np.float64) if one.spread else inner[last]
+            value = (inner[last],) if one.spread else inner[last]
             values[one.name] = np.array(value, dtype=np.float64) if one.kind is _ARRAY else value
     return values
 

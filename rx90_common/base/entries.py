@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from numbers import Real
 from typing import Any, Final, NoReturn, TypeAlias
@@ -133,6 +133,27 @@ class Number(Entry):
         return {"type": "number", **least, **most, **other}
 
 
+MOST_JOINTS: Final = 7
+"""Joints that an arm may have."""
+
+
+PER_JOINT: Final = 0
+"""The count of a list that has one value for each joint, or each motor, of an arm."""
+
+
+def _count_text(count: int) -> str:
+    return f"1 to {MOST_JOINTS}" if count == PER_JOINT else f"{count}"
+
+
+def _fits(count: int, value: Sequence[Any]) -> bool:
+    return 1 <= len(value) <= MOST_JOINTS if count == PER_JOINT else len(value) == count
+
+
+def _count_rules(count: int) -> JsonSchema:
+    least, most = (1, MOST_JOINTS) if count == PER_JOINT else (count, count)
+    return {"minItems": least, "maxItems": most}
+
+
 @dataclass(frozen=True)
 class Numbers(Number):
     """So many numbers, each as a Number is."""
@@ -142,17 +163,17 @@ class Numbers(Number):
 
     @property
     def _each(self) -> str:
-        return f"{self.count} numbers, each "
+        return f"{_count_text(self.count)} numbers, each "
 
     def check(self, value: Any) -> Any:
         """Return them as a tuple."""
-        if not isinstance(value, list | tuple) or len(value) != self.count:
+        if not isinstance(value, list | tuple) or not _fits(self.count, value):
             self.refuse(value)
         return tuple(self._number(each, f"[{i}]") for i, each in enumerate(value))
 
     def rules(self) -> JsonSchema:
         """Return length and items."""
-        return {"type": "array", "minItems": self.count, "maxItems": self.count, "items": super().rules()}
+        return {"type": "array", **_count_rules(self.count), "items": super().rules()}
 
 
 def _checked_items(values: list[Any], item: Entry) -> tuple[Any, ...]:
@@ -174,13 +195,16 @@ class Rows(Entry):
 
     def acceptance(self) -> str:
         """Return the size of a row."""
-        return f"a list of rows of {self.count} numbers"
+        return f"a list of rows of {_count_text(self.count)} numbers"
 
     def check(self, value: Any) -> tuple[tuple[float, ...], ...]:
         """Return the rows."""
         if not isinstance(value, list) or not value:
             self.refuse(value)
-        return _checked_items(value, Numbers("", count=self.count))
+        rows = _checked_items(value, Numbers("", count=self.count))
+        if len({len(row) for row in rows}) > 1:
+            raise NotAccepted(value, "rows that are equally long")
+        return rows
 
     def rules(self) -> JsonSchema:
         """Return length and rows."""

@@ -1,4 +1,4 @@
-"""The arm of a URDF as a chain of six rigid bodies, the constants that compiled code and kinematics use.
+"""The arm of a URDF as a chain of rigid bodies, the constants that compiled code and kinematics use.
 
 Pinocchio gives the same numbers to rounding, and other last bits in each of its builds.
 """
@@ -11,7 +11,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.rotations import dot, length, outer, product, rotated, rpy_rotation, transposed
-from rx90_common.description.urdf import JOINT_COUNT, UrdfFile
+from rx90_common.description.urdf import UrdfFile
 
 _GRAVITY = (0.0, 0.0, -9.81)
 
@@ -26,11 +26,11 @@ class RigidChain(NamedTuple):
     compiles a kernel a second time for read-only ones; nothing writes to them.
 
     Attributes:
-        origin: (6, 3) joint centre in the frame before it, m; the first from the base.
-        axis: (6, 3) unit vectors.
-        mass: (6,) kg, with everything fixed to the link, the tool on the last one.
-        com: (6, 3) centre of mass in the link frame, m.
-        inertia: (6, 6) Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, kg m².
+        origin: (n, 3) joint centre in the frame before it, m; the first from the base.
+        axis: (n, 3) unit vectors.
+        mass: (n,) kg, with everything fixed to the link, the tool on the last one.
+        com: (n, 3) centre of mass in the link frame, m.
+        inertia: (n, 6) Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, kg m².
         gravity: (3,) acceleration in the base frame, m/s².
         tcp_position: (3,) tool centre point in the last link frame, m.
         tcp_rotation: (3, 3) its axes in the last link frame, hence in the base at q = 0.
@@ -66,7 +66,8 @@ class _Body(NamedTuple):
 def rigid_chain(file: UrdfFile, tcp_link: str) -> RigidChain:
     """Return the chain of a checked URDF; its tool centre point is the frame of the link `tcp_link`."""
     frames = {file.base_link: _Frame(np.zeros(3), np.eye(3), 0)}
-    position, axis = np.zeros((JOINT_COUNT, 3)), np.zeros((JOINT_COUNT, 3))
+    joints = len(file.limits)
+    position, axis = np.zeros((joints, 3)), np.zeros((joints, 3))
     for joint in file.placements():
         before = frames[joint.parent]
         place = before.position + rotated(before.rotation, np.array(joint.xyz))
@@ -77,7 +78,7 @@ def rigid_chain(file: UrdfFile, tcp_link: str) -> RigidChain:
             index += 1
         frames[joint.child] = _Frame(place, turn, index)
     bodies = [_body(frames[body.link], body.mass, body.xyz, body.rpy, body.inertia) for body in file.bodies()]
-    links = [_together([body for body in bodies if body.joints == i + 1]) for i in range(JOINT_COUNT)]
+    links = [_together([body for body in bodies if body.joints == i + 1]) for i in range(joints)]
     tcp = frames[tcp_link]
     return RigidChain(
         origin=np.diff(position, axis=0, prepend=np.zeros((1, 3))),

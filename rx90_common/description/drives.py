@@ -1,7 +1,4 @@
-"""The drives: gears, motors, encoders, brakes, springs, and how motor 6 turns with joints 5 and 6.
-
-The wrist coupling of the RX family is q_m5 = n5 q5 and q_m6 = n6 (q5 + q6), hence tau5 = n5 tau_m5 + n6 tau_m6 and
-tau6 = n6 tau_m6. The same sum drives friction element 7, whose torque acts on both joints.
+"""The drives: gears with their coupling, motors, encoders, brakes, springs.
 
 Elasticity, cogging, windings and current sensors are blocks of their own; what a file leaves out of them is ideal.
 """
@@ -11,74 +8,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.declared import Declared
-from rx90_common.base.entries import LEFT_OUT, REQUIRED, Integer, ListOf, Number, Numbers, Other, Rows, Text
+from rx90_common.base.entries import LEFT_OUT, PER_JOINT, REQUIRED, Integer, ListOf, Number, Numbers, Rows, Text
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import counted
-from rx90_common.kernels.compiled import kernel
-
-
-@kernel
-def to_motor(gear: NDArray[np.float64], joint: NDArray[np.float64], motor: NDArray[np.float64]) -> None:
-    """Write motor positions (or velocities) for joint positions (or velocities), all shape (6,)."""
-    for i in range(5):
-        motor[i] = gear[i] * joint[i]
-    motor[5] = gear[5] * (joint[4] + joint[5])
-
-
-@kernel
-def to_joint(gear: NDArray[np.float64], motor: NDArray[np.float64], joint: NDArray[np.float64]) -> None:
-    """Write joint positions (or velocities) for motor positions (or velocities), all shape (6,)."""
-    for i in range(5):
-        joint[i] = motor[i] / gear[i]
-    joint[5] = motor[5] / gear[5] - joint[4]
-
-
-@kernel
-def to_joint_torque(gear: NDArray[np.float64], motor: NDArray[np.float64], joint: NDArray[np.float64]) -> None:
-    """Write the joint torques that motor torques make, all shape (6,), Nm."""
-    for i in range(6):
-        joint[i] = gear[i] * motor[i]
-    joint[4] += joint[5]
-
-
-@kernel
-def to_motor_torque(gear: NDArray[np.float64], joint: NDArray[np.float64], motor: NDArray[np.float64]) -> None:
-    """Write the motor torques that make joint torques, all shape (6,), Nm."""
-    for i in range(6):
-        motor[i] = joint[i] / gear[i]
-    motor[4] = (joint[4] - joint[5]) / gear[4]
-
-
-def coupling_matrix() -> NDArray[np.float64]:
-    """Return motor turns for joint turns without the gears, shape (6, 6)."""
-    coupling = np.eye(6)
-    coupling[5, 4] = 1.0
-    return coupling
-
-
-def element_matrix() -> NDArray[np.float64]:
-    """Return input velocities of the seven friction elements for joint velocities, shape (7, 6)."""
-    return np.vstack([np.eye(6), coupling_matrix()[5]])
-
-
-def coupled_inertia(rotor: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotors' share of the mass matrix, shape (6, 6), for joint-side rotor inertias, kg m^2.
-
-    Rotor 6 turns with q5 + q6, so its inertia appears in M55, M56, M65 and M66.
-    """
-    coupling = coupling_matrix()
-    return np.asarray(coupling.T @ np.diag(rotor) @ coupling)
-
+from rx90_common.description.coupling import Coupling
 
 MOST_TERMS = 8
 """Of the Fourier series."""
@@ -95,7 +37,7 @@ class Cogging(Declared):
     """The torque sum over k of amplitude[k] cos(harmonic[k] angle + phase[k]) on the motors, motor side.
 
     It is the slope of an energy, so a turn neither gives nor takes any. The harmonics have shape (n,), none for no
-    cogging; amplitudes and phases (n, 6).
+    cogging; amplitudes and phases (n, motors).
 
     Raises:
         ConfigError: for values that are not finite and series of other lengths.
@@ -105,31 +47,34 @@ class Cogging(Declared):
     about = "Cogging torque of the motors: a Fourier series in the motor's angle; left out: none."
 
     harmonic: Annotated[Array, _waves, REQUIRED] = field(default_factory=lambda: np.zeros(0))
-    amplitude: Annotated[Array, Rows("Amplitudes of the six motors, motor side.", "Nm", count=6), REQUIRED] = field(
-        default_factory=lambda: np.zeros((0, 6))
+    amplitude: Annotated[Array, Rows("Amplitudes of the motors, motor side.", "Nm", count=PER_JOINT), REQUIRED] = field(
+        default_factory=lambda: np.zeros((0, 1))
     )
     phase: Annotated[
         Array,
         Rows(
             "Phases of the cosines where the motors are at 0; 0 where they are left out.", "rad",
-            count=6, default=LEFT_OUT,
+            count=PER_JOINT, default=LEFT_OUT,
         ),
-    ] = field(default_factory=lambda: np.zeros((0, 6)))  # fmt: skip
+    ] = field(default_factory=lambda: np.zeros((0, 1)))  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
         terms = len(self.harmonic)
         if terms > MOST_TERMS:
             raise ConfigError(f"cogging: harmonic has {counted(terms, 'number')}; accepted: up to {MOST_TERMS}")
+        shape = terms, np.shape(self.amplitude)[-1]
         for name in ("amplitude", "phase"):
             value = getattr(self, name)
-            if np.shape(value) != (terms, 6):
-                raise ConfigError(f"cogging: {name} is {value.tolist()}; accepted: numbers of shape {(terms, 6)}")
+            if np.shape(value) != shape:
+                raise ConfigError(f"cogging: {name} is {value.tolist()}; accepted: numbers of shape {shape}")
 
     @classmethod
     def of_file(cls, content: Mapping[str, Any] | None, **fields: Any) -> Cogging:
         """Return what a block of a drives file says; none for none."""
-        phases = {} if content is None else {"phase": ((0.0,) * 6,) * len(content["amplitude"])}
+        phases = (
+            {} if content is None else {"phase": ((0.0,) * len(content["amplitude"][0]),) * len(content["amplitude"])}
+        )
         return super().of_file(content and {**phases, **content}, **fields)
 
     @property
@@ -138,12 +83,12 @@ class Cogging(Declared):
         return bool(np.any(self.amplitude))
 
 
-_amperes = partial(Numbers, unit="A", count=6)
+_amperes = partial(Numbers, unit="A", count=PER_JOINT)
 
 
 @dataclass(frozen=True)
 class CurrentSensor(Declared):
-    """Errors of the six current sensors; every array has shape (6,).
+    """Errors of the current sensors; every array has a value for each.
 
     Raises:
         ConfigError: for values out of range.
@@ -153,13 +98,13 @@ class CurrentSensor(Declared):
     about = "Errors of the amplifiers' current sensors; left out: none."
 
     offset: Annotated[Array, _amperes("What a sensor shows without a current.")] = field(
-        default_factory=lambda: np.zeros(6)
+        default_factory=lambda: np.zeros(1)
     )
     noise: Annotated[Array, _amperes("Standard deviation of a sample, one in each base tick.", low=0.0)] = field(
-        default_factory=lambda: np.zeros(6)
+        default_factory=lambda: np.zeros(1)
     )
     resolution: Annotated[Array, _amperes("Step of the converter; 0 for none.", low=0.0)] = field(
-        default_factory=lambda: np.zeros(6)
+        default_factory=lambda: np.zeros(1)
     )
     bandwidth: Annotated[
         float,
@@ -176,19 +121,19 @@ class CurrentSensor(Declared):
 COPPER = 0.00393
 """Temperature coefficient of copper's resistance at 20 degrees, 1/K (IEC 60028)."""
 _ABSOLUTE_ZERO = -273.15
-_above_0 = partial(Numbers, count=6, low=0.0, above=True)
-_cold, _isolated = Numbers("", count=6, low=0.0), _above_0("", infinite=True)
+_above_0 = partial(Numbers, count=PER_JOINT, low=0.0, above=True)
+_cold, _isolated = Numbers("", count=PER_JOINT, low=0.0), _above_0("", infinite=True)
 _degrees = partial(Number, unit="°C", low=_ABSOLUTE_ZERO, high=1000.0)
 _never = Number("", low=_ABSOLUTE_ZERO, infinite=True)  # also warmer than any winding: no limit
 
 
 def _endless() -> Array:
-    return np.full(6, math.inf)
+    return np.full(1, math.inf)
 
 
 @dataclass(frozen=True)
 class Windings(Declared):
-    """A thermal node in each motor, heated by I^2 R; the arrays have shape (6,), temperatures are in degrees Celsius.
+    """A thermal node in each motor, heated by I^2 R; the arrays have a value for each, temperatures are in degrees Celsius.
 
     A resistance of 0 stands for windings that stay as warm as they are. Between `derating` and `limit` the peak current
     falls linearly.
@@ -201,7 +146,7 @@ class Windings(Declared):
     about = "Windings of the motors, a thermal node each; left out: they stay as warm as they are."
 
     resistance: Annotated[Array, _above_0("Resistance at the reference temperature.", "Ohm"), _cold, REQUIRED] = field(
-        default_factory=lambda: np.zeros(6)
+        default_factory=lambda: np.zeros(1)
     )
     thermal_resistance: Annotated[Array, _above_0("Between winding and surroundings.", "K/W"), _isolated, REQUIRED] = (
         field(default_factory=_endless)
@@ -248,32 +193,26 @@ MOTOR, LINK = "motor", "link"
 SIDES = (MOTOR, LINK)
 """Of the elasticity, on which the friction of the joints may act."""
 
-_STIFFNESS = "6 numbers > 0, .inf for a rigid joint"
 # rad: what a tooth and its gap take up of a wheel with 12 teeth. Gears of robots have an arc minute, 0.0003 rad, common
 # planetary ones half a degree; more than this is a slip of the unit.
 _MOST_PLAY = 0.5
 
 
-def _are_stiffnesses(value: Any) -> bool:
-    if not isinstance(value, list) or len(value) != 6:
-        return False
-    return all(isinstance(number, int | float) and not isinstance(number, bool) and number > 0 for number in value)
-
-
-_rigid_or_soft = Other(
+_rigid_or_soft = _above_0(
     "Stiffness between the motor, seen through its gear, and what it moves; .inf where that is rigid.", "Nm/rad",
-    accepted=_STIFFNESS, good=_are_stiffnesses,
-    fragment={"type": "array", "minItems": 6, "maxItems": 6, "items": {"type": "number", "exclusiveMinimum": 0.0}},
+    infinite=True,
 )  # fmt: skip
-_play = Numbers("Play: the way, at the joint, from one flank to the other.", "rad", count=6, low=0.0, high=_MOST_PLAY)
+_play = Numbers(
+    "Play: the way, at the joint, from one flank to the other.", "rad", count=PER_JOINT, low=0.0, high=_MOST_PLAY
+)
 
 
 @dataclass(frozen=True)
 class Elasticity(Declared):
-    """Between the motors and the links; every array has shape (6,), one value for each drive, joint side.
+    """Between the motors and the links; every array has one value for each drive, joint side.
 
-    Drive 6 turns with joints 5 and 6 together, so its elasticity lies between motor 6 and q5 + q6. With play the
-    damping acts only where the flanks touch.
+    A motor that turns with several joints has its elasticity between it and their sum: motor 6 of the RX family's wrist
+    between it and q5 + q6. With play the damping acts only where the flanks touch.
 
     Raises:
         ConfigError: for values out of range, and damping or play of a rigid drive.
@@ -282,48 +221,57 @@ class Elasticity(Declared):
     name = "elasticity"
     about = "Elasticity and play of the gears, joint side; left out: rigid gears."
 
-    stiffness: Annotated[Array, _rigid_or_soft, REQUIRED] = field(default_factory=lambda: np.full(6, math.inf))
-    damping: Annotated[Array, Numbers("Damping beside the stiffness.", "Nm s/rad", count=6, low=0.0)] = field(
-        default_factory=lambda: np.zeros(6)
+    stiffness: Annotated[Array, _rigid_or_soft, REQUIRED] = field(default_factory=lambda: np.full(1, math.inf))
+    damping: Annotated[Array, Numbers("Damping beside the stiffness.", "Nm s/rad", count=PER_JOINT, low=0.0)] = field(
+        default_factory=lambda: np.zeros(1)
     )
-    backlash: Annotated[Array, _play] = field(default_factory=lambda: np.zeros(6))
+    backlash: Annotated[Array, _play] = field(default_factory=lambda: np.zeros(1))
     friction_side: Annotated[
         str, Text("The side on which the friction of the joints acts.", choices=SIDES), "friction"
     ] = MOTOR
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("damping", "backlash"):
-            value = getattr(self, name)
+        for name, value in self.fitted(len(self.stiffness), "stiffness").__dict__.items():
+            if name not in ("damping", "backlash"):
+                continue
             for i in np.flatnonzero((value > 0) & np.isinf(self.stiffness)):
                 found = f"elasticity: {name}[{i}] is {value[i]:g}, stiffness[{i}] infinite"
                 raise ConfigError(f"{found}; accepted: 0 for a rigid drive")
 
     @property
     def elastic(self) -> Array:
-        """Return which drives are, shape (6,), bool."""
+        """Return which drives are, shape (n,), bool."""
         return np.isfinite(self.stiffness)
 
 
-_six = partial(Numbers, count=6, low=0.0)
+_six = partial(Numbers, count=PER_JOINT, low=0.0)
 _positive = partial(_six, above=True)
 _turns = Numbers(
-    "Motor revolutions per joint revolution; negative where they turn against each other.", count=6, nonzero=True
+    "Motor revolutions per joint revolution; negative where they turn against each other.",
+    count=PER_JOINT,
+    nonzero=True,
 )
+_coupling = Rows(
+    "Turns of each motor (row) for turns of the joints (columns), without the gears; left out: each motor turns with its "
+    "own joint, but of six motors the sixth with joints 5 and 6, as in the RX family.", "1",
+    count=PER_JOINT, default=LEFT_OUT,
+)  # fmt: skip
 _counts = Integer("Encoder counts per motor revolution.", low=16, high=2**30)
 _bandwidth = Number("Bandwidth of the drive's velocity observer.", "Hz", low=0.0, above=True)
 
 
 @dataclass(frozen=True)
 class DriveParameters(Declared):
-    """Six drives; every array has shape (6,), motor 6 drives joints 5 and 6 together.
+    """The drives of an arm with 1 to 7 joints, each with a motor; every array has a value for each, shape (n,).
 
-    Brakes, springs and end stops are those of the joints. What is left out of elasticity, cogging, winding and
+    A coupling says which joints each motor turns with; without one, of six joints, it is the RX family's wrist, whose
+    motor 6 drives joints 5 and 6 together, and in other arms each motor turns with its own joint. Brakes, springs and end stops are those of the joints. What is left out of elasticity, cogging, winding and
     current_sensor is ideal.
     """
 
     name = "drives"
-    about = "Drives of an arm with six joints: lists of six values, motor 6 drives joints 5 and 6 together."
+    about = "Drives of an arm with 1 to 7 joints: lists of one value for each, or for its motor."
     blocks = {  # noqa: RUF012 - a ClassVar of Declared
         "transmission": "Gears and rotors.",
         "motor": "Motors and amplifiers.",
@@ -351,6 +299,7 @@ class DriveParameters(Declared):
     ]
     stop_stiffness: Annotated[Array, _six("Stiffness of the end stops.", "Nm/rad"), "end_stops.stiffness"]
     stop_damping: Annotated[Array, _six("Damping of the end stops.", "Nm s/rad"), "end_stops.damping"]
+    coupling: Annotated[Array, _coupling, "transmission.coupling"] = field(default_factory=lambda: np.zeros((0, 1)))
     elasticity: Elasticity = field(default_factory=Elasticity)
     cogging: Cogging = field(default_factory=Cogging)
     winding: Windings = field(default_factory=Windings)
@@ -358,23 +307,38 @@ class DriveParameters(Declared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        joints = len(self.gear)
+        self.__dict__.update(self.fitted(joints, "gear").__dict__)
+        if self.cogging.amplitude.shape[0] and self.cogging.amplitude.shape[1] != joints:
+            columns = self.cogging.amplitude.shape[1]
+            raise ConfigError(
+                f"cogging: amplitude has rows of {columns} numbers; accepted: {joints}, as many as gear has"
+            )
+        if len(self.turning.turns) != joints:
+            given = self.coupling.tolist()
+            raise ConfigError(f"coupling is {given}; accepted: {joints} rows and columns, as many as gear has numbers")
         for i in np.flatnonzero(self.elasticity.elastic & (np.asarray(self.rotor_inertia) == 0)):
             raise ConfigError(f"rotor_inertia[{i}] is 0; accepted: a number > 0 where the drive is elastic")
 
+    @cached_property
+    def turning(self) -> Coupling:
+        """Return which joints each motor turns with."""
+        return Coupling(np.array(self.coupling)) if len(self.coupling) else Coupling.usual(len(self.gear))
+
     @property
     def peak_torque(self) -> Array:
-        """Return the most that each motor gives, motor side, Nm, shape (6,)."""
+        """Return the most that each motor gives, motor side, Nm, shape (n,)."""
         return self.torque_constant * self.peak_current
 
     @property
     def motor_heat(self) -> Array:
-        """Return the heat of windings at their reference temperature, W for the square of the torque in Nm, (6,)."""
+        """Return the heat of windings at their reference temperature, W for the square of the torque in Nm, (n,)."""
         return np.asarray(self.winding.resistance / self.torque_constant**2)
 
     @property
     def rotor_matrix(self) -> Array:
-        """Return the rotors' share of the mass matrix, kg m^2, shape (6, 6)."""
-        return coupled_inertia(self.rotor_inertia)
+        """Return the rotors' share of the mass matrix, kg m^2, shape (n, n)."""
+        return self.turning.coupled(self.rotor_inertia)
 
 
 DRIVES = DriveParameters.group()

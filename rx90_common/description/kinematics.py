@@ -120,7 +120,7 @@ def path_error(positions: Array, start: Array, end: Array) -> PathError:
 
 
 def tip_position(chain: RigidChain, q: Array) -> Array:
-    """Return the tool centre points (n, 3) in m at `q` (n, 6) rad.
+    """Return the tool centre points (n, 3) in m at `q` (n, joints) rad.
 
     `kinematics.forward` without the rotations: the point is carried from the tip to the base, which costs an eighth of
     the time.
@@ -128,7 +128,7 @@ def tip_position(chain: RigidChain, q: Array) -> Array:
     angles = np.ascontiguousarray(q.T)  # in columns a row for each coordinate: half the time of rows
     sine, cosine = np.sin(angles), 1.0 - np.cos(angles)
     point = np.broadcast_to(chain.tcp_position[:, None], (3, len(q)))
-    for i in range(5, -1, -1):
+    for i in range(len(chain.axis) - 1, -1, -1):
         x, y, z = chain.axis[i]
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         point = point + sine[i] * (cross @ point) + cosine[i] * (cross @ cross @ point) + chain.origin[i][:, None]

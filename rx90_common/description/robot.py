@@ -19,9 +19,10 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import LEFT_OUT, Number, Numbers
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Entries, Group
+from rx90_common.base.quoting import counted, plain
 from rx90_common.base.section import Section
 from rx90_common.description.chain import RigidChain, rigid_chain
-from rx90_common.description.urdf import JOINT_COUNT, Placement, UrdfFile, inertia_fault
+from rx90_common.description.urdf import Placement, UrdfFile, inertia_fault
 
 MOUNT_LINK = "tool0"
 TOOL_LINK = "tool"
@@ -185,16 +186,16 @@ def attach(root: ET.Element, tool: Tool, urdf: Path) -> None:
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """A serial arm of six revolute joints.
+    """A serial arm of n revolute joints.
 
     Attributes:
         joint_names: from base to tip.
         urdf: the URDF with the tool merged, for `robot_description`.
         model: Pinocchio's model of that text.
-        lower: (6,) rad.
-        upper: (6,) rad.
-        max_velocity: (6,) rad/s.
-        max_effort: (6,) Nm.
+        lower: (n,) rad.
+        upper: (n,) rad.
+        max_velocity: (n,) rad/s.
+        max_effort: (n,) Nm.
         chain: the same arm for compiled code.
         tcp_frame: the link whose frame is the tool centre point.
         placements: the frames of all joints, fixed ones and the tool's too.
@@ -211,9 +212,20 @@ class RobotModel:
     tcp_frame: str
     placements: tuple[Placement, ...]
 
+    def check_count(self, file: Path, name: str, values: Array) -> None:
+        """Check that a file with lists of one value for each joint has as many as the arm has joints.
+
+        Raises:
+            ConfigError: naming file, list, its length and what is accepted.
+        """
+        joints = len(self.joint_names)
+        if len(values) != joints:
+            accepted = f"accepted: {joints}, one for each joint of {plain(self.model.name)}"
+            raise ConfigError(f"{plain(file)}: {name} has {counted(len(values), 'number')}; {accepted}")
+
 
 def load_robot(urdf: Path, tool: Path | None = None) -> RobotModel:
-    """Read a URDF of a fixed-base serial arm with six revolute joints, and the tool it carries.
+    """Read a URDF of a fixed-base serial arm with 1 to 7 revolute joints, and the tool it carries.
 
     Without a tool the tool centre point is link `tool0`, or the last link where there is none.
 
@@ -244,4 +256,4 @@ def _tcp_frame(file: UrdfFile, model: Any, has_tool: bool) -> str:
     bodies = [frame for frame in model.frames if frame.type == pin.BODY]
     # Pinocchio 2 calls it `parent`.
     parents = [(f.name, f.parentJoint if hasattr(f, "parentJoint") else f.parent) for f in bodies]
-    return str([name for name, joint in parents if joint == JOINT_COUNT][-1])
+    return str([name for name, joint in parents if joint == model.njoints - 1][-1])

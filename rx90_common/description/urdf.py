@@ -1,6 +1,6 @@
 """Read a URDF and say in one line what is wrong with it, before any library sees it.
 
-Only a fixed-base arm of six revolute joints in series passes; fixed side branches are allowed.
+Only a fixed-base arm of 1 to 7 revolute joints in series passes; fixed side branches are allowed.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
+from rx90_common.base.entries import MOST_JOINTS
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 
-JOINT_COUNT = 6
 _INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # A thin body may miss the triangle inequality by the rounding of its printed digits.
 _TRIANGLE_TOLERANCE = 1e-6
@@ -209,7 +209,7 @@ class UrdfFile(_CheckedElements):
         for name, joint in self._joints.items():
             kind = joint.get("type")
             if kind not in {"revolute", "fixed"}:
-                self.refuse(f"joint '{name}' type", kind, "revolute (six of them in series) or fixed")
+                self.refuse(f"joint '{name}' type", kind, f"revolute (1 to {MOST_JOINTS} of them in series) or fixed")
             if joint.find("mimic") is not None:
                 self.refuse(f"joint '{name}'", "mimic", "joints that move by themselves")
             self._origin(joint, f"joint '{name}'")
@@ -246,18 +246,18 @@ class UrdfFile(_CheckedElements):
         return path[::-1]
 
     def _chain(self) -> list[str]:
-        """Return the revolute joints from base to tip; check that there are six, in series, with mass."""
+        """Return the revolute joints from base to tip; check that there are not too many, in series, with mass."""
         moving = [name for name, joint in self._joints.items() if joint.get("type") == "revolute"]
-        if len(moving) != JOINT_COUNT:
-            self.refuse("the number of revolute joints", len(moving), f"{JOINT_COUNT}, in series")
+        if not 1 <= len(moving) <= MOST_JOINTS:
+            self.refuse("the number of revolute joints", len(moving), f"1 to {MOST_JOINTS}, in series")
         paths = {
             name: [j for j in self._path(self._end(name, "child"), self._parent_joint) if j in moving]
             for name in moving
         }
         last = max(paths, key=lambda name: len(paths[name]))
-        if len(paths[last]) != JOINT_COUNT:
+        if len(paths[last]) != len(moving):
             side = next(name for name in moving if name not in paths[last])
-            self.refuse(f"joint '{side}'", "on a side branch", f"{JOINT_COUNT} revolute joints in series")
+            self.refuse(f"joint '{side}'", "on a side branch", "revolute joints in series")
         self._check_masses(paths[last])
         return paths[last]
 

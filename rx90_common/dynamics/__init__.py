@@ -4,6 +4,6 @@ It lies on the ground because plant, controller and perturbation method share it
 """
 
 from rx90_common.dynamics.base_parameters import manipulator_record
-from rx90_common.dynamics.manipulator import BODY_DTYPE, MANIPULATOR_DTYPE
+from rx90_common.dynamics.manipulator import body_dtype, manipulator_dtype
 
-__all__ = ["BODY_DTYPE", "MANIPULATOR_DTYPE", "manipulator", "manipulator_record"]
+__all__ = ["body_dtype", "manipulator", "manipulator_dtype", "manipulator_record"]

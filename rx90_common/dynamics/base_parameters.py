@@ -17,21 +17,21 @@ from rx90_common.base.arrays import Array
 from rx90_common.description.chain import RigidChain
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.rotations import dot, length, outer, product, rotated, transposed
-from rx90_common.dynamics.manipulator import MANIPULATOR_DTYPE
+from rx90_common.dynamics.manipulator import manipulator_dtype
 from rx90_common.kernels.elementary_arrays import angles_of, sines_cosines
 
-_SHAPES = (6, 3), (6, 3), (6,), (6, 3), (6, 6), (3,), (3,), (3, 3)  # of a RigidChain's arrays
+_SHAPES = (-1, 3), (-1, 3), (-1,), (-1, 3), (-1, 6), (3,), (3,), (3, 3)  # of a RigidChain's arrays
 
 
 class BaseParameters(NamedTuple):
     """The arm in link frames whose z axes are the joint axes and whose origins lie on them.
 
     Attributes:
-        frame: (6, 3, 3) orientation of each link's frame in the frame before it, at q = 0.
-        next_origin: (6, 3) origin of the next link in the link's own frame, m; zero for the last.
+        frame: (n, 3, 3) orientation of each link's frame in the frame before it, at q = 0.
+        next_origin: (n, 3) origin of the next link in the link's own frame, m; zero for the last.
         first_origin: (3,) origin of the first link in the base, m.
-        first_moment: (6, 2) integrals of x and y over the mass, kg m.
-        second_moment: (6, 4) integrals of xx, yy, xz and yz over the mass, kg m^2.
+        first_moment: (n, 2) integrals of x and y over the mass, kg m.
+        second_moment: (n, 4) integrals of xx, yy, xz and yz over the mass, kg m^2.
     """
 
     frame: Array
@@ -75,7 +75,7 @@ def _base_parameters(*content: bytes) -> BaseParameters:
 
 
 def _second_moments(chain: RigidChain) -> Array:
-    """Return the integrals of r r^T over the mass about the link origins, shape (6, 3, 3), kg m^2."""
+    """Return the integrals of r r^T over the mass about the link origins, shape (n, 3, 3), kg m^2."""
     xx, yy, zz, xy, xz, yz = chain.inertia.T
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1)
     central = 0.5 * (xx + yy + zz)[:, None, None] * np.eye(3) - inertia
@@ -83,7 +83,7 @@ def _second_moments(chain: RigidChain) -> Array:
 
 
 def _link_frames(z: Array, moment: Array) -> Array:
-    """Return axes (columns) with the given z, turned such that x and y are principal directions, (6, 3, 3)."""
+    """Return axes (columns) with the given z, turned such that x and y are principal directions, (n, 3, 3)."""
     side = np.cross(np.eye(3)[np.argmin(np.abs(z), axis=1)], z)
     x = side / length(side)[:, None]
     y = np.cross(z, x)
@@ -93,8 +93,8 @@ def _link_frames(z: Array, moment: Array) -> Array:
 
 
 def manipulator_record(chain: RigidChain, drives: DriveParameters) -> np.ndarray[Any, Any]:
-    """Return the constants of an arm with its rotors and springs, shape (1,), dtype MANIPULATOR_DTYPE."""
-    record = np.zeros(1, MANIPULATOR_DTYPE)
+    """Return the constants of an arm with its rotors and springs, shape (1,), of `manipulator_dtype(n)`."""
+    record = np.zeros(1, manipulator_dtype(len(chain.mass)))
     arm = record[0]
     parameters = base_parameters(chain)
     arm["frame"] = parameters.frame.transpose(2, 1, 0)

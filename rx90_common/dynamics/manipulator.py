@@ -1,6 +1,6 @@
-"""The rigid arm in compiled code: mass matrix and bias torques of a serial chain of six revolute joints.
+"""The rigid arm in compiled code: mass matrix and bias torques of a serial chain of revolute joints.
 
-All six links are worked on at once, one lane each (rx90_common.kernels.lanes); only the product of the rotations runs
+All links are worked on at once, one lane each (rx90_common.kernels.lanes); only the product of the rotations runs
 from link to link. Every quantity is expressed in the base frame about the base origin, where inertias and
 forces of several links simply add up: the composite-rigid-body algorithm (Featherstone 2008, table 6.2)
 becomes a sum over lanes. Mass distributions are first and second moments, integrals of r and r r^T, of the
@@ -9,6 +9,7 @@ base parameters, which hold no mass; Pinocchio is the oracle in the tests. The i
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,25 +18,32 @@ from numpy.typing import NDArray
 from rx90_common.base.arrays import Array
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import sine_cosine
-from rx90_common.kernels.lanes import Lanes, delay, first, fma, lane, load, prefix_sum, store, suffix_sum
+from rx90_common.kernels.lanes import Lanes, delay, first, fma, lane, load, prefix_sum, size, store, suffix_sum
 
-MANIPULATOR_DTYPE = np.dtype(
-    [
-        ("frame", np.float64, (3, 3, 6)),  # column, component, link: in the frame before, at q = 0
-        ("next_origin", np.float64, (3, 6)),
-        ("first_origin", np.float64, 3),
-        ("first_moment", np.float64, (2, 6)),  # x, y
-        ("second_moment", np.float64, (4, 6)),  # xx, yy, xz, yz
-        ("base_acceleration", np.float64, 3),  # upwards: it stands for gravity
-        ("rotor", np.float64, (6, 6)),
-        ("spring_torque", np.float64, 6),  # amplitude of the torque -k sin(q)
-    ],
-    align=True,
-)
-"""Constants, the link last: the base parameters, gravity, the rotors' inertia, the spring."""
 
-BODY_DTYPE = np.dtype([("orientation", np.float64, (3, 3, 6))], align=True)
-"""Workspace of one evaluation: column, component, link of the rotations."""
+@cache
+def manipulator_dtype(joints: int) -> np.dtype[np.void]:
+    """Return the type of the constants, the link last: the base parameters, gravity, the rotors' inertia, the spring."""
+    return np.dtype(
+        [
+            ("frame", np.float64, (3, 3, joints)),  # column, component, link: in the frame before, at q = 0
+            ("next_origin", np.float64, (3, joints)),
+            ("first_origin", np.float64, 3),
+            ("first_moment", np.float64, (2, joints)),  # x, y
+            ("second_moment", np.float64, (4, joints)),  # xx, yy, xz, yz
+            ("base_acceleration", np.float64, 3),  # upwards: it stands for gravity
+            ("rotor", np.float64, (joints, joints)),
+            ("spring_torque", np.float64, joints),  # amplitude of the torque -k sin(q)
+        ],
+        align=True,
+    )
+
+
+@cache
+def body_dtype(joints: int) -> np.dtype[np.void]:
+    """Return the type of the workspace of one evaluation: column, component, link of the rotations."""
+    return np.dtype([("orientation", np.float64, (3, 3, joints))], align=True)
+
 
 Vector: TypeAlias = tuple[Lanes, Lanes, Lanes]
 Symmetric = tuple[Vector, Vector, Vector]
@@ -43,14 +51,14 @@ Symmetric = tuple[Vector, Vector, Vector]
 
 
 @inlined
-def load_vectors(rows: Array) -> Vector:
-    """Return the vectors of six links from an array of shape (3, 6)."""
-    return load(rows[0], 6), load(rows[1], 6), load(rows[2], 6)
+def load_vectors(rows: Array, links: int) -> Vector:
+    """Return the vectors of the links, a literal, from an array of shape (3, links)."""
+    return load(rows[0], links), load(rows[1], links), load(rows[2], links)
 
 
 @inlined
 def first_links(a: Vector) -> Vector:
-    """Return the vectors of the first four links."""
+    """Return the vectors of the first four links, or of all where there are fewer."""
     return first(a[0], 4), first(a[1], 4), first(a[2], 4)
 
 
@@ -141,22 +149,22 @@ def mass_and_bias(
     mass_matrix: NDArray[np.float64],
     bias: NDArray[np.float64],
 ) -> None:
-    """Write M(q), shape (6, 6), and h(q, v), shape (6,): M a + h = drive torque - friction torque.
+    """Write M(q), shape (n, n), and h(q, v), shape (n,): M a + h = drive torque - friction torque.
 
-    M includes the rotors with the wrist coupling; h holds Coriolis, centrifugal and gravity torques and the
+    M includes the rotors with the coupling; h holds Coriolis, centrifugal and gravity torques and the
     gravity-compensation spring.
 
     Args:
-        arm: record of MANIPULATOR_DTYPE.
-        body: record of BODY_DTYPE, overwritten.
-        q: joint positions, rad, shape (6,).
-        v: joint velocities, rad/s, shape (6,).
+        arm: record of `manipulator_dtype(n)`.
+        body: record of `body_dtype(n)`, overwritten.
+        q: joint positions, rad, shape (n,).
+        v: joint velocities, rad/s, shape (n,).
         mass_matrix: overwritten, kg m^2.
         bias: overwritten, Nm.
     """
     pose = _pose(arm, body, q)
     z, moment, origin = pose.z, pose.moment, pose.origin
-    turn = scale(load(v, 6), z)
+    turn = scale(load(v, size(arm.rotor)), z)
     w = sum_from_base(turn)
     # The link's own turn adds nothing to w x turn, so w may include it.
     field = _acceleration_field(w, sum_from_base(cross(w, turn)))
@@ -178,24 +186,24 @@ def inverse_dynamics(
     a: NDArray[np.float64],
     torque: NDArray[np.float64],
 ) -> None:
-    """Write M(q) a + h(q, v), shape (6,), without the mass matrix (recursive Newton-Euler: Featherstone 2008, 5.3).
+    """Write M(q) a + h(q, v), shape (n,), without the mass matrix (recursive Newton-Euler: Featherstone 2008, 5.3).
 
     Args:
-        arm: constants, a record of MANIPULATOR_DTYPE.
-        body: workspace, a record of BODY_DTYPE.
-        q: joint positions, rad, shape (6,).
-        v: joint velocities, rad/s, shape (6,).
-        a: joint accelerations, rad/s^2, shape (6,).
+        arm: constants, a record of `manipulator_dtype(n)`.
+        body: workspace, a record of `body_dtype(n)`.
+        q: joint positions, rad, shape (n,).
+        v: joint velocities, rad/s, shape (n,).
+        a: joint accelerations, rad/s^2, shape (n,).
         torque: overwritten, Nm.
     """
     pose = _pose(arm, body, q)
-    z, acceleration = pose.z, load(a, 6)
-    turn = scale(load(v, 6), z)
+    z, acceleration = pose.z, load(a, size(arm.rotor))
+    turn = scale(load(v, size(arm.rotor)), z)
     w = sum_from_base(turn)
     field = _acceleration_field(w, sum_from_base(add_scaled(cross(w, turn), acceleration, z)))
     total = _torques(arm, pose, field)
-    for i in range(6):
-        total = fma(a[i], load(arm.rotor[i], 6), total)
+    for i in range(size(arm.rotor)):
+        total = fma(a[i], load(arm.rotor[i], size(arm.rotor)), total)
     store(torque, total)
 
 
@@ -221,14 +229,15 @@ class _Pose(NamedTuple):
 
 @inlined
 def _pose(arm: Any, body: Any, q: NDArray[np.float64]) -> _Pose:
-    sine, cosine = sine_cosine(load(q, 6))
+    n = size(arm.rotor)
+    sine, cosine = sine_cosine(load(q, n))
     _turn_joints(arm.frame, body.orientation, sine, cosine)
     _chain_rotations(body.orientation)
-    x, y = load_vectors(body.orientation[0]), load_vectors(body.orientation[1])
-    z = load_vectors(body.orientation[2])
-    step = _combine(x, y, z, load_vectors(arm.next_origin))
+    x, y = load_vectors(body.orientation[0], n), load_vectors(body.orientation[1], n)
+    z = load_vectors(body.orientation[2], n)
+    step = _combine(x, y, z, load_vectors(arm.next_origin, n))
     origin = sum_before(arm.first_origin, step)
-    moment = add_scaled(scale(load(arm.first_moment[0], 6), x), load(arm.first_moment[1], 6), y)
+    moment = add_scaled(scale(load(arm.first_moment[0], n), x), load(arm.first_moment[1], n), y)
     return _Pose(z, sine, step, origin, moment, _second_moment(arm.second_moment, x, y, z))
 
 
@@ -240,7 +249,7 @@ def _torques(arm: Any, pose: Any, field: tuple[Vector, Vector, Vector]) -> Lanes
     torque = add_cross(_torque(field, pose.spread), pose.moment, acceleration)
     torque = sum_to_tip(add_cross(torque, pose.origin, force))
     force = sum_to_tip(force)
-    spring = load(arm.spring_torque, 6) * pose.sine
+    spring = load(arm.spring_torque, size(arm.spring_torque)) * pose.sine
     return add_dot(add_dot(spring, pose.z, torque), cross(pose.origin, pose.z), force)
 
 
@@ -248,17 +257,17 @@ def _torques(arm: Any, pose: Any, field: tuple[Vector, Vector, Vector]) -> Lanes
 def _turn_joints(frame: Any, orientation: Any, sine: Lanes, cosine: Lanes) -> None:
     """Write each link's orientation in the link before it: its frame at q = 0 turned about z by q."""
     for k in range(3):
-        x, y = load(frame[0, k], 6), load(frame[1, k], 6)
+        x, y = load(frame[0, k], size(frame)), load(frame[1, k], size(frame))
         store(orientation[0, k], fma(sine, y, cosine * x))
         store(orientation[1, k], fma(-sine, x, cosine * y))
-        store(orientation[2, k], load(frame[2, k], 6))
+        store(orientation[2, k], load(frame[2, k], size(frame)))
 
 
 @inlined
 def _chain_rotations(orientation: Any) -> None:
     """Turn orientations in the link before into orientations in the base, from the first link on."""
     x, y, z = _column(orientation[0], 0), _column(orientation[1], 0), _column(orientation[2], 0)
-    for i in range(1, 6):
+    for i in range(1, size(orientation)):
         a, b, c = _column(orientation[0], i), _column(orientation[1], i), _column(orientation[2], i)
         x, y, z = _combine(x, y, z, a), _combine(x, y, z, b), _combine(x, y, z, c)
         for k in range(3):
@@ -279,8 +288,9 @@ def _combine(x: Vector, y: Vector, z: Vector, a: Vector) -> Vector:
 @inlined
 def _second_moment(constants: Any, x: Vector, y: Vector, z: Vector) -> Symmetric:
     """Return the second moments about the link origins: xx x x^T + yy y y^T + c z^T + z c^T, c = xz x + yz y."""
-    a, b = scale(load(constants[0], 6), x), scale(load(constants[1], 6), y)
-    c = add_scaled(scale(load(constants[2], 6), x), load(constants[3], 6), y)
+    n = size(constants)
+    a, b = scale(load(constants[0], n), x), scale(load(constants[1], n), y)
+    c = add_scaled(scale(load(constants[2], n), x), load(constants[3], n), y)
     xx = fma(a[0], x[0], fma(b[0], y[0], 2.0 * (c[0] * z[0])))
     yy = fma(a[1], x[1], fma(b[1], y[1], 2.0 * (c[1] * z[1])))
     zz = fma(a[2], x[2], fma(b[2], y[2], 2.0 * (c[2] * z[2])))
@@ -343,42 +353,44 @@ def _project(rotor: Any, z: Vector, lever: Vector, angular: Vector, linear: Vect
     """Write the mass matrix: the momentum that joint i makes, projected on the axes of the joints before it."""
     # Only joints before i count in row i, so four lanes do for the first four rows.
     near, near_lever = first_links(z), first_links(lever)
-    for i in range(4):
-        row = add_dot(load(rotor[i], 4), near, of_link(angular, i))
+    for i in range(size(near[0])):
+        row = add_dot(load(rotor[i], size(near[0])), near, of_link(angular, i))
         store(mass_matrix[i], add_dot(row, near_lever, of_link(linear, i)))
-    for i in range(4, 6):
-        row = add_dot(load(rotor[i], 6), z, of_link(angular, i))
+    for i in range(size(near[0]), size(rotor)):
+        row = add_dot(load(rotor[i], size(rotor)), z, of_link(angular, i))
         store(mass_matrix[i], add_dot(row, lever, of_link(linear, i)))
-    for i in range(6):
+    for i in range(size(rotor)):
         for j in range(i):
             mass_matrix[j, i] = mass_matrix[i, j]
 
 
 @inlined
 def factorise(mass_matrix: NDArray[np.float64], factor: NDArray[np.float64]) -> None:
-    """Write the factors L D L^T of a mass matrix, shape (6, 6): L below, 1 / D_ii on the diagonal."""
-    for i in range(6):
+    """Write the factors L D L^T of a mass matrix, both in records, shape (n, n): L below, 1 / D_ii on the diagonal."""
+    n = size(factor)
+    for i in range(n):
         for j in range(i + 1):
             factor[i, j] = mass_matrix[i, j]
-    for j in range(6):
+    for j in range(n):
         inverse = 1.0 / factor[j, j]
-        for i in range(j + 1, 6):
+        for i in range(j + 1, n):
             entry = factor[i, j] * inverse
             for k in range(j + 1, i + 1):
                 factor[i, k] = fma(-entry, factor[k, j], factor[i, k])
-        for i in range(j + 1, 6):
+        for i in range(j + 1, n):
             factor[i, j] *= inverse
         factor[j, j] = inverse
 
 
 @inlined
 def solve(factor: NDArray[np.float64], x: NDArray[np.float64]) -> None:
-    """Solve M x = b in place for the factor written by `factorise`; `x` holds b, shape (6,)."""
-    for k in range(5):
-        for i in range(k + 1, 6):
+    """Solve M x = b in place for the factor written by `factorise`; `x` holds b, shape (n,)."""
+    n = size(factor)
+    for k in range(n - 1):
+        for i in range(k + 1, n):
             x[i] = fma(-factor[i, k], x[k], x[i])
-    for i in range(6):
+    for i in range(n):
         x[i] *= factor[i, i]
-    for k in range(5, 0, -1):
+    for k in range(n - 1, 0, -1):
         for i in range(k):
             x[i] = fma(-factor[k, i], x[k], x[i])

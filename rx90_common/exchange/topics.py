@@ -9,7 +9,6 @@ from rx90_common.base.errors import ConfigError, ExchangeError, MessageError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
 
-MOTOR_NAMES: Final = tuple(f"motor_{i}" for i in range(1, 7))
 MOTOR_STATES: Final = "motor_states"
 MOTOR_COMMANDS: Final = "motor_commands"
 TRAJECTORY_ACCEPTED: Final = "trajectory_accepted"
@@ -44,6 +43,11 @@ TIME_MODE: Final = "time_mode"
 LOCK_STEP: Final = "lock_step"
 FREE_RUNNING: Final = "free_running"
 TIME_MODES: Final = (LOCK_STEP, FREE_RUNNING)
+
+
+def motor_names(motors: int) -> tuple[str, ...]:
+    """Return the names of so many motors, from base to tip."""
+    return tuple(f"motor_{i}" for i in range(1, motors + 1))
 
 
 @dataclass(frozen=True)

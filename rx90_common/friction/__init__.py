@@ -5,10 +5,9 @@ It lies on the ground because the robot's plant, the rig's and whoever compensat
 
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.friction_file import load_friction
-from rx90_common.friction.friction_set import ELEMENT_COUNT, FrictionSet
+from rx90_common.friction.friction_set import FrictionSet
 
 __all__ = [
-    "ELEMENT_COUNT",
     "FrictionElement",
     "FrictionSet",
     "arm_elements",

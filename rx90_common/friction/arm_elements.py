@@ -1,4 +1,4 @@
-"""The seven friction elements among the six joints of an arm: element 7 turns with joints 5 and 6, as motor 6 does.
+"""The friction elements among the joints of an arm: one for each joint, and one for each motor that turns with several.
 
 Whoever steps the friction of a whole arm, plant or controller, goes from joints to elements and back by these.
 """
@@ -9,65 +9,112 @@ from collections.abc import Sequence
 from typing import Any
 
 from rx90_common.base.arrays import Array
+from rx90_common.description.coupling import Coupling, has_matrices, times, times_lanes
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.step import fill_parts
-from rx90_common.kernels.compiled import inlined
-from rx90_common.kernels.lanes import Lanes, append, first, lane, load, store
+from rx90_common.kernels.compiled import by_type, inlined
+from rx90_common.kernels.lanes import Lanes, append, first, lane, load, size, store
+
+
+@by_type
+def element_inputs(gear: Any, joint: Any) -> Any:  # noqa: ARG001 - the kernels name them alike
+    """Return the angles or velocities of the elements, which are also the brakes', for those of the joints."""
+
+    def of_wrist(gear: Array, joint: Array) -> Lanes:  # noqa: ARG001 - as above
+        return append(load(joint, 6), joint[4] + joint[5])
+
+    def of_matrices(gear: Any, joint: Array) -> Lanes:
+        return times(gear.element_columns, joint)
+
+    return of_matrices if has_matrices(gear) else of_wrist
+
+
+@by_type
+def add_to_joints(gear: Any, joint: Any, torque: Any) -> Any:  # noqa: ARG001 - as above
+    """Add the torques of the elements to those of the joints, Nm, shape (n,)."""
+
+    def of_wrist(gear: Array, joint: Array, torque: Lanes) -> None:  # noqa: ARG001 - as above
+        store(joint, load(joint, 6) + first(torque, 6))
+        wrist = lane(torque, 6)
+        joint[4] += wrist
+        joint[5] += wrist
+
+    def of_matrices(gear: Any, joint: Array, torque: Lanes) -> None:
+        store(joint, load(joint, size(gear.ratio)) + times_lanes(gear.element, torque))
+
+    return of_matrices if has_matrices(gear) else of_wrist
 
 
 @inlined
-def element_inputs(joint: Array) -> Lanes:
-    """Return the angles or velocities of the seven elements, which are also the brakes', for those of the joints."""
-    return append(load(joint, 6), joint[4] + joint[5])
-
-
-@inlined
-def add_to_joints(joint: Array, torque: Lanes) -> None:
-    """Add the torques of the seven elements to those of the joints, Nm, shape (6,)."""
-    store(joint, load(joint, 6) + first(torque, 6))
-    wrist = lane(torque, 6)
-    joint[4] += wrist
-    joint[5] += wrist
-
-
-@inlined
-def transmit(rotor: Array, torque: Array, acceleration: Array, transmitted: Array) -> None:
-    """Write what goes through the seven elements on to the links, Nm, shape (7,).
-
-    Motor 6 turns with joints 5 and 6, so what goes on to link 6 goes through element 7 and element 6.
+def transmit(gear: Any, rotor: Array, torque: Array, acceleration: Array, transmitted: Array) -> None:
+    """Write what goes through the elements on to the links, Nm, shape (e,).
 
     Args:
-        rotor: share of the rotors in the mass matrix, kg m^2, shape (6, 6).
-        torque: of the drives less friction, at the joints, Nm, shape (6,).
-        acceleration: of the rotors, seen at the joints, rad/s^2, shape (6,).
+        gear: of the arm.
+        rotor: share of the rotors in the mass matrix, kg m^2, shape (n, n).
+        torque: of the drives less friction, at the joints, Nm, shape (n,).
+        acceleration: of the rotors, seen at the joints, rad/s^2, shape (n,).
         transmitted: overwritten.
     """
-    for i in range(6):
+    for i in range(size(rotor)):
         transmitted[i] = torque[i]
-        for j in range(6):
+        for j in range(size(rotor)):
             transmitted[i] -= rotor[i, j] * acceleration[j]
-    share_among_elements(transmitted)
+    share_among_elements(gear, transmitted)
 
 
-@inlined
-def share_among_elements(transmitted: Array) -> None:
-    """Make the torques of the six joints, Nm, those of the seven elements, shape (7,)."""
-    transmitted[4] -= transmitted[5]
-    transmitted[6] = transmitted[5]
+@by_type
+def share_among_elements(gear: Any, transmitted: Any) -> Any:  # noqa: ARG001 - as above
+    """Make the torques of the n joints, Nm, those of the elements, shape (e,).
 
-
-@inlined
-def of_motors(motor: Lanes) -> Lanes:
-    """Return what belongs to the motor of each of the seven elements, for the six motors.
-
-    Motor 6 is that of the seventh; the sixth has none, and what it gets here must not count.
+    Through a motor's element goes what the motor gives, through the element of a joint without a motor of its own what
+    the joint gives: on a wrist whose motor 6 turns with joints 5 and 6, what goes on to link 6 goes through both.
     """
-    return append(motor, lane(motor, 5))
+
+    def of_wrist(gear: Array, transmitted: Array) -> None:  # noqa: ARG001 - as above
+        transmitted[4] -= transmitted[5]
+        transmitted[6] = transmitted[5]
+
+    def of_matrices(gear: Any, transmitted: Array) -> None:
+        store(transmitted, times(gear.passed, transmitted))
+
+    return of_matrices if has_matrices(gear) else of_wrist
+
+
+@by_type
+def element_of_motor(gear: Any, motor: Any) -> Any:  # noqa: ARG001 - as above
+    """Return the number of the element, and of the brake, that turns with a motor."""
+
+    def of_wrist(gear: Array, motor: int) -> int:  # noqa: ARG001 - as above
+        return motor if motor < 5 else 6
+
+    def of_matrices(gear: Any, motor: int) -> int:
+        element: int = gear.element_of_motor[motor]
+        return element
+
+    return of_matrices if has_matrices(gear) else of_wrist
+
+
+@by_type
+def of_motors(gear: Any, motor: Any) -> Any:  # noqa: ARG001 - as above
+    """Return what belongs to the motor of each element, for the motors; both lanes.
+
+    The element of a joint without a motor of its own gets something that must not count.
+    """
+
+    def of_wrist(gear: Array, motor: Lanes) -> Lanes:  # noqa: ARG001 - as above
+        return append(motor, lane(motor, 5))
+
+    def of_matrices(gear: Any, motor: Lanes) -> Lanes:
+        return times_lanes(gear.belongs, motor)
+
+    return of_matrices if has_matrices(gear) else of_wrist
 
 
 def fill_arm_parts(
     record: Any,
     elements: Sequence[FrictionElement],
+    coupling: Coupling,
     gear: Array,
     motor_heat: Array,
     period: float,
@@ -76,13 +123,14 @@ def fill_arm_parts(
     """Write the parts of an arm's elements; the angle of a motor is that of its element times the gear ratio.
 
     Args:
-        record: of `parts_dtype(7)`, zero before.
-        elements: seven.
-        gear: turns of the motors for a turn of the joints, shape (6,).
-        motor_heat: of the motors, W for the square of the torque in Nm, shape (6,).
+        record: of `parts_dtype` for as many elements, zero before.
+        elements: of the arm.
+        coupling: of its motors.
+        gear: turns of the motors for a turn of the joints, shape (n,).
+        motor_heat: of the motors, W for the square of the torque in Nm, shape (n,).
         period: of a tick, s.
         seed: of the scatter.
     """
-    # Motor 6 turns with joints 5 and 6 together, as the seventh element does, and warms that one alone.
-    heat = motor_heat.tolist()
-    fill_parts(record, elements, [*gear.tolist(), float(gear[5])], period, seed, [*heat[:5], 0.0, heat[5]])
+    # A motor that turns with several joints warms the element that turns with it, and no joint's own.
+    sums = [float(gear[i]) for i in coupling.sums]
+    fill_parts(record, elements, [*gear.tolist(), *sums], period, seed, coupling.of_elements(motor_heat.tolist(), 0.0))

@@ -14,12 +14,13 @@ from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import quoted
 from rx90_common.base.section import ABOUT, PROVENANCE, Section
 from rx90_common.friction.element import ELEMENT, FRICTION_PARAMETERS, PARTS, SIGNS, FrictionElement, legend
-from rx90_common.friction.friction_set import FrictionSet, element_names
+from rx90_common.friction.friction_set import FrictionSet
 
 FRICTION = Group(
     "LuGre friction, joint side, SI units (equations 17 to 19 of the paper).",
     keys={
-        "elements": Entries("Elements by joint; joint_5_6 turns with joints 5 and 6 together.", of=ELEMENT),
+        "elements": Entries("Elements by joint, and by motors that turn with several joints: joint_5_6 of the RX family turns with joints 5 and 6 "
+            "together.", of=ELEMENT),
         "joints": Entries(
             "What torques hold beside links and friction, by joint, where no drives file says it. The simulation takes "
             "nothing of it; rx90_identify --friction adds it to what the URDF predicts.",
@@ -125,19 +126,18 @@ class FrictionFile:
         return head + legend(parts) + remarks + yaml_text(given)
 
 
-def load_friction(path: Path, joint_names: Sequence[str]) -> FrictionSet:
-    """Read the friction file of a robot: its six joints, and joints 5 and 6 together.
+def load_friction(path: Path, names: Sequence[str]) -> FrictionSet:
+    """Read the friction file of a robot, with its elements by their names (`Coupling.element_names`).
 
     Raises:
         ConfigError: naming file, element, value and accepted range.
     """
     file = FrictionFile.read(path)
-    names = element_names(joint_names)
     elements = file.select(names)
     for name in file.elements:
         if name not in names:
             raise ConfigError(f"{path}: elements.{name} is not a known key; accepted: {', '.join(names)}")
-    return FrictionSet(names, elements, path)
+    return FrictionSet(tuple(names), elements, path)
 
 
 def read_element(section: Section) -> FrictionElement:

@@ -1,4 +1,4 @@
-"""The seven friction elements of the robot: six joints, and joints 5 and 6 together."""
+"""The friction elements of an arm: one for each joint, and one for each motor that turns with several joints."""
 
 from __future__ import annotations
 
@@ -12,18 +12,16 @@ from rx90_common.base.quoting import conjoined, quoted
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.bristles import MaxwellSlip
 
-ELEMENT_COUNT = 7
-
 
 @dataclass(frozen=True)
 class FrictionSet:
-    """Seven LuGre elements.
+    """LuGre elements.
 
-    Elements 1 to 6 have the joint velocities as input. Element 7 has the sum of joint velocities 5 and 6,
-    and its torque acts on both of these joints (section 4 of the paper).
+    The first n have the joint velocities as input. The others turn with several joints, as the motors do that have a
+    coupling: element 7 of the RX family with joints 5 and 6, and its torque acts on both (section 4 of the paper).
 
     Attributes:
-        names: names of the elements, the joints' own and `joint_5_6`.
+        names: names of the elements, as `Coupling.element_names` has them.
         elements: their parameters.
         file: where they were read, if they were.
     """
@@ -33,11 +31,9 @@ class FrictionSet:
     file: Path | None = None
 
     def __post_init__(self) -> None:
-        if len(self.names) != ELEMENT_COUNT or len(self.elements) != ELEMENT_COUNT:
-            raise ConfigError(
-                f"a friction set of {len(self.elements)} elements and {len(self.names)} names; "
-                f"accepted: {ELEMENT_COUNT} of each"
-            )
+        if len(self.names) != len(self.elements):
+            counts = f"{len(self.elements)} elements and {len(self.names)} names"
+            raise ConfigError(f"a friction set of {counts}; accepted: as many of each")
 
     def __getitem__(self, name: str) -> FrictionElement:
         """Return the element of this name.
@@ -49,9 +45,8 @@ class FrictionSet:
             raise ConfigError(f"no friction element {quoted(name)}; accepted: {', '.join(self.names)}")
         return self.elements[self.names.index(name)]
 
-    def passivity_warnings(self, max_velocity: Sequence[float]) -> list[str]:
-        """Return a line for each element that is not passive up to the given speeds, rad/s, shape (6,)."""
-        reach = [*max_velocity, max_velocity[4] + max_velocity[5]]
+    def passivity_warnings(self, reach: Sequence[float]) -> list[str]:
+        """Return a line for each element that is not passive up to the speed, rad/s, that it reaches, shape (e,)."""
         where = "" if self.file is None else f"{self.file}: "
         warnings = [_passivity_warning(*each) for each in zip(self.names, self.elements, reach, strict=True)]
         return [f"{where}{warning}" for warning in warnings if warning]
@@ -92,8 +87,3 @@ def refuse_parts(
         for part in element.parts:
             if part not in held:
                 raise ConfigError(f"{where}{name}.{part}: {what} cannot hold this part; accepted: left out")
-
-
-def element_names(joint_names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the seven elements for six joints."""
-    return (*joint_names, "joint_5_6")

@@ -16,6 +16,7 @@ from numba.core.ccallback import CFunc
 from numba.core.event import Event, Listener, register
 from numba.core.registry import CPUDispatcher
 from numba.core.sigutils import normalize_signature
+from numba.extending import overload
 
 from rx90_common.kernels import announcement
 from rx90_common.kernels.code_cache import KernelCache
@@ -60,6 +61,20 @@ def inlined(function: _Function) -> _Function:
     compiled: Any = _compiler(error_model="numpy", forceinline=True, **without)(function)
     compiled.__class__ = _Inlined
     return cast(_Function, compiled)
+
+
+def by_type(choose: _Function) -> _Function:
+    """Return a function for kernels whose code `choose` picks by the types of the arguments, which it names alike.
+
+    `choose` gets numba's types and returns a function of the same arguments, compiled into each kernel that calls it.
+    """
+
+    def never(*_: Any) -> Any:
+        raise TypeError(f"{choose.__qualname__} is compiled into its callers; accepted: a call from a kernel")
+
+    options: Any = {"error_model": "numpy", "forceinline": True}
+    overload(never, jit_options=options, strict=False)(choose)
+    return cast(_Function, never)
 
 
 def c_function(signature: Any) -> Callable[[Callable[..., Any]], Callable[..., int]]:

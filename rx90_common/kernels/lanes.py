@@ -205,6 +205,18 @@ def _check_contiguous(array: Any) -> None:
         raise TypingError(f"lanes hold {array.dtype}; accepted: float64")
 
 
+@Operation[Callable[[_Array | Lanes], int]].of
+def size(_: Any, values: Any) -> Any:
+    """Return, as a literal, how many lanes there are, or how long the rows are of an array that lies in a record."""
+    if isinstance(values, LanesType):
+        count = values.width
+    elif isinstance(values, types.NestedArray):
+        count = values.shape[-1]
+    else:
+        return None
+    return types.IntegerLiteral(count)(values), lambda *_: ir.Constant(ir.IntType(64), count)
+
+
 @Operation[Callable[[_Array, int], Lanes]].of
 def load(_: Any, array: Any, width: Any) -> Any:
     """Return the first `width` numbers of a contiguous array; `width` is a literal."""
@@ -254,10 +266,10 @@ def lane(_: Any, x: Any, index: Any) -> Any:
 
 @Operation[Callable[[Lanes, int], Lanes]].of
 def first(_: Any, x: Any, width: Any) -> Any:
-    """Return the first `width` lanes; `width` is a literal."""
+    """Return the first `width` lanes, or all where there are no more; `width` is a literal."""
     if not isinstance(width, types.IntegerLiteral):
         return None
-    kind = LanesType(width.literal_value)
+    kind = LanesType(min(width.literal_value, x.width))
 
     def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         return _shuffle(builder, arguments[0], arguments[0], list(range(kind.padded)))

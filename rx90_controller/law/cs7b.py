@@ -10,9 +10,17 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.rates import Rates
-from rx90_common.description.drives import DriveParameters, to_joint, to_joint_torque
+from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
-from rx90_controller.law.loops import LAW_STATE_DTYPE, law_release, law_reset, position_loop, velocity_loop
+from rx90_controller.law.loops import (
+    joint_torques_of,
+    joints_of,
+    law_release,
+    law_reset,
+    law_state_dtype,
+    position_loop,
+    velocity_loop,
+)
 from rx90_controller.law.model import cool_model
 from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.trajectory import TrajectoryGenerator
@@ -48,8 +56,9 @@ class DriveFault(NamedTuple):
             ("following error", "rad", state["error"], law["following_error"]),
             ("speed", "rad/s", state["reference"][1] - state["velocity_error"], law["over_speed"]),
         ):
-            value, limit = np.empty(6), motor_limit / np.abs(law["gear"])
-            to_joint(np.ascontiguousarray(law["gear"]), np.ascontiguousarray(motor), value)
+            gear = law["gear"]["ratio"] if law["gear"].dtype.names else law["gear"]
+            value, limit = np.empty(len(names)), motor_limit / np.abs(gear)
+            joints_of(laws, np.ascontiguousarray(motor), value)
             share = np.nan_to_num(np.abs(value) / limit, nan=np.inf)
             k = int(np.argmax(share))
             fault = cls(names[k], quantity, float(value[k]), float(limit[k]), unit, time)
@@ -63,16 +72,16 @@ class DriveFault(NamedTuple):
 
 
 class CS7B:
-    """Six servo controllers behind one trajectory generator.
+    """Servo controllers, one for each motor, behind one trajectory generator.
 
     Attributes:
-        joint_names: names of the six joints.
+        joint_names: names of the joints.
         tick: number of the next base tick.
         trajectory: the set-point generator.
-        law: compiled constants, shape (1,), CONTROLLER_DTYPE; may be written to between two ticks.
-        state: compiled state, shape (1,), LAW_STATE_DTYPE.
-        command: motor torques of the last step, Nm, shape (6,); always the same view of the state.
-        setpoint: that of the last position tick: position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6).
+        law: compiled constants, shape (1,), of `controller_dtype`; may be written to between two ticks.
+        state: compiled state, shape (1,), of `law_state_dtype`.
+        command: motor torques of the last step, Nm, shape (n,); always the same view of the state.
+        setpoint: that of the last position tick: position rad, velocity rad/s, acceleration rad/s^2, shape (3, n).
         fault: what the supervision has found since the last reset, if anything; who drives motors switches them off.
     """
 
@@ -80,24 +89,24 @@ class CS7B:
         self.joint_names = robot.joint_names
         self.rates = rates
         self.law = parameters.record(robot, drives, rates)
-        self.state: np.ndarray[Any, Any] = np.zeros(1, LAW_STATE_DTYPE)
-        self._gear = drives.gear
-        self.trajectory = TrajectoryGenerator(parameters.limits(robot), rates.position_period, np.zeros(6))
+        self.state: np.ndarray[Any, Any] = np.zeros(1, law_state_dtype(drives.turning.size))
+        self._joints = n = len(robot.joint_names)
+        self.trajectory = TrajectoryGenerator(parameters.limits(robot), rates.position_period, np.zeros(n))
         self.tick = 0
         # Set-points ahead, from a position tick on, of a revision of the generator.
-        self._ahead, self._ahead_from, self._ahead_revision = np.zeros((0, 3, 6)), 0, self.trajectory.revision
+        self._ahead, self._ahead_from, self._ahead_revision = np.zeros((0, 3, n)), 0, self.trajectory.revision
         # Fixed memory: what is sent in every tick is read from there.
-        self._reference = np.zeros((3, 6))
-        self._error = np.zeros((3, 6))
-        self._details = np.zeros((3, 6))
+        self._reference = np.zeros((3, n))
+        self._error = np.zeros((3, n))
+        self._details = np.zeros((3, n))
         self.command: Array = self.state["command"][0]
-        self.setpoint = np.zeros((3, 6))
-        self._measured: tuple[Array, Array, Array | None] = (np.zeros(6), np.zeros(6), None)
+        self.setpoint = np.zeros((3, n))
+        self._measured: tuple[Array, Array, Array | None] = (np.zeros(n), np.zeros(n), None)
         self._currents_err = drives.current_sensor.used
         self.fault: DriveFault | None = None
 
     def reset(self, position: Array, tick: int = 0) -> None:
-        """Begin anew: hold the measured motor positions, rad, shape (6,), from base tick `tick` on."""
+        """Begin anew: hold the measured motor positions, rad, shape (n,), from base tick `tick` on."""
         law_reset(self.state)
         self._hold(position, tick)
 
@@ -110,8 +119,8 @@ class CS7B:
 
     def _hold(self, position: Array, tick: int) -> None:
         self.fault = None
-        hold = np.empty(6)
-        to_joint(self._gear, np.ascontiguousarray(position), hold)
+        hold = np.empty(self._joints)
+        joints_of(self.law, np.ascontiguousarray(position), hold)
         self.trajectory.reset(hold)
         self.tick = tick
 
@@ -123,7 +132,7 @@ class CS7B:
 
     def warm_up(self) -> None:
         """Compile, or load, every kernel that a run calls, and discharge the controller."""
-        rest = np.zeros(6)
+        rest = np.zeros(self._joints)
         self.reset(rest)
         for _ in range(self.rates.ratio + 1):
             self.step(rest, rest)
@@ -148,9 +157,9 @@ class CS7B:
         """Run the loops that are due in this tick; return `command`: motor torques, torque constant times current.
 
         Args:
-            position: motor positions by the encoders, rad, shape (6,).
-            velocity: measured motor velocities, rad/s, shape (6,).
-            torque: what the drives report, Nm, shape (6,), if they do; for `details` alone.
+            position: motor positions by the encoders, rad, shape (n,).
+            velocity: measured motor velocities, rad/s, shape (n,).
+            torque: what the drives report, Nm, shape (n,), if they do; for `details` alone.
         """
         tick, slow = divmod(self.tick, self.rates.ratio)
         if slow == 0:
@@ -175,41 +184,41 @@ class CS7B:
 
     @property
     def saturated(self) -> NDArray[np.int64]:
-        """Return for how many ticks each amplifier was at its limit, shape (6,)."""
+        """Return for how many ticks each amplifier was at its limit, shape (n,)."""
         return np.array(self.state["saturated"][0], dtype=np.int64)
 
     def reference(self) -> tuple[Array, Array, Array]:
-        """Return set-point rad, its velocity rad/s and feed-forward torque Nm, joint side, shape (6,).
+        """Return set-point rad, its velocity rad/s and feed-forward torque Nm, joint side, shape (n,).
 
         Always the same arrays, brought up to date by this call.
         """
         position, velocity, torque = self._reference
-        to_joint_torque(self._gear, self.state["feed_forward"][0], torque)
+        joint_torques_of(self.law, self.state["feed_forward"][0], torque)
         return position, velocity, torque
 
     def measured(self) -> tuple[Array, Array]:
-        """Return positions rad and velocities rad/s of the joints in the last position tick, new arrays of shape (6,).
+        """Return positions rad and velocities rad/s of the joints in the last position tick, new arrays of shape (n,).
 
         To be called before what `step` was given is changed.
         """
-        position, velocity = np.empty(6), np.empty(6)
-        to_joint(self._gear, self._measured[0], position)
-        to_joint(self._gear, self._measured[1], velocity)
+        position, velocity = np.empty(self._joints), np.empty(self._joints)
+        joints_of(self.law, self._measured[0], position)
+        joints_of(self.law, self._measured[1], velocity)
         return position, velocity
 
     def tracking_error(self) -> tuple[Array, Array, Array]:
-        """Return position error rad, velocity error rad/s, commanded torque Nm, joint side, shape (6,).
+        """Return position error rad, velocity error rad/s, commanded torque Nm, joint side, shape (n,).
 
         Always the same arrays, brought up to date by this call.
         """
         position, velocity, torque = self._error
-        to_joint(self._gear, self.state["error"][0], position)
-        to_joint(self._gear, self.state["velocity_error"][0], velocity)
-        to_joint_torque(self._gear, self.state["command"][0], torque)
+        joints_of(self.law, self.state["error"][0], position)
+        joints_of(self.law, self.state["velocity_error"][0], velocity)
+        joint_torques_of(self.law, self.state["command"][0], torque)
         return position, velocity, torque
 
     def details(self) -> tuple[Array, Array, Array]:
-        """Return set-point acceleration rad/s^2, joints; commanded and motor current A, motors; each shape (6,).
+        """Return set-point acceleration rad/s^2, joints; commanded and motor current A, motors; each shape (n,).
 
         The motor current is what the drives report where their current sensors have errors, else the law's own.
         Always the same arrays, brought up to date by this call: before what `step` was given is changed.

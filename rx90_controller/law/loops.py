@@ -1,4 +1,4 @@
-"""The one control law, compiled: six SISO servo controllers as in section 5 and figure 4 of the paper.
+"""The one control law, compiled: SISO servo controllers, one for each motor, as in section 5 and figure 4 of the paper.
 
 Blocks of the paper: PI on the position error and FF from the set-points at the position rate, D on the
 measured velocity and C, the current loop with its amplifier, at the base rate. All quantities are on the
@@ -8,36 +8,48 @@ supervision compares following errors and speeds of the joints with their limits
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from rx90_common.base.arrays import Array, Record
-from rx90_common.description.drives import to_motor
+from rx90_common.description.coupling import (
+    ArmSize,
+    joints_as_motors_have_them,
+    to_joint,
+    to_joint_torque,
+    to_motor,
+)
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import signed_power
-from rx90_common.kernels.lanes import Lanes, absolute, any_lane, append, first, lane, load, select, store
-from rx90_controller.law.model import FRESH, MODEL_STATE_DTYPE, add_model_torque, begin_parts, hand_over
+from rx90_common.kernels.lanes import Lanes, absolute, any_lane, load, select, size, store
+from rx90_controller.law.model import FRESH, add_model_torque, begin_parts, hand_over, model_state_dtype
 
 _LARGEST = float(np.finfo(np.float64).max)
 
-LAW_STATE_DTYPE = np.dtype(
-    [
-        ("reference", np.float64, (3, 6)),  # motor-side position, velocity, acceleration set-points
-        ("error", np.float64, 6),  # position error at the last position tick
-        ("velocity_error", np.float64, 6),
-        ("integrator", np.float64, 6),
-        ("position_torque", np.float64, 6),  # PI block, held between position ticks
-        ("feed_forward", np.float64, 6),  # FF block, held between position ticks
-        ("commanded", np.float64, 6),  # current that the amplifier is asked for, within its limit, A
-        ("current", np.float64, 6),
-        ("command", np.float64, 6),  # torque constant times current
-        ("limited", np.float64, 6),  # sign of the amplifier's saturation in the last tick, 0 if none
-        ("saturated", np.float64, 6),  # ticks in saturation
-        ("model", MODEL_STATE_DTYPE),
-    ],
-    align=True,
-)
+
+@cache
+def law_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
+    """Return the type of the state of a control law."""
+    n = arm.joints
+    return np.dtype(
+        [
+            ("reference", np.float64, (3, n)),  # motor-side position, velocity, acceleration set-points
+            ("error", np.float64, n),  # position error at the last position tick
+            ("velocity_error", np.float64, n),
+            ("integrator", np.float64, n),
+            ("position_torque", np.float64, n),  # PI block, held between position ticks
+            ("feed_forward", np.float64, n),  # FF block, held between position ticks
+            ("commanded", np.float64, n),  # current that the amplifier is asked for, within its limit, A
+            ("current", np.float64, n),
+            ("command", np.float64, n),  # torque constant times current
+            ("limited", np.float64, n),  # sign of the amplifier's saturation in the last tick, 0 if none
+            ("saturated", np.float64, n),  # ticks in saturation
+            ("model", model_state_dtype(arm)),
+        ],
+        align=True,
+    )
 
 
 @inlined
@@ -100,13 +112,12 @@ def velocity_servo(
 @inlined
 def _beyond_limits(law: Any, error: Lanes, velocity: Lanes) -> bool:
     """Return whether a joint is beyond a limit, or NaN, by position errors and velocities of the motors."""
-    # Motor 6 turns with joints 5 and 6 together.
-    share = law.gear[5] / law.gear[4]
-    following = append(first(error, 5), lane(error, 5) - share * lane(error, 4))
-    speed = append(first(velocity, 5), lane(velocity, 5) - share * lane(velocity, 4))
+    following = joints_as_motors_have_them(law.gear, error)
+    speed = joints_as_motors_have_them(law.gear, velocity)
+    n = size(law.over_speed)
     # The comparisons are false for NaN too.
-    fast = select(absolute(speed) <= load(law.over_speed, 6), 0.0, 1.0)
-    return any_lane(select(absolute(following) <= load(law.following_error, 6), fast, 1.0) > 0.0)
+    fast = select(absolute(speed) <= load(law.over_speed, n), 0.0, 1.0)
+    return any_lane(select(absolute(following) <= load(law.following_error, n), fast, 1.0) > 0.0)
 
 
 @kernel
@@ -120,7 +131,7 @@ def law_reset(states: Record) -> None:
 def law_release(states: Record) -> None:
     """Set integrators, currents and errors to zero; the next position tick does so with the model's bristles."""
     state = states[0]
-    for i in range(6):
+    for i in range(size(state.integrator)):
         state.integrator[i] = state.position_torque[i] = state.feed_forward[i] = 0.0
         state.error[i] = state.velocity_error[i] = 0.0
         state.commanded[i] = state.current[i] = state.command[i] = 0.0
@@ -135,11 +146,11 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
     """Run PI, FF, with what a model of arm and friction adds to it, and the supervision for one position tick.
 
     Args:
-        laws: constants, shape (1,), CONTROLLER_DTYPE.
-        states: state, shape (1,), LAW_STATE_DTYPE, advanced in place.
-        setpoint: joint position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6).
-        position: motor positions by the encoders, rad, shape (6,).
-        velocity: measured motor velocities, rad/s, shape (6,); for the supervision and the velocity error that is
+        laws: constants, shape (1,), of `controller_dtype`.
+        states: state, shape (1,), of `law_state_dtype`, advanced in place.
+        setpoint: joint position rad, velocity rad/s, acceleration rad/s^2, shape (3, n).
+        position: motor positions by the encoders, rad, shape (n,).
+        velocity: measured motor velocities, rad/s, shape (n,); for the supervision and the velocity error that is
             published.
 
     Returns:
@@ -151,19 +162,20 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
         begin_parts(state)
     for k in range(3):
         to_motor(law.gear, setpoint[k], state.reference[k])
+    n = size(state.error)
     error, integrator, position_torque, feed_forward = position_servo(
         law,
-        6,
-        load(state.reference[0], 6),
-        load(state.reference[1], 6),
-        load(state.reference[2], 6),
-        load(position, 6),
-        load(state.integrator, 6),
-        load(state.limited, 6),
+        n,
+        load(state.reference[0], n),
+        load(state.reference[1], n),
+        load(state.reference[2], n),
+        load(position, n),
+        load(state.integrator, n),
+        load(state.limited, n),
     )
-    measured = load(velocity, 6)
+    measured = load(velocity, n)
     store(state.error, error)
-    store(state.velocity_error, load(state.reference[1], 6) - measured)
+    store(state.velocity_error, load(state.reference[1], n) - measured)
     store(state.integrator, integrator)
     store(state.position_torque, position_torque)
     store(state.feed_forward, feed_forward)
@@ -179,27 +191,40 @@ def velocity_loop(laws: Record, states: Record, velocity: Array) -> bool:
     """Run D and C for one base tick and write `command`, motor torques in Nm, into the state.
 
     Args:
-        laws: constants, shape (1,), CONTROLLER_DTYPE.
-        states: state, shape (1,), LAW_STATE_DTYPE, advanced in place.
-        velocity: measured motor velocities, rad/s, shape (6,).
+        laws: constants, shape (1,), of `controller_dtype`.
+        states: state, shape (1,), of `law_state_dtype`, advanced in place.
+        velocity: measured motor velocities, rad/s, shape (n,).
 
     Returns:
         Whether a torque is not finite: the drives are to be switched off.
     """
     law, state = laws[0], states[0]
+    n = size(state.current)
     commanded, current, command, limited = velocity_servo(
         law,
-        6,
+        n,
         law.current_gain,
-        load(state.position_torque, 6),
-        load(state.feed_forward, 6),
-        load(state.reference[1], 6),
-        load(velocity, 6),
-        load(state.current, 6),
+        load(state.position_torque, n),
+        load(state.feed_forward, n),
+        load(state.reference[1], n),
+        load(velocity, n),
+        load(state.current, n),
     )
     store(state.commanded, commanded)
     store(state.current, current)
     store(state.command, command)
     store(state.limited, limited)
-    store(state.saturated, load(state.saturated, 6) + limited * limited)
+    store(state.saturated, load(state.saturated, n) + limited * limited)
     return any_lane(select(absolute(command) <= _LARGEST, 0.0, 1.0) > 0.0)
+
+
+@kernel
+def joints_of(laws: Record, motor: Array, joint: Array) -> None:
+    """Write positions (or velocities, or errors) of the joints for those of the motors, shape (n,)."""
+    to_joint(laws[0].gear, motor, joint)
+
+
+@kernel
+def joint_torques_of(laws: Record, motor: Array, joint: Array) -> None:
+    """Write the joint torques that motor torques make, Nm, shape (n,)."""
+    to_joint_torque(laws[0].gear, motor, joint)

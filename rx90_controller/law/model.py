@@ -19,7 +19,7 @@ the set-points alone, so that even load is no algebraic loop (docs/explanation/c
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,12 +32,13 @@ from rx90_common.base.groups import Group
 from rx90_common.base.quoting import plain
 from rx90_common.base.section import Section
 from rx90_common.base.share import config_path
-from rx90_common.description.drives import DriveParameters, load_drives, to_motor_torque
+from rx90_common.description.coupling import ArmSize, to_motor_torque
+from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import DESCRIPTIONS, FILES, NO_TOOL
-from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE, manipulator_record
+from rx90_common.dynamics import body_dtype, manipulator_dtype, manipulator_record
 from rx90_common.dynamics.manipulator import inverse_dynamics
-from rx90_common.friction import ELEMENT_COUNT, FrictionElement, load_friction
+from rx90_common.friction import FrictionElement, load_friction
 from rx90_common.friction.arm_elements import add_to_joints, element_inputs, fill_arm_parts, of_motors, transmit
 from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.compiled_elements import element_arrays, elements_dtype, load_elements
@@ -50,57 +51,57 @@ from rx90_common.friction.parts.temperature import (
     start_temperatures,
 )
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.lanes import Lanes, fma, load, store
+from rx90_common.kernels.lanes import Lanes, fma, load, size, store
 
 INVERSE_DYNAMICS, FRICTION = 1, 2
 """Bits of `parts`: what is on."""
-FRICTION_DTYPE = np.dtype(
-    [("elements", elements_dtype(ELEMENT_COUNT)), ("parts", parts_dtype(ELEMENT_COUNT))], align=True
-)
-"""Constants."""
-
-FRICTION_STATE_DTYPE = np.dtype(
-    [
-        ("z", np.float64, ELEMENT_COUNT),  # deflections of the bristles, rad
-        ("parts", parts_state_dtype(ELEMENT_COUNT)),
-        ("warm", np.int64),  # whether the temperatures are those of what has been, not those of the start
-        # Workspace.
-        ("joint", np.float64, 6),
-        ("motor", np.float64, 6),
-    ],
-    align=True,
-)
-
 FRESH: Final = -1
 """`parts` of a state that has been through no position tick."""
 
-MODEL_DTYPE = np.dtype(
-    [
-        ("parts", np.int64),
-        ("arm", MANIPULATOR_DTYPE),
-        ("friction", FRICTION_DTYPE),
-        ("lead", np.float64),  # s
-        ("period", np.float64),  # of the position loop, s
-    ],
-    align=True,
-)
-"""Constants; all zero where no part is on."""
 
-MODEL_STATE_DTYPE = np.dtype(
-    [
-        ("parts", np.int64),  # of the last position tick
-        ("friction", FRICTION_STATE_DTYPE),
-        ("before", np.float64, 6),  # motor side, Nm: what was fed forward before the parts changed
+@cache
+def model_dtype(arm: ArmSize) -> np.dtype[np.void]:
+    """Return the type of the constants; all zero where no part is on."""
+    friction = [("elements", elements_dtype(arm.elements)), ("parts", parts_dtype(arm.elements))]
+    return np.dtype(
+        [
+            ("parts", np.int64),
+            ("arm", manipulator_dtype(arm.joints)),
+            ("friction", np.dtype(friction, align=True)),
+            ("lead", np.float64),  # s
+            ("period", np.float64),  # of the position loop, s
+        ],
+        align=True,
+    )
+
+
+@cache
+def model_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
+    """Return the type of the state."""
+    n, e, _ = arm
+    friction = [
+        ("z", np.float64, e),  # deflections of the bristles, rad
+        ("parts", parts_state_dtype(e)),
+        ("warm", np.int64),  # whether the temperatures are those of what has been, not those of the start
         # Workspace.
-        ("body", BODY_DTYPE),
-        ("q", np.float64, 6),
-        ("v", np.float64, 6),
-        ("a", np.float64, 6),
-        ("joint", np.float64, 6),
-        ("motor", np.float64, 6),
-    ],
-    align=True,
-)
+        ("joint", np.float64, n),
+        ("motor", np.float64, n),
+    ]
+    return np.dtype(
+        [
+            ("parts", np.int64),  # of the last position tick
+            ("friction", np.dtype(friction, align=True)),
+            ("before", np.float64, n),  # motor side, Nm: what was fed forward before the parts changed
+            # Workspace.
+            ("body", body_dtype(n)),
+            ("q", np.float64, n),
+            ("v", np.float64, n),
+            ("a", np.float64, n),
+            ("joint", np.float64, n),
+            ("motor", np.float64, n),
+        ],
+        align=True,
+    )
 
 
 ROLES: Final = ("urdf", "tool", "drives", "friction")
@@ -121,8 +122,8 @@ class ArmModel:
     """What the files of a model hold, of use to the compiled law.
 
     Attributes:
-        arm: without friction, shape (1,), MANIPULATOR_DTYPE.
-        friction: the seven elements; their scatter counts with its mean, which is nothing.
+        arm: without friction, shape (1,), of `manipulator_dtype(n)`.
+        friction: the elements; their scatter counts with its mean, which is nothing.
         drives: gears, and how much heat the motors give.
     """
 
@@ -131,9 +132,12 @@ class ArmModel:
     drives: DriveParameters
 
     def fill(self, model: Any, period: float) -> None:
-        """Write arm and friction into a record of MODEL_DTYPE, zero before, for position ticks of `period`, s."""
+        """Write arm and friction into a record of `model_dtype`, zero before, for position ticks of `period`, s."""
         model["arm"], model["friction"]["elements"] = self.arm[0], element_arrays(self.friction)[0]
-        fill_arm_parts(model["friction"]["parts"], self.friction, self.drives.gear, self.drives.motor_heat, period)
+        drives = self.drives
+        fill_arm_parts(
+            model["friction"]["parts"], self.friction, drives.turning, drives.gear, drives.motor_heat, period
+        )
 
 
 @dataclass(frozen=True)
@@ -144,7 +148,7 @@ class ModelFiles:
         urdf: of the arm.
         tool: on its flange; None for none.
         drives: rotors and springs count.
-        friction: the seven elements.
+        friction: the elements.
     """
 
     urdf: Path
@@ -185,7 +189,8 @@ class ModelFiles:
                     f"beside the controller file, or model.{role} in it"
                 )
         robot, drives = load_robot(self.urdf, self.tool), load_drives(self.drives)
-        friction = load_friction(self.friction, robot.joint_names).elements
+        robot.check_count(self.drives, "gear", drives.gear)
+        friction = load_friction(self.friction, drives.turning.element_names(robot.joint_names)).elements
         known = tuple(replace(element, scatter=None) for element in friction)
         return ArmModel(manipulator_record(robot.chain, drives), known, drives)
 
@@ -211,15 +216,17 @@ def add_model_torque(law: Any, state: Any, setpoint: Array) -> None:
     """Add the torque of the parts that are on to `feed_forward`, motor side, and advance the model's bristles.
 
     Args:
-        law: constants, a record of CONTROLLER_DTYPE.
-        state: a record of LAW_STATE_DTYPE.
-        setpoint: joint position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6).
+        law: constants, a record of `controller_dtype`.
+        state: a record of `law_state_dtype`.
+        setpoint: joint position rad, velocity rad/s, acceleration rad/s^2, shape (3, n).
     """
     model, own = law.model, state.model
     lead = model.lead
-    a = load(setpoint[2], 6)
-    v = fma(lead, a, load(setpoint[1], 6))
-    q = fma(lead, fma(0.5 * lead, a, load(setpoint[1], 6)), load(setpoint[0], 6))
+    n = size(own.q)
+    elements = size(own.friction.z)
+    a = load(setpoint[2], n)
+    v = fma(lead, a, load(setpoint[1], n))
+    q = fma(lead, fma(0.5 * lead, a, load(setpoint[1], n)), load(setpoint[0], n))
     store(own.q, q)
     store(own.v, v)
     store(own.a, a)
@@ -232,15 +239,15 @@ def add_model_torque(law: Any, state: Any, setpoint: Array) -> None:
     if not rigid:
         store(own.joint, 0.0 * a)
     if parted:
-        add_to_joints(own.joint, load(own.friction.parts.friction, 7))
+        add_to_joints(law.gear, own.joint, load(own.friction.parts.friction, elements))
     elif friction:
-        z, torque = bristle_step(
-            load_elements(model.friction.elements, 7), load(own.friction.z, 7), element_inputs(own.v), model.period
-        )
+        law_of = load_elements(model.friction.elements, elements)
+        inputs = element_inputs(law.gear, own.v)
+        z, torque = bristle_step(law_of, load(own.friction.z, elements), inputs, model.period)
         store(own.friction.z, z)
-        add_to_joints(own.joint, torque)
+        add_to_joints(law.gear, own.joint, torque)
     to_motor_torque(law.gear, own.joint, own.motor)
-    store(state.feed_forward, load(state.feed_forward, 6) + load(own.motor, 6))
+    store(state.feed_forward, load(state.feed_forward, n) + load(own.motor, n))
 
 
 @inlined
@@ -253,10 +260,10 @@ def _frictional(parts: int) -> bool:
 def begin_parts(state: Any) -> None:
     """Keep what was fed forward before other parts are on; bristles that were off begin undeflected."""
     own = state.model
-    for i in range(6):
+    for i in range(size(own.before)):
         own.before[i] = state.feed_forward[i]
     if not _frictional(own.parts):
-        for i in range(ELEMENT_COUNT):
+        for i in range(size(own.friction.z)):
             own.friction.z[i] = 0.0
 
 
@@ -269,7 +276,7 @@ def hand_over(law: Any, state: Any) -> None:
     """
     own = state.model
     if own.parts != FRESH:
-        for i in range(6):
+        for i in range(size(own.before)):
             limit = law.integrator_limit[i]
             wanted = state.integrator[i] + (own.before[i] - state.feed_forward[i])
             given = min(max(wanted, -limit), limit)
@@ -286,36 +293,36 @@ def _parted_friction(law: Any, own: Any, begins: bool) -> None:
     load is at once what is transmitted.
     """
     friction, state, period = law.model.friction, own.friction, law.model.period
-    transmit(law.model.arm.rotor, own.joint, own.a, state.parts.transmitted)
-    transmitted = load(state.parts.transmitted, 7)
+    n = size(state.z)
+    transmit(law.gear, law.model.arm.rotor, own.joint, own.a, state.parts.transmitted)
+    transmitted = load(state.parts.transmitted, n)
     if begins:
         settle_parts(friction.parts, state.parts, transmitted)
         if state.warm:
-            follow_temperatures(friction.parts.temperature, state.parts.temperature, 7)
+            follow_temperatures(friction.parts.temperature, state.parts.temperature, n)
         else:
-            start_temperatures(friction.parts.temperature, state.parts.temperature, 7)
+            start_temperatures(friction.parts.temperature, state.parts.temperature, n)
             state.warm = 1
-    velocity = element_inputs(own.v)
-    z, torque = parts_step(
-        friction.elements, friction.parts, state.parts, load(state.z, 7), element_inputs(own.q), velocity, period, 7
-    )
+    angle, velocity = element_inputs(law.gear, own.q), element_inputs(law.gear, own.v)
+    z, torque = parts_step(friction.elements, friction.parts, state.parts, load(state.z, n), angle, velocity, period, n)
     store(state.z, z)
     store(state.parts.friction, torque)
-    advance_load(friction.parts.load, state.parts, transmitted, period, 7)
+    advance_load(friction.parts.load, state.parts, transmitted, period, n)
     if friction.parts.temperature.used:
         # Friction, and motors that move the arm against it, heat the joints over the period.
-        add_work(state.parts.temperature, torque, velocity, period, 7)
-        store(state.joint, load(own.joint, 6))
-        add_to_joints(state.joint, load(state.parts.friction, 7))
+        add_work(state.parts.temperature, torque, velocity, period, n)
+        store(state.joint, load(own.joint, size(own.joint)))
+        add_to_joints(law.gear, state.joint, load(state.parts.friction, n))
         to_motor_torque(law.gear, state.joint, state.motor)
-        motor = load(state.motor, 6)
-        stored = parts_energy(friction.elements, friction.parts, state.parts, load(state.z, 7), 7)
-        _heat(law.model, state, stored, of_motors(motor * motor))
+        motor = load(state.motor, size(state.motor))
+        stored = parts_energy(friction.elements, friction.parts, state.parts, load(state.z, n), n)
+        _heat(law.model, state, stored, of_motors(law.gear, motor * motor))
 
 
 @inlined
 def _heat(model: Any, state: Any, stored: Lanes, motor: Lanes) -> None:
-    advance_temperatures(model.friction.parts.temperature, state.parts.temperature, stored, motor, model.period, 7)
+    n = size(state.z)
+    advance_temperatures(model.friction.parts.temperature, state.parts.temperature, stored, motor, model.period, n)
 
 
 @kernel
@@ -323,13 +330,13 @@ def cool_model(laws: Record, states: Record, count: int) -> None:
     """Let the joints of the model cool over `count` position ticks without motion and torque.
 
     Args:
-        laws: constants, shape (1,), CONTROLLER_DTYPE.
-        states: state, shape (1,), LAW_STATE_DTYPE.
+        laws: constants, shape (1,), `controller_dtype`.
+        states: state, shape (1,), `law_state_dtype`.
         count: ticks.
     """
     model, state = laws[0].model, states[0].model.friction
     if state.warm and model.friction.parts.temperature.used:
-        nothing = 0.0 * load(state.parts.temperature.stored, 7)
+        nothing = 0.0 * load(state.parts.temperature.stored, size(state.z))
         store(state.parts.temperature.stored, nothing)
         for _ in range(count):
             _heat(model, state, nothing, nothing)
@@ -339,12 +346,12 @@ class ModelTemperatures:
     """Views of a controller's state; all stays at 0 where its model has no temperatures, or its friction is off.
 
     Args:
-        law: constants, shape (1,), CONTROLLER_DTYPE.
-        state: of the law, shape (1,), LAW_STATE_DTYPE.
+        law: constants, shape (1,), `controller_dtype`.
+        state: of the law, shape (1,), `law_state_dtype`.
 
     Attributes:
-        now: of the seven friction elements, degrees Celsius, shape (7,).
-        heat: of friction and motors since they were set, or since the start, J, shape (7,).
+        now: of the friction elements, degrees Celsius, shape (e,).
+        heat: of friction and motors since they were set, or since the start, J, shape (e,).
     """
 
     def __init__(self, law: np.ndarray[Any, Any], state: np.ndarray[Any, Any]) -> None:
@@ -354,14 +361,15 @@ class ModelTemperatures:
         self.heat: Array = warmth["heat"][0]
 
     def set(self, temperatures: Array) -> None:
-        """Let them go on from these, degrees Celsius, shape (7,), instead of the start that the file gives."""
+        """Let them go on from these, degrees Celsius, shape (e,), instead of the start that the file gives."""
         _set(self._law, self._state, np.ascontiguousarray(temperatures))
 
 
 @kernel
 def _set(laws: Record, states: Record, temperatures: Array) -> None:
     part, state = laws[0].model.friction.parts.temperature, states[0].model.friction
-    start_temperatures(part, state.parts.temperature, 7)
-    store(state.parts.temperature.temperature, load(temperatures, 7))
-    follow_temperatures(part, state.parts.temperature, 7)
+    n = size(state.z)
+    start_temperatures(part, state.parts.temperature, n)
+    store(state.parts.temperature.temperature, load(temperatures, n))
+    follow_temperatures(part, state.parts.temperature, n)
     state.warm = 1

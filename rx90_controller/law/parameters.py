@@ -1,10 +1,10 @@
-"""Gains, limits and switches of the six servo controllers."""
+"""Gains, limits and switches of the servo controllers."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -13,46 +13,53 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.declared import Declared
-from rx90_common.base.entries import REQUIRED, Number, Numbers, Switch
+from rx90_common.base.entries import PER_JOINT, REQUIRED, Number, Numbers, Switch
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import Rates
 from rx90_common.base.section import Section
+from rx90_common.description.coupling import ArmSize, gear_field
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.kernels.elementary_arrays import exponential_less_one_of, powers
-from rx90_controller.law.model import FRICTION, INVERSE_DYNAMICS, MODEL, MODEL_DTYPE, ModelFiles
+from rx90_controller.law.model import FRICTION, INVERSE_DYNAMICS, MODEL, ModelFiles, model_dtype
 from rx90_controller.trajectory import JointLimits
 
-CONTROLLER_DTYPE = np.dtype(
-    [
-        ("gear", np.float64, 6),
-        ("proportional", np.float64, 6),  # motor side, Nm/rad
-        ("integral", np.float64, 6),  # motor side, Nm/rad per position tick
-        ("integrator_limit", np.float64, 6),  # motor side, Nm
-        ("derivative", np.float64, 6),  # motor side, Nm s/rad
-        ("inertia", np.float64, 6),  # motor side, kg m^2; 0 where acceleration feed-forward is off
-        ("velocity_weight", np.float64, 6),  # of the velocity set-point in D; 0 where it is off
-        ("coulomb", np.float64, 6),  # motor side, Nm; 0 where the compensation is off
-        ("coulomb_velocity", np.float64, 6),  # motor side, rad/s
-        ("viscous", np.float64, 6),  # motor side, Nm (s/rad)^exponent; 0 where the compensation is off
-        ("torque_constant", np.float64, 6),
-        ("peak_current", np.float64, 6),
-        ("current_step", np.float64, 6),  # what the amplifier can change in a tick, A
-        ("current_gain", np.float64),  # of the current loop per tick
-        ("following_error", np.float64, 6),  # supervised, motor side, rad
-        ("over_speed", np.float64, 6),  # supervised, motor side, rad/s
-        ("viscous_exponent", np.float64, 6),
-        ("model", MODEL_DTYPE),  # feed-forward by a model of arm and friction
-    ],
-    align=True,
-)
+
+@cache
+def controller_dtype(arm: ArmSize) -> np.dtype[np.void]:
+    """Return the type of the constants of a control law."""
+    n = arm.joints
+    return np.dtype(
+        [
+            gear_field("gear", arm),
+            ("proportional", np.float64, n),  # motor side, Nm/rad
+            ("integral", np.float64, n),  # motor side, Nm/rad per position tick
+            ("integrator_limit", np.float64, n),  # motor side, Nm
+            ("derivative", np.float64, n),  # motor side, Nm s/rad
+            ("inertia", np.float64, n),  # motor side, kg m^2; 0 where acceleration feed-forward is off
+            ("velocity_weight", np.float64, n),  # of the velocity set-point in D; 0 where it is off
+            ("coulomb", np.float64, n),  # motor side, Nm; 0 where the compensation is off
+            ("coulomb_velocity", np.float64, n),  # motor side, rad/s
+            ("viscous", np.float64, n),  # motor side, Nm (s/rad)^exponent; 0 where the compensation is off
+            ("torque_constant", np.float64, n),
+            ("peak_current", np.float64, n),
+            ("current_step", np.float64, n),  # what the amplifier can change in a tick, A
+            ("current_gain", np.float64),  # of the current loop per tick
+            ("following_error", np.float64, n),  # supervised, motor side, rad
+            ("over_speed", np.float64, n),  # supervised, motor side, rad/s
+            ("viscous_exponent", np.float64, n),
+            ("model", model_dtype(arm)),  # feed-forward by a model of arm and friction
+        ],
+        align=True,
+    )
+
 
 MODEL_PARTS: Final = {"inverse_dynamics": INVERSE_DYNAMICS, "friction_model": FRICTION}
-"""Switches of the feed-forward by a model of arm and friction, and their bits in `parts` of MODEL_DTYPE."""
+"""Switches of the feed-forward by a model of arm and friction, and their bits in `parts` of `model_dtype`."""
 
-_six = partial(Numbers, count=6, low=0.0)
+_six = partial(Numbers, count=PER_JOINT, low=0.0)
 _positive_six = partial(_six, above=True)
 _positive = partial(Number, low=0.0, above=True)
 _any_six, _any_positive_six, _any_positive = _six(""), _positive_six(""), _positive("")
@@ -83,7 +90,7 @@ class FeedForward(Declared):
 
     @property
     def model_parts(self) -> int:
-        """Return which of MODEL_PARTS are on, as `parts` of MODEL_DTYPE."""
+        """Return which of MODEL_PARTS are on, as `parts` of `model_dtype`."""
         return sum(bit * getattr(self, name) for name, bit in MODEL_PARTS.items())
 
     @classmethod
@@ -94,7 +101,7 @@ class FeedForward(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class CS7BParameters(Declared):
-    """Six SISO controllers; every array has shape (6,) and joint-side units, motor by motor.
+    """SISO controllers; every array has a value for each motor, shape (n,), and joint-side units.
 
     The law, joint side: torque = Mn [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward; see
     docs/explanation/closed_loop.md.
@@ -102,7 +109,7 @@ class CS7BParameters(Declared):
 
     name = "controller"
     about = (
-        "Gains, limits and switches of six servo controllers: six values, one for each motor, seen from its joint. "
+        "Gains, limits and switches of servo controllers: lists of one value for each motor, seen from its joint. "
         "The law: torque = inertia [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward."
     )
     blocks = {  # noqa: RUF012 - a ClassVar of Declared
@@ -145,10 +152,10 @@ class CS7BParameters(Declared):
         Array,
         Numbers(
             "Exponent of the viscous friction to compensate.", "1",
-            count=6, low=ALPHA_BOUNDS[0], high=ALPHA_BOUNDS[1],
+            count=PER_JOINT, low=ALPHA_BOUNDS[0], high=ALPHA_BOUNDS[1],
         ),
         "feed_forward.viscous_exponent",
-    ] = field(default_factory=lambda: np.ones(6))  # fmt: skip
+    ] = field(default_factory=lambda: np.ones(1))  # fmt: skip
     model: Annotated[ModelFiles | None, MODEL] = None
     current_bandwidth: Annotated[float, _positive("Bandwidth of the current loop.", "Hz"), "current_loop.bandwidth"]
     current_slew: Annotated[
@@ -179,6 +186,7 @@ class CS7BParameters(Declared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self.__dict__.update(self.fitted(len(self.inertia), "inertia").__dict__)
         for name in MODEL_PARTS:
             if getattr(self.feed_forward, name) and self.model is None:
                 raise ConfigError(f"{name} is true without a model; accepted: with one, or false")
@@ -195,7 +203,7 @@ class CS7BParameters(Declared):
         )
 
     def record(self, robot: RobotModel, drives: DriveParameters, rates: Rates) -> np.ndarray[Any, Any]:
-        """Return the law's constants, shape (1,), dtype CONTROLLER_DTYPE.
+        """Return the law's constants, shape (1,), of `controller_dtype`.
 
         Raises:
             ConfigError: if the drives' current sensors have errors, and another bandwidth for the loop through which
@@ -207,12 +215,12 @@ class CS7BParameters(Declared):
                 f"the current loop's bandwidth is {self.current_bandwidth:g} Hz for the controller; accepted: "
                 f"{sensor.bandwidth:g} Hz, as current_sensor of the drives has it, for it is one loop"
             )
-        record = np.zeros(1, CONTROLLER_DTYPE)
+        record = np.zeros(1, controller_dtype(drives.turning.size))
         law = record[0]
         gear_squared = drives.gear * drives.gear
         gear = np.abs(drives.gear)  # limits and friction are the same in both directions of a motor
         switch = self.feed_forward
-        law["gear"] = drives.gear
+        drives.turning.fill(law, "gear", drives.gear)
         law["derivative"] = self.inertia * self.kv / gear_squared
         law["proportional"] = self.inertia * self.kv * self.kp / gear_squared
         law["integral"] = self.inertia * self.ki / gear_squared * rates.position_period

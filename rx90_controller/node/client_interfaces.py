@@ -300,7 +300,7 @@ class _StateMessage:
     def encode(
         self, stamp_ns: int, since_ns: int, setpoint: Array, measured: Array, torque: Array, scaling: float
     ) -> bytes:
-        """Return the message: set-points (3, 6), measured positions and velocities (2, 6), commanded torques (6,)."""
+        """Return the message: set-points (3, n), measured positions and velocities (2, n), commanded torques (n,)."""
         self._stamp[:] = divmod(stamp_ns, NANOSECONDS)
         for from_start in self._times:
             from_start[:] = divmod(since_ns, NANOSECONDS)

@@ -42,11 +42,11 @@ from rx90_common.exchange.topics import (
     DETAILS,
     FREE_RUNNING,
     MOTOR_COMMANDS,
-    MOTOR_NAMES,
     MOTOR_STATES,
     TIME_MODE,
     TRAJECTORY_ACCEPTED,
     TimeMode,
+    motor_names,
 )
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.parameters import (
@@ -94,6 +94,9 @@ class Control:
         rates = declare_rates(node)
         robot, drives = load_robot(files.urdf), load_drives(files.drives)
         law, read_law = declare_law(node, files.controller)
+        robot.check_count(files.drives, "gear", drives.gear)
+        robot.check_count(files.controller, "inertia", law.inertia)
+        motor = motor_names(len(robot.joint_names))
         self._cs7b = cs7b = CS7B(robot, drives, law, rates)
         cs7b.warm_up()
         name, tick_ns = plain(robot.model.name), rates.period_ns * rates.ratio
@@ -114,7 +117,7 @@ class Control:
             return publish(node, JointState, f"~/{name}", STATE_QOS)
 
         # The arrays are always the same, brought up to date by a call of the same method.
-        codec, motors = JointStateCodec(cs7b.joint_names), JointStateCodec(MOTOR_NAMES)
+        codec, motors = JointStateCodec(cs7b.joint_names), JointStateCodec(motor)
         self._every_tick = [
             (topic("reference"), cs7b.reference, codec.encoder(*cs7b.reference())),
             (topic("tracking_error"), cs7b.tracking_error, codec.encoder(*cs7b.tracking_error())),
@@ -132,7 +135,7 @@ class Control:
         cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
         self._report = node.create_guard_condition(loop.report)
         self._pacer = pacer = Pacer(rates.period, 1.0)
-        self.serving = Serving(channel, MOTOR_NAMES, rates, loop, pacer, name, self.info, self.error, local=local)
+        self.serving = Serving(channel, motor, rates, loop, pacer, name, self.info, self.error, local=local)
         self._complaints = ThrottledLog(self.error)
         if not local:
             subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS)

@@ -114,7 +114,7 @@ class ServoLoop:
         self.options, self.tolerances = GoalOptions(), GoalTolerances.of_parameters(cs7b.joint_names)
         self._waiting: TrajectoryRequest | None = None  # for the first states
         self._followed: TrajectoryRequest | None = None  # a goal, or a trajectory that is held to tolerances
-        self._velocity, self._tick = np.zeros(6), -1  # measured last while something was followed
+        self._velocity, self._tick = np.zeros(len(cs7b.joint_names)), -1  # measured last while something was followed
         self.rejected, self.last_rejection = 0, ""
         self._reports: deque[Callable[[], None]] = deque()
 

@@ -43,7 +43,7 @@ class TrajectoryGenerator:
     Args:
         limits: that set-points keep.
         period: of the position loop, s.
-        hold: position to hold, rad, shape (6,).
+        hold: position to hold, rad, shape (j,).
 
     Attributes:
         revision: changes whenever set-points that were sampled in advance may be out of date.
@@ -60,13 +60,13 @@ class TrajectoryGenerator:
 
     def warm_up(self) -> None:
         """Compile, or load, the kernels that a running arm may need."""
-        rest = np.zeros((2, 6))
+        rest = np.zeros((2, len(self.limits.names)))
         spline = smooth(np.array([0.0, 1.0]), rest, rest)
         spline.bounds()
         self._followed(0, Path(spline, 0.0, 1.0)).halted(0, 1)
 
     def reset(self, hold: Array) -> None:
-        """Drop every trajectory and hold a position, rad, shape (6,)."""
+        """Drop every trajectory and hold a position, rad, shape (j,)."""
         self._current = self._followed(0, Path(resting(np.array(hold, dtype=np.float64)), 0.0, 0.0))
         self._current.announced = True
         self._next: FollowedPath | None = None
@@ -91,7 +91,7 @@ class TrajectoryGenerator:
     # What the set-points are.
 
     def setpoints(self, tick: int, count: int = 1) -> Array:
-        """Return the set-points of `count` position ticks from `tick` on, shape (count, 3, 6).
+        """Return the set-points of `count` position ticks from `tick` on, shape (count, 3, j).
 
         Ticks must not go back to before the last `accept`.
         """
@@ -118,7 +118,7 @@ class TrajectoryGenerator:
         return tick if motion.laws else motion.end, motion.path.stop
 
     def state(self, tick: float) -> Array:
-        """Return the set-point of the running trajectory at a time in position ticks, whole or not, shape (3, 6).
+        """Return the set-point of the running trajectory at a time in position ticks, whole or not, shape (3, j).
 
         In the past as far as the running trajectory goes back, in the future as it is with the present scaling.
 
@@ -333,7 +333,7 @@ class TrajectoryGenerator:
         allowed = np.where(outside > 0.0, outside + limits.start_tolerance, 0.0)
         points = points.held_at(held[0])
         limits.check_points(points, allowed)
-        spline = connect(points, np.where(points.named, held, [held[0], *np.zeros_like(held[1:])]), limits)
+        spline = connect(points, np.where(points.named, held, [held[0], 0.0 * held[1], 0.0 * held[2]]), limits)
         last = spline.duration
         if points.velocity is not None and points.velocity[-1].any():
             spline = joined(spline, last, stop(spline.final, points.velocity[-1], limits.acceleration))

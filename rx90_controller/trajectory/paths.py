@@ -31,7 +31,7 @@ _CHECKED_AT_ONCE = 4096  # set-points
 
 
 class _Quantity(NamedTuple):
-    """A quantity with its limits, of shape (6,) or with a row for each value."""
+    """A quantity with its limits, of shape (j,) or with a row for each value."""
 
     what: str
     unit: str
@@ -40,7 +40,7 @@ class _Quantity(NamedTuple):
     slack: Array | float = _SLACK
 
     def first_outside(self, values: Array) -> tuple[int, int] | None:
-        """Return row and joint of the first value, of shape (m, 6), that is not within the limits, or no number."""
+        """Return row and joint of the first value, of shape (m, j), that is not within the limits, or no number."""
         within = (values >= self.low - self.slack) & (values <= self.high + self.slack)
         if within.all():
             return None
@@ -55,7 +55,7 @@ class _Quantity(NamedTuple):
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Limits of six joints, each of shape (6,): positions in rad, speeds in rad/s, accelerations in rad/s^2.
+    """Limits of j joints, each of shape (j,): positions in rad, speeds in rad/s, accelerations in rad/s^2.
 
     Attributes:
         start_tolerance: how far, rad, a trajectory may start from the set-point that is held.
@@ -85,11 +85,11 @@ class JointLimits:
         )
 
     def outside(self, position: Array) -> Array:
-        """Return how far positions, rad, shape (..., 6), lie beyond the limits; 0 within."""
+        """Return how far positions, rad, shape (..., j), lie beyond the limits; 0 within."""
         return np.asarray(np.maximum(np.maximum(self.lower - position, position - self.upper), 0.0))
 
     def check_near(self, points: TrajectoryPoints, held: Array) -> None:
-        """Check that the first point lies at the set-point that is held, shape (3, 6).
+        """Check that the first point lies at the set-point that is held, shape (3, j).
 
         Raises:
             TrajectoryError: naming the joint that is furthest away.
@@ -104,7 +104,7 @@ class JointLimits:
             )
 
     def check_start(self, held: Array, velocity: Array, period: float, number: int = 0) -> None:
-        """Check that the first velocity, rad/s, shape (6,), follows on the set-point that is `held` there, (3, 6).
+        """Check that the first velocity, rad/s, shape (j,), follows on the set-point that is `held` there, (3, j).
 
         `period` is that of the position loop, s, `number` that of the first point.
 
@@ -124,7 +124,7 @@ class JointLimits:
     def check_points(self, points: TrajectoryPoints, allowed: Array) -> None:
         """Check the points themselves: a spline through points within the limits has finite coefficients.
 
-        They may lie beyond the position limits by as much as is `allowed`, rad, shape (6,).
+        They may lie beyond the position limits by as much as is `allowed`, rad, shape (j,).
 
         Raises:
             TrajectoryError: naming point, joint, value and limit of the first one outside.
@@ -149,7 +149,7 @@ class JointLimits:
             spline: the motion.
             period: of the position loop, s.
             points: that it goes through, to say which one is meant.
-            allowed: how far beyond the position limits the first set-point may lie, rad, shape (6,); none may lie
+            allowed: how far beyond the position limits the first set-point may lie, rad, shape (j,); none may lie
                 further beyond than the one before.
 
         Raises:
@@ -183,7 +183,7 @@ class JointLimits:
     def _of_setpoints(
         self, setpoints: Array, times: Array, knots: Array, reach: Array
     ) -> Iterator[tuple[_Quantity, Array, Array, NDArray[np.intp]]]:
-        """Yield quantities of set-points, their values, shape (m, 6), the times and the points that they lead to.
+        """Yield quantities of set-points, their values, shape (m, j), the times and the points that they lead to.
 
         Points closer to each other than two set-points can hide a jump from every sampled derivative, so that the steps
         from one to the next are checked, too.
@@ -229,7 +229,7 @@ class JointLimits:
 
 
 def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Spline:
-    """Return the spline through the points, begun at the set-point that the arm then has, shape (3, 6).
+    """Return the spline through the points, begun at the set-point that the arm then has, shape (3, j).
 
     Raises:
         TrajectoryError: if the first point is elsewhere, or comes too early.
@@ -263,7 +263,7 @@ def _by_degrees(
 
     Args:
         times: s, shape (n,).
-        tables: positions, velocities and, if any are given, accelerations, shape (n, 6) each.
+        tables: positions, velocities and, if any are given, accelerations, shape (n, j) each.
         degrees: 1, 3 or 5.
         limits: whose accelerations the ramps of straight lines have, at both ends from and to the velocities there.
         first: number of the first point, for refusals.
@@ -293,18 +293,18 @@ def straight(
 
     Args:
         times: s, shape (n,), increasing, n >= 2.
-        position: rad, shape (n, 6).
-        velocity: at the first point, rad/s, shape (6,).
+        position: rad, shape (n, j).
+        velocity: at the first point, rad/s, shape (j,).
         limits: whose accelerations the ramps have.
         first: number of the first point, for refusals.
-        end_velocity: at the last point, rad/s, shape (6,).
+        end_velocity: at the last point, rad/s, shape (j,).
 
     Raises:
         TrajectoryError: naming the first point that comes too early for the ramps.
     """
     span, way = np.diff(times), np.diff(position, axis=0)
     speed = way / span[:, None]
-    last, final = len(span) - 1, np.zeros(6) + end_velocity
+    last, final = len(span) - 1, np.zeros(position.shape[1]) + end_velocity
     if last == 0:
         begin = end = _both_ends(first + 1, span[0], way[0], (velocity, final), limits)
         speed[0] = (way[0] - (velocity + final) * (begin / 2.0)) / (span[0] - begin)
@@ -332,12 +332,14 @@ def straight(
     before, after = around[:-1], around[1:]
     kept = np.column_stack([ramp > 0.0, cruise > 0.0]).ravel()  # those of no duration are left out
     knots = np.column_stack([start, start + ramp]).ravel()[kept]
-    bend = np.zeros((2 * len(start), 6))
+    bend = np.zeros((2 * len(start), position.shape[1]))
     bend[::2] = (after - before) / np.where(ramp > 0.0, 2.0 * ramp, 1.0)[:, None]
-    ways = np.stack([(before + after) * (ramp / 2.0)[:, None], after * cruise[:, None]], axis=1).reshape(-1, 6)[kept]
-    coefficients = np.zeros((len(knots), 6, 6))
+    ways = np.stack([(before + after) * (ramp / 2.0)[:, None], after * cruise[:, None]], axis=1).reshape(
+        -1, bend.shape[1]
+    )[kept]
+    coefficients = np.zeros((len(knots), 6, bend.shape[1]))
     coefficients[:, 0] = np.cumsum(np.concatenate([position[:1], ways[:-1]]), axis=0)
-    coefficients[:, 1], coefficients[:, 2] = np.stack([before, after], axis=1).reshape(-1, 6)[kept], bend[kept]
+    coefficients[:, 1], coefficients[:, 2] = np.stack([before, after], axis=1).reshape(bend.shape)[kept], bend[kept]
     blend_error = float((half[:, None] * np.abs(change)).max(initial=0.0)) / 4.0
     return Spline(np.append(knots, start[-1] + ramp[-1]), coefficients, position[-1].copy(), blend_error)
 
@@ -387,16 +389,16 @@ def stop(position: Array, velocity: Array, acceleration: Array) -> Spline:
     It ends at q + v |v|/(2 a), which is within the limits wherever `JointLimits.check_motion` has found room to stop.
 
     Args:
-        position: where it begins, rad, shape (6,).
-        velocity: at its begin, rad/s, shape (6,).
-        acceleration: the most that each joint may be braked with, rad/s^2, shape (6,).
+        position: where it begins, rad, shape (j,).
+        velocity: at its begin, rad/s, shape (j,).
+        acceleration: the most that each joint may be braked with, rad/s^2, shape (j,).
     """
     duration = np.abs(velocity) / acceleration
     rest = position + velocity * duration / 2.0
     times = np.unique(np.concatenate([[0.0], duration]))
     at = times[:-1, None]
     brake = -np.sign(velocity) * acceleration
-    coefficients = np.zeros((len(times) - 1, 6, 6))
+    coefficients = np.zeros((len(times) - 1, 6, rest.size))
     moving = at < duration
     coefficients[:, 0] = np.where(moving, position + at * (velocity + at * brake / 2.0), rest)
     coefficients[:, 1] = np.where(moving, velocity + at * brake, 0.0)

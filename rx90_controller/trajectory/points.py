@@ -38,10 +38,10 @@ class TrajectoryPoints:
 
     Attributes:
         times: time from start, s, shape (n,), increasing, first >= 0.
-        position: rad, shape (n, 6).
-        velocity: rad/s, shape (n, 6), or None if no point carries velocities.
-        acceleration: rad/s^2, shape (n, 6), or None if no point carries accelerations.
-        named: which joints the points are of, shape (6,); the values of the others are 0 and mean nothing.
+        position: rad, shape (n, j).
+        velocity: rad/s, shape (n, j), or None if no point carries velocities.
+        acceleration: rad/s^2, shape (n, j), or None if no point carries accelerations.
+        named: which joints the points are of, shape (j,), all where it is left out; the values of the others are 0 and mean nothing.
         first: number of the first point in the trajectory that was sent.
         way: None; kept for programs that name it.
         smooth: whether only the velocities at both ends count, see `smoothed`.
@@ -53,11 +53,15 @@ class TrajectoryPoints:
     position: Array
     velocity: Array | None
     acceleration: Array | None
-    named: Mask = field(default_factory=lambda: np.ones(6, dtype=np.bool_))
+    named: Mask = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
     first: int = 0
     way: Way | None = None
     smooth: bool = False
     degrees: NDArray[np.intp] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.named.size:
+            object.__setattr__(self, "named", np.ones(self.position.shape[1], dtype=np.bool_))
 
     @classmethod
     def create(
@@ -78,7 +82,7 @@ class TrajectoryPoints:
         less than a millisecond later, takes its place.
 
         Args:
-            robot_joints: names of the six joints.
+            robot_joints: names of the joints.
             joint_names: in the order of the vectors.
             times: from the start, s.
             position: rad, of each point.
@@ -99,7 +103,7 @@ class TrajectoryPoints:
         _check_times(times)
         columns = [list(robot_joints).index(name) for name in names]
         q, v, a = (
-            _table(what, rows, len(times), columns, robot_joints)
+            _table(what, rows, (len(times), len(robot_joints)), columns, names)
             for what, rows in (("positions", position), ("velocities", velocity), ("accelerations", acceleration))
         )
         if q is None:
@@ -113,8 +117,9 @@ class TrajectoryPoints:
                     f"point {len(v) - 1}: {robot_joints[fastest]} ends at {v[-1, fastest]:g} rad/s; accepted: 0 within "
                     f"{_REST_VELOCITY:.3g} rad/s, the arm rests at the last point"
                 )
-        named = np.isin(np.arange(len(robot_joints)), columns)
-        return cls(np.array(times, dtype=np.float64), q, v, a, named, degrees=degrees)
+        return cls(
+            np.array(times, dtype=np.float64), q, v, a, np.isin(np.arange(len(robot_joints)), columns), degrees=degrees
+        )
 
     def prepared(self) -> TrajectoryPoints:
         """Return them as they are: nothing need be computed beforehand; kept for programs that call it."""
@@ -148,7 +153,7 @@ class TrajectoryPoints:
         )
 
     def held_at(self, position: Array) -> TrajectoryPoints:
-        """Return points whose joints that are not named hold a position, rad, shape (6,)."""
+        """Return points whose joints that are not named hold a position, rad, shape (j,)."""
         if self.named.all():
             return self
         return replace(self, position=np.where(self.named, self.position, position))
@@ -188,9 +193,10 @@ def _check_times(times: Sequence[float]) -> None:
 
 
 def _table(
-    what: str, rows: Sequence[Sequence[float]], points: int, columns: list[int], robot_joints: Sequence[str]
+    what: str, rows: Sequence[Sequence[float]], shape: tuple[int, int], columns: list[int], names: list[str]
 ) -> Array | None:
-    """Return the vectors of all points with their values in the columns of their joints, shape (n, joints)."""
+    """Return the vectors of all points with their values in the columns of their joints, shape (n, j)."""
+    points, _ = shape
     if len(rows) not in (0, points):
         raise TrajectoryError(f"{what} of {len(rows)} points; accepted: of {points}, as many as there are times")
     if not any(len(row) for row in rows):
@@ -203,9 +209,8 @@ def _table(
     values = np.array([row if len(row) else [0.0] * len(columns) for row in rows], dtype=np.float64)
     if not np.isfinite(values).all():
         i, k = np.argwhere(~np.isfinite(values))[0]
-        name = robot_joints[columns[k]]
-        raise TrajectoryError(f"point {i}: {what} of {name} is {values[i, k]}; accepted: a finite number")
-    table = np.zeros((points, len(robot_joints)))
+        raise TrajectoryError(f"point {i}: {what} of {names[k]} is {values[i, k]}; accepted: a finite number")
+    table = np.zeros(shape)
     table[:, columns] = values
     return table
 

@@ -84,11 +84,11 @@ def constraint_parameters(names: Sequence[str]) -> dict[str, tuple[float, str]]:
 
 @dataclass(frozen=True)
 class GoalTolerances:
-    """Tolerances of six joints; infinite where there is none.
+    """Tolerances of j joints; infinite where there is none.
 
     Attributes:
         names: of the joints.
-        path: of position rad, velocity rad/s and acceleration rad/s^2 along the path, shape (3, 6).
+        path: of position rad, velocity rad/s and acceleration rad/s^2 along the path, shape (3, j).
         goal: likewise at its end.
         goal_time: how long after its end the goal may take to be reached, s; infinite for "for ever".
     """
@@ -103,7 +103,7 @@ class GoalTolerances:
         """Return the tolerances that some of `constraint_parameters` stand for, with the defaults of the others."""
         known = {name: default for name, (default, _) in constraint_parameters(names).items()} | dict(values or {})
         limits = {name.removeprefix("constraints."): value or math.inf for name, value in known.items()}
-        path, goal = np.full((3, 6), np.inf), np.full((3, 6), np.inf)
+        path, goal = np.full((3, len(names)), np.inf), np.full((3, len(names)), np.inf)
         path[0] = [limits[f"{name}.trajectory"] for name in names]
         goal[0] = [limits[f"{name}.goal"] for name in names]
         goal[1] = limits["stopped_velocity_tolerance"]
@@ -142,7 +142,7 @@ class GoalTolerances:
         return GoalTolerances(self.names, tables[0], tables[1], most)
 
     def worst(self, error: Array, limit: Array) -> str | None:
-        """Return what is furthest beyond its tolerance, relatively, in words; None if nothing is; shape (3, 6) each."""
+        """Return what is furthest beyond its tolerance, relatively, in words; None if nothing is; shape (3, j) each."""
         beyond = ~(np.abs(error) <= limit) & np.isfinite(limit)
         if not beyond.any():
             return None
@@ -184,8 +184,8 @@ class Feedback(NamedTuple):
 
     Attributes:
         tick: position tick.
-        desired: set-point: position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6).
-        actual: measured, shape (3, 6); the acceleration is the difference of the velocities over a tick.
+        desired: set-point: position rad, velocity rad/s, acceleration rad/s^2, shape (3, j).
+        actual: measured, shape (3, j); the acceleration is the difference of the velocities over a tick.
         desired_time: time on the trajectory, s from its start; slower than `actual_time` where speed is scaled.
         actual_time: time since its start, s.
     """
@@ -265,7 +265,7 @@ class TrajectoryRequest:
 
         Args:
             tick: the position tick.
-            desired: set-point: position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6).
+            desired: set-point: position rad, velocity rad/s, acceleration rad/s^2, shape (3, j).
             actual: measured, likewise.
             trajectory: generator that follows it.
         """

@@ -28,8 +28,8 @@ class Spline:
 
     Attributes:
         times: knots, s, shape (n,), increasing.
-        coefficients: of powers 0 to 5 of the time since the knot, shape (n - 1, 6 powers, 6 joints).
-        final: position after the last knot, rad, shape (6,).
+        coefficients: of powers 0 to 5 of the time since the knot, shape (n - 1, 6 powers, joints).
+        final: position after the last knot, rad, shape (j,).
         blend_error: by how much it misses the points that it is to pass, at most, rad.
     """
 
@@ -44,24 +44,25 @@ class Spline:
         return float(self.times[-1])
 
     def sample(self, times: Array) -> Array:
-        """Return set-points at `times`, s, shape (m,): position, velocity, acceleration, shape (m, 3, 6)."""
+        """Return set-points at `times`, s, shape (m,): position, velocity, acceleration, shape (m, 3, j)."""
         setpoints = np.empty((times.size, 3, self.final.size))
         sample_spline(self.times, self.coefficients, self.final, times, setpoints)
         return setpoints
 
     def bounds(self) -> tuple[Array, Array]:
-        """Return what positions, velocities and accelerations lie between, shape (3, 6) each; infinite for no numbers.
+        """Return what positions, velocities and accelerations lie between, shape (3, j) each; infinite for no numbers.
 
         Between its ends a polynomial lies within its control points as a Bezier curve (Farin 2002, chapter 5).
         """
-        low, high = (np.full((3, self.final.size), end) for end in (np.inf, -np.inf))
+        shape = 3, self.final.size
+        low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
         _control_points(self.coefficients, np.diff(self.times), low, high)
         return low, high
 
 
 @kernel
 def _control_points(coefficients: Array, span: Array, low: Array, high: Array) -> None:
-    """Lower `low` and raise `high`, shape (3, 6), to the control points of all pieces."""
+    """Lower `low` and raise `high`, shape (3, j), to the control points of all pieces."""
     scaled = np.empty(6)
     for k in range(span.size):
         for j in range(low.shape[1]):
@@ -88,7 +89,7 @@ def _control_points(coefficients: Array, span: Array, low: Array, high: Array) -
 
 @kernel
 def sample_spline(knots: Array, coefficients: Array, final: Array, times: Array, setpoints: Array) -> None:
-    """Write the set-points at `times` into `setpoints`, shape (m, 3, 6)."""
+    """Write the set-points at `times` into `setpoints`, shape (m, 3, j)."""
     last = knots.size - 1
     for m in range(times.size):
         t = times[m]
@@ -109,7 +110,7 @@ def sample_spline(knots: Array, coefficients: Array, final: Array, times: Array,
 
 
 def resting(position: Array) -> Spline:
-    """Return the spline that holds a position, rad, shape (6,)."""
+    """Return the spline that holds a position, rad, shape (j,)."""
     return Spline(np.zeros(1), np.zeros((0, 6, position.size)), position)
 
 
@@ -118,8 +119,8 @@ def smooth(times: Array, position: Array, velocity: Array) -> Spline:
 
     Args:
         times: s, shape (n,), increasing, n >= 2.
-        position: rad, shape (n, 6).
-        velocity: rad/s, shape (n, 6); only the first and the last row count.
+        position: rad, shape (n, j).
+        velocity: rad/s, shape (n, j); only the first and the last row count.
     """
     slopes = velocity.copy()
     _slopes(times, position, slopes)
@@ -128,7 +129,7 @@ def smooth(times: Array, position: Array, velocity: Array) -> Spline:
 
 @kernel
 def _slopes(times: Array, position: Array, slopes: Array) -> None:
-    """Fill the slopes of the C2 cubic between the first and the last row, shape (n, 6) (de Boor 2001, chapter IV)."""
+    """Fill the slopes of the C2 cubic between the first and the last row, shape (n, j) (de Boor 2001, chapter IV)."""
     # h1 s0 + 2 (h0 + h1) s1 + h0 s2 = 3 (h1 d0 + h0 d1), h: spans, d: differences of the positions by the spans.
     last = times.size - 1
     factor = np.zeros(times.size)
@@ -136,12 +137,12 @@ def _slopes(times: Array, position: Array, slopes: Array) -> None:
         before, after = times[i] - times[i - 1], times[i + 1] - times[i]
         pivot = 2.0 * (before + after) - after * factor[i - 1]
         factor[i] = before / pivot
-        for j in range(6):
+        for j in range(slopes.shape[1]):
             left = (position[i, j] - position[i - 1, j]) / before
             right = (position[i + 1, j] - position[i, j]) / after
             slopes[i, j] = (3.0 * (after * left + before * right) - after * slopes[i - 1, j]) / pivot
     for i in range(last - 1, 0, -1):
-        for j in range(6):
+        for j in range(slopes.shape[1]):
             slopes[i, j] -= factor[i] * slopes[i + 1, j]
 
 
@@ -150,9 +151,9 @@ def interpolate(times: Array, position: Array, velocity: Array, acceleration: Ar
 
     Args:
         times: s, shape (n,), increasing, n >= 2.
-        position: rad, shape (n, 6).
-        velocity: rad/s, shape (n, 6).
-        acceleration: rad/s^2, shape (n, 6).
+        position: rad, shape (n, j).
+        velocity: rad/s, shape (n, j).
+        acceleration: rad/s^2, shape (n, j).
     """
     h = np.diff(times)[:, None]
     coefficients = np.zeros((times.size - 1, 6, position.shape[1]))
@@ -200,14 +201,14 @@ def remainder(spline: Spline, at: float) -> Spline:
 
 
 def merged(spline: Spline, other: Spline, joints: Mask) -> Spline:
-    """Return a spline with some joints, shape (6,), taken from another one."""
+    """Return a spline with some joints, shape (j,), taken from another one."""
     knots = np.union1d(spline.times, other.times)
     coefficients = np.where(joints, _expanded(other, knots[:-1]), _expanded(spline, knots[:-1]))
     return Spline(knots, coefficients, np.where(joints, other.final, spline.final), spline.blend_error)
 
 
 def _expanded(spline: Spline, knots: Array) -> Array:
-    """Return the coefficients of a spline by the times since other knots that include its own, shape (n, 6, joints)."""
+    """Return the coefficients of a spline by the times since other knots that include its own, shape (n, 6, j)."""
     piece = np.maximum(np.searchsorted(spline.times, knots, side="right") - 1, 0)
     ended = knots >= spline.duration
     coefficients = np.zeros((len(knots), 6, spline.final.size))
@@ -279,7 +280,7 @@ def _advance(
     knots: Array, coefficients: Array, final: Array, limit: Array, period: float, wanted: float, series: Array
 ) -> int:
     """Fill times and rates, shape (2, n), from their first entries on; return how many ticks the rate changes for."""
-    here, there = np.empty((1, 3, 6)), np.empty((1, 3, 6))
+    here, there = np.empty((1, 3, final.size)), np.empty((1, 3, final.size))
     at = np.empty(1)
     count: int = series.shape[1] - 1
     for k in range(count):
@@ -309,7 +310,7 @@ def _advance(
 def _bound(here: Array, rate: float, wanted: float, limit: Array, period: float) -> float:
     """Return how far the rate may go towards the wanted one by the accelerations q'' r^2 + q' dr/dt at its begin."""
     change = (wanted - rate) / period
-    for j in range(6):
+    for j in range(limit.size):
         slope, bend = here[1, j], here[2, j] * rate * rate
         asked = slope * change
         room = max(limit[j] - bend if asked > 0.0 else limit[j] + bend, 0.0)
@@ -327,7 +328,7 @@ def _follows(before: Array, rate: float, after: Array, then: float, limit: Array
     Without the second one the path's own acceleration could grow within the tick to what the change leaves no room for.
     """
     follows, change = True, (then - rate) / period
-    for j in range(6):
+    for j in range(limit.size):
         step = after[1, j] * then - before[1, j] * rate
         end = after[2, j] * then * then + after[1, j] * change
         follows = follows and abs(step) <= limit[j] * period and abs(end) <= limit[j] * (1.0 + _SLACK)
@@ -358,7 +359,7 @@ class FollowedPath:
         start: the tick.
         path: from time 0 on.
         period: of the position loop, s.
-        limit: accelerations of the joints, rad/s^2, shape (6,).
+        limit: accelerations of the joints, rad/s^2, shape (j,).
         fixed: whether it runs at full speed whatever the scaling is, as stops do.
         announced: whether its end has been announced.
         laws: how the time on the path runs, each from its tick on; at full speed before the first.
@@ -383,11 +384,11 @@ class FollowedPath:
         return self.start + math.ceil(self.path.spline.duration / self.period - 1e-6)
 
     def setpoints(self, tick: int, count: int) -> Array:
-        """Return the set-points of `count` ticks from `tick` on, shape (count, 3, 6)."""
+        """Return the set-points of `count` ticks from `tick` on, shape (count, 3, j)."""
         return self.states(np.arange(tick, tick + count, dtype=np.float64))
 
     def states(self, ticks: Array) -> Array:
-        """Return the set-points at n ticks, whole or not, shape (n, 3, 6)."""
+        """Return the set-points at n ticks, whole or not, shape (n, 3, j)."""
         if not self.laws:
             return self.path.spline.sample((ticks - self.start) * self.period)
         times = (ticks - self.start) * self.period
@@ -414,7 +415,7 @@ class FollowedPath:
         return (tick - self.start) * self.period, 1.0
 
     def entry(self, tick: int) -> Array:
-        """Return position and its derivatives by the time on the path at a tick, shape (3, 6)."""
+        """Return position and its derivatives by the time on the path at a tick, shape (3, j)."""
         entry: Array = self.path.spline.sample(np.array([self.at(tick)[0]]))[0]
         return entry
 

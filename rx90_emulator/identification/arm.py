@@ -22,9 +22,8 @@ from numpy.typing import ArrayLike
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed, plain, quoted
-from rx90_common.description.drives import coupling_matrix, element_matrix
+from rx90_common.description.coupling import sum_name
 from rx90_common.description.rigid_torque import configurations, rigid_torque, rotor_and_spring_torque
-from rx90_common.friction.friction_set import element_names
 from rx90_emulator.loop.setup import Setup
 
 _LEAST_MASS = 1e-12  # kg
@@ -61,11 +60,11 @@ class RigidArm:
 
     @classmethod
     def from_setup(cls, setup: Setup) -> RigidArm:
-        """Return the arm of a setup: robot with tool, rotors, wrist coupling, spring, seven elements."""
-        names = setup.robot.joint_names
-        matrix, coupling = element_matrix(), coupling_matrix()
-        model, rotor, spring = setup.robot.model, setup.drives.rotor_matrix, setup.drives.spring_torque
-        return cls(names, element_names(names), matrix, model, rotor, spring, coupling)
+        """Return the arm of a setup: robot with tool, rotors, coupling, spring, elements."""
+        robot, drives = setup.robot, setup.drives
+        names, turning, rotor = robot.joint_names, drives.turning, drives.rotor_matrix
+        elements, matrix = turning.element_names(names), turning.element_matrix
+        return cls(names, elements, matrix, robot.model, rotor, drives.spring_torque, turning.turns)
 
     @classmethod
     def from_urdf(
@@ -113,7 +112,7 @@ class RigidArm:
         if abs(np.linalg.det(turns)) < 1e-9:
             raise IdentificationError(f"coupling: {turns.tolist()}; accepted: an invertible matrix")
         together = [row for row in turns if np.count_nonzero(row) > 1]
-        elements = (*names, *(_label(names, row) for row in together))
+        elements = (*names, *(sum_name(names, row) for row in together))
         everything = tuple(str(name) for name in model.names)[1:]
         own = np.array([everything.index(name) for name in names])
         rotors, springs, matrix = (np.zeros(shape) for shape in ((len(everything),) * 2, len(everything),
@@ -220,16 +219,6 @@ class RigidArm:
         reach = sum(float(np.linalg.norm(place.translation)) for place in self.model.jointPlacements) or 1.0
         powers = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
         return np.tile(mass * reach**powers, len(self.names))
-
-
-def _label(names: Sequence[str], row: Array) -> str:
-    """Return how an element's velocity is made of the joints', such as joint_5+joint_6: no two have the same."""
-    parts: list[str] = []
-    for name, share in zip(names, row.tolist(), strict=True):
-        if share:
-            sign = "-" if share < 0.0 else "+" if parts else ""
-            parts.append(f"{sign}{'' if abs(share) == 1.0 else f'{abs(share):g}*'}{name}")
-    return "".join(parts)
 
 
 def joint_model(

@@ -21,9 +21,9 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.share import resolve_config
-from rx90_common.description.drives import coupling_matrix
+from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
+from rx90_common.exchange.topics import MOTOR_STATES, motor_names
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
@@ -136,7 +136,7 @@ def arm_layout(
     topic: str,
     joints: Sequence[str],
     options: MessageOptions = NO_OPTIONS,
-    own_gear: Callable[[], Array] | None = None,
+    own_drives: Callable[[], DriveParameters] | None = None,
     mapping: LogMapping | None = None,
 ) -> BagLayout:
     """Return the layout of a topic of an arm.
@@ -146,25 +146,25 @@ def arm_layout(
             else.
         joints: the joints' names.
         options: what the messages hold where it is not as here.
-        own_gear: returns the gears of a robot of this project; None for another robot.
+        own_drives: returns the drives of a robot of this project; None for another robot.
         mapping: what the columns of a table hold.
 
     Raises:
         IdentificationError: for options of another size, and a coupling of this project's robot without gears.
     """
-    n, own = len(joints), own_gear is not None
+    n, own = len(joints), own_drives is not None
     _check_sizes(options, n)
     motors = own and topic.rpartition("/")[2] == MOTOR_STATES
-    gear = own_gear() if own_gear is not None and motors and options.gear is None else _array(options.gear)
+    gear = own_drives().gear if own_drives is not None and motors and options.gear is None else _array(options.gear)
     if own and gear is None and options.coupling is not None:
         raise IdentificationError("--coupling without --gear; accepted: for the motors' states, with their --gear")
     turns = None
     if gear is not None:
-        usual = coupling_matrix() if own else np.eye(n)
+        usual = np.eye(n) if own_drives is None else own_drives().turning.turns
         turns = gear[:, None] * (usual if options.coupling is None else np.reshape(options.coupling, (n, n)))
     return BagLayout(
         topic,
-        tuple(options.names or (MOTOR_NAMES if motors else joints)),
+        tuple(options.names or (motor_names(n) if motors else joints)),
         tuple(joints),
         turns,
         _array(options.torque_constant),
@@ -367,4 +367,4 @@ class RecordedRobot:
         check_robot(bag, setup.robot.model.name)
         topics = (MOTOR_STATES, JOINT_STATES) if fast else (JOINT_STATES, MOTOR_STATES)
         topic = topic or recorded_topic(bag, topics, self.mapping)
-        return arm_layout(topic, self.arm.names, self.options, lambda: setup.drives.gear, self.mapping)
+        return arm_layout(topic, self.arm.names, self.options, lambda: setup.drives, self.mapping)

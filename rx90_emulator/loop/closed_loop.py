@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import SupervisionError, check_type
-from rx90_common.description.drives import to_joint, to_joint_torque
+from rx90_common.description.coupling import to_joint, to_joint_torque
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.lanes import load, store
+from rx90_common.kernels.lanes import load, size, store
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.loops import position_loop, velocity_loop
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
@@ -49,7 +49,7 @@ def run_ticks(
         plant_states: state of the plant, advanced in place.
         laws: constants of the control law.
         law_states: state of the control law, advanced in place.
-        setpoints: one for each position tick from tick 0 on, shape (m, 3, 6).
+        setpoints: one for each position tick from tick 0 on, shape (m, 3, n).
         ratio: base ticks in a position tick.
         warm_ticks: base ticks in a row of temperatures.
         first: number of the first tick.
@@ -62,16 +62,17 @@ def run_ticks(
         controller's supervision cut the power in the tick after them.
     """
     state, law = plant_states[0], law_states[0]
+    n = size(state.q)
     sensed = plants[0].sensor.used
     for k in range(first, first + ticks):
         row, setpoint = k // ratio, setpoints[k // ratio]
         slow_tick = k % ratio == 0
         if slow_tick:
             # By lanes: assigning slices takes numba longer, an eighth of a tick in all.
-            store(slow.joint_states[row, 0], load(state.q, 6))
-            store(slow.joint_states[row, 1], load(state.v, 6))
-            store(slow.joint_states[row, 2], load(state.drive_torque, 6))
-            store(slow.friction_states[row, 0], load(state.z, 7))
+            store(slow.joint_states[row, 0], load(state.q, n))
+            store(slow.joint_states[row, 1], load(state.v, n))
+            store(slow.joint_states[row, 2], load(state.drive_torque, n))
+            store(slow.friction_states[row, 0], load(state.z, size(state.z)))
             friction_states(plants, plant_states, slow.friction_states[row, 1], slow.friction_states[row, 2])
             if position_loop(laws, law_states, setpoint, state.motor_position, state.motor_velocity):
                 return k - first, TRIPPED
@@ -79,15 +80,15 @@ def run_ticks(
         if slow_tick:
             _keep_law(laws[0].gear, law, setpoint, row, slow)
             if sensed:
-                store(slow.details[row, 2], load(state.sensor.torque, 6) / load(laws[0].torque_constant, 6))
+                store(slow.details[row, 2], load(state.sensor.torque, n) / load(laws[0].torque_constant, n))
         if slow.temperatures.shape[0] > 0 and k % warm_ticks == 0:
             slow.temperatures[k // warm_ticks] = state.parts.temperature.temperature
             slow.windings[k // warm_ticks] = state.temperature
         if fast.motor_commands.shape[0] > 0:
-            store(fast.motor_states[k, 0], load(state.motor_position, 6))
-            store(fast.motor_states[k, 1], load(state.motor_velocity, 6))
-            store(fast.motor_states[k, 2], load(state.sensor.torque if sensed else state.motor_torque, 6))
-            store(fast.motor_commands[k], load(law.command, 6))
+            store(fast.motor_states[k, 0], load(state.motor_position, n))
+            store(fast.motor_states[k, 1], load(state.motor_velocity, n))
+            store(fast.motor_states[k, 2], load(state.sensor.torque if sensed else state.motor_torque, n))
+            store(fast.motor_commands[k], load(law.command, n))
         joint = plant_step(plants, plant_states, law.command, True)
         if joint >= 0:
             return k + 1 - first, joint
@@ -95,39 +96,40 @@ def run_ticks(
 
 
 @inlined
-def _keep_law(gear: Array, law: Any, setpoint: Array, row: int, slow: SlowSeries) -> None:
-    """Write the row of what the control law makes of a set-point, shape (3, 6)."""
-    store(slow.reference[row, 0], load(setpoint[0], 6))
-    store(slow.reference[row, 1], load(setpoint[1], 6))
+def _keep_law(gear: Any, law: Any, setpoint: Array, row: int, slow: SlowSeries) -> None:
+    """Write the row of what the control law makes of a set-point, shape (3, n)."""
+    n = size(law.error)
+    store(slow.reference[row, 0], load(setpoint[0], n))
+    store(slow.reference[row, 1], load(setpoint[1], n))
     to_joint_torque(gear, law.feed_forward, slow.reference[row, 2])
     to_joint(gear, law.error, slow.tracking_error[row, 0])
     to_joint(gear, law.velocity_error, slow.tracking_error[row, 1])
     to_joint_torque(gear, law.command, slow.tracking_error[row, 2])
-    store(slow.details[row, 0], load(setpoint[2], 6))
-    store(slow.details[row, 1], load(law.commanded, 6))
-    store(slow.details[row, 2], load(law.current, 6))
+    store(slow.details[row, 0], load(setpoint[2], n))
+    store(slow.details[row, 1], load(law.commanded, n))
+    store(slow.details[row, 2], load(law.current, n))
 
 
 @kernel
 def peaks_and_work(joints: Array, friction: Array, tracking: Array, period: float, peaks: Array, work: Array) -> None:
-    """Find the peaks of velocity, torque and tracking error, shape (3, 6), and the friction's work, J, shape (7,).
+    """Find the peaks of velocity, torque and tracking error, shape (3, joints), and the friction's work, J, shape (e,).
 
     Args:
-        joints: rows of joint states, shape (n, 3, 6).
-        friction: rows of friction states, shape (n, 3, 7).
-        tracking: rows of tracking errors, shape (n, 3, 6).
+        joints: rows of joint states, shape (n, 3, joints).
+        friction: rows of friction states, shape (n, 3, e).
+        tracking: rows of tracking errors, shape (n, 3, joints).
         period: from one row to the next, s.
         peaks: raised in place.
         work: added to in place.
     """
     for n in range(len(joints)):
-        for j in range(6):
+        for j in range(peaks.shape[1]):
             values = joints[n, 1, j], joints[n, 2, j], tracking[n, 0, j]
             for k in range(3):
                 if not abs(values[k]) <= peaks[k, j]:  # NaN stays
                     peaks[k, j] = abs(values[k])
         if n > 0:
-            for e in range(7):
+            for e in range(len(work)):
                 power = friction[n, 1, e] * friction[n, 2, e] + friction[n - 1, 1, e] * friction[n - 1, 2, e]
                 work[e] += period * power / 2.0
 
@@ -146,7 +148,7 @@ def simulate(
     Args:
         setup: robot, drives, friction, controller, rates.
         points: the trajectory.
-        initial_position: joint positions at rest, rad, shape (6,); by default the trajectory's first point.
+        initial_position: joint positions at rest, rad, shape (n,); by default the trajectory's first point.
         duration: simulated time, s; by default until the trajectory ends.
         start_time: when the trajectory starts, s.
         substeps: plant steps in a tick; None for as many as the arm needs, usually 1.
@@ -181,7 +183,7 @@ def simulate_commands(
     Args:
         setup: robot, drives, friction, controller, rates.
         commands: in the order of their start; each replaces the one before it at its start.
-        initial_position: joint positions at rest, rad, shape (6,).
+        initial_position: joint positions at rest, rad, shape (n,).
         duration: simulated time, s.
         substeps: plant steps in a tick; None for as many as the arm needs, usually 1.
         record_fast: also keep the series on base ticks.
@@ -202,7 +204,9 @@ def simulate_commands(
     plant.reset(initial_position)
     controller.reset(plant.motor_states()[0])
     warm = bool(plant.temperatures.elements) or setup.drives.winding.used
-    fast, slow = empty_series(ticks, rates.ratio, record_fast, rates.temperature_ticks if warm else 0)
+    fast, slow = empty_series(
+        ticks, rates.ratio, record_fast, rates.temperature_ticks if warm else 0, arm=setup.drives.turning.size
+    )
     setpoints = (sample or setpoints_of)(controller.trajectory, commands, len(slow.joint_states))
     run_setpoints(plant, controller, setpoints, ticks, fast, slow)
     if warn:
@@ -211,7 +215,7 @@ def simulate_commands(
 
 
 def setpoints_of(generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int) -> Array:
-    """Return the set-points of `count` position ticks, shape (count, 3, 6)."""
+    """Return the set-points of `count` position ticks, shape (count, 3, n)."""
     parts, at = [], 0
     for start, points in commands:
         begin = min(max(start, at), count)
@@ -228,7 +232,7 @@ def setpoints_of(generator: TrajectoryGenerator, commands: Sequence[MotionComman
 def run_setpoints(
     plant: Plant, controller: CS7B, setpoints: Array, ticks: int, fast: FastSeries, slow: SlowSeries
 ) -> None:
-    """Run `ticks` base ticks from tick 0 along set-points, one for each position tick, shape (m, 3, 6).
+    """Run `ticks` base ticks from tick 0 along set-points, one for each position tick, shape (m, 3, n).
 
     Raises:
         DivergenceError: naming joint and tick.

@@ -13,17 +13,18 @@ from numpy.typing import NDArray
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, check_type, write_error
+from rx90_common.description.coupling import ArmSize
 from rx90_common.exchange.topics import (
     DETAIL_DECIMATION,
     DETAILS,
     MOTOR_COMMANDS,
-    MOTOR_NAMES,
     MOTOR_STATES,
     PARAMETERS,
     SEED,
     TEMPERATURE_RATE,
     TEMPERATURES,
     TRAJECTORY_ACCEPTED,
+    motor_names,
 )
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.points import message_content
@@ -50,15 +51,15 @@ class SlowSeries(NamedTuple):
     """What is sampled on every position tick; each row holds position, velocity, effort.
 
     Attributes:
-        joint_states: rad, rad/s, drive torque at the joint Nm, shape (m, 3, 6).
-        friction_states: bristle deflection rad, input velocity rad/s, friction torque Nm, shape (m, 3, 7).
-        reference: set-point rad, rad/s, feed-forward torque Nm, shape (m, 3, 6).
-        tracking_error: rad, rad/s, commanded torque Nm, shape (m, 3, 6).
-        details: set-point acceleration rad/s^2, joints; commanded and motor current A, motors; shape (m, 3, 6). The
+        joint_states: rad, rad/s, drive torque at the joint Nm, shape (m, 3, j).
+        friction_states: bristle deflection rad, input velocity rad/s, friction torque Nm, shape (m, 3, e).
+        reference: set-point rad, rad/s, feed-forward torque Nm, shape (m, 3, j).
+        tracking_error: rad, rad/s, commanded torque Nm, shape (m, 3, j).
+        details: set-point acceleration rad/s^2, joints; commanded and motor current A, motors; shape (m, 3, j). The
             motor current is what the drives report, where their current sensors have errors.
-        temperatures: of the friction elements, degrees Celsius, at the rate of temperatures, shape (k, 7), 0 for those
+        temperatures: of the friction elements, degrees Celsius, at the rate of temperatures, shape (k, e), 0 for those
             that have none; k is 0 where neither joints nor windings get warm.
-        windings: of the motors' windings, the same, shape (k, 6).
+        windings: of the motors' windings, the same, shape (k, j).
     """
 
     joint_states: Array
@@ -70,17 +71,20 @@ class SlowSeries(NamedTuple):
     windings: Array
 
 
-def empty_series(ticks: int, ratio: int, record_fast: bool, warm_ticks: int = 0) -> tuple[FastSeries, SlowSeries]:
+def empty_series(
+    ticks: int, ratio: int, record_fast: bool, warm_ticks: int = 0, *, arm: ArmSize
+) -> tuple[FastSeries, SlowSeries]:
     """Return arrays for a run of `ticks` base ticks; temperatures are kept once in `warm_ticks`, not at all for 0.
 
     Raises:
         FailureError: if they do not fit into memory.
     """
+    n, e, _ = arm
     rows, fast_rows, warm_rows = -(-ticks // ratio), ticks * record_fast, -(-ticks // warm_ticks) if warm_ticks else 0
     try:
-        fast = FastSeries(np.empty((fast_rows, 3, 6)), np.empty((fast_rows, 6)))
-        of_joints = (np.empty((rows, 3, columns)) for columns in (6, 7, 6, 6, 6))
-        slow = SlowSeries(*of_joints, np.empty((warm_rows, 7)), np.empty((warm_rows, 6)))  # type: ignore[call-arg]
+        fast = FastSeries(np.empty((fast_rows, 3, n)), np.empty((fast_rows, n)))
+        of_joints = (np.empty((rows, 3, columns)) for columns in (n, e, n, n, n))
+        slow = SlowSeries(*of_joints, np.empty((warm_rows, e)), np.empty((warm_rows, n)))  # type: ignore[call-arg]
     except (MemoryError, ValueError, OverflowError) as error:  # the last two: more than any machine could address
         raise FailureError(f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one") from error
     return fast, slow
@@ -92,9 +96,9 @@ class RunResult:
 
     Attributes:
         setup: what ran.
-        fast: series on base ticks 0, 1, ...; motor_commands has shape (n, 6), Nm. None if not asked for.
+        fast: series on base ticks 0, 1, ...; motor_commands has shape (n, j), Nm. None if not asked for.
         slow: series on position ticks 0, 1, ...
-        saturated: ticks in which each amplifier was at its limit, shape (6,).
+        saturated: ticks in which each amplifier was at its limit, shape (j,).
         commands: the trajectories.
         substeps: plant steps in a tick.
     """
@@ -115,6 +119,7 @@ class RunResult:
     def series(self) -> dict[str, JointSeries]:
         """Return the series by topic, as a bag of the nodes holds them; those on base ticks if the run kept them."""
         joints, friction, rates = self.setup.robot.joint_names, self.setup.friction, self.setup.rates
+        motors = motor_names(len(joints))
         slow, period = self.slow, rates.period_ns * rates.ratio
         series = [
             _series("joint_states", joints, slow.joint_states, period),
@@ -122,16 +127,16 @@ class RunResult:
             _series("rx90_controller/reference", joints, slow.reference, period),
             _series("rx90_controller/tracking_error", joints, slow.tracking_error, period),
         ]
-        for k, (name, names) in enumerate(zip(DETAILS, (joints, MOTOR_NAMES, MOTOR_NAMES), strict=True)):
+        for k, (name, names) in enumerate(zip(DETAILS, (joints, motors, motors), strict=True)):
             values = np.ascontiguousarray(slow.details[::DETAIL_DECIMATION, k])
             series.append(_series(f"rx90_controller/{name}", names, values, period * DETAIL_DECIMATION))
         if self.fast is not None:
-            series.append(_series(MOTOR_STATES, MOTOR_NAMES, self.fast.motor_states, rates.period_ns))
-            series.append(_series(MOTOR_COMMANDS, MOTOR_NAMES, self.fast.motor_commands, rates.period_ns))
+            series.append(_series(MOTOR_STATES, motors, self.fast.motor_states, rates.period_ns))
+            series.append(_series(MOTOR_COMMANDS, motors, self.fast.motor_commands, rates.period_ns))
         if len(slow.temperatures):  # of the elements and windings that get warm, as the nodes publish them
             warm = [i for i, element in enumerate(friction.elements) if element.temperature is not None]
-            windings = 6 * self.setup.drives.winding.used
-            names = (*(friction.names[i] for i in warm), *MOTOR_NAMES[:windings])
+            windings = len(joints) * self.setup.drives.winding.used
+            names = (*(friction.names[i] for i in warm), *motors[:windings])
             values = np.concatenate([slow.temperatures[:, warm], slow.windings[:, :windings]], axis=1)
             stamps = _stamps(values, rates.period_ns * rates.temperature_ticks)
             series.append(JointSeries(f"/{TEMPERATURES}", names, stamps, temperature=values))

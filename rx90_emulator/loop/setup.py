@@ -25,7 +25,7 @@ class Setup:
     Attributes:
         robot: the arm with its tool.
         drives: gears, motors, brakes, spring, end stops.
-        friction: the seven elements.
+        friction: the elements.
         controller: gains, limits and switches.
         rates: of the loops.
         files: where they were read from, and the robot's own task and poses; None if they were not read.
@@ -56,12 +56,15 @@ class Setup:
         check_seed(seed)  # before files are read
         files, rates = files or RobotFiles(), rates or Rates()
         check_type(rates=(rates, Rates))
-        robot = load_robot(files.urdf, files.tool)
+        robot, drives = load_robot(files.urdf, files.tool), load_drives(files.drives)
+        robot.check_count(files.drives, "gear", drives.gear)
+        controller = load_controller(files.controller)
+        robot.check_count(files.controller, "inertia", controller.inertia)
         return cls(
             robot,
-            load_drives(files.drives),
-            load_friction(files.friction, robot.joint_names),
-            load_controller(files.controller),
+            drives,
+            load_friction(files.friction, drives.turning.element_names(robot.joint_names)),
+            controller,
             rates,
             files,
             seed,
@@ -81,10 +84,10 @@ class Setup:
 
     def warn_of_friction(self) -> None:
         """Warn of elements that are not passive up to the joints' full speed."""
-        warn_caller(self.friction.passivity_warnings(self.robot.max_velocity.tolist()))
+        warn_caller(self.friction.passivity_warnings(self.drives.turning.reach(self.robot.max_velocity)))
 
     def warn_of_heat(self, temperatures: Array) -> None:
-        """Warn of joints that got warmer, degrees Celsius, shape (n, 7), than the law of their friction holds."""
+        """Warn of joints that got warmer, degrees Celsius, shape (n, e), than the law of their friction holds."""
         hot = beyond_law(self.friction, temperatures.max(axis=0)) if len(temperatures) else ""
         warn_caller([hot] if hot else [])
 
@@ -107,7 +110,7 @@ def load_setup(
         urdf: the arm.
         tool: what its flange carries; "none" for nothing.
         drives: gears, motors, brakes, end stops.
-        friction: the seven elements.
+        friction: the elements.
         controller: gains and feed-forward.
         rates: of the loops, 4 kHz and 1 kHz if left out.
         seed: of all that is random in the arm.

@@ -139,6 +139,7 @@ class ThermalRun:
     def __init__(self, setup: Setup, task: LineTask, change: float = CHANGE) -> None:
         check_type(setup=(setup, Setup), task=(task, LineTask))
         parts = [element.temperature for element in setup.friction.elements]
+        motors, elements, _ = setup.drives.turning.size
         if not any(parts):
             where = "" if setup.friction.file is None else f"{setup.friction.file}: "
             raise ConfigError(f"{where}no friction element has a temperature; accepted: one or more")
@@ -146,19 +147,19 @@ class ThermalRun:
             raise ConfigError(f"the change between cycles is {change} K; accepted: a finite number > 0")
         setup.warn_of_friction()
         self._setup, self._task, self._cycles = setup, task, _Cycles(setup, task)
-        self._bound = change * np.repeat([1.0, _WINDING_CHANGE], [14, 6])
+        self._bound = change * np.repeat([1.0, _WINDING_CHANGE], [2 * elements, motors])
         controller = setup.controller
         known = (
             controller.model.constants.friction if controller.model and controller.feed_forward.friction_model else ()
         )
-        parts += [element.temperature for element in known] or [None] * 7
+        parts += [element.temperature for element in known] or [None] * elements
         # J/K, W/K, degrees Celsius; what has no temperature stays at 0.
         self._capacity, self._conductance, self._ambient, start = np.array(
             [(1.0, 0.0, 0.0, 0.0) if one is None else (one.capacity, 1.0 / one.resistance, one.ambient, one.start)
              for one in parts]
         ).T  # fmt: skip
-        self._now = np.concatenate([start, np.full(6, setup.drives.winding.initial)])
-        self._slope = np.zeros(14)
+        self._now = np.concatenate([start, np.full(motors, setup.drives.winding.initial)])
+        self._slope = np.zeros(2 * elements)
         self._known: Cycle | None = None
         self._rows: list[tuple[float, Array, Cycle]] = []
         self.done = 0
@@ -201,9 +202,10 @@ class ThermalRun:
         """Return the cycles that were simulated, and warn of joints that got too warm for their law."""
         times, temperatures, cycles = zip(*self._rows, strict=True)
         now = np.array(temperatures)
-        self._setup.warn_of_heat(now[:, :7])
+        e = len(self._setup.friction.names)
+        self._setup.warn_of_heat(now[:, :e])
         heat, *values = (np.array([getattr(one, name) for one in cycles]) for name in _VALUES)
-        rows = (np.array(times), now[:, :7], now[:, 14:], heat[:, :7], now[:, 7:14], *values)
+        rows = (np.array(times), now[:, :e], now[:, 2 * e :], heat[:, :e], now[:, e : 2 * e], *values)
         return RepeatedLine(self._setup, self._task, self._cycles.duration, *rows)
 
     def _learn(self, cycle: Cycle) -> None:
@@ -225,7 +227,7 @@ class ThermalRun:
         loss, end = self._conductance - self._slope, self._now.copy()
         inflow = cycle.heat - self._slope * cycle.warm + self._conductance * self._ambient
         np.divide(inflow, loss, out=end[:14], where=loss > 0.0)
-        winding, winding_rate = self._setup.drives.winding, np.zeros(6)
+        winding, winding_rate = self._setup.drives.winding, 0.0 * winding.resistance
         if winding.used:
             winding_rate += 1.0 / (winding.heat_capacity * winding.thermal_resistance)
             end[14:] -= (cycle.windings - end[14:]) / np.expm1(-winding_rate * self._cycles.duration)
@@ -249,7 +251,7 @@ class _Cycles:
         self._setup, self._task, self._ticks = setup, task, ticks
         self._plant, self._controller = setup.plant(), setup.cs7b()
         self._believed = ModelTemperatures(self._controller.law, self._controller.state)
-        self._fast, self._slow = empty_series(ticks, rates.ratio, record_fast=False)
+        self._fast, self._slow = empty_series(ticks, rates.ratio, record_fast=False, arm=setup.drives.turning.size)
         self._start = there.position[0]
         self._plant.reset(self._start)
         self._controller.reset(self._plant.motor_states()[0])
@@ -258,13 +260,13 @@ class _Cycles:
         self._there, self.duration = turn, ticks * rates.period
 
     def run(self, joints: Array, windings: Array) -> Cycle:
-        """Return what a cycle gives that begins with these temperatures, degrees Celsius, shapes (14,) and (6,)."""
+        """Return what a cycle gives that begins with these temperatures, degrees Celsius, shapes (2 e,) and (n,)."""
         plant, believed = self._plant, self._believed
         plant.reset(self._start)
-        plant.temperatures.set(joints[:7])
+        plant.temperatures.set(joints[: joints.size // 2])
         plant.state["temperature"] = windings
         self._controller.reset(plant.motor_states()[0])
-        believed.set(joints[7:])
+        believed.set(joints[joints.size // 2 :])
         run_setpoints(plant, self._controller, self._setpoints, self._ticks, self._fast, self._slow)
         end = np.concatenate([plant.temperatures.now, believed.now])
         times = np.arange(self._there, dtype=np.float64) * self._setup.rates.position_period

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array, Record
-from rx90_common.friction import ELEMENT_COUNT, FrictionSet
+from rx90_common.description.coupling import RX_WRIST
+from rx90_common.friction import FrictionSet
 from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.bristles.step import bristles_dtype, bristles_state_dtype, bristles_step
 from rx90_common.friction.compiled_elements import element_arrays, elements_dtype, load_elements
@@ -22,19 +23,19 @@ from rx90_common.friction.parts.bristles import fill_bristles
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, absolute, fma, load, select, store
 from rx90_controller.law.loops import position_servo, velocity_servo
-from rx90_controller.law.parameters import CONTROLLER_DTYPE
+from rx90_controller.law.parameters import controller_dtype
 from rx90_sim.drives import observe, whole_steps
 
 FEW, MANY = 4, 16
 """Runs that go through the formulas together: one vector of the processor, or several to hide latency."""
 
-_SERVO_NAMES = tuple(name for name in CONTROLLER_DTYPE.names or () if name not in ("gear", "model"))
+_SERVO_NAMES = tuple(name for name in controller_dtype(RX_WRIST.size).names or () if name not in ("gear", "model"))
 _STATE_ROWS = {
     "q": 6,  # deviation of the joints, rad
     "v": 6,
     "acceleration": 6,  # mean over the last step
     "excess": 6,  # drive torque beyond tau0, Nm
-    "z": ELEMENT_COUNT,
+    "z": RX_WRIST.size.elements,
     "motor_position": 6,  # the drives' and the controllers' states as in the full simulation
     "motor_velocity": 6,
     "observer": 6,
@@ -50,7 +51,7 @@ _STATE_ROWS = {
     "q_mid": 6,
     "v_mid": 6,
     "rhs": 6,
-    "velocity": ELEMENT_COUNT,  # of the elements, nominal motion included
+    "velocity": RX_WRIST.size.elements,  # of the elements, nominal motion included
 }
 
 
@@ -66,7 +67,7 @@ class Groups(NamedTuple):
         elements: friction elements, shape (groups, 7).
         kinds: their bristles, shape (groups, 7).
         blocks: what these remember, all zero, shape (groups, 7).
-        servos: controllers of the motors, shape (groups, 6), with the fields of CONTROLLER_DTYPE.
+        servos: controllers of the motors, shape (groups, 6), with the fields of `controller_dtype`.
         states: all zero, shape (groups,), with the fields of _STATE_ROWS.
     """
 
@@ -82,13 +83,13 @@ def pack(frictions: Sequence[FrictionSet], laws: Sequence[Record], lanes: int) -
 
     Args:
         frictions: one for each run.
-        laws: one for each run, shape (1,), CONTROLLER_DTYPE.
+        laws: one for each run, shape (1,), of `controller_dtype`.
         lanes: runs in a group.
     """
     groups = -(-len(frictions) // lanes)
-    elements = np.zeros((groups, ELEMENT_COUNT), elements_dtype(lanes))
-    kinds = np.zeros((groups, ELEMENT_COUNT), bristles_dtype(lanes))
-    blocks = np.zeros((groups, ELEMENT_COUNT), bristles_state_dtype(lanes))
+    elements = np.zeros((groups, RX_WRIST.size.elements), elements_dtype(lanes))
+    kinds = np.zeros((groups, RX_WRIST.size.elements), bristles_dtype(lanes))
+    blocks = np.zeros((groups, RX_WRIST.size.elements), bristles_state_dtype(lanes))
     servos = np.zeros((groups, 6), np.dtype([(name, np.float64, lanes) for name in _SERVO_NAMES], align=True))
     fields = [(name, np.float64, (rows, lanes)) for name, rows in _STATE_ROWS.items()]
     # The inverse of M0, C0 and K0 in the present tick serve all runs.
@@ -146,7 +147,7 @@ def run_few(plants: Record, tables: Tables, spacing: int, ratio: int, groups: Gr
     """Run all groups of FEW lanes through the whole motion.
 
     Args:
-        plants: constants of the plant, shape (1,), PLANT_DTYPE; its friction is not used.
+        plants: constants of the plant, shape (1,), of `plant_dtype`; its friction is not used.
         tables: what the runs share.
         spacing: base ticks from one point of the coefficients to the next.
         ratio: base ticks in a position tick.

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
-from rx90_common.description.drives import DriveParameters, to_motor
+from rx90_common.description.coupling import to_motor
+from rx90_common.description.drives import DriveParameters
 from rx90_common.description.kinematics import forward, jacobian
 from rx90_common.description.robot import RobotModel
 from rx90_common.dynamics.manipulator import mass_and_bias
@@ -77,8 +78,8 @@ def nominal_torque(plants: Record, states: Record, motion: NominalMotion) -> Arr
     """Return tau0 = M a0 + h without friction in the middle of the steps, Nm, shape (n, 6).
 
     Args:
-        plants: constants of the plant, shape (1,), PLANT_DTYPE.
-        states: state of a plant, shape (1,), STATE_DTYPE; its workspace is overwritten.
+        plants: constants of the plant, shape (1,), of `plant_dtype`.
+        states: state of a plant, shape (1,), of `state_dtype`; its workspace is overwritten.
         motion: the nominal motion.
     """
     plant, state = plants[0], states[0]
@@ -177,7 +178,7 @@ class PerturbationModel:
         spacing: base ticks from one point of the linearisation to the next.
         initial_position: rad, shape (6,).
         nominal_tip: tip's position along the nominal motion on position ticks, m, shape (m, 3).
-        plants: constants of the plant, shape (1,), PLANT_DTYPE; the drives' count.
+        plants: constants of the plant, shape (1,), of `plant_dtype`; the drives' count.
     """
 
     setup: Setup

@@ -315,7 +315,7 @@ def open_recording(path: Path, robot: RobotModel, files: RobotFiles, options: Me
     options, mapping = with_signals(options, [path])
     with BagReader(path, mapping) as bag:
         arm = _topic_of_arm(bag, options.topic)
-        layout = arm_layout(arm.name, robot.joint_names, options, lambda: load_drives(files.drives).gear, mapping)
+        layout = arm_layout(arm.name, robot.joint_names, options, lambda: load_drives(files.drives), mapping)
         beside = {name: topic for name in _SHOWN if (topic := _topic_beside(arm, bag.topics, name)) is not None}
         fields = {arm: FIELDS, **{topic: _SHOWN[name] for name, topic in beside.items()}}
         changes, series = _read(bag, fields, record_time=layout.record_time)

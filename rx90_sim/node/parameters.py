@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+import numpy as np
 from rclpy.node import Node
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import one_line, quoted
+from rx90_common.base.quoting import counted, one_line, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
@@ -51,7 +53,11 @@ class SimulationParameters:
         metadata=_as(0.5, "free_running: wait for a late command before the brakes close, s", 0.0, 10.0)
     )
     initial_position: list[float] = field(
-        metadata=_as([0.0] * 6, "joint positions at the start and after a reset, rad")
+        metadata=_as(
+            [0.0],
+            "joint positions at the start and after a reset, rad; a single number is for all joints, or the end of a "
+            "joint's range that is nearest to it",
+        )
     )
     duration: float = field(metadata=_as(0.0, "simulated time after which the node ends, s; 0: never", 0.0, 1e9))
     paused: bool = field(metadata=_as(False, "begin with time standing still"))
@@ -70,10 +76,20 @@ class SimulationParameters:
     def __post_init__(self) -> None:
         if self.time_mode not in TIME_MODES:
             raise ConfigError(f"parameter time_mode is {quoted(self.time_mode)}; accepted: {', '.join(TIME_MODES)}")
-        if len(self.initial_position) != 6:
+
+    def start(self, robot: RobotModel) -> Array:
+        """Return the initial position, rad, shape (n,).
+
+        Raises:
+            ConfigError: for another number of values than one, or one for each joint.
+        """
+        given, joints = np.array(self.initial_position, np.float64), len(robot.joint_names)
+        if len(given) not in (1, joints):
             raise ConfigError(
-                f"parameter initial_position has {len(self.initial_position)} numbers; accepted: six, rad"
+                f"parameter initial_position has {counted(len(given), 'number')}; accepted: {joints}, one for each joint, "
+                "or one for all, rad"
             )
+        return np.clip(given, robot.lower, robot.upper) if len(given) < joints else given
 
     @property
     def last_tick(self) -> int | None:
@@ -106,11 +122,12 @@ def build_plant(node: Node, files: RobotFiles, parameters: SimulationParameters)
         ConfigError: naming file, key, value and accepted range.
     """
     robot = load_robot(files.urdf, files.tool)
-    friction = load_friction(files.friction, robot.joint_names)
-    for line in friction.passivity_warnings(robot.max_velocity.tolist()):
-        node.get_logger().warning(one_line(line))
     drives, substeps = load_drives(files.drives), parameters.substeps or None
+    robot.check_count(files.drives, "gear", drives.gear)
+    friction = load_friction(files.friction, drives.turning.element_names(robot.joint_names))
+    for line in friction.passivity_warnings(drives.turning.reach(robot.max_velocity)):
+        node.get_logger().warning(one_line(line))
     plant = Plant(robot, drives, friction, parameters.rates, substeps, parameters.seed)
-    plant.reset(parameters.initial_position)
+    plant.reset(parameters.start(robot))
     plant.warm_up()
     return robot, plant

@@ -21,7 +21,7 @@ from rx90_common.description.kinematics import link_transforms
 from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.cdr import JointStateCodec, TransformCodec
 from rx90_common.exchange.endpoints import CLOCK_QOS, LATCHED_QOS, STATE_QOS, publish, ros_time
-from rx90_common.exchange.topics import MAX_DISPLAY_RTF, MOTOR_NAMES, SAMPLED, SAMPLED_RATE, TEMPERATURES
+from rx90_common.exchange.topics import MAX_DISPLAY_RTF, SAMPLED, SAMPLED_RATE, TEMPERATURES, motor_names
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.plant import Plant
 
@@ -92,7 +92,9 @@ class Temperatures:
         warm = plant.temperatures
         self._values = [(plant.friction_names[i], warm.now, i) for i in warm.elements]
         if plant.constants["winding"]["used"][0]:
-            self._values += [(name, plant.state["temperature"][0], i) for i, name in enumerate(MOTOR_NAMES)]
+            self._values += [
+                (name, plant.state["temperature"][0], i) for i, name in enumerate(motor_names(len(plant.joint_names)))
+            ]
         self._tick = self._sent = -1
 
     def publish_due(self, tick: int) -> None:

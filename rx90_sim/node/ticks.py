@@ -16,7 +16,7 @@ from rx90_common.exchange.endpoints import Listeners, wait_until_matched, wait_u
 from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.lockstep import LockstepSimulation
 from rx90_common.exchange.pacing import Pacer, ThrottledLog
-from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
+from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_STATES, motor_names
 from rx90_sim.node.held_command import HeldCommand
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.publications import Publications
@@ -178,7 +178,7 @@ class Ticks:
     """
 
     def __init__(self, node: ManagedNode, robot: RobotModel, plant: Plant, parameters: SimulationParameters) -> None:
-        self._node, self._plant, self._initial_position = node, plant, parameters.initial_position
+        self._node, self._plant, self._initial_position = node, plant, parameters.start(robot)
         rates, log = parameters.rates, node.get_logger()
         self._period_ns = rates.period_ns
         self._lock_step = parameters.time_mode == LOCK_STEP
@@ -188,8 +188,9 @@ class Ticks:
         self._waiting_tick, self._heartbeat_due = -1, 0.0  # the tick that does not end; s of the steady clock
         self._publishers = (*self._publications.publishers, self._channel.publisher)
         self._published_tick = -1
-        self._encode_states = JointStateCodec(MOTOR_NAMES).encoder(*plant.motor_states())
-        self._commands = JointStateCodec(MOTOR_NAMES)
+        motors = motor_names(len(plant.joint_names))
+        self._encode_states = JointStateCodec(motors).encoder(*plant.motor_states())
+        self._commands = JointStateCodec(motors)
         self._torques: Array | None = None  # of the newest command; brakes closed for None
         self._throttled = ThrottledLog(log.error)
         self.control = RunControl(parameters.paused, self._channel.wake, parameters.last_tick)

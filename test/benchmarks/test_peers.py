@@ -16,7 +16,7 @@ from benchmarks.closed_loop import PinocchioArm, PythonDrives, PythonLaw, check_
 from benchmarks.hybrid_reference import Work
 from benchmarks.mujoco_lugre import mujoco_arm
 from benchmarks.report import merge, ratios
-from rx90_common.description.drives import to_joint_torque
+from rx90_common.description.coupling import to_joint_torque
 from rx90_emulator.loop.setup import Setup
 
 

@@ -36,6 +36,7 @@ from friction_bench.rig.messages import RigLostError
 from friction_bench.rig.rig_file import JointFriction, Rig, load_rig
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.share import PRESLIDING_RIG, SHIPPED_RIG, config_path
+from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import load_friction
 from rx90_emulator.cli.frame import EXECUTABLES, run
 
@@ -73,8 +74,8 @@ def test_report_page_and_estimates_are_complete(ramps: Path, check_report: Calla
 
 def test_friction_file_is_one_that_the_simulation_reads(ramps: Path) -> None:
     """rx90_sim loads the YAML: tau_c and c2 of the joint's element are identified, all else is stated as assumed."""
-    found = load_friction(ramps / "friction.yaml", JOINTS)
-    shipped = load_friction(config_path("robots/rx90b/friction.yaml"), JOINTS)
+    found = load_friction(ramps / "friction.yaml", RX_WRIST.element_names(JOINTS))
+    shipped = load_friction(config_path("robots/rx90b/friction.yaml"), RX_WRIST.element_names(JOINTS))
     index = found.names.index("joint_6")
     assert found.elements[index].tau_c_positive == pytest.approx(0.9, rel=0.05)
     assert found.elements[index].c2 == pytest.approx(0.11, rel=0.05)

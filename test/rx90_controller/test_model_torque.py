@@ -16,20 +16,21 @@ from own_model import by_model, with_friction
 from scipy.integrate import solve_ivp
 
 import rx90_emulator as rx
-from rx90_common.description.drives import Windings, coupling_matrix, element_matrix
+from rx90_common.description.coupling import RX_WRIST
+from rx90_common.description.drives import Windings
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_common.friction.tracing import prescribed_torque
 from rx90_controller.law.cs7b import CS7B
-from rx90_controller.law.loops import LAW_STATE_DTYPE, law_reset, position_loop, velocity_loop
+from rx90_controller.law.loops import law_reset, law_state_dtype, position_loop, velocity_loop
 from rx90_controller.law.model import ArmModel, ModelTemperatures
 from rx90_emulator.loop.closed_loop import run_ticks
 from rx90_emulator.loop.result import empty_series
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
-INPUTS = element_matrix()
+INPUTS = RX_WRIST.element_matrix
 
 
 def lead(setup: Setup) -> float:
@@ -42,12 +43,15 @@ def lead(setup: Setup) -> float:
 
 def fed_forward(setup: Setup, setpoints: Array) -> Array:
     """Return what a controller that begins at rest feeds forward at the joints, Nm, shape (n, 6)."""
-    law, state = setup.controller.record(setup.robot, setup.drives, setup.rates), np.zeros(1, LAW_STATE_DTYPE)
+    law, state = (
+        setup.controller.record(setup.robot, setup.drives, setup.rates),
+        np.zeros(1, law_state_dtype(RX_WRIST.size)),
+    )
     law_reset(state)
     torque = np.empty((len(setpoints), 6))
     for k, setpoint in enumerate(setpoints):
         position_loop(law, state, setpoint, np.zeros(6), np.zeros(6))
-        torque[k] = coupling_matrix().T @ (setup.drives.gear * state["feed_forward"][0])
+        torque[k] = RX_WRIST.turns.T @ (setup.drives.gear * state["feed_forward"][0])
     return torque
 
 
@@ -167,7 +171,7 @@ def test_a_friction_model_that_was_off_begins_undeflected(shipped: Setup) -> Non
     setpoints, here = moving(shipped, np.full((50, 6), 0.05)), np.zeros(6)
     rest = setpoints[-1] * np.array([[1.0], [0.0], [0.0]])
     for between, left in ((on, True), (off, False)):
-        state = np.zeros(1, LAW_STATE_DTYPE)
+        state = np.zeros(1, law_state_dtype(RX_WRIST.size))
         law_reset(state)
         for law, setpoint in (*((on, one) for one in setpoints), (between, rest), (on, rest)):
             position_loop(law, state, setpoint, here, here)
@@ -206,7 +210,7 @@ def test_integrators_hand_over_no_more_than_they_may_hold(shipped: Setup) -> Non
         setup.controller.record(setup.robot, setup.drives, setup.rates)
         for setup in (shipped, by_model(shipped, friction_model=False))
     )
-    state, here = np.zeros(1, LAW_STATE_DTYPE), np.zeros(6)
+    state, here = np.zeros(1, law_state_dtype(RX_WRIST.size)), np.zeros(6)
     law_reset(state)
     rest = np.zeros((3, 6))
     rest[0, 1] = 1.0  # the upper arm leans forward
@@ -217,7 +221,7 @@ def test_integrators_hand_over_no_more_than_they_may_hold(shipped: Setup) -> Non
     assert np.abs(weight).max() > 0.01
     assert state["integrator"][0] == pytest.approx(-np.clip(weight, -1e-3, 1e-3))
     law_reset(state)
-    position_loop(on, state, rest, shipped.drives.gear * (coupling_matrix() @ rest[0]), here)
+    position_loop(on, state, rest, shipped.drives.gear * (RX_WRIST.turns @ rest[0]), here)
     assert not state["integrator"].any()
 
 
@@ -225,7 +229,7 @@ def test_it_counts_for_saturation_and_anti_windup(shipped: Setup, tmp_path: Path
     """Where the model asks for more than the amplifier gives, the current stays at its limit, the integrator too."""
     elements = [dataclasses.replace(e, tau_c_positive=1e4, tau_s_positive=1e4) for e in shipped.friction.elements]
     setup = with_friction(by_model(shipped), elements, tmp_path / "friction.yaml")
-    law, state = setup.cs7b().law, np.zeros(1, LAW_STATE_DTYPE)
+    law, state = setup.cs7b().law, np.zeros(1, law_state_dtype(RX_WRIST.size))
     law_reset(state)
     setpoints = moving(shipped, np.full((200, 6), 0.1))
     integrators = []
@@ -322,7 +326,7 @@ def test_the_model_warms_by_its_friction_and_its_motors(shipped: Setup, tmp_path
         joints = rigid_torque(
             setup.robot.model, drives.rotor_matrix, drives.spring_torque, there[None], velocity[None], np.zeros((1, 6))
         )[0]
-        motor = np.linalg.solve(coupling_matrix().T, joints + INPUTS.T @ torque) / drives.gear
+        motor = np.linalg.solve(RX_WRIST.turns.T, joints + INPUTS.T @ torque) / drives.gear
         heat = 1.3 * (motor / drives.torque_constant) ** 2
         inflow = torque * speed + np.array([*heat[:5], 0.0, heat[5]])
         return np.asarray((inflow - (warm - part.ambient) / part.resistance) / part.capacity)

@@ -26,8 +26,6 @@ Array = NDArray[np.float64]
 WRIST = np.eye(6)
 WRIST[5, 4] = 1.0
 """Motor turns for joint turns, without the gears: motor 6 turns with joints 5 and 6."""
-ELEMENT_INPUT = np.vstack([np.eye(6), WRIST[5]])
-"""Input velocities of the seven friction elements for joint velocities."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +33,13 @@ class ArmOracle:
     """The arm by Pinocchio and the friction by the paper's equations, for a stiff solver."""
 
     setup: Setup
+    turns: Array = dataclasses.field(default_factory=lambda: WRIST)
+
+    @cached_property
+    def inputs(self) -> Array:
+        """Return input velocities of the friction elements for joint velocities: joints, then motors of several."""
+        together = [row for row in self.turns if np.count_nonzero(row) > 1]
+        return np.vstack([np.eye(len(self.turns)), *together])
 
     @cached_property
     def _data(self) -> Any:
@@ -47,7 +52,8 @@ class ArmOracle:
         upper = np.triu(pin.crba(model, self._data, position))
         links = upper + np.triu(upper, 1).T
         bias = pin.nonLinearEffects(model, self._data, position, np.asarray(v, float))
-        return links + drives.rotor_matrix, bias + drives.spring_torque * np.sin(position)
+        rotors = self.turns.T @ np.diag(drives.rotor_inertia) @ self.turns
+        return links + rotors, bias + drives.spring_torque * np.sin(position)
 
     def energy(self, q: Array, v: Array) -> float:
         """Return kinetic energy (rotors included) plus potential energy (spring included), J."""
@@ -59,18 +65,18 @@ class ArmOracle:
 
     def joint_torque(self, motor: ArrayLike) -> Array:
         """Return joint torques by the principle of virtual work."""
-        return np.asarray(WRIST.T @ (self.setup.drives.gear * np.asarray(motor, float)))
+        return np.asarray(self.turns.T @ (self.setup.drives.gear * np.asarray(motor, float)))
 
     def integrate(self, state: Array, motor: ArrayLike, duration: float, tolerance: float = 1e-11) -> Array:
-        """Return (q, v, z), shape (19,), after `duration` seconds of constant motor torques."""
+        """Return (q, v, z), shape (2 n + e,), after `duration` seconds of constant motor torques."""
         lugre = LuGreOracle(self.setup.friction.elements)
-        drive = self.joint_torque(motor)
+        drive, n = self.joint_torque(motor), len(self.turns)
 
         def rhs(_: float, y: Array) -> Array:
-            q, v, z = y[:6], y[6:12], y[12:]
-            z_dot, friction = lugre.rates(z, ELEMENT_INPUT @ v)
+            q, v, z = y[:n], y[n : 2 * n], y[2 * n :]
+            z_dot, friction = lugre.rates(z, self.inputs @ v)
             mass, bias = self.mass_and_bias(q, v)
-            return np.concatenate([v, np.linalg.solve(mass, drive - bias - ELEMENT_INPUT.T @ friction), z_dot])
+            return np.concatenate([v, np.linalg.solve(mass, drive - bias - self.inputs.T @ friction), z_dot])
 
         result = solve_ivp(rhs, (0.0, duration), state, "Radau", rtol=tolerance, atol=tolerance * 1e-2)
         assert result.success

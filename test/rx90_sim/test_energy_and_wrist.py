@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rx90_common.description.drives import to_joint, to_joint_torque, to_motor
+from rx90_common.description.coupling import to_joint, to_joint_torque, to_motor
 from rx90_common.friction import FrictionSet
 from rx90_emulator.loop.setup import Setup
 

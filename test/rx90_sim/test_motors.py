@@ -16,7 +16,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.description.drives import COPPER, Cogging, Windings
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.loop.setup import Setup
-from rx90_sim.drives import WINDING_DTYPE, add_cogging, current_shares, fill_windings, warm_motors, warm_windings
+from rx90_sim.drives import add_cogging, current_shares, fill_windings, warm_motors, warm_windings, winding_dtype
 from rx90_sim.plant import Plant
 
 Array = NDArray[np.float64]
@@ -137,7 +137,7 @@ def windings(**changes: object) -> Windings:
 
 def warmed(setup: Setup, parts: Windings, torque: Array, step: float, count: int) -> Array:
     """Return the temperatures after so many steps of constant torque, degrees, shape (6,)."""
-    record = np.zeros(1, WINDING_DTYPE)
+    record = np.zeros(1, winding_dtype(6))
     fill_windings(record[0], parts, setup.drives.torque_constant)
     temperature = np.full(6, parts.initial)
     for _ in range(count):

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.friction import ELEMENT_COUNT, FrictionElement
+from rx90_common.description.coupling import RX_WRIST
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.parts.load import advance_load
 from rx90_common.friction.parts.scatter import advance_scatter
@@ -42,9 +43,11 @@ class Seven(NamedTuple):
     @classmethod
     def of(cls, elements: Sequence[FrictionElement], period: float = 2.5e-4, seed: int = 0) -> Seven:
         """Return elements at rest, of which none transmits a torque."""
-        parts = np.zeros(1, parts_dtype(ELEMENT_COUNT))
+        parts = np.zeros(1, parts_dtype(RX_WRIST.size.elements))
         fill_parts(parts[0], elements, GEAR, period, seed)
-        seven = cls(element_arrays(elements), parts, np.zeros(1, parts_state_dtype(ELEMENT_COUNT)), np.zeros(7))
+        seven = cls(
+            element_arrays(elements), parts, np.zeros(1, parts_state_dtype(RX_WRIST.size.elements)), np.zeros(7)
+        )
         begin(parts, seven.states, np.zeros(7))
         return seven
 

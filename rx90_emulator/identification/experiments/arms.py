@@ -16,9 +16,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.description.chain import RigidChain
-from rx90_common.description.drives import coupling_matrix
 from rx90_common.description.robot import MOUNT_LINK, TCP_LINK, RobotModel, attach, load_tool
-from rx90_common.exchange.topics import MOTOR_NAMES
+from rx90_common.exchange.topics import motor_names
 from rx90_controller.trajectory import JointLimits
 from rx90_emulator.identification.arm import RigidArm, joint_model, movable_joints
 from rx90_emulator.identification.experiments.plan import Poses
@@ -81,8 +80,8 @@ class PlannedArm:
             RigidArm.from_setup(setup),
             *_home(robot, home if poses is None else poses.home, "the robot's poses" if poses else "as given"),
             controller.limits(robot),
-            MOTOR_NAMES,
-            coupling_matrix(),
+            motor_names(len(robot.joint_names)),
+            setup.drives.turning.turns,
             np.abs(setup.drives.gear) * setup.drives.peak_torque,
             controller.coulomb,
             controller.viscous,

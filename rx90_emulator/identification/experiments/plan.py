@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
-from rx90_common.base.entries import Numbers, Rows
+from rx90_common.base.entries import PER_JOINT, Numbers, Rows
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.groups import Group
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import counted, quoted
 from rx90_common.base.rates import Rates
-from rx90_common.description.drives import DriveParameters, coupling_matrix
+from rx90_common.description.coupling import Coupling
+from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.trajectory import TrajectoryPoints
@@ -62,13 +63,13 @@ class Experiment:
         return float(self.points.times[-1])
 
 
-_POSITIONS: Final = {"positions": Rows("Joint positions, six for each pose.", "rad", count=6)}
+_POSITIONS: Final = {"positions": Rows("Joint positions, six for each pose.", "rad", count=PER_JOINT)}
 POSES = Group(
     "Where the experiments of an identification take place.",
     keys={
         "home": Group(
             "Where every experiment begins and ends.",
-            keys={"position": Numbers("Six joint positions.", "rad", count=6)},
+            keys={"position": Numbers("Six joint positions.", "rad", count=PER_JOINT)},
         ),
         "sweeps": Group("Where the sweeps take place.", keys=_POSITIONS),
         "validation": Group("Between which the validation moves.", keys=_POSITIONS),
@@ -79,7 +80,7 @@ POSES = Group(
 
 @dataclass(frozen=True)
 class Poses:
-    """Joint positions, rad, each of shape (6,).
+    """Joint positions, rad, each of shape (n,).
 
     Attributes:
         home: where every experiment begins and ends.
@@ -124,6 +125,9 @@ class Poses:
         poses = {"home": self.home} | {f"pose {i}": pose for i, pose in enumerate(self.sweeps, 1)}
         poses |= {f"pose {i} of the validation": pose for i, pose in enumerate(self.validation, 1)}
         for what, pose in poses.items():
+            if len(pose) != len(robot.joint_names):
+                accepted = f"accepted: {len(robot.joint_names)}, one for each joint"
+                raise IdentificationError(f"{what}: {counted(len(pose), 'number')}; {accepted}")
             for name, value, low, high in zip(robot.joint_names, pose, robot.lower, robot.upper, strict=True):
                 if not low <= value <= high:
                     raise IdentificationError(
@@ -190,16 +194,21 @@ def plan_experiments(
     return make_plan(setup.robot, setup.drives, PlanOptions(poses=poses, groups=tuple(groups), **how))
 
 
-def directions(names: Sequence[str]) -> dict[str, Array]:
-    """Return joint velocities, shape (6,), by name: directions whose motions separate the seven elements.
+def directions(names: Sequence[str], turning: Coupling) -> dict[str, Array]:
+    """Return joint velocities, shape (n,), by name: directions whose motions separate the friction elements.
 
-    Element 7 has q5' + q6' as input. Joint 5 alone moves elements 5 and 7, joint 6 alone 6 and 7, both against each
-    other 5 and 6 but not 7, both together all three, 7 at twice the speed.
+    Element 7 of the RX family has q5' + q6' as input. Joint 5 alone moves elements 5 and 7, joint 6 alone 6 and 7, both
+    against each other 5 and 6 but not 7, both together all three, 7 at twice the speed.
     """
     unit = np.eye(len(names))
-    pair = "_".join(names[k].removeprefix("joint_") for k in (4, 5))
-    both = {f"joints_{pair}_together": unit[4] + unit[5], f"joints_{pair}_against": unit[4] - unit[5]}
-    return dict(zip(names, unit, strict=True)) | both
+    found = dict(zip(names, unit, strict=True))
+    for motor in turning.sums:
+        first, *others = np.flatnonzero(turning.turns[motor]).tolist()
+        together = "_".join(names[k].removeprefix("joint_") for k in (first, *others))
+        signs = np.sign(turning.turns[motor])
+        found[f"joints_{together}_together"] = signs * signs[first]
+        found[f"joints_{together}_against"] = 2.0 * unit[first] - signs * signs[first]
+    return found
 
 
 _SAMPLING_PERIOD = Rates().position_period  # s, that of joint_states too
@@ -213,7 +222,7 @@ def sweep_speeds(direction: Array, lowest: float, highest: float, count: int, dr
     """Return the speeds of a direction's sweeps: near logarithmic places, where the encoders beat least.
 
     Args:
-        direction: joint velocities at speed 1, shape (6,).
+        direction: joint velocities at speed 1, shape (n,).
         lowest: about the slowest, rad/s.
         highest: the fastest at most, rad/s.
         count: how many.
@@ -222,7 +231,7 @@ def sweep_speeds(direction: Array, lowest: float, highest: float, count: int, dr
     Returns:
         Speeds, rad/s, increasing, shape (count,).
     """
-    turns = drives.gear * (coupling_matrix() @ direction)
+    turns = drives.gear * (drives.turning.turns @ direction)
     steps = np.abs(turns) * drives.encoder_counts / (2.0 * math.pi) * _SAMPLING_PERIOD
     steps = steps[steps > 0.0]
     spacing = math.log(highest / lowest) / (count - 1)
@@ -254,7 +263,7 @@ def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions |
     """
     chosen = options or PlanOptions()
     chosen.poses.check(robot)
-    known = directions(robot.joint_names)
+    known = directions(robot.joint_names, drives.turning)
     for name in chosen.groups:
         if name not in known:
             raise IdentificationError(f"unknown group {quoted(name)}; accepted: {', '.join(known)}")
@@ -326,7 +335,9 @@ def _validation(robot: RobotModel, options: PlanOptions) -> _Planned:
         share = _VALIDATION_SPEED_SHARES[number % len(_VALIDATION_SPEED_SHARES)]
         motion.move(pose, robot.max_velocity * share, _ACCELERATION)
         motion.rest(0.15)
-    motion.oscillate(np.array([0.02, -0.015, 0.02, -0.03, 0.03, -0.02]), [1.0], [0.5], 6.0)
+    motion.oscillate(
+        np.array([0.02, -0.015, 0.02, -0.03, 0.03, -0.02, 0.025][: len(robot.joint_names)]), [1.0], [0.5], 6.0
+    )
     motion.rest(0.2)
     return "validation", Kind.VALIDATION, motion, len(poses) + 1
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,14 +19,15 @@ from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.entries import MOST_JOINTS
 from rx90_common.base.errors import ConfigError, IdentificationError, TrajectoryError, check_type
 from rx90_common.base.quoting import listed
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.description.drives import coupling_matrix, element_matrix
+from rx90_common.description.drives import load_drives
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
+from rx90_common.description.urdf import UrdfFile
+from rx90_common.exchange.topics import MOTOR_STATES, motor_names
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.friction.friction_set import element_names
 from rx90_emulator.identification.excitation.filtering import (
     Bandwidths,
     FilteredRun,
@@ -58,11 +58,9 @@ _REST_SPEED = 1e-6  # rad/s, of a set-point
 _RANGE_SLACK = 1e-5  # of a range: times are whole nanoseconds
 _MAX_GAP_PERIODS = 3.5  # periods between set-points that still are interpolated
 
-_JOINTS = 6
-_MOVABLE = ("revolute", "continuous", "prismatic", "planar", "floating")
 _OTHER_ARMS = (
-    "the closed loop simulates arms of six joints whose motor 6 turns with joints 5 and 6; for the torque of another "
-    "arm: rx90_identify --friction FILE --validation BAG --urdf URDF"
+    f"the closed loop simulates arms of 1 to {MOST_JOINTS} revolute joints in series, by drives, friction and controller "
+    "files; for the torque of another arm: rx90_identify --friction FILE --validation BAG --urdf URDF"
 )
 
 
@@ -75,13 +73,11 @@ def simulated_setup(files: RobotFiles) -> Setup:
     for path in (files.drives, files.controller):
         if not path.is_file():
             raise ConfigError(f"{path.parent}: no {path.name}; {_OTHER_ARMS}")
-    with suppress(ET.ParseError, OSError):  # Setup.load names the fault
-        joints = [one.get("name", "") for one in ET.parse(files.urdf).iter("joint") if one.get("type") in _MOVABLE]
-        if len(joints) != _JOINTS:
-            raise ConfigError(f"{files.urdf}: {len(joints)} movable joints; {_OTHER_ARMS}")
+    with suppress(ConfigError):  # Setup.load names the fault
+        names = load_drives(files.drives).turning.element_names(tuple(UrdfFile(files.urdf).limits))
         there = FrictionFile.read(files.friction).elements
-        if missing := [name for name in element_names(joints) if name not in there]:
-            raise ConfigError(f"{files.friction}: no friction element {listed(missing)}; {_OTHER_ARMS}")
+        if missing := [name for name in names if name not in there]:
+            raise IdentificationError(f"{files.friction}: no friction element {listed(missing)}; {_OTHER_ARMS}")
     return Setup.load(files)
 
 
@@ -101,11 +97,11 @@ def _bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
             there = [one for one in reader.topics if one.name == absolute(topic) and one.is_joint_state]
             if there and (first := next(reader.messages(there), None)):
                 names = [str(name) for name in reader.deserialize(first[0], first[2]).name]
-    if names and not {*names} & {*joints, *MOTOR_NAMES}:
+    if names and not {*names} & {*joints, *motor_names(len(joints))}:
         raise IdentificationError(
             f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or --names; {_OTHER_ARMS}"
         )
-    return arm_layout(topic, joints, options, lambda: setup.drives.gear, mapping)
+    return arm_layout(topic, joints, options, lambda: setup.drives, mapping)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,20 +109,20 @@ class MeasuredComparison:
     """A measured run and the simulated one along the same set-points, both through the same low-pass.
 
     Attributes:
-        names: of the six joints.
+        names: of the joints.
         robot: name of the simulated robot.
         source: the measured bag.
         time: by the bag's stamps, s, shape (k,).
-        torque: measured drive torque at the joints, Nm, shape (k, 6).
-        simulated_torque: Nm, shape (k, 6).
-        position: measured, rad, shape (k, 6).
-        simulated_position: rad, shape (k, 6).
+        torque: measured drive torque at the joints, Nm, shape (k, n).
+        simulated_torque: Nm, shape (k, n).
+        position: measured, rad, shape (k, n).
+        simulated_position: rad, shape (k, n).
         compared: where a joint's torque is compared: not at rest, where it depends on what happened before,
-            shape (k, 6).
+            shape (k, n).
         lag: by how much the simulated motion was later than the measured one, s; it is taken out of the series.
         bandwidths: of the set-points, and of torques and positions here.
         setpoints: where the set-points come from, in words.
-        saturated: share of the time in which each motor was at its limit in the simulation, shape (6,).
+        saturated: share of the time in which each motor was at its limit in the simulation, shape (n,).
         remarks: what else there is to say, a sentence each.
         tolerances: what counts as agreement.
     """
@@ -152,25 +148,25 @@ class MeasuredComparison:
         """Return the torques, as a validation of friction compares them."""
         return TorquePrediction(self.time, self.torque, self.simulated_torque, self.compared)
 
-    torque_rms = property(attrgetter("agreement.rms"), doc="RMS torque difference, Nm, shape (6,); NaN at rest.")
-    torque_worst = property(attrgetter("agreement.worst"), doc="Largest torque difference, Nm, shape (6,); or NaN.")
-    torque_share = property(attrgetter("agreement.rms_share"), doc="RMS difference over RMS torque, shape (6,).")
-    worst_share = property(attrgetter("agreement.worst_share"), doc="Largest difference over largest torque, (6,).")
+    torque_rms = property(attrgetter("agreement.rms"), doc="RMS torque difference, Nm, shape (n,); NaN at rest.")
+    torque_worst = property(attrgetter("agreement.worst"), doc="Largest torque difference, Nm, shape (n,); or NaN.")
+    torque_share = property(attrgetter("agreement.rms_share"), doc="RMS difference over RMS torque, shape (n,).")
+    worst_share = property(attrgetter("agreement.worst_share"), doc="Largest difference over largest torque, (n,).")
     total_share = property(attrgetter("agreement.total_share"), doc="RMS difference of all joints over RMS torque.")
 
     @property
     def compared_share(self) -> Array:
-        """Return the share of the time in which a joint's torque is compared, shape (6,)."""
+        """Return the share of the time in which a joint's torque is compared, shape (n,)."""
         return np.asarray(self.compared.mean(axis=0))
 
     @property
     def position_rms(self) -> Array:
-        """Return the RMS position difference, rad, shape (6,)."""
+        """Return the RMS position difference, rad, shape (n,)."""
         return np.asarray(np.sqrt(np.mean((self.simulated_position - self.position) ** 2, axis=0)))
 
     @property
     def position_worst(self) -> Array:
-        """Return the largest position difference, rad, shape (6,)."""
+        """Return the largest position difference, rad, shape (n,)."""
         return np.asarray(np.abs(self.simulated_position - self.position).max(axis=0))
 
     @property
@@ -235,7 +231,7 @@ def compare_measured(
     pieces = filter_record(record, _bandwidths(record, setup, bandwidth))
     run = max(pieces, key=lambda piece: len(piece.time))
     # A joint moves where every motor and friction element moves that it turns.
-    matrix = element_matrix()
+    matrix = setup.drives.turning.element_matrix
     rests = element_states(run, matrix)[0] @ (matrix != 0.0)
     moves = np.asarray(~rests & (np.ptp(run.position, axis=0) > _MIN_TRAVEL))
     nothing = IdentificationError(
@@ -300,9 +296,9 @@ class _SetPoints(NamedTuple):
     """What the simulated arm is to follow; times by the bag's stamps, s, before `begin` the arm is brought there."""
 
     start: float
-    values: Array  # position rad, velocity rad/s, acceleration rad/s^2, one for each position tick, shape (m, 3, 6)
+    values: Array  # position rad, velocity rad/s, acceleration rad/s^2, one for each position tick, shape (m, 3, n)
     begin: float
-    initial_position: Array  # where the simulated arm rests at `start`, rad, shape (6,)
+    initial_position: Array  # where the simulated arm rests at `start`, rad, shape (n,)
     source: str  # in words
 
 
@@ -310,7 +306,7 @@ def _recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, layout: Ba
     """Return the set-points of this project's controller that a bag holds; None where it holds none.
 
     A bag that begins at time 0 with an arm at rest is simulated as it ran, from its brakes on. `first` is where the
-    measured arm was at first, rad, shape (6,).
+    measured arm was at first, rad, shape (n,).
     """
     bag, period = run.source.path, setup.rates.position_period
     found = read_setpoints(bag, run.names, layout.zero, layout.mapping)
@@ -353,10 +349,10 @@ def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> _Se
     lead, hold = round(lasting / period), round(_HOLD_S / period)
     rest = np.clip(position - 0.5 * lead * period * velocity, limits.lower, limits.upper)
     rest = np.where(np.abs(velocity) < _REST_SPEED, position, rest)
-    still = np.stack([rest, np.zeros(6), np.zeros(6)])
+    still = np.stack([rest, 0.0 * rest, 0.0 * rest])
     curve, time = BPoly.from_derivatives([0.0, lead * period], np.stack([still, values[0]])), np.arange(lead) * period
     moving = np.stack([curve(time, nu) for nu in range(3)], axis=1)
-    whole = np.ascontiguousarray(np.concatenate([np.broadcast_to(still, (hold, 3, 6)), moving, values]))
+    whole = np.ascontiguousarray(np.concatenate([np.broadcast_to(still, (hold, *still.shape)), moving, values]))
     return _SetPoints(begin - (hold + lead) * period, whole, begin, rest, source)
 
 
@@ -393,15 +389,15 @@ def _simulated(setup: Setup, setpoints: _SetPoints, run: FilteredRun) -> tuple[B
     """Return the simulated run through the low-pass of the measured one.
 
     Returns:
-        Position rad and torque Nm by the time since the first set-point, shape (k, 2, 6), first and last time that it
-        covers, by the bag's stamps, and the share of the time in which each motor was at its limit, shape (6,).
+        Position rad and torque Nm by the time since the first set-point, shape (k, 2, n), first and last time that it
+        covers, by the bag's stamps, and the share of the time in which each motor was at its limit, shape (n,).
     """
     # As often as it was measured: what a slow sampling folds into the band is then the same on both sides.
     rates, often = setup.rates, run.rate > 1.5 * setup.rates.position_hz
     fast, slow, saturated = run_along(setup, setpoints.values, setpoints.initial_position, record_fast=often)
     values, rate = slow.joint_states[:, ::2], float(rates.base_hz if often else rates.position_hz)
     if often:
-        turns = setup.drives.gear[:, None] * coupling_matrix()
+        turns = setup.drives.gear[:, None] * setup.drives.turning.turns
         position = fast.motor_states[:, 0] @ np.linalg.inv(turns).T
         values = np.stack([position, fast.motor_states[:, 2] @ turns], axis=1)
     taps = low_pass_taps(rate, run.bandwidths.torque)
@@ -437,11 +433,11 @@ def read_setpoints(
     Args:
         bag: the bag.
         names: of the joints.
-        zero: recorded angles where those of the URDF are 0, rad, shape (6,); they are taken off the positions.
+        zero: recorded angles where those of the URDF are 0, rad, shape (n,); they are taken off the positions.
         mapping: what the columns of a table hold, where that is not in the file beside it.
 
     Returns:
-        The series as it is in the bag, positions rad and velocities rad/s, shape (m, 6).
+        The series as it is in the bag, positions rad and velocities rad/s, shape (m, n).
     """
     if absolute(REFERENCE) not in topic_names(bag, mapping):
         return None
@@ -452,7 +448,7 @@ def read_setpoints(
 
 
 def setpoint_rows(position: Array, velocity: Array, setup: Setup) -> Array:
-    """Return set-points at the position loop's rate with the accelerations that belong to them, shape (m, 3, 6)."""
+    """Return set-points at the position loop's rate with the accelerations that belong to them, shape (m, 3, n)."""
     acceleration = np.gradient(velocity, setup.rates.position_period, axis=0)
     return np.ascontiguousarray(np.stack([position, velocity, acceleration], axis=1))
 
@@ -460,16 +456,16 @@ def setpoint_rows(position: Array, velocity: Array, setup: Setup) -> Array:
 def run_along(
     setup: Setup, setpoints: Array, start: Array, *, record_fast: bool = False
 ) -> tuple[FastSeries, SlowSeries, Array]:
-    """Run the closed loop along set-points, shape (m, 3, 6), from rest at `start`, rad, shape (6,).
+    """Run the closed loop along set-points, shape (m, 3, n), from rest at `start`, rad, shape (n,).
 
     Returns:
         What the base rate and the position loop's rate recorded, and the share of the ticks in which each motor was at
-        its limit, shape (6,).
+        its limit, shape (n,).
     """
     ticks = len(setpoints) * setup.rates.ratio
     plant, controller = setup.plant(), setup.cs7b()
     plant.reset(start)
     controller.reset(plant.motor_states()[0])
-    fast, slow = empty_series(ticks, setup.rates.ratio, record_fast=record_fast)
+    fast, slow = empty_series(ticks, setup.rates.ratio, record_fast=record_fast, arm=setup.drives.turning.size)
     run_setpoints(plant, controller, setpoints, ticks, fast, slow)
     return fast, slow, np.asarray(controller.saturated / ticks)

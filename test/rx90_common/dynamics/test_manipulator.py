@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.description.robot import load_robot
-from rx90_common.dynamics import BODY_DTYPE, manipulator_record
+from rx90_common.dynamics import body_dtype, manipulator_record
 from rx90_common.dynamics.manipulator import factorise, inverse_dynamics, mass_and_bias, solve
 from rx90_emulator.loop.setup import Setup
 
@@ -31,7 +31,7 @@ def compiled(setup: Setup, q: Array, v: Array) -> tuple[Array, Array]:
 
 def inverse(setup: Setup, q: Array, v: Array, a: Array) -> Array:
     """Return the compiled inverse dynamics."""
-    body, torque = np.zeros(1, BODY_DTYPE), np.empty(6)
+    body, torque = np.zeros(1, body_dtype(6)), np.empty(6)
     arm = manipulator_record(setup.robot.chain, setup.drives)
     inverse_dynamics(arm[0], body[0], q, v, a, torque)
     return torque

@@ -22,6 +22,7 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import REQUIRED
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.section import PROVENANCE
+from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, FrictionSet, load_friction
 from rx90_common.friction.compiled_elements import element_arrays
@@ -42,7 +43,7 @@ ELEMENTS = (*NAMES, "joint_5_6")
 
 def refusal(path: Path) -> str:
     """Return the one line with which the file is refused."""
-    return refusal_by(lambda file: load_friction(file, NAMES), path)
+    return refusal_by(lambda file: load_friction(file, RX_WRIST.element_names(NAMES)), path)
 
 
 @pytest.mark.parametrize("name", ELEMENTS)
@@ -81,7 +82,7 @@ def test_one_sided_torques_are_checked_too(
 def test_each_sign_gets_its_own_torques(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
     """A pair {positive, negative} reaches the element of each sign; a single value reaches both."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_4", "tau_c"), {"positive": 6.0, "negative": 7.0})
-    element = load_friction(path, NAMES).elements[3]
+    element = load_friction(path, RX_WRIST.element_names(NAMES)).elements[3]
     assert (element.tau_c_positive, element.tau_c_negative) == (6.0, 7.0)
     assert (element.tau_s_positive, element.tau_s_negative) == (7.5, 7.5)
 
@@ -98,7 +99,7 @@ def test_a_damping_that_is_not_passive_is_warned_of(
 ) -> None:
     """The paper's constant c1 gives one line with file, element, value and the c1 that is accepted."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_1", "omega_d"), None, remove=True)
-    friction = load_friction(path, NAMES)
+    friction = load_friction(path, RX_WRIST.element_names(NAMES))
     speeds = shipped.robot.max_velocity.tolist()
     (line,) = friction.passivity_warnings(speeds)
     assert line.startswith(f"{path}: elements.joint_1.c1 is 100 ")
@@ -117,10 +118,10 @@ def test_an_omega_d_that_is_left_out_may_be_written(shipped_files: RobotFiles, e
         path = edited_yaml(shipped_files.friction, ("elements", "joint_1", key), value)
         assert check.is_valid(load_yaml(path).content) == good
         if good:
-            assert load_friction(path, NAMES).elements[0].omega_d == math.inf
+            assert load_friction(path, RX_WRIST.element_names(NAMES)).elements[0].omega_d == math.inf
         else:
             with pytest.raises(ConfigError, match=rf"joint_1.{key} is {value}; accepted: a (finite )?number >= 1e-09"):
-                load_friction(path, NAMES)
+                load_friction(path, RX_WRIST.element_names(NAMES))
 
 
 def test_files_and_legends_follow_from_the_fields(shipped_files: RobotFiles) -> None:

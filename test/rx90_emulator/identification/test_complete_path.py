@@ -18,6 +18,7 @@ from schema_faults import schema_faults
 
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import DONE, INTERRUPTED
+from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments import plan as plans
@@ -42,7 +43,10 @@ def test_the_runs_of_one_joint_tell_that_joint_alone(
     Neighbours that only react to it, and the weights of others, are not identified; true values stand beside.
     """
     output, said = identified
-    found, truth = load_friction(output, shipped.robot.joint_names).elements[2], shipped.friction.elements[2]
+    found, truth = (
+        load_friction(output, RX_WRIST.element_names(shipped.robot.joint_names)).elements[2],
+        shipped.friction.elements[2],
+    )
     assert found.tau_c_positive == pytest.approx(truth.tau_c_positive, rel=0.1)
     sentence = r"confirmed for joint_3, with 54 of 63 values assumed: .*torque RMS of a joint ([\d.]+)%"
     (share,) = re.findall(sentence, said)
@@ -183,7 +187,10 @@ def test_experiments_run_on_the_real_nodes(
     output = tmp_path / "friction.yaml"
     bags = ["--sliding", cut / "slide", "--presliding", cut / "cycle", "--output", output]
     assert run("rx90_identify", [str(word) for word in bags]) == DONE
-    found, truth = load_friction(output, shipped.robot.joint_names).elements[3], shipped.friction.elements[3]
+    found, truth = (
+        load_friction(output, RX_WRIST.element_names(shipped.robot.joint_names)).elements[3],
+        shipped.friction.elements[3],
+    )
     assert abs(found.tau_c_positive / truth.tau_c_positive - 1.0) < 0.02
     assert abs(found.c0 / truth.c0 - 1.0) < 0.05
     for folder in (cut, planned):

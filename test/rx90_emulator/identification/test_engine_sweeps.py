@@ -66,7 +66,7 @@ def bags(shipped: Setup, tmp_path_factory: pytest.TempPathFactory) -> list[Path]
 
 def test_the_engines_friction_comes_back_from_its_bags(shipped: Setup, arm: RigidArm, bags: list[Path]) -> None:
     """Motor-side bags of the closed loop give the friction file's sliding parameters of the wrist."""
-    layout = arm_layout("motor_states", shipped.robot.joint_names, own_gear=lambda: shipped.drives.gear)
+    layout = arm_layout("motor_states", shipped.robot.joint_names, own_drives=lambda: shipped.drives)
     records = [read_record(bag, layout, rate=1000.0) for bag in bags]
     fit = identify_sliding(records, arm)
     for e in (4, 5, 6):

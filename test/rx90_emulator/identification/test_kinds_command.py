@@ -16,6 +16,7 @@ from terminal import Terminal
 
 import rx90_emulator as rx
 from rx90_common.base.errors import DONE
+from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_common.friction.parts.bristles import ElastoPlastic
 from rx90_emulator.cli.frame import run
@@ -88,7 +89,7 @@ def test_what_was_not_compared_stays_lugre_and_says_so(outcome: Outcome) -> None
 
 def test_the_plant_runs_with_the_file(outcome: Outcome, shipped: Setup) -> None:
     """The plant that loads the file has the bristles written there, c0 near the truth, and runs a motion with them."""
-    element = load_friction(outcome.file, shipped.robot.joint_names).elements[3]
+    element = load_friction(outcome.file, RX_WRIST.element_names(shipped.robot.joint_names)).elements[3]
     written = outcome.content["elements"]["joint_4"]["bristles"]
     assert element.bristles == ElastoPlastic(written["break_away"])
     truth = shipped.friction.elements[3]

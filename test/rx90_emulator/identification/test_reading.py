@@ -135,9 +135,7 @@ def test_both_topics_of_this_project_agree(shipped: Setup, tmp_path: Path) -> No
     result = simulate(shipped, points, goal - 0.1, 0.7, record_fast=True)
     write_bag(result, tmp_path / "run")
     motors, joints = (
-        read_record(
-            tmp_path / "run", arm_layout(topic, shipped.robot.joint_names, own_gear=lambda: shipped.drives.gear)
-        )
+        read_record(tmp_path / "run", arm_layout(topic, shipped.robot.joint_names, own_drives=lambda: shipped.drives))
         for topic in ("motor_states", "joint_states")
     )
     same = np.isin(motors.time, joints.time)

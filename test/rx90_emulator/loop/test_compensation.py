@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from own_model import by_model, scaled, with_friction
 
-from rx90_common.description.drives import element_matrix
+from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
@@ -107,7 +107,7 @@ def test_joins_leave_the_model_as_it_is(shipped: Setup) -> None:
     late = by_model(shipped).cs7b().law[0]["model"]["lead"]
     at = velocity + late * acceleration
     steps = np.full(len(at), shipped.rates.position_period)
-    inputs = element_matrix()
+    inputs = RX_WRIST.element_matrix
     friction = prescribed_torque(shipped.friction.elements, at @ inputs.T, steps) @ inputs
     drives, there = shipped.drives, position + late * (velocity + 0.5 * late * acceleration)
     rigid = rigid_torque(shipped.robot.model, drives.rotor_matrix, drives.spring_torque, there, at, acceleration)

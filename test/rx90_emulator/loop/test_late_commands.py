@@ -14,7 +14,7 @@ from benchmarks.command_delay import HOME, Loop, constant, in_turns, motion, run
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
 from rx90_common.exchange.pacing import Pacer
-from rx90_common.exchange.topics import MOTOR_NAMES
+from rx90_common.exchange.topics import motor_names
 from rx90_controller.node import serving
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_emulator.loop.setup import Setup
@@ -67,7 +67,7 @@ class Nodes:
         self.cs7b = cs7b
         pacer = Pacer(rates.period, 1.0, lambda: 0.0, lambda _: None)
         self.controller = serving.Serving(
-            theirs, MOTOR_NAMES, rates, self.loop, pacer, "robot", self.said.append, self.said.append
+            theirs, motor_names(6), rates, self.loop, pacer, "robot", self.said.append, self.said.append
         )
         self._modes = {
             "serving": self.controller.serve_free_running,
@@ -75,8 +75,8 @@ class Nodes:
         }
         ours.serve = self.controller.serve_free_running
         self.setup = setup
-        codec = JointStateCodec(MOTOR_NAMES)
-        self._encode = JointStateCodec(MOTOR_NAMES).encoder(*self.plant.motor_states())
+        codec = JointStateCodec(motor_names(6))
+        self._encode = JointStateCodec(motor_names(6)).encoder(*self.plant.motor_states())
         self.held = held_command.HeldCommand(
             ours, lambda raw: codec.decode(raw)[3], rates.period_ns, 0.1, self.said.append
         )

@@ -44,7 +44,7 @@ def test_bags_of_turned_motors_are_read(shipped: Setup, task: LineTask) -> None:
     """What the identification makes of motor states is the joints' motion, to the encoders' resolution."""
     setup = with_motors(shipped, TURNED["motor 4"])
     series = run_line(setup, task, record_fast=True).series
-    layout = arm_layout("motor_states", setup.robot.joint_names, own_gear=lambda: setup.drives.gear)
+    layout = arm_layout("motor_states", setup.robot.joint_names, own_drives=lambda: setup.drives)
     assert layout.turns is not None
     motors, joints = series["motor_states"], series["joint_states"]
     assert motors.position is not None

@@ -35,7 +35,7 @@ from rx90_common.base.quoting import LINE_LIMIT
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.endpoints import TICK_QOS
-from rx90_common.exchange.topics import MOTOR_NAMES
+from rx90_common.exchange.topics import motor_names
 from rx90_common.process.children import ChildProcess
 
 NODES = ("rx90_sim", "rx90_controller", "friction_bench")
@@ -175,8 +175,8 @@ GARBAGE = (
     b"\x00\x01\x00\x00",
     b"\x00",
     JointStateCodec(["elbow"]).encode(250_000),
-    JointStateCodec(MOTOR_NAMES).encode(500_000),
-    JointStateCodec(MOTOR_NAMES[:5]).encode(750_000),
+    JointStateCodec(motor_names(6)).encode(500_000),
+    JointStateCodec(motor_names(6)[:5]).encode(750_000),
 )
 
 
@@ -256,7 +256,7 @@ def test_bad_messages_in_free_running_time_are_a_line_each(processes: Processes,
     assert lags() > before
     assert "Traceback" not in controller.output
     publisher = client.node.create_publisher(JointState, "motor_commands", TICK_QOS)
-    raw = JointStateCodec(MOTOR_NAMES).encode(0)
+    raw = JointStateCodec(motor_names(6)).encode(0)
     client.spin_until(lambda: publisher.publish(raw) or "two controllers" in simulation.output, "the report")
     assert simulation.output.count("two controllers") == 1
 

@@ -23,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from rx90_common.base.rates import NANOSECONDS, Rates
 from rx90_common.base.stamps import cdr_stamp_ns
 from rx90_common.exchange.endpoints import LATCHED_QOS, TICK_QOS
-from rx90_common.exchange.topics import FREE_RUNNING, MOTOR_NAMES, TimeMode
+from rx90_common.exchange.topics import FREE_RUNNING, TimeMode, motor_names
 
 ROS_ARGS = ("--ros-args", "-r", "__ns:=/cell_1")
 QOS = ("reliability:=best_effort", "durability:=transient_local", "depth:=5")
@@ -206,7 +206,7 @@ def test_a_mode_that_comes_late_costs_no_trajectory(processes: Processes, client
 
     def simulate() -> bool:
         """Publish the states of the next ticks, as a simulation does that gets to run now and then."""
-        message = JointState(name=list(MOTOR_NAMES), position=[0.0] * 6, velocity=[0.0] * 6, effort=[0.0] * 6)
+        message = JointState(name=list(motor_names(6)), position=[0.0] * 6, velocity=[0.0] * 6, effort=[0.0] * 6)
         for _ in range(16):
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(next(stamps) * 250_000, NANOSECONDS)
             states.publish(message)

@@ -21,10 +21,10 @@ from ros_client import JOINTS, Client, own_node, seconds
 from std_srvs.srv import SetBool
 
 from rx90_common.base.share import config_path
+from rx90_common.description.coupling import RX_WRIST
 from rx90_common.exchange.arm_watch import ArmWatch, JointSample
 from rx90_common.exchange.client_node import ClientNode, client_node
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.friction.friction_set import element_names
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import TOOL_DOWN, LineTask
 from rx90_controller.node.trajectory_client import enable_request
@@ -54,7 +54,7 @@ def panel(processes: Processes, shipped: Setup, monkeypatch: pytest.MonkeyPatch,
     with client_node("test_view", 1.0, print) as client:
         page = Page("test", port=0)
         names = shipped.robot.joint_names
-        watch = ArmWatch(client.node, "rx90_controller", names, element_names(names))
+        watch = ArmWatch(client.node, "rx90_controller", names, RX_WRIST.element_names(names))
         states: list[JointSample] = []
         page.every(0.05, lambda _: states.extend(watch.joints()))
         newest = lambda: states[-1] if states else None  # noqa: E731

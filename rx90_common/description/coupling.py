@@ -1,0 +1,414 @@
+"""How motors turn with joints: through their gears, and some with several joints at once.
+
+A coupling is a matrix C, shape (n, n), of motor turns for joint turns without the gears:
+
+    motor velocity = gear * (C @ joint velocity),   joint torque = C^T @ (gear * motor torque).
+
+Each row of it is either that of a motor that turns with its own joint alone, or that of one that turns with several.
+Friction elements, and brakes, turn likewise: one for each joint, and behind them one for each motor that turns with
+several joints (section 4 of the paper); on a joint whose motor is one of those there is no brake.
+
+The wrist coupling of the RX family is q_m5 = n5 q5 and q_m6 = n6 (q5 + q6). Compiled code has it in a fixed order of
+operations of its own, where the gears are an array; for any other arm they are a record that holds the matrices, so that
+arms with as many joints and elements share what is compiled once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.core import types
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.entries import MOST_JOINTS
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import listed
+from rx90_common.kernels.compiled import by_type, inlined, kernel
+from rx90_common.kernels.lanes import Lanes, append, first, fma, lane, load, size, store
+
+MOST_ELEMENTS = 8
+"""Friction elements that an arm may have: joints, and motors that turn with several of them."""
+
+_SINGULAR = 1e-9  # determinant below which motors do not tell the joints
+
+
+class ArmSize(NamedTuple):
+    """What compiled code is made for.
+
+    Attributes:
+        joints: of the arm, and motors.
+        elements: of friction.
+        wrist: whether the coupling is that of the RX family's wrist, in its fixed order of operations.
+    """
+
+    joints: int
+    elements: int
+    wrist: bool
+
+
+_RX_JOINTS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """Which joints each motor turns with.
+
+    Attributes:
+        turns: motor turns for joint turns without the gears, shape (n, n).
+
+    Raises:
+        ConfigError: for a matrix that is not square, or singular; for a motor that turns with one joint, but not its
+            own, or not as often; for more than MOST_ELEMENTS elements.
+    """
+
+    turns: Array
+
+    def __post_init__(self) -> None:
+        turns = self.turns
+        if turns.ndim != 2 or turns.shape[0] != turns.shape[1] or not 1 <= len(turns) <= MOST_JOINTS:
+            raise ConfigError(f"coupling has shape {turns.shape}; accepted: square, of 1 to {MOST_JOINTS} rows")
+        for i, row in enumerate(turns.tolist()):
+            alone = sum(value != 0.0 for value in row) == 1
+            if alone and row[i] != 1.0:
+                raise ConfigError(
+                    f"coupling[{i}] is {row}; accepted: 1 in column {i} for a motor that turns with one joint (gear "
+                    "holds its ratio and sign), or two or more numbers other than 0"
+                )
+        if not abs(np.linalg.det(turns)) > _SINGULAR:
+            raise ConfigError(f"coupling is {turns.tolist()}; accepted: an invertible matrix")
+        if len(turns) + len(self.sums) > MOST_ELEMENTS:
+            raise ConfigError(
+                f"coupling has {len(self.sums)} motors that turn with several of {len(turns)} joints; accepted: up to "
+                f"{MOST_ELEMENTS - len(turns)}, for {MOST_ELEMENTS} friction elements in all"
+            )
+
+    @classmethod
+    def usual(cls, joints: int) -> Coupling:
+        """Return that of an arm whose files say nothing of it: the RX family's wrist for six joints, else none."""
+        turns = np.eye(joints)
+        if joints == _RX_JOINTS:
+            turns[5, 4] = 1.0
+        return cls(turns)
+
+    @cached_property
+    def sums(self) -> tuple[int, ...]:
+        """Return the motors that turn with several joints."""
+        return tuple(np.flatnonzero(np.count_nonzero(self.turns, axis=1) > 1).tolist())
+
+    @cached_property
+    def size(self) -> ArmSize:
+        """Return what compiled code is made for."""
+        joints = len(self.turns)
+        wrist = joints == _RX_JOINTS and np.array_equal(self.turns, Coupling.usual(joints).turns)
+        return ArmSize(joints, joints + len(self.sums), wrist)
+
+    @cached_property
+    def element_of_motor(self) -> tuple[int, ...]:
+        """Return the friction element, and brake, that turns with each motor."""
+        joints = len(self.turns)
+        return tuple(joints + self.sums.index(i) if i in self.sums else i for i in range(joints))
+
+    @cached_property
+    def element_matrix(self) -> Array:
+        """Return input velocities of the friction elements for joint velocities, shape (e, n)."""
+        return np.vstack([np.eye(len(self.turns)), self.turns[list(self.sums)]])
+
+    @cached_property
+    def joint_turns(self) -> Array:
+        """Return joint turns for motor turns, the inverse of `turns`, whole numbers to the last bit."""
+        inverse = np.linalg.inv(self.turns)
+        whole = np.round(inverse)
+        return np.asarray(np.where(np.abs(inverse - whole) < 1e-12, whole, inverse))
+
+    def of_elements(self, motors: Sequence[float], of_none: float) -> list[float]:
+        """Return for each friction element what belongs to the motor that turns with it, `of_none` where none does."""
+        found = [of_none] * self.size.elements
+        for element, value in zip(self.element_of_motor, motors, strict=True):
+            found[element] = value
+        return found
+
+    def reach(self, speeds: Array) -> list[float]:
+        """Return the most that the elements can have, shape (e,), where joints have these speeds, rad/s, shape (n,)."""
+        return [float(value) for value in np.abs(self.element_matrix) @ speeds]
+
+    def coupled(self, motors: Array) -> Array:
+        """Return what motors have of their own, such as rotor inertias, between joints: C^T diag(motors) C, (n, n)."""
+        return np.asarray(self.turns.T @ np.diag(motors) @ self.turns)
+
+    def element_names(self, joint_names: Sequence[str]) -> tuple[str, ...]:
+        """Return the names of the friction elements: the joints' own, `joint_5_6` for the RX family's wrist, else sums.
+
+        Raises:
+            ConfigError: for names that are not as many as the joints.
+        """
+        if len(joint_names) != len(self.turns):
+            raise ConfigError(f"joints {listed(joint_names)}; accepted: {len(self.turns)} names, as the coupling has")
+        if self.size.wrist:
+            return (*joint_names, "joint_5_6")
+        return (*joint_names, *(sum_name(joint_names, self.turns[i]) for i in self.sums))
+
+    def fill(self, record: Any, name: str, gear: Array) -> None:
+        """Write gears and coupling into the field of a record that was declared by `gear_field(name, size)`."""
+        if self.size.wrist:
+            record[name] = gear
+            return
+        turns, back, sums = self.turns, self.joint_turns, list(self.sums)
+        belongs, passed = np.zeros((self.size.elements, len(turns))), back.T.copy()
+        belongs[self.element_of_motor, np.arange(len(turns))] = 1.0
+        belongs[sums, sums] = 1.0
+        passed[sums] = np.eye(len(turns))[sums]
+        gears = record[name]
+        gears["ratio"], gears["motor"], gears["joint"] = gear, turns, back
+        gears["motor_columns"], gears["joint_columns"] = turns.T, back.T
+        gears["element"], gears["element_columns"] = self.element_matrix, self.element_matrix.T
+        gears["element_of_motor"] = self.element_of_motor
+        gears["belongs"], gears["passed"] = belongs.T, np.vstack([passed, back.T[sums]]).T
+
+
+RX_WRIST = Coupling.usual(6)
+"""The coupling of the RX family."""
+
+
+def sum_name(names: Sequence[str], row: Array) -> str:
+    """Return how an element's velocity is made of the joints', such as joint_5+joint_6: no two have the same."""
+    parts: list[str] = []
+    for name, share in zip(names, row.tolist(), strict=True):
+        if share:
+            sign = "-" if share < 0.0 else "+" if parts else ""
+            parts.append(f"{sign}{'' if abs(share) == 1.0 else f'{abs(share):g}*'}{name}")
+    return "".join(parts)
+
+
+def gear_field(name: str, arm: ArmSize) -> tuple[Any, ...]:
+    """Return the field of a record type for the gears of an arm: the ratios alone, or with them the coupling."""
+    joints, elements, wrist = arm
+    if wrist:
+        return name, np.float64, joints
+    shapes: dict[str, Any] = {
+        "ratio": joints,
+        "motor": (joints, joints),  # turns of motors (row) for joints
+        "motor_columns": (joints, joints),
+        "joint": (joints, joints),  # turns of joints for motors
+        "joint_columns": (joints, joints),
+        "element": (elements, joints),  # turns of friction elements for joints
+        "element_columns": (joints, elements),
+        "belongs": (joints, elements),  # columns: which motor belongs to an element
+        "passed": (joints, elements),  # columns: share of the joints' torques that goes through an element
+    }
+    numbers = [(key, np.float64, shape) for key, shape in shapes.items()]
+    return name, np.dtype([*numbers, ("element_of_motor", np.int64, joints)], align=True)
+
+
+def has_matrices(gear: Any) -> bool:
+    """Return whether numba's type of gears is that of a record with matrices, not of an array of ratios."""
+    return isinstance(gear, types.Record)
+
+
+@inlined
+def times(columns: Any, x: Array) -> Lanes:
+    """Return the product of a matrix, by its columns, and an array."""
+    total = x[0] * load(columns[0], size(columns))
+    for k in range(1, len(columns)):
+        total = fma(x[k], load(columns[k], size(columns)), total)
+    return total
+
+
+@inlined
+def times_lanes(columns: Any, x: Lanes) -> Lanes:
+    """Return the product of a matrix, by its columns, and lanes."""
+    total = lane(x, 0) * load(columns[0], size(columns))
+    for k in range(1, len(columns)):
+        total = fma(lane(x, k), load(columns[k], size(columns)), total)
+    return total
+
+
+@by_type
+def ratios(gear: Any) -> Any:
+    """Return the gear ratios of the motors, shape (n,)."""
+
+    def of_matrices(gear: Any) -> Any:
+        return gear.ratio
+
+    return of_matrices if has_matrices(gear) else (lambda gear: gear)
+
+
+@kernel
+def to_motor(gear: Any, joint: Array, motor: Array) -> None:
+    """Write motor positions (or velocities) for joint positions (or velocities), all shape (n,).
+
+    Here and below `gear` is what `gear_field` declares; outside of records an array, of the RX family's wrist.
+    """
+    _to_motor(gear, joint, motor)
+
+
+@by_type
+def _to_motor(gear: Any, joint: Any, motor: Any) -> Any:  # noqa: ARG001 - the kernels name them alike
+    def of_wrist(gear: Array, joint: Array, motor: Array) -> None:
+        for i in range(5):
+            motor[i] = gear[i] * joint[i]
+        motor[5] = gear[5] * (joint[4] + joint[5])
+
+    def of_matrices(gear: Any, joint: Array, motor: Array) -> None:
+        store(motor, load(gear.ratio, size(gear.ratio)) * times(gear.motor_columns, joint))
+
+    return of_matrices if has_matrices(gear) else of_wrist
+
+
+@kernel
+def to_joint(gear: Any, motor: Array, joint: Array) -> None:
+    """Write joint positions (or velocities) for motor positions (or velocities), all shape (n,)."""
+    _to_joint(gear, motor, joint)
+
+
+@by_type
+def _to_joint(gear: Any, motor: Any, joint: Any) -> Any:  # noqa: ARG001 - as above
+    def of_wrist(gear: Array, motor: Array, joint: Array) -> None:
+        for i in range(5):
+            joint[i] = motor[i] / gear[i]
+        joint[5] = motor[5] / gear[5] - joint[4]
+
+    def of_matrices(gear: Any, motor: Array, joint: Array) -> None:
+        turned = load(motor, size(gear.ratio)) / load(gear.ratio, size(gear.ratio))
+        store(joint, times_lanes(gear.joint_columns, turned))
+
+    return of_matrices if has_matrices(gear) else of_wrist
+
+
+@kernel
+def to_joint_torque(gear: Any, motor: Array, joint: Array) -> None:
+    """Write the joint torques that motor torques make, all shape (n,), Nm."""
+    _to_joint_torque(gear, motor, joint)
+
+
+@by_type
+def _to_joint_torque(gear: Any, motor: Any, joint: Any) -> Any:  # noqa: ARG001 - as above
+    def of_wrist(gear: Array, motor: Array, joint: Array) -> None:
+        for i in range(6):
+            joint[i] = gear[i] * motor[i]
+        joint[4] += joint[5]
+
+    def of_matrices(gear: Any, motor: Array, joint: Array) -> None:
+        store(joint, times_lanes(gear.motor, load(gear.ratio, size(gear.ratio)) * load(motor, size(gear.ratio))))
+
+    return of_matrices if has_matrices(gear) else of_wrist
+
+
+@kernel
+def to_motor_torque(gear: Any, joint: Array, motor: Array) -> None:
+    """Write the motor torques that make joint torques, all shape (n,), Nm."""
+    _to_motor_torque(gear, joint, motor)
+
+
+@by_type
+def _to_motor_torque(gear: Any, joint: Any, motor: Any) -> Any:  # noqa: ARG001 - as above
+    def of_wrist(gear: Array, joint: Array, motor: Array) -> None:
+        for i in range(6):
+            motor[i] = joint[i] / gear[i]
+        motor[4] = (joint[4] - joint[5]) / gear[4]
+
+    def of_matrices(gear: Any, joint: Array, motor: Array) -> None:
+        store(motor, times(gear.joint, joint) / load(gear.ratio, size(gear.ratio)))
+
+    return of_matrices if has_matrices(gear) else of_wrist
+
+
+@by_type
+def add_drive_torques(gear: Any, drive: Any, torque: Any) -> Any:  # noqa: ARG001 - as above
+    """Add torques of the motors as seen through their gears, Nm, to those of the joints, both shape (n,)."""
+
+    def of_wrist(gear: Array, drive: Array, torque: Array) -> None:  # noqa: ARG001 - as above
+        for i in range(6):
+            torque[i] += drive[i]
+        torque[4] += drive[5]
+
+    def of_matrices(gear: Any, drive: Array, torque: Array) -> None:
+        store(torque, load(torque, size(gear.ratio)) + times(gear.motor, drive))
+
+    return of_matrices if has_matrices(gear) else of_wrist
+
+
+@by_type
+def share_among_drives(gear: Any, torque: Any, drive: Any) -> Any:  # noqa: ARG001 - as above
+    """Write the torques of the motors, as seen through their gears, that make those of the joints, Nm, shape (n,)."""
+
+    def of_wrist(gear: Array, torque: Array, drive: Array) -> None:  # noqa: ARG001 - as above
+        for i in range(6):
+            drive[i] = torque[i] - (torque[5] if i == 4 else 0.0)
+
+    def of_matrices(gear: Any, torque: Array, drive: Array) -> None:
+        store(drive, times(gear.joint, torque))
+
+    return of_matrices if has_matrices(gear) else of_wrist
+
+
+@by_type
+def joints_as_motors_have_them(gear: Any, motor: Any) -> Any:  # noqa: ARG001 - as above
+    """Return the joints' positions (or velocities) times the ratios of their own motors, for those of motors; lanes."""
+
+    def of_wrist(gear: Array, motor: Lanes) -> Lanes:
+        share = gear[5] / gear[4]
+        return append(first(motor, 5), lane(motor, 5) - share * lane(motor, 4))
+
+    def of_matrices(gear: Any, motor: Lanes) -> Lanes:
+        ratio = load(gear.ratio, size(gear.ratio))
+        return ratio * times_lanes(gear.joint_columns, motor / ratio)
+
+    return of_matrices if has_matrices(gear) else of_wrist
+
+
+@by_type
+def add_twist(gear: Any, joint: Any, twist: Any, share: Any, total: Any) -> Any:  # noqa: ARG001 - as above
+    """Write the joints' positions (or velocities) and a share of how far twists of the drives move them, shape (n,)."""
+
+    def of_wrist(gear: Array, joint: Array, twist: Array, share: float, total: Array) -> None:  # noqa: ARG001 - as above
+        for i in range(6):
+            total[i] = joint[i] + share * twist[i]
+        total[5] -= share * twist[4]
+
+    def of_matrices(gear: Any, joint: Array, twist: Array, share: float, total: Array) -> None:
+        store(total, load(joint, size(gear.ratio)) + share * times(gear.joint_columns, twist))
+
+    return of_matrices if has_matrices(gear) else of_wrist
+
+
+@by_type
+def turn_of_drive(gear: Any, joint: Any, drive: Any) -> Any:  # noqa: ARG001 - as above
+    """Return by how much a motor turns, as seen through its gear, for turns of the joints, shape (n,)."""
+
+    def of_wrist(gear: Array, joint: Array, drive: int) -> float:  # noqa: ARG001 - as above
+        turn: float = joint[drive] + joint[4] if drive == 5 else joint[drive]
+        return turn
+
+    def of_matrices(gear: Any, joint: Array, drive: int) -> float:
+        turn = 0.0
+        for k in range(size(gear.ratio)):
+            turn += gear.motor[drive, k] * joint[k]
+        return turn
+
+    return of_matrices if has_matrices(gear) else of_wrist
+
+
+@by_type
+def add_drive(gear: Any, drive: Any, inertia: Any, torque: Any, mass: Any, joint: Any) -> Any:  # noqa: ARG001
+    """Add inertia and torque of a motor, seen through its gear, to mass matrix (lower half) and torques of the joints."""
+
+    def of_wrist(gear: Array, drive: int, inertia: float, torque: float, mass: Array, joint: Array) -> None:  # noqa: ARG001
+        mass[drive, drive] += inertia
+        joint[drive] += torque
+        if drive == 5:
+            mass[4, 4] += inertia
+            mass[5, 4] += inertia
+            joint[4] += torque
+
+    def of_matrices(gear: Any, drive: int, inertia: float, torque: float, mass: Array, joint: Array) -> None:
+        for i in range(size(gear.ratio)):
+            turn = gear.motor[drive, i]
+            joint[i] += turn * torque
+            for k in range(i + 1):
+                mass[i, k] += turn * gear.motor[drive, k] * inertia
+
+    return of_matrices if has_matrices(gear) else of_wrist

@@ -1,0 +1,114 @@
+"""Arms of 1, 3 and 7 joints, with motors that turn with several of them, against other people's solvers."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from any_arm import write_arm
+from numpy.typing import NDArray
+from scipy.special import ellipk
+
+from benchmarks.hybrid_reference import negligible_element
+from rx90_common.dynamics.manipulator import inverse_dynamics, mass_and_bias
+from rx90_common.friction import FrictionSet
+from rx90_emulator.loop.setup import Setup, load_setup
+
+Array = NDArray[np.float64]
+
+ALONE = [[1.0]]
+DIFFERENTIAL = [[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 1.0, -1.0]]
+SEVEN = np.eye(7).tolist()
+SEVEN[5] = [0.0, 0.0, 0.0, -0.5, 0.0, 1.0, 0.0]
+
+
+class Arm(NamedTuple):
+    """A robot folder, read, and the independent model of it."""
+
+    setup: Setup
+    oracle: Any
+
+
+@pytest.fixture(scope="module", params=[ALONE, DIFFERENTIAL, SEVEN], ids=["1 joint", "3 joints", "7 joints"])
+def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, arm_oracle: Any) -> Arm:
+    """Return an arm."""
+    turns = request.param
+    setup = load_setup(robot=write_arm(tmp_path_factory.mktemp("arm"), len(turns), turns))
+    return Arm(setup, dataclasses.replace(arm_oracle, setup=setup, turns=np.array(turns)))
+
+
+def test_dynamics_equal_pinocchio_s(arm: Arm) -> None:
+    """Mass matrix, bias and inverse dynamics are Pinocchio's, rotors by virtual work, to twelve digits."""
+    plant, n = arm.setup.plant(), len(arm.oracle.turns)
+    rng, constants, body = np.random.default_rng(n), plant.constants[0]["arm"], plant.state[0]["body"]
+    for q, v, a in rng.uniform(-2.0, 2.0, (5, 3, n)):
+        mass, bias, torque = np.empty((n, n)), np.empty(n), np.empty(n)
+        mass_and_bias(constants, body, q, v, mass, bias)
+        inverse_dynamics(constants, body, q, v, a, torque)
+        want_mass, want_bias = arm.oracle.mass_and_bias(q, v)
+        want = want_mass @ a + want_bias
+        for got, wanted in ((mass, want_mass), (bias, want_bias), (torque, want)):
+            np.testing.assert_allclose(got, wanted, rtol=0.0, atol=1e-12 * np.abs(wanted).max())
+
+
+def test_steps_converge_to_the_solution_of_a_stiff_solver(arm: Arm) -> None:
+    """Under motor torques that jump, joints and bristles come to the solver's with order 2, and are near it at once."""
+    setup, n = arm.setup, len(arm.oracle.turns)
+    pose, ticks = np.full(n, 0.4), 40
+    pieces = np.random.default_rng(n).uniform(-0.4, 0.4, (2, n)) * setup.drives.peak_torque
+    state = np.concatenate([pose, np.zeros(n + len(setup.friction.names))])
+    for motor in pieces:
+        state = arm.oracle.integrate(state, motor, ticks * setup.rates.period, 1e-9)
+    errors = []
+    for substeps in (1, 4):
+        plant = setup.plant(substeps)
+        plant.reset(pose)
+        for motor in pieces:
+            for _ in range(ticks):
+                plant.step(motor)
+        got = plant.state[0]
+        error = np.abs(np.concatenate([got["q"], got["v"], got["z"]]) - state)
+        errors.append([error[:n].max(), error[n : 2 * n].max(), error[2 * n :].max()])
+    assert np.abs(state[n : 2 * n]).max() > 0.1
+    assert (np.array(errors[0]) < [3e-5, 1e-3, 2e-6]).all()
+    assert (np.array(errors[1]) < 0.15 * np.array(errors[0])).all()  # a sixteenth, with order 2
+
+
+def test_an_arm_at_rest_on_its_brakes_stays(arm: Arm) -> None:
+    """Closed brakes carry the weight from the first tick on, whatever motors turn with which joints."""
+    plant, pose = arm.setup.plant(), np.full(len(arm.oracle.turns), 0.6)
+    plant.reset(pose)
+    for _ in range(100):
+        plant.step(None)
+    assert np.abs(plant.joint_states()[0] - pose).max() < 1e-9
+    assert np.abs(arm.oracle.mass_and_bias(pose, 0.0 * pose)[1]).max() > 1.0
+
+
+def test_a_joint_without_friction_swings_as_a_pendulum(tmp_path: Any) -> None:
+    """One joint, released, has the pendulum's period, by the complete elliptic integral, to a few millionths."""
+    setup = load_setup(robot=write_arm(tmp_path / "pendulum", 1))
+    setup = dataclasses.replace(setup, friction=FrictionSet(setup.friction.names, (negligible_element(),)))
+    model = setup.robot.model
+    data, quarter = model.createData(), np.array([0.5 * math.pi])
+    sine, cosine = (float(pin.computeGeneralizedGravity(model, data, q)[0]) for q in (quarter, 0.0 * quarter))
+    inertia = float(pin.crba(model, data, quarter)[0, 0] + setup.drives.rotor_inertia[0])
+    # Gravity torque sine sin(q) + cosine cos(q) = weight sin(q - rest), stable at `rest`.
+    weight, amplitude = math.hypot(sine, cosine), 1.0
+    rest = math.atan2(-cosine, sine)
+    period = 4.0 * math.sqrt(inertia / weight) * float(ellipk(math.sin(0.5 * amplitude) ** 2))
+    wide = dataclasses.replace(setup.robot, lower=np.array([-9.0]), upper=np.array([9.0]))
+    plant = dataclasses.replace(setup, robot=wide).plant()
+    plant.reset([rest + amplitude])
+    times, velocity = [], 0.0
+    for tick in range(1, math.ceil(2.2 * period * setup.rates.base_hz)):
+        plant.step(np.zeros(1))
+        now = float(plant.joint_states()[1][0])
+        if velocity > 0.0 >= now:  # back where it began
+            times.append((tick - now / (now - velocity)) * setup.rates.period)
+        velocity = now
+    assert times[0] == pytest.approx(period, rel=5e-6)
+    assert times[1] == pytest.approx(2.0 * period, rel=5e-6)
