@@ -159,7 +159,7 @@ def twist_at_rest(stiffness: float, half_play: float, torque: float) -> float:
 @kernel
 def hang_links(plant: Any, state: Any) -> None:
     """Move the links, `state.q`, from where the motors are to where they rest in the twisted gears; `state.v` is 0."""
-    constants, gears = plant.transmission, state.transmission
+    gears = state.transmission
     n = size(state.q)
     for i in range(n):
         gears.motor_angle[i] = state.q[i]

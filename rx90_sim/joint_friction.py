@@ -86,7 +86,7 @@ def _advance_elements(plant: Any, state: Any, angle: Array, velocity: Array, ste
     if plant.parts.used:
         _parted_friction(plant, state, angle, velocity, step)
         return load(state.parts.friction, size(state.z))
-    inputs = element_inputs(plant.gear, velocity)
+    inputs: Lanes = element_inputs(plant.gear, velocity)
     z, friction = bristle_step(load_elements(plant.friction, size(state.z)), load(state.z, size(state.z)), inputs, step)
     store(state.z, z)
     return friction
@@ -96,7 +96,7 @@ def _advance_elements(plant: Any, state: Any, angle: Array, velocity: Array, ste
 def _advance_brakes(plant: Any, state: Any, velocity: Array, step: float) -> Lanes:
     """Advance the bristles of the brakes; return their torques, Nm."""
     n = size(state.brake_z)
-    inputs = element_inputs(plant.gear, velocity)
+    inputs: Lanes = element_inputs(plant.gear, velocity)
     z, torque = bristle_step(load_elements(plant.brake, n), load(state.brake_z, n), inputs, step)
     store(state.brake_z, z)
     return torque

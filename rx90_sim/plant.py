@@ -199,8 +199,8 @@ def _fill_transmission(transmission: Any, drives: DriveParameters) -> None:
 def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
     """Write the brakes, bristle elements with the inputs of the friction elements.
 
-    The brake of a motor that turns with several joints is behind those of the joints, and its own joint has none: in the
-    RX family motor 6 turns with joints 5 and 6 together, so its brake is the seventh.
+    The brake of a motor that turns with several joints is behind those of the joints, and its own joint has none: in
+    the RX family motor 6 turns with joints 5 and 6 together, so its brake is the seventh.
     """
     data = np.array([drives.brake_torque, drives.brake_stiffness, drives.brake_damping])
     brakes = _brake_elements(data.tobytes())

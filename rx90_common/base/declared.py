@@ -105,8 +105,9 @@ class Declared:
                 object.__setattr__(self, one.name, checked)
 
     def fitted(self: _Self, joints: int, first: str) -> _Self:
-        """Return the same with every array that has a value for each joint as long as `first`, with one for each of so
-        many joints. A single value stands for all of them, as defaults do.
+        """Return the same with a value for each of so many joints in every array that is to have one.
+
+        A single value stands for all of them, as defaults do; `first` is the array that says how many there are.
 
         Raises:
             ConfigError: for another number of values.

@@ -9,8 +9,8 @@ Friction elements, and brakes, turn likewise: one for each joint, and behind the
 several joints (section 4 of the paper); on a joint whose motor is one of those there is no brake.
 
 The wrist coupling of the RX family is q_m5 = n5 q5 and q_m6 = n6 (q5 + q6). Compiled code has it in a fixed order of
-operations of its own, where the gears are an array; for any other arm they are a record that holds the matrices, so that
-arms with as many joints and elements share what is compiled once.
+operations of its own, where the gears are an array; for any other arm they are a record that holds the matrices, so
+that arms with as many joints and elements share what is compiled once.
 """
 
 from __future__ import annotations
@@ -211,7 +211,7 @@ def has_matrices(gear: Any) -> bool:
 @inlined
 def times(columns: Any, x: Array) -> Lanes:
     """Return the product of a matrix, by its columns, and an array."""
-    total = x[0] * load(columns[0], size(columns))
+    total: Lanes = x[0] * load(columns[0], size(columns))
     for k in range(1, len(columns)):
         total = fma(x[k], load(columns[k], size(columns)), total)
     return total
@@ -394,7 +394,7 @@ def turn_of_drive(gear: Any, joint: Any, drive: Any) -> Any:  # noqa: ARG001 - a
 
 @by_type
 def add_drive(gear: Any, drive: Any, inertia: Any, torque: Any, mass: Any, joint: Any) -> Any:  # noqa: ARG001
-    """Add inertia and torque of a motor, seen through its gear, to mass matrix (lower half) and torques of the joints."""
+    """Add inertia and torque of a motor, through its gear, to mass matrix (lower half) and torques of the joints."""
 
     def of_wrist(gear: Array, drive: int, inertia: float, torque: float, mass: Array, joint: Array) -> None:  # noqa: ARG001
         mass[drive, drive] += inertia

@@ -133,7 +133,7 @@ def _endless() -> Array:
 
 @dataclass(frozen=True)
 class Windings(Declared):
-    """A thermal node in each motor, heated by I^2 R; the arrays have a value for each, temperatures are in degrees Celsius.
+    """A thermal node in each motor, heated by I^2 R; arrays have a value for each, temperatures in degrees Celsius.
 
     A resistance of 0 stands for windings that stay as warm as they are. Between `derating` and `limit` the peak current
     falls linearly.
@@ -253,8 +253,8 @@ _turns = Numbers(
     nonzero=True,
 )
 _coupling = Rows(
-    "Turns of each motor (row) for turns of the joints (columns), without the gears; left out: each motor turns with its "
-    "own joint, but of six motors the sixth with joints 5 and 6, as in the RX family.", "1",
+    "Turns of each motor (row) for turns of the joints (columns), without the gears; left out: each motor turns with "
+    "its own joint, but of six motors the sixth with joints 5 and 6, as in the RX family.", "1",
     count=PER_JOINT, default=LEFT_OUT,
 )  # fmt: skip
 _counts = Integer("Encoder counts per motor revolution.", low=16, high=2**30)
@@ -266,7 +266,8 @@ class DriveParameters(Declared):
     """The drives of an arm with 1 to 7 joints, each with a motor; every array has a value for each, shape (n,).
 
     A coupling says which joints each motor turns with; without one, of six joints, it is the RX family's wrist, whose
-    motor 6 drives joints 5 and 6 together, and in other arms each motor turns with its own joint. Brakes, springs and end stops are those of the joints. What is left out of elasticity, cogging, winding and
+    motor 6 drives joints 5 and 6 together, and in other arms each motor turns with its own joint. Brakes, springs and
+    end stops are those of the joints. What is left out of elasticity, cogging, winding and
     current_sensor is ideal.
     """
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -224,15 +225,16 @@ class RobotModel:
             raise ConfigError(f"{plain(file)}: {name} has {counted(len(values), 'number')}; {accepted}")
 
 
-def load_robot(urdf: Path, tool: Path | None = None) -> RobotModel:
+def load_robot(urdf: Path, tool: Path | None = None, held: Collection[str] = ()) -> RobotModel:
     """Read a URDF of a fixed-base serial arm with 1 to 7 revolute joints, and the tool it carries.
 
-    Without a tool the tool centre point is link `tool0`, or the last link where there is none.
+    Without a tool the tool centre point is link `tool0`, or the last link where there is none. Joints that are `held`
+    are fixed, where the URDF has all joints at 0.
 
     Raises:
         ConfigError: naming file, element, value and what is accepted.
     """
-    file = UrdfFile(urdf)
+    file = UrdfFile(urdf, held)
     if tool is not None:
         attach(file.root, load_tool(tool), urdf)
     text = ET.tostring(file.root, encoding="unicode")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, NoReturn
@@ -126,10 +127,12 @@ class _CheckedElements:
         where = f"link '{name}' inertial"
         origin = self._origin(inertial, where)
         mass = self._numbers(inertial.find("mass"), f"{where} mass", "value", None)[0]
-        if mass <= 0.0:
-            self.refuse(f"{where} mass", mass, "a number > 0 kg")
         element = inertial.find("inertia")
         values = tuple(self._numbers(element, f"{where} inertia", key, None)[0] for key in _INERTIA_KEYS)
+        if mass == 0.0 and not any(values):  # some write it so where there is nothing but a frame
+            return None
+        if mass <= 0.0:
+            self.refuse(f"{where} mass", mass, "a number > 0 kg")
         fault = inertia_fault(values)
         if fault is not None:
             text = " ".join(f"{key}={value:g}" for key, value in zip(_INERTIA_KEYS, values, strict=True))
@@ -161,6 +164,10 @@ class _CheckedElements:
 class UrdfFile(_CheckedElements):
     """A checked URDF.
 
+    Args:
+        file: where it is.
+        held: joints that do not move, whatever the file says.
+
     Attributes:
         file: where it came from.
         root: the XML element `robot`.
@@ -170,8 +177,13 @@ class UrdfFile(_CheckedElements):
         ConfigError: naming file, element, value and what is accepted.
     """
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file: Path, held: Collection[str] = ()) -> None:
         super().__init__(file)
+        for joint in self.root.findall("joint"):
+            if joint.get("name") in held:
+                joint.set("type", "fixed")
+                for mimic in joint.findall("mimic"):
+                    joint.remove(mimic)
         self._links = self._named("link")
         self._joints = self._named("joint")
         for name, link in self._links.items():
@@ -264,7 +276,7 @@ class UrdfFile(_CheckedElements):
     def _check_masses(self, chain: list[str]) -> None:
         heavy = set()
         for name, link in self._links.items():
-            if link.find("inertial") is not None:
+            if self._body(name, link) is not None:
                 heavy.update([j for j in self._path(name, self._parent_joint) if j in chain][-1:])
         for joint in chain:
             if joint not in heavy:

@@ -23,7 +23,7 @@ from rx90_common.kernels.lanes import Lanes, delay, first, fma, lane, load, pref
 
 @cache
 def manipulator_dtype(joints: int) -> np.dtype[np.void]:
-    """Return the type of the constants, the link last: the base parameters, gravity, the rotors' inertia, the spring."""
+    """Return the type of the constants, the link last: base parameters, gravity, the rotors' inertia, the spring."""
     return np.dtype(
         [
             ("frame", np.float64, (3, 3, joints)),  # column, component, link: in the frame before, at q = 0

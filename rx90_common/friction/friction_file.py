@@ -19,8 +19,11 @@ from rx90_common.friction.friction_set import FrictionSet
 FRICTION = Group(
     "LuGre friction, joint side, SI units (equations 17 to 19 of the paper).",
     keys={
-        "elements": Entries("Elements by joint, and by motors that turn with several joints: joint_5_6 of the RX family turns with joints 5 and 6 "
-            "together.", of=ELEMENT),
+        "elements": Entries(
+            "Elements by joint, and by motors that turn with several joints: joint_5_6 of the RX family turns with "
+            "joints 5 and 6 together.",
+            of=ELEMENT,
+        ),
         "joints": Entries(
             "What torques hold beside links and friction, by joint, where no drives file says it. The simulation takes "
             "nothing of it; rx90_identify --friction adds it to what the URDF predicts.",

@@ -41,7 +41,8 @@ class TrajectoryPoints:
         position: rad, shape (n, j).
         velocity: rad/s, shape (n, j), or None if no point carries velocities.
         acceleration: rad/s^2, shape (n, j), or None if no point carries accelerations.
-        named: which joints the points are of, shape (j,), all where it is left out; the values of the others are 0 and mean nothing.
+        named: which joints the points are of, shape (j,), all where it is left out; the values of the others are 0 and
+            mean nothing.
         first: number of the first point in the trajectory that was sent.
         way: None; kept for programs that name it.
         smooth: whether only the velocities at both ends count, see `smoothed`.

@@ -136,6 +136,7 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
     if options.demo:  # a motion that nobody else asked for stays among its own nodes
         stay_on_this_machine()
     prepare()
+    from rx90_common.description.drives import load_drives
     from rx90_common.description.robot import load_robot
     from rx90_common.exchange.client_node import client_node
     from rx90_controller.lines.task import load_task
@@ -148,6 +149,7 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
     files = RobotFiles.of_options(options)
     controller = node_of(options)
     robot = load_robot(files.urdf, files.tool)
+    elements = load_drives(files.drives).turning.element_names(robot.joint_names)
     line = None if files.task is None else load_task(files.task)
     shipped = DEFAULT_ROBOT if options.robot is None else options.robot
     tour = Tour(shipped, files, controller) if options.demo else None
@@ -160,7 +162,7 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
             tour.start()
         be_nice(max(os.getpriority(os.PRIO_PROCESS, 0), _NICENESS) if options.nice is None else options.nice)
         with client_node("rx90_view", 1.0, print, options.ros_args) as client:
-            view = LiveView(page, client, robot, controller, line)
+            view = LiveView(page, client, robot, elements, controller, line)
             ends.callback(DoPanel(page, client, files, view.newest, controller, view.lay_line).close)
             with page.tab("Files"):  # once all plots are there
                 with page.gui.add_folder("Record a bag"):

@@ -281,6 +281,13 @@ def movable_joints(urdf: Path) -> tuple[str, ...]:
     return tuple(str(name) for name, joint in pairs if joint.nv == 1 and str(name) not in mimics)
 
 
+def all_joints(urdf: Path) -> tuple[str, ...]:
+    """Return the joints of a URDF that can move, mimics and those of several numbers too."""
+    return tuple(
+        joint.get("name", "") for joint in _read_urdf(urdf)[1].findall("joint") if joint.get("type") != "fixed"
+    )
+
+
 def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
     """Return Pinocchio's model of the whole robot, and the root of the file."""
     lines: list[str] = []

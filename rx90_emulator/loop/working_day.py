@@ -9,7 +9,7 @@ is linear and has an exponential as its answer (Rosenbrock's method; what is lef
 temperature's change, or of the second until the slope is known). It is followed over as many whole cycles as no
 temperature changes by more than a bound in, then the next cycle is simulated. Windings go with an exponential of their
 own time constant towards where the simulated cycle drove them. What the controller's model believes of the joints goes
-the way of the joints, as elements of its own: arrays of 14, the plant's seven first.
+the way of the joints, as elements of its own: arrays of 2 e, the e of the plant first.
 
 Each simulated cycle begins with a reset, so with the same random numbers: else what scatter changes between two cycles
 would count as the slope s.
@@ -51,10 +51,10 @@ class Cycle(NamedTuple):
     """What one simulated cycle gave, in plant and controller.
 
     Attributes:
-        warm: temperatures in its middle, degrees Celsius, shape (14,).
-        end: temperatures at its end, degrees Celsius, shape (14,).
+        warm: temperatures in its middle, degrees Celsius, shape (2 e,).
+        end: temperatures at its end, degrees Celsius, shape (2 e,).
         windings: temperatures at its end, degrees Celsius, shape (6,).
-        heat: mean, of friction and motors, W, shape (14,).
+        heat: mean, of friction and motors, W, shape (2 e,).
         friction: mean size of the friction torque, Nm, shape (7,).
         worst: path error of the way there, m.
         rms: the same.
@@ -130,7 +130,7 @@ def repeat_line(
 class ThermalRun:
     """What `repeat_line` does, step by step, so that whoever is interrupted has what was done.
 
-    Temperatures are those of 14 joints, of the plant and of the controller's model, and of six windings.
+    Temperatures are those of 2 e joints, of the plant and of the controller's model, and of the windings.
 
     Attributes:
         done: how many cycles have been passed.
@@ -140,6 +140,7 @@ class ThermalRun:
         check_type(setup=(setup, Setup), task=(task, LineTask))
         parts = [element.temperature for element in setup.friction.elements]
         motors, elements, _ = setup.drives.turning.size
+        self._count = 2 * elements
         if not any(parts):
             where = "" if setup.friction.file is None else f"{setup.friction.file}: "
             raise ConfigError(f"{where}no friction element has a temperature; accepted: one or more")
@@ -159,7 +160,7 @@ class ThermalRun:
              for one in parts]
         ).T  # fmt: skip
         self._now = np.concatenate([start, np.full(motors, setup.drives.winding.initial)])
-        self._slope = np.zeros(2 * elements)
+        self._slope = np.zeros(self._count)
         self._known: Cycle | None = None
         self._rows: list[tuple[float, Array, Cycle]] = []
         self.done = 0
@@ -178,7 +179,7 @@ class ThermalRun:
 
     def advance(self, total: int) -> bool:
         """Simulate a cycle and go on to where the next one is to be, at most the last; return whether there is one."""
-        cycle, duration = self._cycles.run(self._now[:14], self._now[14:]), self._cycles.duration
+        cycle, duration = self._cycles.run(self._now[: self._count], self._now[self._count :]), self._cycles.duration
         self._rows.append((self.done * duration, self._now, cycle))
         left = total - 1 - self.done
         if left <= 0:
@@ -212,7 +213,7 @@ class ThermalRun:
         """Take the slope of the heat over temperature from this cycle and the last one that was far enough from it."""
         known = self._known = self._known or cycle
         risen = cycle.warm - known.warm
-        far = np.abs(risen) > _LEAST_CHANGE * self._bound[:14]
+        far = np.abs(risen) > _LEAST_CHANGE * self._bound[: self._count]
         slope = np.minimum((cycle.heat - known.heat) / np.where(far, risen, 1.0), _MOST_FEEDBACK * self._conductance)
         self._slope = np.where(far, slope, self._slope)
         self._known = known._replace(
@@ -226,11 +227,14 @@ class ThermalRun:
         """
         loss, end = self._conductance - self._slope, self._now.copy()
         inflow = cycle.heat - self._slope * cycle.warm + self._conductance * self._ambient
-        np.divide(inflow, loss, out=end[:14], where=loss > 0.0)
-        winding, winding_rate = self._setup.drives.winding, 0.0 * winding.resistance
+        np.divide(inflow, loss, out=end[: self._count], where=loss > 0.0)
+        winding = self._setup.drives.winding
+        winding_rate = np.zeros(len(winding.resistance))
         if winding.used:
             winding_rate += 1.0 / (winding.heat_capacity * winding.thermal_resistance)
-            end[14:] -= (cycle.windings - end[14:]) / np.expm1(-winding_rate * self._cycles.duration)
+            end[self._count :] -= (cycle.windings - end[self._count :]) / np.expm1(
+                -winding_rate * self._cycles.duration
+            )
         return np.concatenate([loss / self._capacity, winding_rate]), end
 
 

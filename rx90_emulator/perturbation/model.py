@@ -279,6 +279,10 @@ def prepare_perturbation(
     start, ticks = rates.start_tick(start_time), rates.ticks_of(duration)
     if not rates.period <= spacing < np.inf:
         raise ConfigError(f"spacing is {spacing} s; accepted: a finite number, at least a tick, {rates.period:g} s")
+    if not setup.drives.turning.size.wrist:
+        raise ConfigError(
+            "the perturbation method holds six joints with the RX family's wrist alone; accepted: rx90_run"
+        )
     for i in np.flatnonzero(setup.drives.elasticity.elastic):
         found = f"drives.elasticity.stiffness[{i}] is {setup.drives.elasticity.stiffness[i]:g} Nm/rad"
         raise ConfigError(f"{found}; accepted by the perturbation method: rigid drives")

@@ -16,7 +16,6 @@ from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.arm_watch import ArmWatch, JointSample, NodeStatus, Trajectory
 from rx90_common.exchange.client_node import ClientNode
 from rx90_common.exchange.topics import MAX_DISPLAY_RTF
-from rx90_common.friction.friction_set import element_names
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.view.page import Page, block, from_user
 from rx90_emulator.view.plots import LoopPlot, RollingPlot, RunComparison
@@ -45,6 +44,7 @@ class LiveView:
         page: to show them on.
         client: whose node listens; nothing waits for it.
         robot: the arm that is expected.
+        elements: names of its friction elements.
         controller: name of the controller node, relative or absolute; the arm is in its namespace.
         line: the reference line, if the robot has one.
 
@@ -57,10 +57,16 @@ class LiveView:
     """
 
     def __init__(
-        self, page: Page, client: ClientNode, robot: RobotModel, controller: str, line: LineTask | None
+        self,
+        page: Page,
+        client: ClientNode,
+        robot: RobotModel,
+        elements: tuple[str, ...],
+        controller: str,
+        line: LineTask | None,
     ) -> None:
         self._page, self._chain, gui, self._robot = page, robot.chain, page.gui, str(robot.model.name)
-        self._names, joints = element_names(robot.joint_names), robot.joint_names
+        self._names, joints = elements, robot.joint_names
         self.watch = ArmWatch(client.node, controller, joints, self._names)
         self._elements: JointSample | None = None  # the newest: deflection, velocity, torque
         self._heard = -math.inf  # when a state came last

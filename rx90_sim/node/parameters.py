@@ -86,8 +86,8 @@ class SimulationParameters:
         given, joints = np.array(self.initial_position, np.float64), len(robot.joint_names)
         if len(given) not in (1, joints):
             raise ConfigError(
-                f"parameter initial_position has {counted(len(given), 'number')}; accepted: {joints}, one for each joint, "
-                "or one for all, rad"
+                f"parameter initial_position has {counted(len(given), 'number')}; accepted: {joints}, one for each "
+                "joint, or one for all, rad"
             )
         return np.clip(given, robot.lower, robot.upper) if len(given) < joints else given
 

@@ -7,8 +7,9 @@ from.
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
@@ -16,20 +17,21 @@ from typing import Any, NamedTuple
 from xml.parsers import expat
 
 import numpy as np
+import pinocchio as pin
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import check_numbers, load_yaml, without_schema_line, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.section import ABOUT
-from rx90_common.description.drives import element_matrix
-from rx90_common.description.robot import load_robot
+from rx90_common.description.coupling import Coupling
+from rx90_common.description.drives import load_drives
+from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import ALPHA_BOUNDS
-from rx90_common.friction.friction_set import element_names
-from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.estimates import LARGEST, ParameterEstimate
+from rx90_emulator.identification.arm import RigidArm, all_joints
+from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.excitation.choice import CrossValidation
 from rx90_emulator.identification.excitation.physical import central
 from rx90_emulator.identification.excitation.result import (
@@ -38,6 +40,7 @@ from rx90_emulator.identification.excitation.result import (
     RunTorques,
     misfits,
 )
+from rx90_emulator.identification.output.assumed_files import assumed_files
 from rx90_emulator.identification.output.friction_file import elements_text, six_digits
 from rx90_emulator.identification.output.summary import bodies_warnings, gain_warnings, in_currents
 from rx90_emulator.identification.records import in_unit
@@ -127,6 +130,22 @@ def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -
     return data.decode("utf-8")
 
 
+def with_fixed(urdf: str, joints: Collection[str]) -> str:
+    """Return the URDF with these joints fixed; nothing else in it is changed."""
+
+    def fixed(joint: re.Match[str]) -> str:
+        if (name := _NAME.search(joint["head"])) is None or name["name"] not in joints:
+            return joint[0]
+        head = re.sub(r"""(\stype\s*=\s*)(["']).*?\2""", r'\1"fixed"', joint["head"])
+        return head + re.sub(r"<mimic\b[^>]*?(/>|>\s*</mimic\s*>)", "", joint["body"])
+
+    return _JOINT.sub(fixed, urdf)
+
+
+_JOINT = re.compile(r"(?P<head><joint\b[^>]*>)(?P<body>.*?</joint\s*>)", re.DOTALL)
+_NAME = re.compile(r"""\sname\s*=\s*(["'])(?P<name>.*?)\1""")
+
+
 def _inertial(link: str, pseudo: Array) -> str:
     """Return the element, its numbers to the last bit: what is loaded is what was identified."""
     mass, center, inertia = central(pseudo)
@@ -170,23 +189,56 @@ def _numbers(values: Sequence[float], digits: int = 12) -> list[float]:
     return [float(f"{value:.{digits}g}") for value in values]
 
 
-def folder_base(arm: RigidArm, urdf: Path) -> tuple[RobotFiles | None, str]:
-    """Return the files that another robot's folder begins with, or None, and in one line what follows from that."""
+class FolderBase(NamedTuple):
+    """What a robot folder begins with.
+
+    Attributes:
+        robot: the arm before, with its limits.
+        turning: its coupling.
+        files: whose drives and controller it begins with, and whose tool, task and poses it keeps; None for drives and
+            controller that are assumed in proportion to the arm.
+        held: joints of the URDF that were held at 0 in the identification, and become fixed.
+    """
+
+    robot: RobotModel
+    turning: Coupling
+    files: RobotFiles | None
+    held: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, files: RobotFiles) -> FolderBase:
+        """Return that of a robot's files.
+
+        Raises:
+            ConfigError: for files that cannot be read.
+        """
+        return cls(load_robot(files.urdf, files.tool), load_drives(files.drives).turning, files)
+
+
+def folder_base(arm: RigidArm, urdf: Path) -> tuple[FolderBase | None, str]:
+    """Return what another robot's folder begins with, or None, and in one line what follows from that."""
     alone = "URDF and friction file alone, no robot folder: "
-    if not np.array_equal(arm.element_matrix, element_matrix()):
-        return None, f"{alone}the simulation has arms of six joints whose sixth motor turns with joints 5 and 6"
+    if not arm.identified.all():
+        followed = listed(name for name, own in zip(arm.names, arm.identified, strict=True) if not own)
+        return None, f"{alone}{followed} only followed the recording; the simulation needs friction of every joint"
+    held = tuple(name for name in all_joints(urdf) if name not in arm.names)
     try:
-        load_robot(urdf)
+        robot, turning = load_robot(urdf, held=held), Coupling(arm.coupling)
     except ConfigError as error:
         return None, f"{alone}{error}"
-    files = RobotFiles(urdf=urdf, tool=None, task=None, poses=None)
-    return files, f"drives and controller are those of {files.drives.parent.name} but for what was identified or given"
+    fixed = f"; {listed(held)} fixed at 0, as in the identification" if held else ""
+    if turning.size.wrist:
+        files = RobotFiles(urdf=urdf, tool=None, task=None, poses=None)
+        begun = f"drives and controller are those of {files.drives.parent.name} but for what was identified or given"
+        return FolderBase(robot, turning, files, held), begun + fixed
+    begun = "what of drives and controller was not identified or given is assumed, in proportion to the arm"
+    return FolderBase(robot, turning, None, held), begun + fixed
 
 
 def robot_texts(
     result: ExcitationIdentification,
     urdf: Path,
-    base: RobotFiles | None,
+    base: FolderBase | None,
     given: Mapping[tuple[str, str], Identified] = MappingProxyType({}),
     now: datetime | None = None,
 ) -> dict[str, str]:
@@ -195,7 +247,7 @@ def robot_texts(
     Args:
         result: what was identified.
         urdf: the description that is given other inertials.
-        base: files of the robot that a whole folder is made from; None for URDF and friction file alone.
+        base: what a whole folder begins with; None for URDF and friction file alone.
         given: other values for the drives file, by block and key, such as ("motor", "torque_constant").
         now: date of the identification; by default the present.
 
@@ -232,7 +284,7 @@ def robot_texts(
     remark = f" The inertials of {listed(bodies, 100)} are {origin}; other comments on masses are older. "
     remark += f"Rotors are no part of them: {rotors} kg m^2 at the joints. " if inertias.rotors.any() else ""
     remark += "".join(f"{text}. " for text in in_currents(result))
-    elements = arm.element_names if base is None else element_names(names)
+    elements = arm.element_names if base is None else base.turning.element_names(names)
     old = result.problem.arm.element_names
     notes = {
         new: result.element_notes[name] for name, new in zip(old, elements, strict=True) if name in result.element_notes
@@ -252,28 +304,50 @@ def robot_texts(
     }
     if base is None:
         return texts
-    drives = dict(load_yaml(base.drives).content)
+    texts[FILES["urdf"]] = written = with_fixed(texts[FILES["urdf"]], base.held)
+    drives, controller = _begun(base, written, np.asarray(inertias.rotors), new)
     for block in dict.fromkeys(block for block, _ in new):
         drives[block] = marked(drives[block], {key: one for (there, key), one in new.items() if there == block})
-    # Its model, for the feed-forward by one, is the folder's own arm: not the one that the base names.
-    controller = {key: value for key, value in load_yaml(base.controller).content.items() if key != "model"}
-    # The friction that each motor turns against, at speeds up to the nominal ones.
-    turned = [[one.element] for one in result.elements[:6]]
-    turned[5].append(result.elements[6].element)
-    speed = load_robot(base.urdf, base.tool).max_velocity.tolist()
-    viscous, exponent = zip(*(viscous_sum(some, top) for some, top in zip(turned, speed, strict=True)), strict=True)
-    coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in turned]
-    source = "the identified friction of each joint; of joint 6 and of element 7, with which motor 6 turns as well"
-    values = {"coulomb_torque": coulomb, "viscous_friction": viscous, "viscous_exponent": exponent}
-    feed_forward = {key: Identified(_numbers(some), "derived", source) for key, some in values.items()}
+    feed_forward = _compensation(result.elements, elements, base)
     controller["feed_forward"] = marked(controller["feed_forward"], feed_forward)
     texts[FILES["drives"]] = _DRIVES_HEAD + yaml_text(drives)
     texts[FILES["controller"]] = _CONTROLLER_HEAD + yaml_text(controller)
     for role in ("tool", "task", "poses"):
-        path: Path | None = getattr(base, role)
+        path: Path | None = None if base.files is None else getattr(base.files, role)
         if path is not None:
             texts[FILES[role]] = without_schema_line(path.read_text(encoding="utf-8"))
     return texts
+
+
+def _compensation(
+    found: Sequence[IdentifiedElement], elements: Sequence[str], base: FolderBase
+) -> dict[str, Identified]:
+    """Return what the controller's feed-forward compensates of the identified friction, of elements of these names."""
+    joints = len(base.robot.joint_names)
+    # The friction that each motor turns against, at speeds up to the nominal ones.
+    turned, speed = [[one.element] for one in found[:joints]], base.robot.max_velocity.tolist()
+    for motor, one in zip(base.turning.sums, found[joints:], strict=True):
+        turned[motor].append(one.element)
+    viscous, exponent = zip(*(viscous_sum(some, top) for some, top in zip(turned, speed, strict=True)), strict=True)
+    coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in turned]
+    source = "the identified friction of each joint"
+    if base.turning.size.wrist:
+        source += "; of joint 6 and of element 7, with which motor 6 turns as well"
+    elif base.turning.sums:
+        source += f", and of {listed(elements[joints:])} at the motors that turn so"
+    values = {"coulomb_torque": coulomb, "viscous_friction": viscous, "viscous_exponent": exponent}
+    return {key: Identified(_numbers(some), "derived", source) for key, some in values.items()}
+
+
+def _begun(
+    base: FolderBase, urdf: str, rotors: Array, new: Mapping[tuple[str, str], Identified]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the contents of drives and controller file that a folder begins with."""
+    if base.files is None:
+        return assumed_files(base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new)
+    # Its model, for the feed-forward by one, is the folder's own arm: not the one that the base names.
+    controller = {key: value for key, value in load_yaml(base.files.controller).content.items() if key != "model"}
+    return dict(load_yaml(base.files.drives).content), controller
 
 
 def _joints(result: ExcitationIdentification, *, drives: bool) -> dict[str, dict[str, float]]:
@@ -301,7 +375,7 @@ def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[
     problem, options, setup = result.problem, result.options, result.robot.setup
     drives: dict[tuple[str, str], Identified] = {}
     if setup is not None:
-        base: RobotFiles | None = setup.files or RobotFiles()
+        base: FolderBase | None = FolderBase.of(setup.files or RobotFiles())
         urdf, note = (setup.files or RobotFiles()).urdf, "a robot folder; what the runs do not tell is as it was"
     else:
         urdf = Path(str(options.urdf))

@@ -59,8 +59,8 @@ _RANGE_SLACK = 1e-5  # of a range: times are whole nanoseconds
 _MAX_GAP_PERIODS = 3.5  # periods between set-points that still are interpolated
 
 _OTHER_ARMS = (
-    f"the closed loop simulates arms of 1 to {MOST_JOINTS} revolute joints in series, by drives, friction and controller "
-    "files; for the torque of another arm: rx90_identify --friction FILE --validation BAG --urdf URDF"
+    f"the closed loop simulates arms of 1 to {MOST_JOINTS} revolute joints in series, by drives, friction and "
+    "controller files; for the torque of another arm: rx90_identify --friction FILE --validation BAG --urdf URDF"
 )
 
 

@@ -37,6 +37,7 @@ from rx90_emulator.identification.excitation.physical import (
 from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot_files import (
+    FolderBase,
     Identified,
     folder_base,
     marked,
@@ -135,7 +136,7 @@ def case(tmp_path_factory: pytest.TempPathFactory, source: BagSource) -> Case:
     inertias = consistent_inertias(estimate_of(columns, values), prior)
     elements = tuple(element_of(one, source) for one in true.friction.elements)
     result = identified(arm, inertias, columns, elements, source, "other.yaml")
-    for name, text in robot_texts(result, base.urdf, base).items():
+    for name, text in robot_texts(result, base.urdf, FolderBase.of(base)).items():
         (place / name).write_text(text)
     return Case(true, before, columns, inertias.parameters, RobotFiles.named(str(place)))
 

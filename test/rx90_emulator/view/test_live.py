@@ -133,7 +133,7 @@ def view_of(page: Page, shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> Call
 
     def make(watch: Any, line: LineTask | None = None) -> LiveView:
         monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
-        return LiveView(page, no_client, shipped.robot, "rx90_controller", line)
+        return LiveView(page, no_client, shipped.robot, shipped.friction.names, "rx90_controller", line)
 
     return make
 

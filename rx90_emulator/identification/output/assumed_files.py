@@ -1,0 +1,107 @@
+"""Drives and controller for an identified arm whose makers say nothing of them: assumed, in proportion to the arm.
+
+An identification tells links, rotors and friction. What the simulation needs beside them is chosen such that it moves
+the arm and does not stand in the way: motors that give what the URDF's efforts say, brakes and end stops about as stiff
+as those of the RX90B on its inertia, gains that are stable for the inertia of every pose.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from rx90_common.base.arrays import Array
+from rx90_common.description.coupling import Coupling
+from rx90_common.description.robot import RobotModel
+
+_POSES: Final = 200
+_GEAR, _COUNTS, _OBSERVER_HZ = 100.0, 65536, 400.0
+_TORQUE_CONSTANT = 0.1  # Nm/A
+_BRAKE_HZ, _STOP_HZ, _HALF_CRITICAL = 50.0, 10.0, 0.5
+_KP, _KV, _KI = 50.0, 200.0, 1e5  # 1/s, 1/s, 1/s^3
+_SOURCE = "nothing is known of it: chosen in proportion to the arm's inertia and to the efforts of its URDF"
+
+
+class _Inertia(NamedTuple):
+    """Of the motors, seen through their gears, kg m^2, shape (n,) each."""
+
+    mean: Array  # over poses, the others held
+    least: Array  # in any pose, the others free
+
+
+def assumed_files(
+    robot: RobotModel, model: Any, turning: Coupling, rotors: Array, known: Mapping[tuple[str, str], Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the contents of a drives and of a controller file.
+
+    Args:
+        robot: ranges, speeds and efforts.
+        model: Pinocchio's, with the bodies that count.
+        turning: which joints each motor turns with.
+        rotors: of the motors, seen through their gears, kg m^2, shape (n,).
+        known: blocks and keys of the drives file that have other values, such as ("transmission", "gear"): the motors
+            then give the same torques at the joints.
+    """
+    inertia, n = _inertia(robot, model, turning, rotors), len(rotors)
+    effort = np.abs(turning.joint_turns.T) @ robot.max_effort
+    nominal = np.sqrt(inertia.mean * inertia.least)
+    gear, constant = (
+        np.array(known[key].value if key in known else [usual] * n)
+        for key, usual in ((("transmission", "gear"), _GEAR), (("motor", "torque_constant"), _TORQUE_CONSTANT))
+    )
+    current = effort / np.abs(gear * constant)
+
+    def held(frequency: float) -> dict[str, list[float]]:
+        pole = 2.0 * math.pi * frequency
+        damping = 2.0 * _HALF_CRITICAL * pole * inertia.least
+        return {"stiffness": _six(pole * pole * inertia.least), "damping": _six(damping)}
+
+    drives: dict[str, dict[str, Any]] = {
+        "transmission": {
+            "gear": _six(gear), "rotor_inertia": _six(rotors),
+            "coupling": [[float(value) for value in row] for row in turning.turns],
+        },
+        "motor": {"torque_constant": _six(constant), "peak_current": _six(current)},
+        "encoder": {"counts_per_revolution": _COUNTS, "velocity_bandwidth": _OBSERVER_HZ},
+        "brake": {"torque": _six(1.5 * effort), **held(_BRAKE_HZ)},
+        "spring": {"torque": [0.0] * n},
+        "end_stops": held(_STOP_HZ),
+    }  # fmt: skip
+    controller: dict[str, dict[str, Any]] = {
+        "servo": {
+            "inertia": _six(nominal), "kp": [_KP] * n, "kv": [_KV] * n, "ki": [_KI] * n,
+            "integrator_limit": _six(effort),
+        },
+        "feed_forward": {
+            "velocity": True, "acceleration": True, "coulomb": True, "viscous": True,
+            "coulomb_torque": [0.0] * n, "coulomb_velocity": 0.01, "viscous_friction": [0.0] * n,
+        },
+        "current_loop": {"bandwidth": 800.0, "slew_rate": _six(2000.0 * current)},
+        "supervision": {"following_error": [0.1] * n, "over_speed": 1.2},
+        "trajectory": {"start_tolerance": 1e-3, "max_acceleration": _six(0.5 * effort / inertia.mean)},
+    }  # fmt: skip
+    return _marked(drives), _marked(controller)
+
+
+def _marked(content: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    return {name: {"provenance": "assumed", "source": _SOURCE, **block} for name, block in content.items()}
+
+
+def _six(values: Array) -> list[float]:
+    """Return plain numbers of six digits."""
+    return [float(f"{value:.6g}") for value in values]
+
+
+def _inertia(robot: RobotModel, model: Any, turning: Coupling, rotors: Array) -> _Inertia:
+    data, back = model.createData(), turning.joint_turns
+    held, free = [], []
+    for share in np.random.default_rng(0).uniform(size=(_POSES, len(rotors))):
+        upper = np.triu(pin.crba(model, data, robot.lower + share * (robot.upper - robot.lower)))
+        mass = back.T @ (upper + np.triu(upper, 1).T) @ back + np.diag(rotors)
+        held.append(np.diag(mass))
+        free.append(1.0 / np.diag(np.linalg.inv(mass)))
+    return _Inertia(np.mean(held, axis=0), np.min(free, axis=0))
