@@ -14,8 +14,8 @@ from rx90_sim.plant import Plant
 class JointInterface:
     """Joint positions, velocities and efforts of an arm whose motors alone are measured and driven.
 
-    A motor may turn with several joints, as motor 6 of the RX family does with joints 5 and 6. Positions and torques are
-    transformed so that power is the same on both sides: motor torque times motor velocity is effort times joint
+    A motor may turn with several joints, as motor 6 of the RX family does with joints 5 and 6. Positions and torques
+    are transformed so that power is the same on both sides: motor torque times motor velocity is effort times joint
     velocity, summed over the arm.
 
     Args:

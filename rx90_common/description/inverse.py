@@ -67,6 +67,8 @@ class SphericalWristArm:
     @staticmethod
     def from_chain(chain: RigidChain) -> SphericalWristArm | None:
         """Return the closed form's constants, or None where the chain has another geometry."""
+        if len(chain.axis) != 6:
+            return None
         center = np.cumsum(chain.origin, axis=0)
         axis = chain.axis
         basis = np.column_stack([np.cross(axis[4], axis[3]), axis[4], axis[3]])
@@ -162,7 +164,7 @@ def nearest_turn(q: Array, reference: Array) -> Array:
 
 
 def singularity_margins(chain: RigidChain, q: Array) -> dict[str, Array]:
-    """Return how far `q` (..., 6) is from each kind of singularity, dimensionless, 0 at the singularity.
+    """Return how far `q` (..., n) is from each kind of singularity, dimensionless, 0 at the singularity.
 
     For a spherical-wrist arm: 'wrist' |sin q5|, 'elbow' the sine of the angle between upper arm and
     forearm, 'shoulder' the distance of the wrist centre from axis 1 over the reach; |det J| is the product of
@@ -180,7 +182,7 @@ def singularity_margins(chain: RigidChain, q: Array) -> dict[str, Array]:
 
 
 def pose_error(chain: RigidChain, q: Array, pose: Pose) -> Array:
-    """Return the twist (6,) in m and rad that leads from the pose at `q` (6,) to `pose`, in base axes."""
+    """Return the twist (6,) in m and rad that leads from the pose at `q` (n,) to `pose`, in base axes."""
     here = forward(chain, q)
     return np.concatenate(
         [pose.position - here.position, rotation_vector(product(pose.rotation, transposed(here.rotation)))]
@@ -188,23 +190,30 @@ def pose_error(chain: RigidChain, q: Array, pose: Pose) -> Array:
 
 
 def solve_near(chain: RigidChain, pose: Pose, guess: Array) -> Array | None:
-    """Return the joint angles (6,) of one pose near `guess` by damped Newton steps, or None.
+    """Return the joint angles (n,) of one pose near `guess` by damped Newton steps, or None.
 
-    The damping follows the error, so that the convergence is quadratic at the end, to rounding.
+    The damping follows the error, so that the convergence is quadratic at the end, to rounding. Of the steps that lead
+    to the pose, an arm of more than six joints takes the shortest: none moves its elbow alone.
     """
+    q = newton_steps(chain, pose, guess)
+    return q if _size(pose_error(chain, q, pose)) < 10.0 * _NEWTON_RESIDUAL else None
+
+
+def newton_steps(chain: RigidChain, pose: Pose, guess: Array) -> Array:
+    """Return the joint angles (n,) at which damped Newton steps towards a pose end, whether they reach it or not."""
     q = np.array(guess, dtype=np.float64)
     error = pose_error(chain, q, pose)
     for _ in range(_NEWTON_STEPS):
         size = _size(error)
         if size < _NEWTON_RESIDUAL:
-            return q
+            break
         j = jacobian(chain, q)
         damping = 1e-2 * min(size * size, 1.0)
         # jᵀ (j jᵀ + damping)⁻¹ error; sums over the joints one after the other.
         squared = _sum_first(j.T[:, :, None] * j.T[:, None, :]) + damping * np.eye(6)
         q = q + _sum_first(j * solved(squared, error)[:, None])
         error = pose_error(chain, q, pose)
-    return q if _size(error) < 10.0 * _NEWTON_RESIDUAL else None
+    return q
 
 
 def _sum_first(terms: Array) -> Array:
@@ -217,12 +226,12 @@ def _size(error: Array) -> float:
 
 
 def solve_anywhere(robot: RobotModel, pose: Pose) -> Array | None:
-    """Return joint angles (6,) within the limits for one pose, or None.
+    """Return joint angles (n,) within the limits for one pose, or None.
 
     For arms without a closed form: Newton steps from the middle of the joint ranges, then from a fixed
     sequence of places within them, so that the same pose always gives the same answer.
     """
-    guesses = np.random.default_rng(0).uniform(robot.lower, robot.upper, (_RESTARTS, 6))
+    guesses = np.random.default_rng(0).uniform(robot.lower, robot.upper, (_RESTARTS, len(robot.lower)))
     guesses[0] = (robot.lower + robot.upper) / 2.0
     for guess in guesses:
         q = solve_near(robot.chain, pose, guess)

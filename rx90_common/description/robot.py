@@ -154,19 +154,22 @@ def _shape(link: ET.Element, kind: str, cylinder: Cylinder) -> ET.Element:
     return element
 
 
-def attach(urdf: UrdfFile, tool: Tool) -> None:
-    """Add the links `tool` (inertia, shape) and `tcp` (frame) below `tool0`, in place.
+def attach(root: ET.Element, tool: Tool, urdf: Path) -> None:
+    """Add the links `tool` (inertia, shape) and `tcp` (frame) below `tool0` to the root of a URDF, in place.
 
     Raises:
-        ConfigError: if the URDF has no link `tool0`, or already has a `tool` or `tcp`.
+        ConfigError: naming the file, if it has no link `tool0`, or already has a `tool` or `tcp`.
     """
-    if not urdf.has_link(MOUNT_LINK):
-        urdf.refuse(f"link '{MOUNT_LINK}'", None, "a link of that name to carry the tool")
+    links = [link.get("name") for link in root.findall("link")]
+    if MOUNT_LINK not in links:
+        raise ConfigError(f"{urdf}: link '{MOUNT_LINK}' is None; accepted: a link of that name to carry the tool")
     for name in (TOOL_LINK, TCP_LINK):
-        if urdf.has_link(name):
-            urdf.refuse("a link", name, "a URDF without that link, where a tool file is given")
+        if name in links:
+            raise ConfigError(
+                f"{urdf}: a link is '{name}'; accepted: a URDF without that link, where a tool file is given"
+            )
     zero = (0.0, 0.0, 0.0)
-    link = ET.SubElement(urdf.root, "link", name=TOOL_LINK)
+    link = ET.SubElement(root, "link", name=TOOL_LINK)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=_text(tool.center_of_mass), rpy=_text(zero))
     ET.SubElement(inertial, "mass", value=repr(tool.mass))
@@ -177,9 +180,9 @@ def attach(urdf: UrdfFile, tool: Tool) -> None:
         ET.SubElement(material, "color", rgba=_COLOR)
     for cylinder in tool.collision:
         _shape(link, "collision", cylinder)
-    _fixed_joint(urdf.root, TOOL_LINK, zero, zero)
-    ET.SubElement(urdf.root, "link", name=TCP_LINK)
-    _fixed_joint(urdf.root, TCP_LINK, tool.tcp_position, tool.tcp_rpy)
+    _fixed_joint(root, TOOL_LINK, zero, zero)
+    ET.SubElement(root, "link", name=TCP_LINK)
+    _fixed_joint(root, TCP_LINK, tool.tcp_position, tool.tcp_rpy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +236,7 @@ def load_robot(urdf: Path, tool: Path | None = None, held: Collection[str] = ())
     """
     file = UrdfFile(urdf, held)
     if tool is not None:
-        attach(file, load_tool(tool))
+        attach(file.root, load_tool(tool), urdf)
     text = ET.tostring(file.root, encoding="unicode")
     try:
         model = pin.buildModelFromXML(text)

@@ -20,16 +20,11 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import LineError, TrajectoryError
-from rx90_common.description.inverse import (
-    SphericalWristArm,
-    nearest_turn,
-    singularity_margins,
-    solve_anywhere,
-    solve_near,
-)
-from rx90_common.description.kinematics import Pose, bias_acceleration, forward, jacobian
+from rx90_common.description.inverse import nearest_turn, singularity_margins
+from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.rotations import axis_rotation, length, product, rpy_rotation, solved, turn_between
+from rx90_common.description.rotations import length
+from rx90_controller.lines.postures import Postures, line_poses
 from rx90_controller.lines.task import LineTask
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
@@ -53,73 +48,45 @@ class JointPath:
     """Joint angles as functions of the distance along the line.
 
     Attributes:
-        robot: the arm.
+        robot: the arm, of n joints.
         task: the line.
-        distance: (n,) examined distances, m.
-        position: (n, 6) joint angles there, rad.
+        distance: (k,) examined distances, m.
+        angles: (k, m) angles there, rad: of the joints, and behind them those that `Postures` adds.
         margins: smallest distance from each kind of singularity, and where on the line in m.
+        postures: how the arm follows the line.
     """
 
     robot: RobotModel
     task: LineTask
     distance: Array
-    position: Array
+    angles: Array
     margins: dict[str, tuple[float, float]]
+    postures: Postures
+
+    @property
+    def position(self) -> Array:
+        """Return the joint angles (k, n) at the examined distances, rad."""
+        return self.angles[:, : len(self.robot.joint_names)]
 
     def at(self, distance: Array) -> tuple[Array, Array, Array]:
-        """Return joint angles (n, 6) in rad, and their first and second derivative in rad/m and rad/m²."""
-        chain, poses = self.robot.chain, line_poses(self.task, distance)
-        near = self.position[np.clip(np.searchsorted(self.distance, distance), 0, len(self.distance) - 1)]
-        arm = SphericalWristArm.from_chain(chain)
-        if arm is not None:
-            q = nearest_turn(arm.solve(chain, poses, self.task.branch), near)
-        else:
-            found = [solve_near(chain, Pose(*pose), guess) for *pose, guess in zip(*poses, near, strict=True)]
-            q = np.array([np.full(6, np.nan) if row is None else row for row in found])
-        slope = _slope(self.robot, self.task, q)
-        # The line's own second derivative by the distance is zero, in position and in orientation.
-        bend = -solved(jacobian(chain, q), bias_acceleration(chain, q, slope))
-        still = np.ptp(self.position, axis=0) == 0.0
-        return np.where(still, self.position[0], q), np.where(still, 0.0, slope), np.where(still, 0.0, bend)
+        """Return joint angles (k, n) in rad, and their first and second derivative in rad/m and rad/m²."""
+        q = self.postures.between(distance, self.distance, self.angles)
+        slope, bend = self.postures.derivatives(q)
+        still = np.ptp(self.angles, axis=0) == 0.0
+        values = np.where(still, self.angles[0], q), np.where(still, 0.0, slope), np.where(still, 0.0, bend)
+        angle, first, second = (value[:, : len(self.robot.joint_names)] for value in values)
+        return angle, first, second
 
 
-def line_poses(task: LineTask, distance: Array) -> Pose:
-    """Return the poses of the tool centre point at `distance` (n,) m from the start."""
-    start = np.array(task.start)
-    position = start + (np.array(task.end) - start) * (distance / task.length)[:, None]
-    turn = turn_between(task.start_rpy, task.end_rpy)
-    angle = length(turn)
-    axis = turn / angle if angle > 0.0 else turn
-    rotation = axis_rotation(axis, angle * (distance / task.length))
-    return Pose(position, product(rotation, rpy_rotation(task.start_rpy)))
-
-
-def _slope(robot: RobotModel, task: LineTask, q: Array) -> Array:
-    """Return the derivative of joint angles by the distance, rad/m, shape (n, 6)."""
-    turn = turn_between(task.start_rpy, task.end_rpy)
-    twist = np.concatenate([np.subtract(task.end, task.start), turn]) / task.length
-    return solved(jacobian(robot.chain, q), np.broadcast_to(twist, q.shape))
-
-
-def _follow(robot: RobotModel, task: LineTask, distance: Array) -> Array:
-    """Return continuous joint angles (n, 6) in the middle of the limits, as far as the line is within reach."""
-    poses = line_poses(task, distance)
-    arm = SphericalWristArm.from_chain(robot.chain)
-    if arm is not None:
-        q = arm.solve(robot.chain, poses, task.branch)
-    else:
-        q = np.full((len(distance), 6), np.nan)
-        guess = solve_anywhere(robot, Pose(*(part[0] for part in poses)))
-        for k, pose in enumerate(zip(*poses, strict=True)):
-            guess = None if guess is None else solve_near(robot.chain, Pose(*pose), guess)
-            if guess is None:
-                break
-            q[k] = guess
-    q = np.unwrap(q[: _first(np.asarray(np.isnan(q).any(axis=1)))], axis=0)
+def _follow(postures: Postures, distance: Array) -> tuple[Array, str]:
+    """Return `Postures.from_start`, unwound, in the middle of the limits."""
+    robot = postures.robot
+    q, missed = postures.from_start(distance)
+    q = np.unwrap(q, axis=0)
     if len(q):  # whole joints by whole turns
         middle = (q.min(axis=0) + q.max(axis=0)) / 2.0
         q = q + (nearest_turn(middle, (robot.lower + robot.upper) / 2.0) - middle)
-    return np.asarray(q)
+    return np.asarray(q), missed
 
 
 def plan_path(robot: RobotModel, task: LineTask) -> JointPath:
@@ -129,24 +96,25 @@ def plan_path(robot: RobotModel, task: LineTask) -> JointPath:
         LineError: saying where on the line the arm cannot go, the joint or singularity, and what is accepted.
     """
     distance = np.linspace(0.0, task.length, max(_MIN_EXAMINED, int(np.ceil(task.length / _EXAMINED_STEP))) + 1)
-    q, faults = _follow(robot, task, distance), dict[int, str]()  # the first reason, by the place
-    if len(q) < len(distance):
-        faults[len(q)] = "out of reach; accepted: a pose that the arm can take"
+    postures, faults = Postures.of(robot, task), dict[int, str]()  # the first reason, by the place
+    q, missed = _follow(postures, distance)
+    if missed:
+        faults[len(q)] = missed
     for j, name in enumerate(robot.joint_names):
         at = _first((q[:, j] < robot.lower[j]) | (q[:, j] > robot.upper[j]))
         if at < len(q):
             accepted = f"[{robot.lower[j]:.4f}, {robot.upper[j]:.4f}]"
             faults.setdefault(at, f"{name} at {q[at, j]:.4f} rad; accepted: {accepted}")
-    margins = singularity_margins(robot.chain, q)
+    margins = singularity_margins(postures.robot.chain, q)
     for kind, values in margins.items():
         at = _first(values < task.singularity_margin)
         if at < len(values):
             accepted = f">= {task.singularity_margin:g}"
             faults.setdefault(at, f"{kind} singularity, margin {values[at]:.4f}; accepted: {accepted}")
     q = q[: min(faults, default=len(q))]
-    slope = _slope(robot, task, q)
+    slope, _ = postures.derivatives(q)
     gap = np.abs(np.diff(q, axis=0) - 0.5 * (slope[1:] + slope[:-1]) * np.diff(distance[: len(q)])[:, None])
-    jumps = np.argwhere(gap > _MAX_JUMP)
+    jumps = np.argwhere(gap[:, : len(robot.joint_names)] > _MAX_JUMP)
     if jumps.size:
         k, j = jumps[0].tolist()
         jump = q[k + 1, j] - q[k, j]
@@ -169,7 +137,7 @@ def plan_path(robot: RobotModel, task: LineTask) -> JointPath:
     q = np.where(np.ptp(q, axis=0) < _STILL, np.round(q[0], 12), q)
     worst = {kind: int(np.argmin(values)) for kind, values in margins.items()}
     where = {kind: (float(margins[kind][k]), float(distance[k])) for kind, k in worst.items()}
-    return JointPath(robot, task, distance, q, where)
+    return JointPath(robot, task, distance, q, where, postures)
 
 
 def _first(rows: Mask) -> int:
@@ -184,9 +152,9 @@ class LinePlan:
     Attributes:
         path: the joint path it follows.
         times: (n,) s from the start of the rest before the line.
-        position: (n, 6) rad.
-        velocity: (n, 6) rad/s.
-        acceleration: (n, 6) rad/s².
+        position: (n, joints) rad; velocity and acceleration likewise.
+        velocity: rad/s.
+        acceleration: rad/s².
         tip_error: largest distance of the interpolated tip from where the profile has it, m.
     """
 
@@ -209,7 +177,7 @@ class LinePlan:
 
     @property
     def start_pose(self) -> Array:
-        """Return the joint angles (6,) at which the trajectory begins, rad."""
+        """Return the joint angles (joints,) at which the trajectory begins, rad."""
         start: Array = self.position[0]
         return start
 
@@ -238,7 +206,7 @@ class LinePlan:
     def setpoints(self, times: Array) -> Array:
         """Return position, velocity and acceleration at `times`, as the controller's quintics give them.
 
-        Shape (n, 3, 6).
+        Shape (n, 3, joints).
         """
         return interpolate(self.times, self.position, self.velocity, self.acceleration).sample(times)
 
@@ -257,14 +225,14 @@ def plan_line(robot: RobotModel, task: LineTask, period: float = 1e-3) -> LinePl
     """
     rest = {name: max(getattr(task, name), period / 2.0) for name in ("rest_before", "rest_after")}
     path = plan_path(robot, replace(task, **rest))
-    tip_error = np.inf
     for step in range(_REFINEMENTS + 1):
         plan = _through(path, _knots(path.task, _WIDEST_SPACING / 2**step, period / 2**step))
-        tip_error = min(tip_error, plan.tip_error)
         if plan.tip_error <= TIP_TOLERANCE:
             return plan
+    probes, error = _tip_errors(plan)
+    at = float(path.task.profile().sample(probes - path.task.rest_before).distance[int(np.argmax(error))])
     raise LineError(
-        f"the tip error between the knots is {tip_error * 1e6:.3g} um; accepted: <= "
+        f"the tip error between the knots is {plan.tip_error * 1e6:.3g} um at {at:.3f} m from the start; accepted: <= "
         f"{TIP_TOLERANCE * 1e6:g} um (a smaller acceleration, or a larger singularity_margin)"
     )
 
@@ -294,9 +262,14 @@ def _through(path: JointPath, times: Array) -> LinePlan:
     qd = slope * speed + 0.0  # without the signs of zeros
     qdd = slope * acceleration + bend * speed * speed + 0.0
     plan = LinePlan(path, times, q, qd, qdd, 0.0)
-    probes = np.linspace(times[:-1], times[1:], _PROBES + 2)[1:-1].T.ravel()
-    tip = forward(path.robot.chain, plan.setpoints(probes)[:, 0]).position
-    return replace(plan, tip_error=float(length(tip - plan.tip(probes)).max()))
+    return replace(plan, tip_error=float(_tip_errors(plan)[1].max()))
+
+
+def _tip_errors(plan: LinePlan) -> tuple[Array, Array]:
+    """Return times between the knots, s, and how far the tip then is from where the profile has it, m."""
+    probes = np.linspace(plan.times[:-1], plan.times[1:], _PROBES + 2)[1:-1].T.ravel()
+    tip = forward(plan.path.robot.chain, plan.setpoints(probes)[:, 0]).position
+    return probes, length(tip - plan.tip(probes))
 
 
 def check_plan(plan: LinePlan, limits: JointLimits, period: float, start: Array, delay: float = 0.0) -> None:
@@ -405,7 +378,7 @@ def describe_line(plan: LinePlan) -> str:
         f"line      {task.length:.4f} m at {profile.peak_speed:.4g} m/s, {task.acceleration:.4g} m/s^2",
         f"time      {plan.duration:.3f} s, moving from {begin:.3f} s to {end:.3f} s",
         f"knots     {len(plan.times)}, tip error between them {plan.tip_error * 1e6:.3g} um",
-        f"posture   {task.branch}",
+        f"posture   {_posture_text(plan.path)}",
     ]
     lines += [
         f"margin    {kind} {margin:.3f} at {at:.3f} m (accepted: >= {task.singularity_margin:g})"
@@ -419,3 +392,13 @@ def describe_line(plan: LinePlan) -> str:
         start, low, high, fast = values
         lines.append(f"{name:<10}{start:9.2f}{low:9.2f}{high:9.2f}    {fast:9.2f}      {part:10.1%}")
     return "\n".join(lines)
+
+
+def _posture_text(path: JointPath) -> str:
+    postures = path.postures
+    if postures.closed_form is not None:
+        return str(path.task.branch)
+    if postures.least_speed is not None:
+        return "from the first on with the least joint speed: no motion in the null space"
+    free = "" if path.angles.shape[1] == path.position.shape[1] else "; the tool turns about its z axis as the arm does"
+    return f"each next to the one before{free}"

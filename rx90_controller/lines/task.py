@@ -12,7 +12,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
-from rx90_common.base.entries import LEFT_OUT, Number, Numbers, Text
+from rx90_common.base.entries import LEFT_OUT, ListOf, Number, Numbers, Text
 from rx90_common.base.errors import LineError
 from rx90_common.base.groups import Group
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
@@ -52,6 +52,11 @@ TASK = Group(
                 "singularity_margin": Number(
                     "Smallest accepted distance from a singularity; 0.05 if left out.", "1",
                     low=MARGIN_RANGE[0], high=MARGIN_RANGE[1], default=LEFT_OUT,
+                ),
+                "start_posture": ListOf(
+                    "Joint positions near which an arm without a spherical wrist starts; the middle of the joints' "
+                    "ranges if left out.", "rad", item=Number("A joint's position.", "rad"),
+                    accepted="a list of numbers, one per joint", default=LEFT_OUT,
                 ),
             },
         ),
@@ -161,6 +166,8 @@ class LineTask:
         branch: which solution of the inverse kinematics; of no meaning to an arm without a spherical wrist.
         singularity_margin: smallest accepted distance from a singularity, dimensionless (see
             `rx90_common.description.inverse.singularity_margins`).
+        start_posture: joint angles, rad, near which the line starts, for an arm without a spherical wrist; None for the
+            middle of the joints' ranges.
 
     Raises:
         LineError: naming the value and what is accepted.
@@ -176,6 +183,7 @@ class LineTask:
     rest_after: float = 0.5
     branch: Branch = DEFAULT_BRANCH
     singularity_margin: float = 0.05
+    start_posture: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         for name in ("start", "end", "start_rpy", "end_rpy"):

@@ -22,6 +22,7 @@ from rx90_emulator.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from rx90_common.description.robot import RobotModel
     from rx90_controller.lines.plan import LinePlan
     from rx90_controller.lines.task import LineTask
     from rx90_controller.trajectory import JointLimits
@@ -31,7 +32,8 @@ Positions are those of the tool centre point in base_link; the tool's z axis is 
 points it down. example: rx90_line --start 0.6 -0.2 0.2 --end 0.6 0.2 0.2 --speed 0.1 --approach
 """
 _TIMEOUT = 30.0  # s
-_PLAIN_OPTIONS = ("start", "end", "speed", "acceleration", "rest_before", "rest_after", "singularity_margin")
+_PLAIN_OPTIONS = ("start", "end", "speed", "acceleration", "rest_before", "rest_after", "singularity_margin",
+                  "start_posture")  # fmt: skip
 """Options that go into the task as they are."""
 
 
@@ -56,6 +58,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     posture.add_argument("--shoulder", choices=SHOULDERS)
     posture.add_argument("--elbow", choices=SIGNS, help="sign of joint 3")
     posture.add_argument("--wrist", choices=SIGNS, help="sign of joint 5")
+    posture.add_argument("--start-posture", type=FINITE, nargs="+", metavar="RAD",
+                         help="of an arm without a spherical wrist: joint positions near which it starts (middle of "
+                         "the ranges); without --start the line starts there, with the tool as it then is")  # fmt: skip
     posture.add_argument(
         "--singularity-margin", type=FINITE, metavar="M", help="closest to a singularity, 0.001 to 1 (0.05)"
     )
@@ -79,8 +84,8 @@ def main(options: argparse.Namespace) -> None:
     """
     check_needs(options, ("approach_speed", "approach_acceleration"), ("approach",))
     filed = options.reference or options.from_file is not None
-    if not filed and (options.start is None or options.end is None):
-        raise LineError("a line needs --start and --end, or --from-file or --reference")
+    if not filed and (options.end is None or (options.start is None and options.start_posture is None)):
+        raise LineError("a line needs --start or --start-posture, and --end, or --from-file or --reference")
     # Here, because --help must not wait for them.
     from rx90_common.base.config import yaml_text
     from rx90_common.description.robot import load_robot
@@ -90,7 +95,10 @@ def main(options: argparse.Namespace) -> None:
 
     files = RobotFiles.of_options(options)
     robot, period = load_robot(files.urdf, files.tool), 1.0 / options.set_point_rate
-    plan, limits = plan_line(robot, _task(options, files), period), load_controller(files.controller).limits(robot)
+    plan, limits = (
+        plan_line(robot, _task(options, files, robot), period),
+        load_controller(files.controller).limits(robot),
+    )
     _say(describe_line(plan))
     check_plan(plan, limits, period, plan.start_pose)
     if options.output is not None:
@@ -100,12 +108,18 @@ def main(options: argparse.Namespace) -> None:
         _send(plan, limits, options)
 
 
-def _task(options: argparse.Namespace, files: RobotFiles) -> LineTask:
+def _task(options: argparse.Namespace, files: RobotFiles, robot: RobotModel) -> LineTask:
     """Return the task of the file, or of start and end alone, with the options laid over it."""
+    from rx90_controller.lines.postures import task_from
     from rx90_controller.lines.task import LineTask, load_task
 
     file = files.required("task") if options.reference else options.from_file
-    task = LineTask(tuple(options.start), tuple(options.end)) if file is None else load_task(file)
+    if file is not None:
+        task = load_task(file)
+    elif options.start is None:
+        task = task_from(robot, options.start_posture, options.end)
+    else:
+        task = LineTask(tuple(options.start), tuple(options.end))
     given: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value
         for key in _PLAIN_OPTIONS

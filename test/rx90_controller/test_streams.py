@@ -19,7 +19,7 @@ from scipy.interpolate import CubicHermiteSpline
 from servo_rig import Rig, header
 
 from rx90_common.base.errors import TrajectoryError
-from rx90_common.description.drives import to_motor
+from rx90_common.description.coupling import to_motor
 from rx90_controller.node.servo_loop import MotorStates
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 from rx90_controller.trajectory.request import ResultCode, State

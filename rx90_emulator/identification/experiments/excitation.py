@@ -27,17 +27,12 @@ from scipy.optimize import minimize
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
-from rx90_emulator.identification.experiments.limits import (
-    friction_torque,
-    limit_shares,
-    motor_torque_limit,
-    whose,
-)
+from rx90_emulator.identification.experiments.arms import PlannedArm
+from rx90_emulator.identification.experiments.limits import friction_torque, limit_shares, whose
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.options import ExcitationOptions
-from rx90_emulator.identification.experiments.plan import Experiment, Kind, Poses
+from rx90_emulator.identification.experiments.plan import Experiment, Kind
 from rx90_emulator.identification.experiments.workspace import Workspace
 from rx90_emulator.loop.setup import Setup
 
@@ -91,9 +86,8 @@ class ExcitationPlan:
     rad/s² at m samples.
 
     Args:
-        setup: the robot.
+        arm: from whose home each run comes, on a straight line of the joints.
         options: of the plan.
-        home: where the arm comes from, on a straight line of the joints, rad, shape (n,).
 
     Attributes:
         noise: standard deviation of each joint's torque in `ROWS` samples per second, Nm, shape (n,).
@@ -110,20 +104,19 @@ class ExcitationPlan:
         IdentificationError: for a number of noises that is not the joints'.
     """
 
-    def __init__(self, setup: Setup, options: ExcitationOptions, home: Array) -> None:
-        self.setup, self.options, self.home = setup, options, home
-        n, self.noise = len(setup.robot.joint_names), _DEFAULT_NOISE_SHARE * setup.robot.max_effort
+    def __init__(self, arm: PlannedArm, options: ExcitationOptions) -> None:
+        self.arm, self.options, self.home, robot = arm, options, arm.home, arm.robot
+        n, self.noise = len(robot.joint_names), _DEFAULT_NOISE_SHARE * robot.max_effort
         if options.torque_noise is not None:
             self.noise = np.array(options.torque_noise)
             if len(self.noise) != n:
                 raise IdentificationError(f"--torque-noise: {len(self.noise)} values; accepted: {n}, one per joint")
-        self._arm = arm = RigidArm.from_setup(setup)
-        self.standard = StandardColumns(arm)
+        self.standard = StandardColumns(arm.rigid)
         self.base = BaseGroups.of(self.standard)
         self._leading = list(self.base.leading)
-        friction = (f"{name}.{part}" for part in ("tau_c", "c2") for name in arm.element_names)
+        friction = (f"{name}.{part}" for part in ("tau_c", "c2") for name in arm.rigid.element_names)
         self.names: tuple[str, ...] = (*self.base.names, *friction)
-        self.workspace = Workspace(setup.robot, options.walls, home)
+        self.workspace = Workspace(robot, options.walls, arm.home)
         self.speed = options.share
         self.information = np.zeros((len(self.names), len(self.names)))
         self.experiments: list[Experiment] = []
@@ -132,7 +125,7 @@ class ExcitationPlan:
             np.linspace(0.0, options.period, _SAMPLES_PER_HARMONIC * options.harmonics, endpoint=False)
         )
         self._begin = self.basis(np.zeros(1))
-        self._reach = 0.5 * (setup.robot.upper - setup.robot.lower) - _RANGE_MARGIN
+        self._reach = 0.5 * (robot.upper - robot.lower) - _RANGE_MARGIN
 
     def basis(self, time: Array) -> Array:
         """Return the `series_basis` of the runs at times, s, shape (m,)."""
@@ -146,7 +139,7 @@ class ExcitationPlan:
             velocity: rad/s, shape (m, n).
             smooth: speed over which the sign changes, rad/s.
         """
-        share, inputs = self._arm.element_matrix.T, velocity @ self._arm.element_matrix.T
+        share, inputs = self.arm.rigid.element_matrix.T, velocity @ self.arm.rigid.element_matrix.T
         sign = np.tanh(inputs / smooth) if smooth else np.sign(inputs)
         friction = [value[:, None, :] * share for value in (sign, inputs)]
         return np.asarray(np.concatenate([standard[:, :, self._leading], *friction], axis=2) / self.noise[:, None])
@@ -197,7 +190,7 @@ class ExcitationPlan:
 
     def random(self, rng: np.random.Generator) -> Array:
         """Return a random motion that keeps ranges, speeds and accelerations, but for those of coupled motors."""
-        robot, n = self.setup.robot, len(self.home)
+        robot, n = self.arm.robot, len(self.home)
         coefficients = rng.normal(size=(n, self.samples.shape[2]))
         coefficients[:, 0] = 0.0
         motion = self.samples @ coefficients.T
@@ -249,7 +242,7 @@ class ExcitationPlan:
             moved = motion.copy()
             moved[kind, :, joint] += step
             slopes[kind, :, joint] = (np.einsum("mnp,mnp->m", by_standard, self.standard.torque(*moved)) - now) / step
-        elements = self._arm.element_matrix
+        elements = self.arm.rigid.element_matrix
         inputs = motion[1] @ elements.T
         coulomb, viscous = (np.einsum("mne,en->me", part, elements) for part in np.split(weighted[:, :, count:], 2, 2))
         sign_slope = 1.0 / (_SMOOTH * np.cosh(np.minimum(np.abs(inputs) / _SMOOTH, 50.0)) ** 2)
@@ -258,26 +251,25 @@ class ExcitationPlan:
 
     def _penalty(self, motion: Array, rigid: Array) -> tuple[float, tuple[Array, Array, Array], Array]:
         """Return the squares of what exceeds limits, with derivatives by motion and torque; friction is smooth."""
-        robot, share = self.setup.robot, self.options.share
-        friction, by_speed = friction_torque(self.setup, motion[1], _SMOOTH)
+        arm, robot, share = self.arm, self.arm.robot, self.options.share
+        friction, by_speed = friction_torque(self.arm, motion[1], _SMOOTH)
         over = {
             name: np.sign(one) * np.maximum(np.abs(one) - 1.0 + _SHARE_MARGIN, 0.0)
             for name, one in self._shares(motion, rigid + friction).items()
         }
         near, slope = self.workspace.nearness(motion[0], self.options.clearance)
-        turns, carries = self.setup.drives.turning.turns, self.setup.drives.turning.joint_turns.T
-        by_velocity = over["speed"] / robot.max_velocity + over["motor_speed"] / robot.max_velocity @ turns
-        carried = over["motor_torque"] / motor_torque_limit(self.setup) @ carries
+        by_velocity = over["speed"] / robot.max_velocity + over["motor_speed"] / robot.max_velocity @ arm.turns
+        carried = over["motor_torque"] / arm.motor_torque @ arm.carries
         by_torque = 2.0 * (over["torque"] / robot.max_effort + carried) / share
         by_motion = (
             2.0 * over["position"] / self._reach + slope,
-            2.0 * by_velocity / self.speed + by_torque @ turns.T * by_speed @ turns,
-            2.0 * over["acceleration"] / (share * self.setup.controller.max_acceleration),
+            2.0 * by_velocity / self.speed + by_torque @ arm.turns.T * by_speed @ arm.turns,
+            2.0 * over["acceleration"] / (share * arm.limits.acceleration),
         )
         return sum(float(np.sum(one**2)) for one in over.values()) + near, by_motion, by_torque
 
     def _shares(self, motion: Array, torque: Array) -> dict[str, Array]:
-        return limit_shares(self.setup, motion, torque, self.options.share, self.speed, _RANGE_MARGIN)
+        return limit_shares(self.arm, motion, torque, self.options.share, self.speed, _RANGE_MARGIN)
 
     def within(self, coefficients: Array) -> Array:
         """Return the motion, shrunk until it keeps all limits between the samples, too.
@@ -317,20 +309,20 @@ class ExcitationPlan:
             for wall, (distance, name) in zip(self.workspace.walls, self.workspace.lowest(positions), strict=True):
                 if distance < self.options.clearance:
                     return f"{name} comes as near to {wall.name} as {distance:.3g} m"
-        torque = self._arm.torque(*motion) + friction_torque(self.setup, motion[1])[0]
+        torque = self.arm.rigid.torque(*motion) + friction_torque(self.arm, motion[1])[0]
         shares = {name: np.abs(share).max(axis=0) for name, share in self._shares(motion, torque).items()}
         name = max(shares, key=lambda one: float(shares[one].max()))
         joint = int(np.argmax(shares[name]))
         if not shares[name][joint] <= 1.0:
-            of = whose(self.setup, name)[joint]
+            of = whose(self.arm, name)[joint]
             return f"the {name.removeprefix('motor_')} of {of} is {shares[name][joint]:.0%} of what is allowed"
         return "the arm touches itself" if any(len(self.workspace.near_itself(one)) for one in paths) else ""
 
     def trajectory(self, coefficients: Array) -> TrajectoryPoints:
         """Return a run: home, begin of the series, its periods, home."""
-        robot, controller, options = self.setup.robot, self.setup.controller, self.options
+        robot, options = self.arm.robot, self.options
         speed, acceleration = min(_APPROACH_SPEED, options.share), min(_APPROACH_ACCELERATION, options.share)
-        way = (robot.max_velocity * speed, float(controller.max_acceleration.min()) * acceleration)
+        way = (robot.max_velocity * speed, float(self.arm.limits.acceleration.min()) * acceleration)
         motion = Motion(self.home)
         motion.move((self._begin[0] @ coefficients.T)[0], *way)
         motion.rest(_REST_S)
@@ -374,25 +366,25 @@ _VALIDATION_SEED = 1_000_000
 
 
 def plan_excitation(
-    setup: Setup, options: ExcitationOptions, step: Callable[[str], None] = lambda _: None
+    arm: Setup | PlannedArm, options: ExcitationOptions, step: Callable[[str], None] = lambda _: None
 ) -> ExcitationPlan:
     """Plan excitation runs for an arm. The same options give the same plan.
 
     Args:
-        setup: robot, drives and controller, read from files, of which one holds the home pose.
+        arm: what is known of it; of a setup `PlannedArm.from_setup`.
         options: what can be chosen.
         step: called with the name of a run after each step of its search, `options.steps` times at most.
 
     Raises:
         IdentificationError: if home is beyond a limit, or no motion is found within the limits.
-        ConfigError: if the robot has no poses.
+        ConfigError: for poses that cannot be used.
     """
-    plan = ExcitationPlan(setup, options, np.array(Poses.of(setup).home))
+    plan = ExcitationPlan(PlannedArm.from_setup(arm) if isinstance(arm, Setup) else arm, options)
     for wall, (distance, name) in zip(options.walls, plan.workspace.lowest(plan.home[None, :]), strict=True):
         if distance < options.clearance:
             raise IdentificationError(
                 f"{wall.name}: at home {name} is {distance:.3g} m from it; accepted: {options.clearance:g} m or more "
-                "(--clearance), a wall elsewhere, or another home in --poses"
+                "(--clearance), a wall elsewhere, or another --home"
             )
 
     def add(name: str, kind: Kind, seed: int, speed: float) -> Array:

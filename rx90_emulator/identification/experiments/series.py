@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -12,29 +13,32 @@ from tqdm import tqdm
 from rx90_common.bags.topics import absolute
 from rx90_common.bags.writing import string_message, write_joint_states
 from rx90_common.base.arrays import Array
+from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import listed
-from rx90_common.exchange.topics import motor_names
+from rx90_common.base.quoting import plain
+from rx90_common.process.files import write_all
+from rx90_controller.trajectory.points import message_content
+from rx90_controller.trajectory.spline import interpolate
+from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.excitation import ROWS, ExcitationPlan, plan_excitation
 from rx90_emulator.identification.experiments.folder import TOPICS, write_emulated, write_index
-from rx90_emulator.identification.experiments.limits import check_experiment, coupled_motors
+from rx90_emulator.identification.experiments.limits import check_experiment
 from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.experiments.plan import Experiment
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
 
-def describe(plan: Sequence[Experiment], setup: Setup) -> str:
+def describe(plan: Sequence[Experiment], arm: PlannedArm) -> str:
     """Return a table of the plan: runs, time, and how near each experiment comes to the arm's limits.
 
     Raises:
         IdentificationError: if an experiment leaves a limit.
     """
     lines = [f"{'experiment':<30}{'runs':>6}{'time s':>9}   most of the speed limit   most of the torque limit"]
-    joints = setup.robot.joint_names
-    names = (*joints, *motor_names(len(joints)))
+    names = (*arm.robot.joint_names, *arm.motors)
     for one in plan:
-        shares, _ = check_experiment(one, setup)
+        shares, _ = check_experiment(one, arm)
         used = [np.append(shares[name], shares[f"motor_{name}"]) for name in ("speed", "torque")]
         speed, torque = (f"{share.max():>6.0%} ({names[int(np.argmax(share))]})" for share in used)
         lines.append(f"{one.name:<30}{one.sweeps:>6}{one.duration:>9.1f}   {speed}          {torque}")
@@ -56,30 +60,32 @@ def describe_excitation(plan: ExcitationPlan) -> str:
     Raises:
         IdentificationError: if a run leaves a limit.
     """
-    information, workspace = plan.information, plan.workspace
-    lines = [f"{'run':<16}{'time s':>7}  {'share of the limits: position, speed, acceleration, torque'}"]
+    information, workspace, arm = plan.information, plan.workspace, plan.arm
+    home = ", ".join(f"{angle:.4g}" for angle in arm.home)
+    lines = [
+        f"home {home} rad: {arm.chosen_home}",
+        f"{'run':<16}{'time s':>7}  {'share of the limits: position, speed, acceleration, torque'}",
+    ]
     for experiment in plan.experiments:
         lines += _run_lines(plan, experiment)
     size = np.sqrt(np.diag(information))
     scaled = information / np.outer(size, size)
     condition = np.sqrt(np.linalg.cond(scaled)) if size.all() else np.inf
     noise = "as given" if plan.options.torque_noise else "1 % of the URDF's effort, assumed"
-    coupled = listed(f"motor_{number + 1}" for number in coupled_motors(plan.setup.drives.turning))
-    if coupled:
+    if arm.coupled:
         lines.append(
-            f"{coupled}: through their gears; accepted are the speed of their joint alone (assumed) and the drive's "
-            "peak torque"
+            f"{', '.join(arm.motors[number] for number in arm.coupled)}: through their gears; accepted are the speed "
+            "of their joint alone (assumed) and the drive's peak torque"
         )
+    lines += arm.remarks
     lines += [
         f"condition number {condition:.3g}, log det of the information {np.linalg.slogdet(information)[1]:.4g} "
         f"({len(information)} parameters; without the validation)",
         f"expected deviations at a torque noise ({noise}) of {', '.join(f'{value:.3g}' for value in plan.noise)} Nm in "
         f"{ROWS:g} independent samples per second; in % of the value in the robot's files, else in SI units:",
     ]
-    elements = plan.setup.friction.elements
     base = plan.base.combination @ plan.standard.values()
-    coulomb = [0.5 * (one.tau_c_positive + one.tau_c_negative) for one in elements]
-    expected = np.abs([*base.tolist(), *coulomb, *(one.c2 for one in elements)])
+    expected = np.abs(np.concatenate([base, *arm.friction]))
     kinds = np.array([name.split(".")[-1][:1] for name in plan.names])
     known = expected > _SMALL * np.array([expected[kinds == kind].max() for kind in kinds])
     deviations = np.sqrt(np.diag(np.linalg.pinv(scaled, hermitian=True))) / size
@@ -97,7 +103,7 @@ def describe_excitation(plan: ExcitationPlan) -> str:
 
 def _run_lines(plan: ExcitationPlan, experiment: Experiment) -> Iterator[str]:
     """Yield what joints, coupled motors and walls say of a run; speeds are those of nine tenths of the moving time."""
-    shares, setpoints = check_experiment(experiment, plan.setup)
+    shares, setpoints = check_experiment(experiment, plan.arm)
 
     def speeds(velocity: Array) -> str:
         parts = []
@@ -107,22 +113,52 @@ def _run_lines(plan: ExcitationPlan, experiment: Experiment) -> Iterator[str]:
         return f"{', '.join(parts)} rad/s"
 
     head = f"{experiment.name:<16}{experiment.duration:>7.1f}"
-    for number, name in enumerate(plan.setup.robot.joint_names):
+    for number, name in enumerate(plan.arm.robot.joint_names):
         cells = "".join(f"{shares[key][number]:>6.0%}" for key in ("position", "speed", "acceleration", "torque"))
         yield f"{head:<23}  {name:<10}{cells}   {speeds(setpoints[:, 1, number])}"
         head = ""
-    turning = plan.setup.drives.turning
-    for number in coupled_motors(turning):
+    for number in plan.arm.coupled:
         used = f"{shares['motor_speed'][number]:>12.0%}{shares['motor_torque'][number]:>12.0%}"
-        yield f"{'':<25}{f'motor_{number + 1}':<10}{used}   {speeds(setpoints[:, 1] @ turning.turns[number])}"
+        yield f"{'':<25}{plan.arm.motors[number]:<10}{used}   {speeds(setpoints[:, 1] @ plan.arm.turns[number])}"
     for wall, (distance, name) in zip(plan.workspace.walls, plan.workspace.lowest(setpoints[::5, 0]), strict=True):
         yield f"{'':<25}{wall.name}: {name} comes as near as {distance:.3f} m"
+
+
+def write_motions(folder: Path, plan: Sequence[Experiment], arm: PlannedArm, rate: float) -> None:
+    """Write motions for a controller that is not this project's, two files for each, all or none.
+
+    `NAME.yaml` is a trajectory_msgs/JointTrajectory with knots to be joined by quintics. `NAME.csv` has the set-points
+    at an even rate: time, and position, velocity and acceleration of each joint, named as in exported bags.
+
+    Args:
+        folder: made if it is not there.
+        plan: the motions.
+        arm: for the joints' names.
+        rate: of the set-points, Hz.
+
+    Raises:
+        Rx90Error: if a file cannot be written.
+    """
+    names, files = arm.robot.joint_names, dict[Path, bytes]()
+    quantities = ("position [rad]", "velocity [rad/s]", "acceleration [rad/s^2]")
+    head = ",".join(["time [s]", *(plain(f"{name} {what}") for what in quantities for name in names)])
+    for one in plan:
+        points = one.points
+        assert points.velocity is not None  # a Motion has all three
+        curve = interpolate(points.times, points.position, points.velocity, points.acceleration)
+        time = np.arange(math.floor(one.duration * rate) + 1) / rate
+        rows = zip(time.tolist(), curve.sample(time).reshape(len(time), -1).tolist(), strict=True)
+        text = "\n".join([head, *(f"{at:.9f},{','.join(map(repr, row))}" for at, row in rows), ""])
+        files[folder / f"{one.name}.csv"] = text.encode()
+        files[folder / f"{one.name}.yaml"] = yaml_text(message_content(names, points)).encode()
+    with _new_folder(folder):
+        write_all(files)
 
 
 _BAR = "{desc:<16}{bar}| {n_fmt}/{total_fmt} steps [{elapsed}<{remaining}]"
 
 
-def plan_with_progress(setup: Setup, options: ExcitationOptions) -> ExcitationPlan:
+def plan_with_progress(arm: PlannedArm, options: ExcitationOptions) -> ExcitationPlan:
     """Plan excitation runs with a progress bar.
 
     Raises:
@@ -140,7 +176,7 @@ def plan_with_progress(setup: Setup, options: ExcitationOptions) -> ExcitationPl
                 bar.update((len(names) - 1) * options.steps - bar.n)
             bar.update()
 
-        return plan_excitation(setup, options, step)
+        return plan_excitation(arm, options, step)
 
 
 _SETTLING_S = 0.2  # s, after the end

@@ -20,6 +20,7 @@ from rx90_common.base.errors import DONE, REFUSED, ConfigError, IdentificationEr
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation import filtering, identify, instruments
+from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.excitation import ExcitationPlan, plan_excitation
 from rx90_emulator.identification.experiments.folder import read_index, write_index
 from rx90_emulator.identification.experiments.options import DECLARED, ExcitationOptions, Wall
@@ -150,7 +151,7 @@ def _outline(link: ET.Element) -> Array:
 
 def _search(setup: Setup, kind: str = "d", walls: tuple[Wall, ...] = (), steps: int = 2) -> ExcitationPlan:
     options = ExcitationOptions(criterion=kind, harmonics=5, period=6.0, periods=2, walls=walls, steps=steps)
-    return ExcitationPlan(setup, options, np.zeros(6))
+    return ExcitationPlan(PlannedArm.from_setup(setup, home=[0.0] * 6), options)
 
 
 def test_a_motion_too_fast_for_motor_6_is_scaled(tx40: Setup) -> None:

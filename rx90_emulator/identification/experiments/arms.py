@@ -1,0 +1,243 @@
+"""What a plan of motions knows of an arm: one of this project from its files, any other one from its URDF."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.description.chain import RigidChain
+from rx90_common.description.robot import MOUNT_LINK, TCP_LINK, RobotModel, attach, load_tool
+from rx90_common.exchange.topics import motor_names
+from rx90_controller.trajectory import JointLimits
+from rx90_emulator.identification.arm import RigidArm, joint_model, movable_joints
+from rx90_emulator.identification.experiments.plan import Poses
+from rx90_emulator.loop.setup import Setup
+
+_TO_FULL_SPEED = 0.5
+"""s, in which a joint gets to its speed limit with the acceleration that is taken where none is given."""
+_START_TOLERANCE = 1e-3  # rad
+_TURN = math.pi  # rad, the range of a continuous joint without limits, either way
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedArm:
+    """An arm of n joints with as many motors.
+
+    Attributes:
+        robot: names, ranges, speeds, efforts, kinematics and shapes, tool included.
+        rigid: its torques without friction, and its friction elements.
+        home: where every run begins and ends, rad, shape (n,).
+        chosen_home: how that was chosen, in words.
+        limits: of the set-points.
+        motors: their names.
+        turns: speeds of motors, seen through their gears, per speeds of joints, shape (n, n).
+        motor_torque: that each motor gives at most, seen through its gear, Nm, shape (n,); inf where it is not known.
+        coulomb: friction that is counted with each motor, seen through its gear, Nm, shape (n,); 0 where not known.
+        viscous: likewise, times the speed to the power of `exponent`, shape (n,).
+        exponent: shape (n,).
+        friction: expected Coulomb and viscous values of the elements, Nm and Nms/rad, shape (n_el,) each; 0 where they
+            are not known.
+        remarks: what else a user must know of it, in words.
+    """
+
+    robot: RobotModel
+    rigid: RigidArm
+    home: Array
+    chosen_home: str
+    limits: JointLimits
+    motors: tuple[str, ...]
+    turns: Array
+    motor_torque: Array
+    coulomb: Array
+    viscous: Array
+    exponent: Array
+    friction: tuple[Array, Array]
+    remarks: tuple[str, ...] = ()
+
+    @classmethod
+    def from_setup(cls, setup: Setup, home: Sequence[float] | None = None) -> PlannedArm:
+        """Return the arm of a setup; home is as given, or the robot's poses say where, or it is `middle_of_ranges`.
+
+        Raises:
+            IdentificationError: for a home beyond the limits.
+            ConfigError: for poses that cannot be used.
+        """
+        controller, elements, robot = setup.controller, setup.friction.elements, setup.robot
+        poses = None if home is not None or setup.files is None or setup.files.poses is None else Poses.of(setup)
+        coulomb = np.array([0.5 * (one.tau_c_positive + one.tau_c_negative) for one in elements])
+        return cls(
+            robot,
+            RigidArm.from_setup(setup),
+            *_home(robot, home if poses is None else poses.home, "the robot's poses" if poses else "as given"),
+            controller.limits(robot),
+            motor_names(len(robot.joint_names)),
+            setup.drives.turning.turns,
+            np.abs(setup.drives.gear) * setup.drives.peak_torque,
+            controller.coulomb,
+            controller.viscous,
+            controller.viscous_exponent,
+            (coulomb, np.array([one.c2 for one in elements])),
+        )
+
+    @classmethod
+    def from_urdf(
+        cls,
+        urdf: Path,
+        joints: Sequence[str] | None = None,
+        tool: Path | None = None,
+        home: Sequence[float] | None = None,
+        acceleration: Sequence[float] | None = None,
+    ) -> PlannedArm:
+        """Return an arm of which nothing is known but its URDF: no friction, no rotors, each motor on its joint.
+
+        Args:
+            urdf: as of `robot_of_urdf`; joints and tool likewise.
+            joints: of interest, from base to tip.
+            tool: a tool file.
+            home: rad, shape (n,); by default `middle_of_ranges`.
+            acceleration: limits, rad/s², one for all joints or one each; by default the joint's speed limit in 0.5 s.
+
+        Raises:
+            IdentificationError: for a URDF that cannot be used, and values that do not fit it.
+            ConfigError: for a tool that cannot be used.
+        """
+        robot = robot_of_urdf(urdf, joints, tool)
+        names, n = robot.joint_names, len(robot.joint_names)
+        most = robot.max_velocity / _TO_FULL_SPEED
+        if acceleration is not None:
+            if len(acceleration) not in (1, n):
+                raise IdentificationError(f"--acceleration: {len(acceleration)} values; accepted: 1, or {n}")
+            most = np.broadcast_to(np.array(acceleration, dtype=np.float64), (n,)).copy()
+        limits = JointLimits(names, robot.lower, robot.upper, robot.max_velocity, most, _START_TOLERANCE)
+        one, zero = np.eye(n), np.zeros(n)
+        rigid = RigidArm(names, names, one, robot.model, np.zeros((n, n)), zero, one)
+        remarks = [
+            f"accelerations up to {', '.join(f'{value:.3g}' for value in most)} rad/s^2; torques are those of the "
+            "URDF's bodies alone, without friction"
+        ]
+        if held := [name for name in movable_joints(urdf) if name not in names]:
+            remarks.append(f"held at 0: {listed(held)}")
+        return cls(
+            robot, rigid, *_home(robot, home, "as given"), limits, names, one, np.full(n, np.inf), zero, zero,
+            np.ones(n), (zero, zero), tuple(remarks),
+        )  # fmt: skip
+
+    @property
+    def carries(self) -> Array:
+        """Return torques of motors, seen through their gears, per torques of joints, shape (n, n)."""
+        return np.asarray(np.linalg.inv(self.turns).T)
+
+    @property
+    def coupled(self) -> tuple[int, ...]:
+        """Return the numbers of the motors that turn with, or carry, more than their joint."""
+        one = np.eye(len(self.turns))
+        return tuple(np.flatnonzero(((self.turns != one) | (self.carries != one)).any(axis=1)).tolist())
+
+
+def middle_of_ranges(robot: RobotModel) -> Array:
+    """Return the middle of each joint's range, rad, shape (n,): home of an arm of which nobody says another."""
+    return np.asarray(0.5 * (robot.lower + robot.upper))
+
+
+def _home(robot: RobotModel, given: Sequence[float] | None, whose: str) -> tuple[Array, str]:
+    """Return home, checked, and how it was chosen."""
+    if given is None:
+        return middle_of_ranges(robot), "the middle of the joints' ranges, assumed"
+    if len(given) != len(robot.joint_names):
+        raise IdentificationError(f"--home: {len(given)} values; accepted: {len(robot.joint_names)}, one per joint")
+    for name, value, low, high in zip(robot.joint_names, given, robot.lower, robot.upper, strict=True):
+        if not low <= value <= high:
+            raise IdentificationError(
+                f"home: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
+            )
+    return np.array(given, dtype=np.float64), whose
+
+
+def robot_of_urdf(urdf: Path, joints: Sequence[str] | None = None, tool: Path | None = None) -> RobotModel:
+    """Read a serial arm from the URDF of any robot.
+
+    Joints that are not of interest are held at 0, by default those that do not turn or mimic another one. A continuous
+    joint without a range may turn by half a turn either way. The tool is fixed to the link `tool0`, or to the last link
+    where there is none. Without a tool the tool centre point is that link's frame.
+
+    Args:
+        urdf: the robot's description.
+        joints: of interest, from base to tip; by default all that turn and have a drive of their own.
+        tool: a tool file.
+
+    Raises:
+        IdentificationError: for a URDF, joints or limits that cannot be used.
+        ConfigError: for a tool that cannot be used.
+    """
+    there = movable_joints(urdf)  # which refuses what is no URDF
+    root = ET.fromstring(urdf.read_text(encoding="utf-8"))
+    sliding = {joint.get("name") for joint in root.findall("joint") if joint.get("type") == "prismatic"}
+    names = [str(name) for name in joint_model(urdf, joints or [one for one in there if one not in sliding]).names][1:]
+    for joint in root.findall("joint"):
+        name, kind = str(joint.get("name")), joint.get("type")
+        if name not in names:
+            joint.set("type", "fixed")
+        elif kind == "continuous":
+            limit = joint.find("limit")
+            if limit is None:
+                raise IdentificationError(f"{plain(urdf)}: joint {quoted(name)} limit is missing; accepted: velocity "
+                                          "and effort")  # fmt: skip
+            joint.set("type", "revolute")
+            if not float(limit.get("lower", 0.0)) < float(limit.get("upper", 0.0)):
+                limit.set("lower", str(-_TURN))
+                limit.set("upper", str(_TURN))
+    model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
+    for number, name in enumerate(names, 1):
+        if model.parents[number] != number - 1:
+            raise IdentificationError(f"{plain(urdf)}: joint {quoted(name)} is not moved by the joint before it; "
+                                      "accepted: --joints of one arm, from base to tip")  # fmt: skip
+    links = [frame.name for frame in model.frames if frame.type == pin.BODY and _joint_of(frame) == len(names)]
+    tip = MOUNT_LINK if MOUNT_LINK in links else links[-1]
+    if tool is not None:
+        if tip != MOUNT_LINK:
+            ET.SubElement(root, "link", name=MOUNT_LINK)
+            mount = ET.SubElement(root, "joint", name=f"{MOUNT_LINK}_fixed", type="fixed")
+            ET.SubElement(mount, "parent", link=tip)
+            ET.SubElement(mount, "child", link=MOUNT_LINK)
+        attach(root, load_tool(tool), urdf)
+        tip = TCP_LINK
+    text = ET.tostring(root, encoding="unicode")
+    model = pin.buildModelFromXML(text)
+    values = model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit, model.effortLimit
+    lower, upper, velocity, effort = (np.array(each, dtype=np.float64) for each in values)
+    for name, low, high, fastest, most in zip(names, lower, upper, velocity, effort, strict=True):
+        if not (low < high and fastest > 0.0 and most > 0.0):
+            raise IdentificationError(
+                f"{plain(urdf)}: joint {quoted(name)} limit has lower {low:g}, upper {high:g}, velocity {fastest:g}, "
+                f"effort {most:g}; accepted: lower < upper, velocity and effort > 0"
+            )
+    return RobotModel(tuple(names), text, model, lower, upper, velocity, effort, _chain(model, tip), tip, ())
+
+
+def _joint_of(frame: Any) -> int:
+    """Return the number of the joint that moves a frame; Pinocchio 2 calls it `parent`."""
+    return int(frame.parentJoint if hasattr(frame, "parentJoint") else frame.parent)
+
+
+def _chain(model: Any, tip: str) -> RigidChain:
+    """Return the kinematics of Pinocchio's model; its bodies stay there."""
+    data, n = model.createData(), model.nv
+    pin.computeJointJacobians(model, data, np.zeros(n))
+    pin.updateFramePlacements(model, data)
+    position, last = np.array([data.oMi[k].translation for k in range(1, n + 1)]), data.oMf[model.getFrameId(tip)]
+    axis, nothing = data.J[3:].T.copy(), np.zeros(n)
+    return RigidChain(
+        np.diff(position, axis=0, prepend=np.zeros((1, 3))), axis / np.linalg.norm(axis, axis=1, keepdims=True),
+        nothing, np.zeros((n, 3)), np.zeros((n, 6)), model.gravity.linear.copy(),
+        last.translation - position[-1], np.ascontiguousarray(last.rotation),
+    )  # fmt: skip

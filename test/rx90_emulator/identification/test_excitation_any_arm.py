@@ -1,0 +1,191 @@
+"""Excitation runs of an arm of which only the URDF is known: limits by Pinocchio, files by SciPy, refusals."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from grip_arm import JOINTS, write_urdf
+from numpy.typing import NDArray
+from scipy.interpolate import BPoly
+
+from rx90_common.base.errors import DONE, REFUSED, IdentificationError
+from rx90_common.base.share import config_path
+from rx90_emulator.cli.frame import run
+from rx90_emulator.identification.experiments.arms import PlannedArm, robot_of_urdf
+from rx90_emulator.identification.experiments.options import Wall
+from rx90_emulator.identification.experiments.workspace import Workspace
+
+Array = NDArray[np.float64]
+ARM = ["--joints", *JOINTS]
+SHORT = ["--runs", "1", "--harmonics", "5", "--period", "6", "--periods", "1", "--steps", "8"]
+SHARE = 0.8
+
+
+def _plan(*words: str) -> int:
+    return run("rx90_experiment", ["plan", "--excitation", *words])
+
+
+@pytest.fixture(scope="module")
+def urdf(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the description of an arm of seven joints with a gripper."""
+    return write_urdf(tmp_path_factory.mktemp("arm"), continuous=True)
+
+
+@pytest.fixture(scope="module")
+def motions(urdf: Path) -> Path:
+    """Return the folder of a short plan's files."""
+    folder = urdf.parent / "motions"
+    assert _plan("--urdf", str(urdf), *ARM, *SHORT, "--output", str(folder), "--rate", "250") == DONE
+    return folder
+
+
+def _held(urdf: Path) -> pin.Model:
+    """Return Pinocchio's model of the seven joints, the others held at 0."""
+    model = pin.buildModelFromUrdf(str(urdf))
+    others = [k for k, name in enumerate(model.names) if k and name not in JOINTS]
+    return pin.buildReducedModel(model, others, pin.neutral(model))
+
+
+def _knots(file: Path) -> tuple[list[str], Array, Array]:
+    """Return names, times and knots, shape (n, 3, joints), of a trajectory file, by PyYAML."""
+    content = yaml.safe_load(file.read_text())
+    points = content["points"]
+    times = [one["time_from_start"]["sec"] + 1e-9 * one["time_from_start"]["nanosec"] for one in points]
+    knots = [[one[key] for key in ("positions", "velocities", "accelerations")] for one in points]
+    return content["joint_names"], np.array(times), np.array(knots)
+
+
+@pytest.mark.parametrize("name", ["excitation_1", "validation"])
+def test_a_motion_keeps_the_limits_of_the_urdf(urdf: Path, motions: Path, name: str) -> None:
+    """Ranges, 80 % of speeds, of the speeds in 0.5 s as accelerations, and of efforts by Pinocchio's inverse dynamics.
+
+    It begins and ends at rest in the middle of the ranges; a continuous joint without one has half a turn either way.
+    Some joint comes near to a limit: the motion is not safe by being small.
+    """
+    names, times, knots = _knots(motions / f"{name}.yaml")
+    assert tuple(names) == JOINTS
+    model = _held(urdf)
+    limits = [model.joints[k].idx_q for k in range(1, 8)]
+    low, high = (np.append(one[limits[:6]], end) for one, end in (
+        (model.lowerPositionLimit, -np.pi), (model.upperPositionLimit, np.pi)))  # fmt: skip
+    at = np.arange(0.0, times[-1], 5e-3)
+    curve = BPoly.from_derivatives(times, list(knots))
+    q, v, a = (curve(at, nu=order) for order in range(3))
+    assert np.all((low <= q) & (q <= high))
+    speed = model.velocityLimit[:7]
+    shares = [np.abs(v / speed), np.abs(a / (speed / 0.5))]
+    data = model.createData()
+    torque = [
+        pin.rnea(model, data, np.concatenate([row[:6], [np.cos(row[6]), np.sin(row[6])]]), *rest)
+        for row, *rest in zip(q, v, a, strict=True)
+    ]
+    shares.append(np.abs(np.array(torque) / model.effortLimit[:7]))
+    assert np.max(shares) <= SHARE * 1.001
+    assert np.max(shares) > 0.7
+    home = 0.5 * (low + high)
+    np.testing.assert_allclose(
+        knots[[0, -1]], np.stack([home, np.zeros(7), np.zeros(7)])[None].repeat(2, 0), atol=1e-12
+    )
+
+
+def test_the_table_of_set_points_is_the_trajectory(motions: Path) -> None:
+    """Each row of the CSV is SciPy's quintic through the knots of the YAML, at 250 Hz, in named columns."""
+    file = motions / "excitation_1.csv"
+    head = file.read_text().splitlines()[0].split(",")
+    rows = np.loadtxt(file, delimiter=",", skiprows=1)
+    names, times, knots = _knots(motions / "excitation_1.yaml")
+    quantities = ("position [rad]", "velocity [rad/s]", "acceleration [rad/s^2]")
+    assert head == ["time [s]", *(f"{name} {what}" for what in quantities for name in names)]
+    curve = BPoly.from_derivatives(times, list(knots))
+    np.testing.assert_allclose(rows[:, 0], np.arange(len(rows)) / 250.0, atol=1e-9)
+    assert times[-1] - rows[-1, 0] < 1.0 / 250.0
+    inside = rows[:, 0] < times[-1]
+    for order in range(3):
+        there = curve(rows[inside, 0], nu=order)
+        np.testing.assert_allclose(rows[inside, 1 + 7 * order : 8 + 7 * order], there, rtol=1e-6, atol=1e-7)
+
+
+def test_home_is_given_or_the_middle_of_the_ranges(urdf: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The table says where home is and why; joints that are not of interest are named as held, meshes as uncounted."""
+    words = ["--urdf", str(urdf), *ARM, *SHORT, "--steps", "2"]
+    assert _plan(*words) == DONE
+    said = capsys.readouterr().out
+    assert said.startswith("home 0, 0, 0, -1.585, 0, 1.865, 0 rad: the middle of the joints' ranges, assumed")
+    held = next(line for line in said.splitlines() if line.startswith("held at 0: "))
+    assert set(held.removeprefix("held at 0: ").split(", ")) == {"mast", "wheel", "finger_1"}
+    assert "meshes do not count for collisions: those of link_3" in said
+    assert "without friction" in said
+    assert _plan(*words, "--home", "0.1", "0", "0", "-1.5", "0", "1.5", "0") == DONE
+    assert capsys.readouterr().out.startswith("home 0.1, 0, 0, -1.5, 0, 1.5, 0 rad: as given")
+
+
+def test_the_tool_counts_for_the_table(urdf: Path) -> None:
+    """A tool is fixed to the last link; its tip, by Pinocchio and the tool file, is what comes nearest to the table."""
+    model = _held(urdf)
+    robot = robot_of_urdf(urdf, JOINTS, config_path("robots/rx90b/tool.yaml"))
+    tool = yaml.safe_load(config_path("robots/rx90b/tool.yaml").read_text())
+    q = np.array([0.2, -0.6, 0.1, -2.1, 0.15, 1.7, 0.6])
+    data, there = model.createData(), robot.model.createData()
+    pin.framesForwardKinematics(model, data, np.concatenate([q[:6], [np.cos(q[6]), np.sin(q[6])]]))
+    flange = data.oMf[model.getFrameId("tip")]
+    tip = flange.act(np.array(tool["tcp"]["position"], dtype=np.float64))
+    pin.framesForwardKinematics(robot.model, there, q)
+    np.testing.assert_allclose(there.oMf[robot.model.getFrameId(robot.tcp_frame)].translation, tip, atol=1e-12)
+    ((distance, _),) = Workspace(robot, [Wall.above(0.1)], q).lowest(q[None])
+    assert distance <= tip[2] - 0.1 + 1e-12
+    assert robot.model.inertias[7].mass == pytest.approx(model.inertias[7].mass + tool["inertial"]["mass"])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "is not moved by the joint before it; accepted: --joints of one arm, from base to tip"),
+        ([*ARM, "--home", "0", "0"], "--home: 2 values; accepted: 7, one per joint"),
+        ([*ARM, "--home", *["0"] * 7], "home: arm_4 is 0 rad; accepted: [-3.1, -0.07]"),
+        ([*ARM, "--acceleration", "1", "2"], "--acceleration: 2 values; accepted: 1, or 7"),
+        (["--joints", "arm_1", "finger_1"], "joint 'finger_1' is prismatic"),
+        ([*ARM, "--robot", "tx40"], "--joints with --robot; accepted: --urdf alone, with --excitation"),
+        ([*ARM, "--keep-above", "1.5"], "--keep-above 1.5: at home"),
+        ([*ARM, "--rate", "100"], "--rate without --output"),
+    ],
+)
+def test_what_does_not_fit_the_arm_is_refused(
+    urdf: Path, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each is one line that names the value and what is accepted, with exit code 2."""
+    assert _plan("--urdf", str(urdf), *SHORT, *words) == REFUSED
+    error = capsys.readouterr().err.strip().splitlines()
+    assert len(error) == 1
+    assert said in error[0]
+
+
+def test_a_run_needs_a_robot_of_this_project(urdf: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing drives an arm of which only the URDF is known; nothing is written."""
+    folder = tmp_path / "bags"
+    words = ["run", "--excitation", "--engine", "--urdf", str(urdf), "--output", str(folder)]
+    assert run("rx90_experiment", words) == REFUSED
+    assert "without --robot; accepted: plan" in capsys.readouterr().err
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('effort="90"', 'effort="0"', "joint 'arm_1' limit has lower -2.9, upper 2.9, velocity 2.2, effort 0"),
+        ('velocity="2.3"', 'velocity="0"', "joint 'arm_2' limit has"),
+        ('<limit velocity="2.8" effort="24"/>', "", "joint 'arm_7' limit is missing"),
+    ],
+)
+def test_limits_that_plan_nothing_are_refused(urdf: Path, tmp_path: Path, old: str, new: str, said: str) -> None:
+    """Joints without effort, speed or limits are named with what they have."""
+    text = urdf.read_text()
+    assert text.count(old) == 1
+    file = tmp_path / "arm.urdf"
+    file.write_text(text.replace(old, new))
+    with pytest.raises(IdentificationError, match=re.escape(said)):
+        PlannedArm.from_urdf(file, JOINTS)
