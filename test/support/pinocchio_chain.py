@@ -8,20 +8,20 @@ import numpy as np
 import pinocchio as pin
 
 from rx90_common.description.chain import RigidChain
-from rx90_common.description.urdf import JOINT_COUNT
 
 
 def pinocchio_chain(model: Any, tcp_frame: str) -> RigidChain:
-    """Re-express a Pinocchio model of six revolute joints in link frames parallel to the base at q = 0."""
+    """Re-express a Pinocchio model of revolute joints in link frames parallel to the base at q = 0."""
     data = model.createData()
-    zero = np.zeros(JOINT_COUNT)
+    joints = model.njoints - 1
+    zero = np.zeros(joints)
     pin.framesForwardKinematics(model, data, zero)
     pin.computeJointJacobians(model, data, zero)
     # At q = 0 the angular part of column i, in base axes, is the axis of joint i.
     axis = np.array(data.J[3:, :].T)
-    position = np.array([data.oMi[i + 1].translation for i in range(JOINT_COUNT)])
-    rotation = np.array([data.oMi[i + 1].rotation for i in range(JOINT_COUNT)])
-    bodies = [model.inertias[i + 1] for i in range(JOINT_COUNT)]
+    position = np.array([data.oMi[i + 1].translation for i in range(joints)])
+    rotation = np.array([data.oMi[i + 1].rotation for i in range(joints)])
+    bodies = [model.inertias[i + 1] for i in range(joints)]
     tensors = [r @ body.inertia @ r.T for r, body in zip(rotation, bodies, strict=True)]
     tcp = data.oMf[model.getFrameId(tcp_frame)]
     return RigidChain(

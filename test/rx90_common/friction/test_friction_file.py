@@ -322,14 +322,10 @@ def test_a_warning_names_the_part_that_leaves_less(shipped: Setup, part: Frictio
     others = shipped.friction.elements[1:]
     assert FrictionSet(shipped.friction.names, (tight, *others)).passivity_warnings(speeds) == []
     parted = dataclasses.replace(tight, load=LoadPart(0.1, 0.2), **{named: part})
-    (line,) = FrictionSet(shipped.friction.names, (parted, *others)).passivity_warnings(
-        RX_WRIST.reach(np.asarray(speeds))
-    )
+    (line,) = FrictionSet(shipped.friction.names, (parted, *others)).passivity_warnings(speeds)
     assert f"where {named} leaves least friction" in line
     several = dataclasses.replace(parted, ripple=RipplePart((1.0,), (0.05,)), scatter=ScatterPart(0.01, 10.0))
-    (line,) = FrictionSet(shipped.friction.names, (several, *others)).passivity_warnings(
-        RX_WRIST.reach(np.asarray(speeds))
-    )
+    (line,) = FrictionSet(shipped.friction.names, (several, *others)).passivity_warnings(speeds)
     assert f"where {'temperature, ' * (named == 'temperature')}ripple and scatter leave least friction" in line
 
 
