@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.drives import element_matrix
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.loop.setup import Setup
 
@@ -64,8 +63,10 @@ class ComputedTorque:
 
 
 def _compensation(setup: Setup, speeds: Array) -> Array:
-    """Return the friction torque at joints that all turn with each of the speeds, rad/s, shape (n, 6)."""
-    inputs = speeds[:, None] * element_matrix().sum(axis=1)
+    """Return the friction torque at joints that all turn with each of the speeds, rad/s, shape (k, n)."""
+    matrix = setup.drives.turning.element_matrix
+    inputs = speeds[:, None] * matrix.sum(axis=1)
     columns = [one.steady_torque(v) for one, v in zip(setup.friction.elements, inputs.T, strict=True)]
     # Not at once at a reversal, where the bristles have yet to bend.
-    return np.minimum(1.0, np.abs(speeds) / _SLOW)[:, None] * (np.stack(columns, axis=1) @ element_matrix())
+    full: Array = np.minimum(1.0, np.abs(speeds) / _SLOW)
+    return full[:, None] * (np.stack(columns, axis=1) @ matrix)
