@@ -39,6 +39,7 @@ EXECUTABLES = {
     "rx90_compare_measured": "rx90_emulator.cli.compare_measured",
     "rx90_demo": "rx90_emulator.cli.demo",
     "rx90_experiment": "rx90_emulator.cli.experiment",
+    "rx90_export": "rx90_emulator.cli.export",
     "rx90_identify": "rx90_emulator.cli.identify",
     "rx90_line": "rx90_emulator.cli.line",
     "rx90_run": "rx90_emulator.cli.run",

@@ -1,0 +1,102 @@
+"""The reference line on the engine and on the exported MJCF in MuJoCo, under the same control law: path error and time.
+
+    python -m benchmarks.exported_arm [--robot tx40]
+
+The law is `benchmarks.closed_loop.PythonLaw`, tick by tick that of the compiled controller, with the same drives.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from benchmarks.closed_loop import PythonDrives, PythonLaw
+from benchmarks.report import arguments, merge, print_table
+from rx90_common.base.arrays import Array
+from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
+from rx90_controller.lines.task import LineTask, load_task
+from rx90_emulator.export.export import export_robot
+from rx90_emulator.loop.line import LineRun, path_accuracy, plan_line, run_line
+from rx90_emulator.loop.setup import Setup
+
+TARGETS = ("mujoco", "mujoco-classic")
+
+
+class ExportedRun(NamedTuple):
+    """Joint positions on position ticks, rad, shape (m, 6), and s of processor time for a tick."""
+
+    position: Array
+    seconds: float
+
+
+def run_exported(setup: Setup, task: LineTask, target: str) -> ExportedRun:
+    """Run the line in MuJoCo on what is exported to a target."""
+    (text,) = export_robot(setup, target).files.values()
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    plan, ratio = plan_line(setup, task), setup.rates.ratio
+    data.qpos[:] = plan.start_pose
+    controller = setup.cs7b()
+    controller.trajectory.reset(plan.start_pose)
+    controller.trajectory.accept(plan.points, 0, 0)
+    rows = controller.trajectory.setpoints(0, round(plan.duration * setup.rates.position_hz)).tolist()
+    drives, law = PythonDrives(setup, plan.start_pose.tolist()), PythonLaw(setup)
+    position, began = np.empty((len(rows), 6)), time.process_time()
+    for k, row in enumerate(rows):
+        position[k] = data.qpos
+        law.position_loop(row, drives.position)
+        for _ in range(ratio):
+            data.ctrl[:] = law.velocity_loop(drives.velocity)
+            mujoco.mj_step(model, data)
+            drives.sample(data.qpos.tolist())
+    return ExportedRun(position, (time.process_time() - began) / (len(rows) * ratio))
+
+
+def compare(setup: Setup, task: LineTask) -> tuple[LineRun, dict[str, Any]]:
+    """Return the run here, and for each target its path error and how far it is from that run."""
+    ours = run_line(setup, task)
+    began = time.process_time()
+    run_line(setup, task)
+    seconds = (time.process_time() - began) / (len(ours.times) * setup.rates.ratio)
+    found: dict[str, Any] = {"here": (seconds, ours.path_accuracy.worst, ours.path_accuracy.rms, 0.0)}
+    for target in TARGETS:
+        run = run_exported(setup, task, target)
+        count = min(len(run.position), len(ours.times))
+        path = path_accuracy(setup.robot, task, ours.times[:count], run.position[:count])
+        apart = float(np.abs(run.position[:count] - ours.slow.joint_states[:count, 0]).max())
+        found[target] = (run.seconds, path.worst, path.rms, apart)
+    return ours, found
+
+
+def main() -> int:
+    """Print the table and merge the figures."""
+    options = arguments(__doc__, ("--robot", DEFAULT_ROBOT, "robot whose arm, law and line are taken"))
+    files = RobotFiles.named(options.robot)
+    setup, task = Setup.load(files), load_task(files.required("task"))
+    _, found = compare(setup, task)
+    rows = [
+        (name, f"{seconds * 1e6:.1f}", f"{worst * 1e3:.4f}", f"{rms * 1e3:.4f}", f"{apart:.1e}")
+        for name, (seconds, worst, rms, apart) in found.items()
+    ]
+    print_table(("", "us per tick", "path error mm", "RMS mm", "joints apart rad"), rows)
+    if options.robot == DEFAULT_ROBOT:
+        here, lugre, classic = (found[name] for name in ("here", *TARGETS))
+        merge(
+            {
+                "exported_speed": lugre[0] / here[0],
+                "exported_path_here_mm": here[1] * 1e3,
+                "exported_path_mujoco_mm": lugre[1] * 1e3,
+                "exported_path_classic_mm": classic[1] * 1e3,
+                "exported_apart_mrad": lugre[3] * 1e3,
+                "exported_apart_classic_mrad": classic[3] * 1e3,
+            }
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
