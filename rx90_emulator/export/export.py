@@ -206,7 +206,7 @@ def _arm_lost(setup: Setup, target: Target) -> list[str]:
         lost.append("arm: the friction alone is written" + ", with rotor inertias" * (target.name != "modelica"))
     else:
         lost.append("drives: encoders, current loop, brakes; end stops are the simulator's own, at the joint limits")
-        if not mujoco_arm:
+        if target.name in {"usd", "drake"}:
             lost.append("rotor of a motor that turns with two joints: its inertia stands in each of them, not between")
         if drives.spring_torque.any() and not mujoco_arm:
             lost.append(f"gravity-compensation springs: up to {drives.spring_torque.max():g} Nm")

@@ -148,7 +148,7 @@ def _law(target: Target, elements: Sequence[FrictionElement], speeds: Array, tor
         tau_s=mean("tau_s") if target.breaks_away else mean("tau_c"),
         omega_s=first.omega_s if target.stribeck else 0.0,
         delta=first.delta if target.delta is None else target.delta,
-        viscous=(sum(one.c2 * speeds[-1] ** (one.alpha - 1.0) for one in elements), 0.0, 0.0),
+        viscous=(float(sum(one.c2 * speeds.max() ** (one.alpha - 1.0) for one in elements)), 0.0, 0.0),
         c0=sum(one.c0 for one in elements) if target.bristles else math.inf,
         c1=sum(one.c1 for one in elements) if target.bristles else 0.0,
     )
