@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("target", metavar="TARGET", choices=TARGETS, help=f"simulator: {', '.join(TARGETS)}")
     parser.add_argument("--output", required=True, type=new_folder, metavar="FOLDER",
-                        help="new folder for the simulator's files and export.yaml, which says what they cost")  # fmt: skip
+                        help="new folder for the simulator's files, and export.yaml on what they cost")  # fmt: skip
     parser.add_argument("--within", type=POSITIVE, metavar="NM",
                         help="exit code 1 if a friction torque differs by more than this, Nm")  # fmt: skip
     parser.add_argument("--plot", type=place, metavar="FILE",

@@ -41,6 +41,7 @@ EXECUTABLES = {
     "rx90_experiment": "rx90_emulator.cli.experiment",
     "rx90_export": "rx90_emulator.cli.export",
     "rx90_identify": "rx90_emulator.cli.identify",
+    "rx90_import": "rx90_emulator.cli.import_",
     "rx90_line": "rx90_emulator.cli.line",
     "rx90_run": "rx90_emulator.cli.run",
     "rx90_sweep": "rx90_emulator.cli.sweep",

@@ -31,7 +31,9 @@ def write_urdf(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> Fil
         viscous, coulomb = fit.law.viscous[0], fit.law.tau_c
         ET.SubElement(joint, "dynamics", damping=repr(viscous), friction=repr(coulomb))
     largest = setup.drives.rotor_inertia.max()
-    return _named(setup, root, "urdf"), [f"rotor inertias, which a URDF does not have: up to {largest:g} kg m^2 at a joint"]
+    return _named(setup, root, "urdf"), [
+        f"rotor inertias, which a URDF does not have: up to {largest:g} kg m^2 at a joint"
+    ]
 
 
 def write_drake(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001
@@ -52,9 +54,7 @@ def write_drake(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> Fi
         turning = drives.rotor_inertia @ (coupling_matrix()[:, i] ** 2)
         ET.SubElement(actuator, f"{{{_DRAKE}}}gear_ratio", value=repr(gear))
         ET.SubElement(actuator, f"{{{_DRAKE}}}rotor_inertia", value=repr(float(turning) / gear**2))
-    numbers = {
-        fit.name: {name: _plain(getattr(fit.elements[0], name)) for name in FRICTION_UNITS} for fit in fits
-    }
+    numbers = {fit.name: {name: _plain(getattr(fit.elements[0], name)) for name in FRICTION_UNITS} for fit in fits}
     template = (Path(__file__).parent / "templates" / "drake_friction.py.txt").read_text(encoding="utf-8")
     text = template.replace("@ELEMENTS@", json.dumps(numbers, indent=4).replace("null", "math.inf"))
     text = text.replace("@INPUTS@", json.dumps(element_matrix().tolist())).replace("@LINEAR@", repr(LINEAR_SPEED))

@@ -227,7 +227,16 @@ def write_export(export: Export, folder: Path | str) -> None:
         ConfigError: if something is there.
         Rx90Error: if it cannot be written.
     """
-    folder = Path(folder)
+    write_folder(Path(folder), {**export.files, REPORT: export.report()})
+
+
+def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
+    """Write files by their names into a new folder, all or none.
+
+    Raises:
+        ConfigError: if something is there.
+        Rx90Error: if it cannot be written.
+    """
     if folder.exists():
         raise ConfigError(f"{plain(folder)} exists; accepted: a new name")
     try:
@@ -235,7 +244,7 @@ def write_export(export: Export, folder: Path | str) -> None:
         with hidden_beside(folder.absolute()) as hidden:
             inside = hidden / folder.name
             inside.mkdir()
-            for name, text in {**export.files, REPORT: export.report()}.items():
+            for name, text in texts.items():
                 (inside / name).write_text(text, encoding="utf-8")
             inside.replace(folder)
     except OSError as error:

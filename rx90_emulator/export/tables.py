@@ -45,7 +45,9 @@ def write_isaaclab(setup: Setup, target: Target, fits: Sequence[FrictionFit]) ->
     efforts = abs(drives.gear * drives.peak_torque)
 
     def by_joint(values: Sequence[float]) -> str:
-        pairs = [f'        "{name}": {float(value)!r},\n' for name, value in zip(robot.joint_names, values, strict=True)]
+        pairs = [
+            f'        "{name}": {float(value)!r},\n' for name, value in zip(robot.joint_names, values, strict=True)
+        ]
         return "{\n" + "".join(pairs) + "    }"
 
     name = str(robot.model.name)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.drives import DriveParameters, to_motor_torque
+from rx90_common.description.drives import to_motor_torque
 from rx90_emulator.export.export import export_robot
 from rx90_emulator.export.mjcf import arm_spec
 from rx90_emulator.loop.setup import Setup
