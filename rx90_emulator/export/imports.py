@@ -121,11 +121,11 @@ def import_mjcf_friction(path: Path | str) -> FrictionFile:
 
 
 def _damping(model: Any, name: str) -> float:
-    """Return the linear damping of a joint, or of a tendon, itself."""
-    for k in range(model.njnt):
-        if model.joint(k).name == name:
-            return float(model.dof_damping[model.jnt_dofadr[k]])
-    return float(model.tendon(name).damping[0])
+    """Return the linear damping that a joint, or else a tendon, has itself."""
+    joints = {model.joint(k).name: k for k in range(model.njnt)}
+    if name in joints:
+        return float(model.dof_damping[model.jnt_dofadr[joints[name]]])
+    return float(model.tendon_damping[model.tendon(name).id])
 
 
 def _model(path: Path) -> Any:
@@ -155,7 +155,9 @@ def import_arm(path: Path | str) -> dict[str, str]:
     remark = (
         f" From {path.name}, read by MuJoCo. MJCF has no limits of velocity: {_PEAK_VELOCITY:.3f} rad/s is ASSUMED. "
     )
-    robot.append(ET.Comment(remark))
+    rotors = {model.joint(j).name: float(model.dof_armature[model.jnt_dofadr[j]]) for j in range(model.njnt)}
+    held = ", ".join(f"{name} {value:g}" for name, value in rotors.items() if value)
+    robot.append(ET.Comment(remark + f"Armatures, kg m^2, are no part of it: {held or 'none'}. "))
     names = ["base_link", *(model.body(b).name or f"body_{b}" for b in range(1, model.nbody))]
     origins, turns = np.zeros((model.nbody, 3)), np.zeros((model.nbody, 3, 3))
     turns[0] = np.eye(3)
@@ -186,7 +188,6 @@ def import_arm(path: Path | str) -> dict[str, str]:
             ET.SubElement(inertial, "inertia", {key: repr(float(tensor[at])) for key, at in upper.items()})
     ET.indent(robot)
     texts = {FILES["urdf"]: ET.tostring(robot, encoding="unicode") + "\n"}
-    rotors = {model.joint(j).name: float(model.dof_armature[model.jnt_dofadr[j]]) for j in range(model.njnt)}
     try:
         friction = import_mjcf_friction(path)
     except ConfigError:  # without friction: the arm alone
