@@ -153,7 +153,7 @@ def import_arm(path: Path | str) -> dict[str, str]:
     mujoco.mj_kinematics(model, data)
     robot = ET.Element("robot", name=path.stem)
     remark = (
-        f" From {path.name}, read by MuJoCo. MJCF has no limits of velocity: {_PEAK_VELOCITY:.3f} rad/s is ASSUMED. "
+        f" From {path.name}, read by MuJoCo. MJCF has no limits of velocity: {_PEAK_VELOCITY:.3f} rad/s is ASSUMED, and an effort of 1000 Nm. "
     )
     rotors = {model.joint(j).name: float(model.dof_armature[model.jnt_dofadr[j]]) for j in range(model.njnt)}
     held = ", ".join(f"{name} {value:g}" for name, value in rotors.items() if value)
@@ -218,14 +218,22 @@ def _add_joint(
 
 
 def _peak(model: Any, joint: int) -> float:
-    """Return the most that the actuators of a joint give by their force ranges, Nm; 1000 where they have none."""
+    """Return the most that the actuators of a joint give by their ranges of force, or as motors of control, Nm.
+
+    Where they have none it is 1000, which the URDF says.
+    """
     import mujoco
 
     most = 0.0
     for k in range(len(model.actuator_trntype)):
-        a = model.actuator(k)
-        if a.trntype[0] == mujoco.mjtTrn.mjTRN_JOINT and a.trnid[0] == joint and a.forcelimited[0]:
-            most += abs(float(a.gear[0])) * float(a.forcerange[1])
+        if (model.actuator_trntype[k], model.actuator_trnid[k, 0]) != (mujoco.mjtTrn.mjTRN_JOINT, joint):
+            continue
+        one, is_motor = model.actuator(k), model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE
+        gear = abs(float(model.actuator_gear[k, 0]))
+        if model.actuator_forcelimited[k]:
+            most += gear * float(model.actuator_forcerange[k, 1])
+        elif is_motor and one.ctrllimited[0]:
+            most += gear * float(model.actuator_gainprm[k, 0] * one.ctrlrange[1])
     return most or 1000.0
 
 
