@@ -45,6 +45,7 @@ _WRITERS = {
 }
 """The module and function that writes the files of each target, by their names, imported when it is asked for."""
 
+_FEWEST = 20  # samples of a bag that say how fast a joint moves
 _WITHIN = 1e-9  # Nm: of a difference that is rounding
 
 
@@ -136,7 +137,7 @@ def export_robot(
 
     Raises:
         ConfigError: for an unknown target, a range that is none, or both a range and a bag.
-        BagError: if the bag cannot be read, or a joint of it does not move.
+        BagError: if the bag cannot be read, or no joint moves in it.
     """
     check_type(setup=(setup, Setup))
     if target not in TARGETS:
@@ -163,26 +164,25 @@ def _speeds_in_use(
     setup: Setup, turns: Array, speeds: tuple[float, float] | None, bag: Path | str | None
 ) -> tuple[list[Array], str]:
     """Return the speeds of each row of turns, shape (k, joints), and what they are in words."""
-    names = [f"row {k}" for k in range(len(turns))]
-    if bag is not None:
-        series = read_joint_states(bag, "joint_states", setup.robot.joint_names)
-        if series.velocity is None:
-            raise BagError(f"{plain(bag)}: joint_states has no velocities; accepted: a bag with them")
-        found = []
-        for row, name in zip(np.abs(series.velocity @ turns.T).T, names, strict=True):
-            moving = row[row >= LINEAR_SPEED]
-            if len(moving) < POINTS:
-                joints = " and ".join(np.array(setup.robot.joint_names)[turns[names.index(name)] != 0.0])
-                raise BagError(
-                    f"{plain(bag)}: {joints} moves in {len(moving)} of {len(row)} samples; accepted: at least {POINTS} "
-                    f"with {LINEAR_SPEED:g} rad/s or more"
-                )
-            found.append(np.quantile(moving, np.linspace(0.0, 1.0, POINTS)))
-        return found, f"those of {plain(bag)}, as often as they are there"
     if speeds is not None:
         return [speeds_up_to(speeds[1], speeds[0])] * len(turns), f"from {speeds[0]:g} to {speeds[1]:g} rad/s"
     most = np.abs(turns) @ setup.robot.max_velocity
-    return [speeds_up_to(high) for high in most], f"from {LINEAR_SPEED:g} rad/s to the largest of each joint"
+    whole, words = [speeds_up_to(high) for high in most], f"from {LINEAR_SPEED:g} rad/s to the largest of each joint"
+    if bag is None:
+        return whole, words
+    series = read_joint_states(bag, "joint_states", setup.robot.joint_names)
+    if series.velocity is None:
+        raise BagError(f"{plain(bag)}: joint_states has no velocities; accepted: a bag with them")
+    found, resting = [], []
+    for row, speed, every in zip(turns, np.abs(series.velocity @ turns.T).T, whole, strict=True):
+        moving = speed[speed >= LINEAR_SPEED]
+        if len(moving) < _FEWEST:
+            resting.append(" and ".join(np.array(setup.robot.joint_names)[row != 0.0]))
+        found.append(every if len(moving) < _FEWEST else np.quantile(moving, np.linspace(0.0, 1.0, POINTS)))
+    if len(resting) == len(turns):
+        raise BagError(f"{plain(bag)}: no joint moves at {LINEAR_SPEED:g} rad/s or more; accepted: a bag of motions")
+    rest = f"; {', '.join(resting)} rests there: {words}" if resting else ""
+    return found, f"those of {plain(bag)} from {LINEAR_SPEED:g} rad/s on, as often as they are there{rest}"
 
 
 def _coupling_lost(setup: Setup, joint: int, speeds: Array) -> list[str]:

@@ -33,7 +33,7 @@ _BRISTLES = {
     "c1": f"{_DAMPING_TIME:g} s c0",
     "omega_d": "1 rad/s, so that the element is passive (Olsson 1996)",
 }
-_PEAK_VELOCITY = math.pi  # rad/s, assumed: MJCF does not limit it
+_PEAK_VELOCITY, _PEAK_EFFORT = math.pi, 1000.0  # rad/s and Nm, assumed: MJCF need not limit them
 
 
 def import_bam(paths: Sequence[Path | str]) -> FrictionFile:
@@ -152,9 +152,7 @@ def import_arm(path: Path | str) -> dict[str, str]:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     robot = ET.Element("robot", name=path.stem)
-    remark = (
-        f" From {path.name}, read by MuJoCo. MJCF has no limits of velocity: {_PEAK_VELOCITY:.3f} rad/s is ASSUMED, and an effort of 1000 Nm. "
-    )
+    remark = f" From {path.name}, read by MuJoCo. MJCF has no limits of velocity: {_PEAK_VELOCITY:.3f} rad/s is ASSUMED, and an effort of 1000 Nm. "
     rotors = {model.joint(j).name: float(model.dof_armature[model.jnt_dofadr[j]]) for j in range(model.njnt)}
     held = ", ".join(f"{name} {value:g}" for name, value in rotors.items() if value)
     robot.append(ET.Comment(remark + f"Armatures, kg m^2, are no part of it: {held or 'none'}. "))
@@ -220,7 +218,7 @@ def _add_joint(
 def _peak(model: Any, joint: int) -> float:
     """Return the most that the actuators of a joint give by their ranges of force, or as motors of control, Nm.
 
-    Where they have none it is 1000, which the URDF says.
+    Where they have none it is _PEAK_EFFORT, which the URDF says.
     """
     import mujoco
 
@@ -234,7 +232,7 @@ def _peak(model: Any, joint: int) -> float:
             most += gear * float(model.actuator_forcerange[k, 1])
         elif is_motor and one.ctrllimited[0]:
             most += gear * float(model.actuator_gainprm[k, 0] * one.ctrlrange[1])
-    return most or 1000.0
+    return most or _PEAK_EFFORT
 
 
 def _text(values: Array) -> str:

@@ -14,6 +14,7 @@ import pytest
 
 import rx90_emulator as rx
 from rx90_common.base.errors import DONE, ConfigError
+from rx90_common.base.share import config_path
 from rx90_common.description.robot import load_robot
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.setup import Setup
@@ -96,12 +97,10 @@ def test_bam_s_file_of_the_erob80(tmp_path: Path) -> None:
         "dtheta_stribeck": 0.9617768749469398, "alpha": 1.438935728332229, "friction_viscous": 1.3131993446070485,
         "model": "m2", "actuator": "erob80_50"}), encoding="utf-8")  # fmt: skip
     assert run("rx90_import", [str(file), "--output", str(tmp_path / "friction.yaml")]) == DONE
-    from rx90_common.base.share import config_path
-
     ours = rx.FrictionFile.read(config_path("friction") / "erob80_50.yaml").elements["m2"]
     found = rx.FrictionFile.read(tmp_path / "friction.yaml").elements["m2"]
     speeds = np.linspace(-3.0, 3.0, 40)
     assert found.steady_torque(speeds) == pytest.approx(ours.steady_torque(speeds), rel=1e-5)
+    file.write_text('{"model": "m6"}', encoding="utf-8")
     with pytest.raises(ConfigError, match="model is 'm6'; accepted: m1 or m2"):
-        file.write_text('{"model": "m6"}', encoding="utf-8")
         rx.import_bam([file])
