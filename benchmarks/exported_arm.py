@@ -1,12 +1,14 @@
 """The reference line on the engine and on the exported MJCF in MuJoCo, under the same control law: path error and time.
 
-    python -m benchmarks.exported_arm [--robot tx40]
+    python -m benchmarks.exported_arm [--robot tx40] [--tune]
 
-The law is `benchmarks.closed_loop.PythonLaw`, tick by tick that of the compiled controller, with the same drives.
+The law is `benchmarks.closed_loop.PythonLaw`, tick by tick that of the compiled controller, with the same drives. With
+--tune its gains are chosen in MuJoCo, for the least path error, and taken here.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import time
 from typing import Any, NamedTuple
@@ -17,6 +19,7 @@ import numpy as np
 from benchmarks.closed_loop import PythonDrives, PythonLaw
 from benchmarks.report import arguments, merge, print_table
 from rx90_common.base.arrays import Array
+from rx90_common.base.errors import FailureError
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.export.export import export_robot
@@ -24,6 +27,8 @@ from rx90_emulator.loop.line import LineRun, path_accuracy, plan_line, run_line
 from rx90_emulator.loop.setup import Setup
 
 TARGETS = ("mujoco", "mujoco-classic")
+FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
+"""On kv and ki, of which the best is looked for; what cannot be run is left out."""
 
 
 class ExportedRun(NamedTuple):
@@ -33,10 +38,11 @@ class ExportedRun(NamedTuple):
     seconds: float
 
 
-def run_exported(setup: Setup, task: LineTask, target: str) -> ExportedRun:
-    """Run the line in MuJoCo on what is exported to a target."""
+def run_exported(setup: Setup, task: LineTask, target: str, steps: int = 1) -> ExportedRun:
+    """Run the line in MuJoCo on what is exported to a target, with so many of MuJoCo's steps in a tick."""
     (text,) = export_robot(setup, target).files.values()
     model = mujoco.MjModel.from_xml_string(text)
+    model.opt.timestep /= steps
     data = mujoco.MjData(model)
     plan, ratio = plan_line(setup, task), setup.rates.ratio
     data.qpos[:] = plan.start_pose
@@ -51,7 +57,7 @@ def run_exported(setup: Setup, task: LineTask, target: str) -> ExportedRun:
         law.position_loop(row, drives.position)
         for _ in range(ratio):
             data.ctrl[:] = law.velocity_loop(drives.velocity)
-            mujoco.mj_step(model, data)
+            mujoco.mj_step(model, data, nstep=steps)
             drives.sample(data.qpos.tolist())
     return ExportedRun(position, (time.process_time() - began) / (len(rows) * ratio))
 
@@ -72,11 +78,40 @@ def compare(setup: Setup, task: LineTask) -> tuple[LineRun, dict[str, Any]]:
     return ours, found
 
 
+def tune(setup: Setup, task: LineTask) -> list[tuple[str, ...]]:
+    """Return for each target the factor on kv and ki that is best there, path errors with it there and here, in mm."""
+    rows, given = [], setup.controller
+    for target in (None, *TARGETS):
+        found = []
+        for factor in FACTORS:
+            controller = dataclasses.replace(given, kv=factor * given.kv, ki=factor * given.ki)
+            tuned = dataclasses.replace(setup, controller=controller)
+            try:
+                here = run_line(tuned, task)
+            except FailureError:  # unstable, or cut off by the supervision
+                continue
+            there = here.path_accuracy.worst
+            if target is not None:
+                position = run_exported(tuned, task, target).position
+                there = path_accuracy(tuned.robot, task, here.times[: len(position)], position).worst
+            found.append((there, here.path_accuracy.worst, factor))
+        there, worst, factor = min(found)
+        rows.append((target or "here", f"{factor:g}", f"{there * 1e3:.4f}", f"{worst * 1e3:.4f}"))
+    return rows
+
+
 def main() -> int:
     """Print the table and merge the figures."""
-    options = arguments(__doc__, ("--robot", DEFAULT_ROBOT, "robot whose arm, law and line are taken"))
+    options = arguments(
+        __doc__,
+        ("--robot", DEFAULT_ROBOT, "robot whose arm, law and line are taken"),
+        ("--tune", False, "choose the gains in MuJoCo, and take them here"),
+    )
     files = RobotFiles.named(options.robot)
     setup, task = Setup.load(files), load_task(files.required("task"))
+    if options.tune:
+        print_table(("tuned in", "factor on kv, ki", "path error there mm", "here mm"), tune(setup, task))
+        return 0
     _, found = compare(setup, task)
     rows = [
         (name, f"{seconds * 1e6:.1f}", f"{worst * 1e3:.4f}", f"{rms * 1e3:.4f}", f"{apart:.1e}")

@@ -152,7 +152,8 @@ def import_arm(path: Path | str) -> dict[str, str]:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     robot = ET.Element("robot", name=path.stem)
-    remark = f" From {path.name}, read by MuJoCo. MJCF has no limits of velocity: {_PEAK_VELOCITY:.3f} rad/s is ASSUMED, and an effort of 1000 Nm. "
+    remark = f" From {path.name}, read by MuJoCo. Velocities of {_PEAK_VELOCITY:.3f} rad/s are ASSUMED, and "
+    remark += f"efforts of {_PEAK_EFFORT:g} Nm where nothing limits them. "
     rotors = {model.joint(j).name: float(model.dof_armature[model.jnt_dofadr[j]]) for j in range(model.njnt)}
     held = ", ".join(f"{name} {value:g}" for name, value in rotors.items() if value)
     robot.append(ET.Comment(remark + f"Armatures, kg m^2, are no part of it: {held or 'none'}. "))

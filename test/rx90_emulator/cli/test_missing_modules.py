@@ -30,7 +30,9 @@ CALLS = {
     "rx90_config": (["completion", "bash"], "shtab yaml"),
     "rx90_demo": ([], "numba bokeh"),
     "rx90_experiment": (["plan"], "numba rosbags"),
+    "rx90_export": (["mujoco", "--output", "out"], "numba scipy mujoco"),
     "rx90_identify": (["bag", "--output", "out.yaml"], "numba scipy"),
+    "rx90_import": (["arm.xml", "--output", "robot"], "numba mujoco"),
     "rx90_line": (["--from-file", "robots/rx90b/task.yaml"], "yaml numba"),
     "rx90_run": ([], "yaml numba pinocchio"),
     "rx90_sweep": (["info", "out.parquet"], "pyarrow"),
@@ -101,7 +103,7 @@ def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
 
 def test_each_source_is_a_distribution_of_the_set_up() -> None:
     """What pip is told to install is what setup.py requires, or offers as an extra."""
-    named = set(re.findall(r'"([A-Za-z0-9]+)>=', (ROOT / "setup.py").read_text(encoding="utf-8")))
+    named = set(re.findall(r'"([A-Za-z0-9-]+)>=', (ROOT / "setup.py").read_text(encoding="utf-8")))
     assert {source.pip for source in SOURCES.values()} <= named
 
 

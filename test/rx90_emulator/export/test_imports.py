@@ -32,7 +32,8 @@ def arm_text() -> str:
     bodies = "{}"
     for k in range(1, 7):
         bodies = bodies.format(LINK.format(k=k, x=0.1 * k, m=6.0 / k))
-    dcmotor = '<dcmotor joint="joint_{}" gear="2" input="none" motorconst="0" resistance="1" damping="3" lugre="1e3 1 2 3 .5"/>'
+    dcmotor = '<dcmotor joint="joint_{}" gear="2" input="none" motorconst="0" resistance="1" damping="3" '
+    dcmotor += 'lugre="1e3 1 2 3 .5"/>'
     return ARM.format(bodies.format(""), "".join(map(dcmotor.format, range(1, 7))))
 
 
