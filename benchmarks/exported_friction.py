@@ -22,6 +22,8 @@ from rx90_emulator.export.export import Export, export_plot, export_robot
 from rx90_emulator.export.targets import TARGETS
 from rx90_emulator.loop.setup import load_setup
 
+SPEEDS = (1e-3, 1.0)
+"""In use, rad/s."""
 SIGNS_APART, EXPONENT = 0.9, 0.8
 """Of the element in the picture: tau_c and tau_s of negative over those of positive velocity, viscous exponent."""
 
@@ -51,7 +53,7 @@ def exports(friction: FrictionFile, name: str) -> tuple[FrictionFile, list[Expor
         file = Path(folder) / "friction.yaml"
         file.write_text(changed.text(), encoding="utf-8")
         setup = load_setup(friction=file)
-        return changed, [export_robot(setup, target) for target in TARGETS]
+        return changed, [export_robot(setup, target, speeds=SPEEDS) for target in TARGETS]
 
 
 def main() -> None:

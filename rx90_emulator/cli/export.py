@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     speeds = parser.add_argument_group("speeds in use", "over which friction is fitted and compared")
     either = speeds.add_mutually_exclusive_group()
     either.add_argument("--speeds", nargs=2, type=POSITIVE, metavar=("LOW", "HIGH"),
-                        help="their range, rad/s (0.001 to the largest of each joint)")  # fmt: skip
+                        help="their range, rad/s (identified, else 0.001 to the largest of each joint)")  # fmt: skip
     either.add_argument("--bag", type=Path, metavar="BAG",
                         help="those in its joint_states, as often as they are there")  # fmt: skip
     add_robot_arguments(parser, "urdf", "tool", "drives", "friction")

@@ -132,7 +132,8 @@ def export_robot(
     Args:
         setup: the robot and its friction.
         target: one of TARGETS.
-        speeds: the range in use, rad/s; if neither this nor a bag is given it is that of each joint, from 1 mrad/s.
+        speeds: the range in use, rad/s; if neither this nor a bag is given it is that over which each element was
+            identified, else that of each joint, from 1 mrad/s.
         bag: whose joint_states say which speeds are in use, and how often.
 
     Raises:
@@ -168,6 +169,11 @@ def _speeds_in_use(
         return [speeds_up_to(speeds[1], speeds[0])] * len(turns), f"from {speeds[0]:g} to {speeds[1]:g} rad/s"
     most = np.abs(turns) @ setup.robot.max_velocity
     whole, words = [speeds_up_to(high) for high in most], f"from {LINEAR_SPEED:g} rad/s to the largest of each joint"
+    identified = _identified_ranges(setup)
+    if identified:
+        names = setup.friction.names[: len(turns)]
+        whole = [speeds_up_to(*identified.get(n, (each[-1],))) for n, each in zip(names, whole, strict=True)]
+        words = "those over which each element was identified; of others " + words
     if bag is None:
         return whole, words
     series = read_joint_states(bag, "joint_states", setup.robot.joint_names)
@@ -183,6 +189,14 @@ def _speeds_in_use(
         raise BagError(f"{plain(bag)}: no joint moves at {LINEAR_SPEED:g} rad/s or more; accepted: a bag of motions")
     rest = f"; {', '.join(resting)} rests there: {words}" if resting else ""
     return found, f"those of {plain(bag)} from {LINEAR_SPEED:g} rad/s on, as often as they are there{rest}"
+
+
+def _identified_ranges(setup: Setup) -> dict[str, tuple[float, float]]:
+    """Return the fastest and the slowest speed at which each element was identified, as its friction file says."""
+    file = setup.friction.file
+    fits = {} if file is None else (FrictionFile.read(file).identification or {}).get("fit") or {}
+    bands = {name: one["residual_by_speed"] for name, one in fits.items() if one.get("residual_by_speed")}
+    return {name: (float(one[-1][1]), float(one[0][0])) for name, one in bands.items()}
 
 
 def _coupling_lost(setup: Setup, joint: int, speeds: Array) -> list[str]:
@@ -270,8 +284,8 @@ def export_plot(export: Export, friction: FrictionFile | None = None) -> Plot:
         if not np.array_equal(*true):
             marks.append(Curve(speed, true[1], "here, negative velocity", COLOURS[5], 1.4))
         got = true[0] if export.target.everything else fit.law.torque(speed)
-        marks.append(Curve(speed, got, export.target.name, COLOURS[1], 1.4, "dashed"))
-        panels.append(Panel(marks, fit.name, "velocity, rad/s", "torque, Nm", x_scale="log", from_zero=True))
+        marks.append(Curve(speed, got, "exported", COLOURS[1], 1.4, "dashed"))
+        panels.append(Panel(marks, fit.name, "velocity, rad/s", "torque, Nm", x_scale="log"))
     return Plot(panels, columns=min(3, len(panels)), height=2.2)
 
 
