@@ -121,7 +121,7 @@ def _finite(value: float) -> float | None:
 
 
 def _both(values: Sequence[float]) -> str:
-    return "/".join(f"{value:.4g}" for value in dict.fromkeys(values))
+    return "/".join(dict.fromkeys(f"{value:.4g}" for value in values))
 
 
 def export_robot(

@@ -136,7 +136,7 @@ def _law(target: Target, elements: Sequence[FrictionElement], speeds: Array, tor
     """Return a target's law that is nearest to the torque, the mean of both signs, at the speeds; both (n,)."""
 
     def mean(parameter: str) -> float:
-        return 0.5 * sum(getattr(one, f"{parameter}_{sign}") for one in elements for sign in SIGNS)
+        return 0.5 * float(sum(getattr(one, f"{parameter}_{sign}") for one in elements for sign in SIGNS))
 
     if target.sampled:
         table = np.column_stack([[0.0, *speeds], [mean("tau_s"), *torque]])
@@ -178,26 +178,28 @@ def _fitted(law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torq
     free = np.array([True, target.stribeck, True, curved, curved, target.stribeck, target.delta is None])
     least = np.array([0.0, 0.0, 0.0, -np.inf, 0.0, math.log(1e-6), 0.1])
     most = np.array([np.inf, np.inf, np.inf, np.inf, np.inf, math.log(1e4), 20.0])
-    scale, found = float(np.abs(torque).max()), []
+    scale, least_cost, best = float(np.abs(torque).max()), math.inf, law
     for factor in _STARTS if target.stribeck else (1.0,):
         start = np.array([law.tau_c, law.tau_s - law.tau_c, math.sqrt(law.viscous[0]), 0.0, 0.0,
                           math.log(factor * law.omega_s) if target.stribeck else 0.0, law.delta])  # fmt: skip
         if curved:
             start[3:5] = -0.1 * start[2] / speeds[-1], 1e-3 * start[2]
+        start = np.clip(start, least + 1e-9, most)
 
-        def complete(x: Array, start: Array = start) -> Array:
+        def residuals(x: Array, start: Array = start) -> Array:
             whole = start.copy()
             whole[free] = x
-            return whole
+            return (law_of(whole).torque(speeds) - torque) / scale
 
-        inside = np.clip(start, least + 1e-9, most)
         result = least_squares(
-            lambda x, complete=complete: (law_of(complete(x)).torque(speeds) - torque) / scale,
-            inside[free], bounds=(least[free], most[free]), x_scale=np.maximum(np.abs(inside[free]), 1e-3),
+            residuals, start[free], bounds=(least[free], most[free]), x_scale=np.maximum(np.abs(start[free]), 1e-3),
             xtol=1e-12, ftol=1e-12, gtol=1e-12,
         )  # fmt: skip
-        found.append((result.cost, len(found), law_of(complete(result.x))))
-    return min(found)[2]
+        if result.cost < least_cost:
+            whole = start.copy()
+            whole[free] = result.x
+            least_cost, best = float(result.cost), law_of(whole)
+    return best
 
 
 def _lost(target: Target, element: FrictionElement) -> list[str]:
