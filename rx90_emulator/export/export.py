@@ -14,12 +14,12 @@ import numpy as np
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import BagError, ConfigError, check_type
+from rx90_common.base.errors import BagError, ConfigError, check_type, write_error
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.description.drives import element_matrix
 from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay_slopes, viscous_torque
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.process.files import hidden_beside, write_error
+from rx90_common.process.files import hidden_beside
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Panel, Plot
 from rx90_emulator.configuration.origins import aligned
 from rx90_emulator.export.fit import POINTS, FrictionFit, fit_friction, speeds_up_to, sum_of
@@ -157,8 +157,8 @@ def export_robot(
             fits.append(fit_friction(one, name, felt, speed, lost))
     module, _, function = _WRITERS[target].partition(":")
     writer: Writer = getattr(import_module(f"rx90_emulator.export.{module}"), function)
-    files, lost = writer(setup, one, fits)
-    return Export(one, tuple(fits), files, (*_arm_lost(setup, one), *lost), words)
+    files, remarks = writer(setup, one, fits)
+    return Export(one, tuple(fits), files, (*_arm_lost(setup, one), *remarks), words)
 
 
 def _speeds_in_use(
@@ -281,7 +281,7 @@ def export_plot(export: Export, friction: FrictionFile | None = None) -> Plot:
         if band is not None:
             marks.append(Band(speed, true[0] - band, true[0] + band, "identified, 95 %", GREY))
         marks.append(Curve(speed, true[0], "here", INK, 1.4))
-        if not np.array_equal(*true):
+        if not np.array_equal(true[0], true[1]):
             marks.append(Curve(speed, true[1], "here, negative velocity", COLOURS[5], 1.4))
         got = true[0] if export.target.everything else fit.law.torque(speed)
         marks.append(Curve(speed, got, "exported", COLOURS[1], 1.4, "dashed"))

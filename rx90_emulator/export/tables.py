@@ -6,6 +6,9 @@ import json
 import re
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from rx90_common.description.drives import coupling_matrix, element_matrix
 from rx90_emulator.export.fit import FrictionFit, SimulatorLaw
 from rx90_emulator.export.targets import Target
@@ -44,10 +47,8 @@ def write_isaaclab(setup: Setup, target: Target, fits: Sequence[FrictionFit]) ->
     rotors = drives.rotor_inertia @ coupling_matrix() ** 2
     efforts = abs(drives.gear * drives.peak_torque)
 
-    def by_joint(values: Sequence[float]) -> str:
-        pairs = [
-            f'        "{name}": {float(value)!r},\n' for name, value in zip(robot.joint_names, values, strict=True)
-        ]
+    def by_joint(values: ArrayLike) -> str:
+        pairs = [f'        "{name}": {value!r},\n' for name, value in zip(robot.joint_names, values, strict=True)]
         return "{\n" + "".join(pairs) + "    }"
 
     name = str(robot.model.name)
