@@ -48,8 +48,8 @@ def write_isaaclab(setup: Setup, target: Target, fits: Sequence[FrictionFit]) ->
     efforts = abs(drives.gear * drives.peak_torque)
 
     def by_joint(values: ArrayLike) -> str:
-        pairs = [f'        "{name}": {value!r},\n' for name, value in zip(robot.joint_names, values, strict=True)]
-        return "{\n" + "".join(pairs) + "    }"
+        numbers = zip(robot.joint_names, np.array(values).tolist(), strict=True)
+        return "{\n" + "".join(f'        "{name}": {value!r},\n' for name, value in numbers) + "    }"
 
     name = str(robot.model.name)
     text = _ISAACLAB.format(

@@ -81,6 +81,18 @@ def test_speeds_of_a_bag_move_the_fit(shipped: Setup, task: rx.LineTask, tmp_pat
     assert used.fits[1].rms < whole.fits[1].rms
 
 
+def test_speeds_are_those_of_the_identification(shipped: Setup, tmp_path: Path) -> None:
+    """Where the friction file says at which speeds an element was identified, it is fitted over these."""
+    assert shipped.friction.file is not None
+    file = rx.FrictionFile.read(shipped.friction.file)
+    bands = {"fit": {"joint_2": {"residual_by_speed": [[0.004, 0.1, 0.0], [0.2, 1.3, 0.0]]}}}
+    path = tmp_path / "friction.yaml"
+    path.write_text(dataclasses.replace(file, identification=bands).text(), encoding="utf-8")
+    fits = rx.export_robot(rx.load_setup(friction=path), "bam").fits
+    assert (fits[1].speeds.min(), fits[1].speeds.max()) == pytest.approx((0.004, 1.3))
+    assert fits[0].speeds.max() == pytest.approx(shipped.robot.max_velocity[0])
+
+
 def test_verdict_and_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit code 1 where a torque differs by more than was asked for; a bad range is one line, and writes nothing."""
     words = ["modelica", "--robot", "tx40"]

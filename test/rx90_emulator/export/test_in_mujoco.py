@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.drives import to_motor_torque
+from rx90_common.description.drives import Cogging, Windings, to_motor_torque
 from rx90_emulator.export.export import export_robot
 from rx90_emulator.export.mjcf import arm_spec
 from rx90_emulator.loop.setup import Setup
@@ -137,3 +137,28 @@ def test_friction_as_a_constraint_creeps_as_said(shipped: Setup) -> None:
     speed = np.abs(theirs.q[-1] - theirs.q[-half]) / ((half - 1) * shipped.rates.period)
     assert 0.0 < speed.max() < 1.1 * fastest
     assert np.abs(theirs.q - ours.q).max() < 1e-3
+
+
+def test_cogging_and_windings_are_the_engine_s(shipped: Setup) -> None:
+    """MuJoCo's motors have the cogging torque at every angle, and warm up under I^2 R with the winding's time constant."""
+    full = np.full(6, 1.0)
+    cogging = Cogging(np.array([4.0, 12.0]), np.array([0.03 * full, 0.01 * full]), np.array([0.2 * full, 0.7 * full]))
+    winding = Windings(0.4 * full, 2.0 * full, 30.0 * full, derating=150.0, limit=180.0)
+    setup = dataclasses.replace(shipped, drives=dataclasses.replace(shipped.drives, cogging=cogging, winding=winding))
+    model = mujoco.MjModel.from_xml_string(next(iter(export_robot(setup, "mujoco").files.values())))
+    data = mujoco.MjData(model)
+    data.qpos[:] = START
+    data.ctrl[:] = 0.5
+    mujoco.mj_forward(model, data)
+    angle = setup.drives.gear * [*START[:5], START[4] + START[5]]
+    waves = cogging.harmonic[:, None] * angle + cogging.phase
+    motor = 0.5 + np.sum(cogging.amplitude * np.cos(waves), axis=0)
+    joint = setup.drives.gear * motor
+    joint[4] += joint[5]
+    assert data.qfrc_actuator == pytest.approx(joint, rel=1e-9)
+    model.opt.timestep = 0.1
+    for _ in range(600):  # one time constant, 60 s, the arm held
+        data.qpos[:], data.qvel[:] = START, 0.0
+        mujoco.mj_step(model, data)
+    heat = 0.4 * (0.5 / setup.drives.torque_constant) ** 2
+    assert data.act[:6] == pytest.approx(heat * 2.0 * (1.0 - math.exp(-1.0)), rel=2e-3)
