@@ -140,7 +140,7 @@ def test_friction_as_a_constraint_creeps_as_said(shipped: Setup) -> None:
 
 
 def test_cogging_and_windings_are_the_engine_s(shipped: Setup) -> None:
-    """MuJoCo's motors have the cogging torque at every angle, and warm up under I^2 R with the winding's time constant."""
+    """MuJoCo's motors have the cogging torque at an angle, and warm up under I^2 R with the time constant."""
     full = np.full(6, 1.0)
     cogging = Cogging(np.array([4.0, 12.0]), np.array([0.03 * full, 0.01 * full]), np.array([0.2 * full, 0.7 * full]))
     winding = Windings(0.4 * full, 2.0 * full, 30.0 * full, derating=150.0, limit=180.0)
