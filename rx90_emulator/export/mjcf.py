@@ -21,6 +21,7 @@ SOLIMP = "0.999 0.999 0.001 0.5 2"
 SOLREF_STEPS = 2.0
 """Time constant of that constraint in steps, the shortest that MuJoCo takes as it is."""
 
+_NO_MOTOR = "1e-9"  # Nm/A, of what is no motor: MuJoCo 3 refuses 0, and this brakes by 1e-18 Nm s/rad
 _SPRING_ARM, _SPRING_ANCHOR = 0.1, 0.3  # m; any two lengths give the same torque
 _CREEP_TIME = 0.5  # s
 
@@ -110,7 +111,7 @@ def mjcf_text(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> str:
         if target.bristles:
             ET.SubElement(
                 actuators, "dcmotor", {"name": f"friction_{name}", _kind(setup, name): name}, input="none",
-                motorconst="0", resistance="1", damping=viscous or "0",
+                motorconst=_NO_MOTOR, resistance="1", damping=viscous or "0",
                 lugre=_text(law.c0, law.c1, law.tau_c, law.tau_s, law.omega_s),
             )  # fmt: skip
             continue
@@ -160,7 +161,7 @@ def _add_motors(actuators: ET.Element, setup: Setup) -> None:
             if cogging.amplitude[k, i]:  # a cosine here, a sine there
                 wave = _text(cogging.amplitude[k, i], waves, cogging.phase[k, i] + 0.5 * np.pi)
                 ET.SubElement(
-                    actuators, "dcmotor", {"name": f"cogging_{i + 1}_{k + 1}", **common}, input="none", motorconst="0",
+                    actuators, "dcmotor", {"name": f"cogging_{i + 1}_{k + 1}", **common}, input="none", motorconst=_NO_MOTOR,
                     resistance="1", cogging=wave,
                 )  # fmt: skip
 

@@ -37,7 +37,7 @@ class Target:
 TARGETS = {
     one.name: one
     for one in (
-        Target("mujoco", "MuJoCo 3.12 and later: <dcmotor lugre>, polynomial damping",
+        Target("mujoco", "MuJoCo 3.17 and later: <dcmotor lugre>, polynomial damping",
                stribeck=True, breaks_away=True, polynomial=True, bristles=True, coupled=True),
         Target("mujoco-classic", "older MuJoCo, MJX, mujoco_warp: frictionloss, damping", coupled=True),
         Target("urdf", "URDF: <dynamics friction damping>"),
