@@ -142,28 +142,25 @@ def _write_all_digits(root: ET.Element, model: Any) -> None:
 
 
 def _add_motors(actuators: ET.Element, setup: Setup) -> None:
-    """Add a motor for each drive: one that feels its temperature where its windings get warm, with its cogging."""
-    drives = setup.drives
-    warm, cogging = drives.winding, drives.cogging
+    """Add a motor for each drive, one that feels its temperature where its windings get warm, and then the cogging."""
+    drives, cogging = setup.drives, []
+    warm, waves = drives.winding, drives.cogging
     for i, (name, _) in enumerate(_transmissions(setup, coupling_matrix())):
-        common = {_kind(setup, name): name, "gear": _text(drives.gear[i])}
+        turned = {_kind(setup, name): name, "gear": _text(drives.gear[i])}
         peak = float(drives.peak_torque[i])
-        motor = {"name": f"motor_{i + 1}", **common, "ctrllimited": "true", "ctrlrange": _text(-peak, peak)}
+        motor = {"name": f"motor_{i + 1}", **turned, "ctrllimited": "true", "ctrlrange": _text(-peak, peak)}
         if warm.resistance[i] > 0.0:
             heat = (warm.thermal_resistance[i], warm.heat_capacity[i], 0.0, 0.0, warm.reference, warm.ambient)
             motor |= {"motorconst": _text(drives.torque_constant[i]), "resistance": _text(warm.resistance[i])}
             ET.SubElement(actuators, "dcmotor", motor, input="ff", thermal=_text(*heat))
         else:
             ET.SubElement(actuators, "motor", motor)
-    for i, (name, _) in enumerate(_transmissions(setup, coupling_matrix())):
-        common = {_kind(setup, name): name, "gear": _text(drives.gear[i])}
-        for k, waves in enumerate(cogging.harmonic):
-            if cogging.amplitude[k, i]:  # a cosine here, a sine there
-                wave = _text(cogging.amplitude[k, i], waves, cogging.phase[k, i] + 0.5 * np.pi)
-                ET.SubElement(
-                    actuators, "dcmotor", {"name": f"cogging_{i + 1}_{k + 1}", **common}, input="none", motorconst=_NO_MOTOR,
-                    resistance="1", cogging=wave,
-                )  # fmt: skip
+        for k, harmonic in enumerate(waves.harmonic):
+            if waves.amplitude[k, i]:  # a cosine here, a sine there
+                wave = _text(waves.amplitude[k, i], harmonic, waves.phase[k, i] + 0.5 * np.pi)
+                cogging.append({"name": f"cogging_{i + 1}_{k + 1}", **turned, "cogging": wave})
+    for one in cogging:
+        ET.SubElement(actuators, "dcmotor", one, input="none", motorconst=_NO_MOTOR, resistance="1")
 
 
 def _text(*numbers: float) -> str:
