@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 import time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -23,7 +23,7 @@ from rx90_common.base.errors import FailureError
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.export.export import export_robot
-from rx90_emulator.loop.line import LineRun, path_accuracy, plan_line, run_line
+from rx90_emulator.loop.line import path_accuracy, plan_line, run_line
 from rx90_emulator.loop.setup import Setup
 
 TARGETS = ("mujoco", "mujoco-classic")
@@ -62,20 +62,20 @@ def run_exported(setup: Setup, task: LineTask, target: str, steps: int = 1) -> E
     return ExportedRun(position, (time.process_time() - began) / (len(rows) * ratio))
 
 
-def compare(setup: Setup, task: LineTask) -> tuple[LineRun, dict[str, Any]]:
-    """Return the run here, and for each target its path error and how far it is from that run."""
+def compare(setup: Setup, task: LineTask) -> dict[str, tuple[float, float, float, float]]:
+    """Return for here and each target: s per tick, path error, its RMS, m, and how far the joints are apart, rad."""
     ours = run_line(setup, task)
     began = time.process_time()
     run_line(setup, task)
     seconds = (time.process_time() - began) / (len(ours.times) * setup.rates.ratio)
-    found: dict[str, Any] = {"here": (seconds, ours.path_accuracy.worst, ours.path_accuracy.rms, 0.0)}
+    found = {"here": (seconds, ours.path_accuracy.worst, ours.path_accuracy.rms, 0.0)}
     for target in TARGETS:
         run = run_exported(setup, task, target)
         count = min(len(run.position), len(ours.times))
         path = path_accuracy(setup.robot, task, ours.times[:count], run.position[:count])
         apart = float(np.abs(run.position[:count] - ours.slow.joint_states[:count, 0]).max())
         found[target] = (run.seconds, path.worst, path.rms, apart)
-    return ours, found
+    return found
 
 
 def tune(setup: Setup, task: LineTask) -> list[tuple[str, ...]]:
@@ -112,7 +112,7 @@ def main() -> int:
     if options.tune:
         print_table(("tuned in", "factor on kv, ki", "path error there mm", "here mm"), tune(setup, task))
         return 0
-    _, found = compare(setup, task)
+    found = compare(setup, task)
     rows = [
         (name, f"{seconds * 1e6:.1f}", f"{worst * 1e3:.4f}", f"{rms * 1e3:.4f}", f"{apart:.1e}")
         for name, (seconds, worst, rms, apart) in found.items()

@@ -128,7 +128,7 @@ def fit_friction(
         float(np.sqrt(np.mean(difference**2))),
         (static, static if target.everything else (law.tau_s, law.tau_s)),
         (sum(one.c0 for one in elements), law.c0),
-        (*lost, *(each for one in elements for each in _lost(target, one))),
+        (*lost, *(each for one in elements for each in _lost(target, one, float(speeds.max())))),
     )
 
 
@@ -202,8 +202,8 @@ def _fitted(law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torq
     return best
 
 
-def _lost(target: Target, element: FrictionElement) -> list[str]:
-    """Return what a target does not hold of an element, with its size."""
+def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]:
+    """Return what a target does not hold of an element, with its size; up to the fastest speed in use, rad/s."""
     lost = []
     if not target.everything:
         apart = [abs(getattr(element, f"{p}_positive") - getattr(element, f"{p}_negative")) for p in ("tau_c", "tau_s")]
@@ -219,9 +219,11 @@ def _lost(target: Target, element: FrictionElement) -> list[str]:
             kind = "a polynomial of the third degree" if target.polynomial else "a linear one"
             lost.append(f"viscous exponent {element.alpha:g}: {kind}, fitted")
         if not target.bristles:
-            lost.append(f"bristles: {element.c0:.3g} Nm/rad in presliding, and its hysteresis")
+            lost.append("bristles: the stiffness of presliding, and its hysteresis")
         elif math.isfinite(element.omega_d):
-            lost.append(f"fading of c1 above {element.omega_d:g} rad/s: it is constant")
+            limit = replace(element, omega_d=math.inf).passivity_limit(fastest)
+            gives = "" if math.isinf(limit) else f", and the element not passive from {limit:.2g} rad/s on"
+            lost.append(f"fading of c1 above {element.omega_d:g} rad/s: it is constant{gives}")
     if element.bristles is not None:
         lost.append(f"bristles of the kind {type(element.bristles).__name__}: those of LuGre")
     if (load := element.load) is not None:
