@@ -60,8 +60,8 @@ def main(options: argparse.Namespace) -> int:
     print(export.text)
     print(f"\nwritten: {', '.join(export.files)} and export.yaml in {options.output}")
     if options.within is not None and export.largest > options.within:
-        worst = max(export.fits, key=lambda fit: fit.largest)
-        line = f"{worst.name} differs by up to {worst.largest:.3g} Nm; accepted: {options.within:g} Nm"
+        worst = max(export.fits, key=lambda fit: fit.worst)
+        line = f"{worst.name} differs by up to {worst.worst:.3g} Nm; accepted: {options.within:g} Nm"
         print(f"rx90_export: {line}", file=sys.stderr)
         return VERDICT_NO
     return DONE

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -69,8 +69,8 @@ class Export:
 
     @property
     def largest(self) -> float:
-        """Return the largest difference of a friction torque, Nm."""
-        return max(fit.largest for fit in self.fits)
+        """Return the largest difference of a friction torque, Nm, also while other joints move."""
+        return max(fit.worst for fit in self.fits)
 
     @property
     def text(self) -> str:
@@ -100,6 +100,7 @@ class Export:
                 "speeds": [float(fit.speeds.min()), float(fit.speeds.max())],
                 "largest_difference": fit.largest,
                 "rms_difference": fit.rms,
+                "more_while_others_move": fit.coupled,
                 "break_away": {"robot": list(fit.break_away[0]), "exported": list(fit.break_away[1])},
                 "presliding_stiffness": {"robot": fit.stiffness[0], "exported": _finite(fit.stiffness[1])},
                 "exported": {
@@ -153,8 +154,7 @@ def export_robot(
     else:
         for joint, (name, speed) in enumerate(zip(setup.robot.joint_names, used, strict=True)):
             felt = [each for each, row in zip(setup.friction.elements, turns, strict=True) if row[joint]]
-            lost = _coupling_lost(setup, joint, speed)
-            fits.append(fit_friction(one, name, felt, speed, lost))
+            fits.append(_with_coupling(fit_friction(one, name, felt, speed), setup, joint))
     module, _, function = _WRITERS[target].partition(":")
     writer: Writer = getattr(import_module(f"rx90_emulator.export.{module}"), function)
     files, remarks = writer(setup, one, fits)
@@ -199,17 +199,18 @@ def _identified_ranges(setup: Setup) -> dict[str, tuple[float, float]]:
     return {name: (float(one[-1][1]), float(one[0][0])) for name, one in bands.items()}
 
 
-def _coupling_lost(setup: Setup, joint: int, speeds: Array) -> list[str]:
-    """Return what a joint loses where its friction depends on another one's motion too, with the torque."""
-    lost = []
+def _with_coupling(fit: FrictionFit, setup: Setup, joint: int) -> FrictionFit:
+    """Return the fit of a joint with what is lost where its friction depends on another one's motion, too."""
+    coupled, lost, speeds = 0.0, list(fit.lost), fit.speeds
     for row, name, element in zip(element_matrix(), setup.friction.names, setup.friction.elements, strict=True):
         others = [other for other in np.flatnonzero(row) if other != joint]
         if row[joint] and others:
             both = np.add.outer(speeds, np.concatenate([-speeds, speeds]))
             most = float(np.abs(element.steady_torque(both) - element.steady_torque(speeds)[:, None]).max())
             moves = " and ".join(setup.robot.joint_names[other] for other in others)
-            lost.append(f"coupling: while {moves} moves, {name} differs by up to {most:.3g} Nm")
-    return lost
+            lost.append(f"coupling: while {moves} moves, {name} differs by up to {most:.3g} Nm more")
+            coupled += most
+    return replace(fit, lost=tuple(lost), coupled=coupled)
 
 
 def _arm_lost(setup: Setup, target: Target) -> list[str]:

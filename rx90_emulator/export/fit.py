@@ -72,6 +72,7 @@ class FrictionFit:
         break_away: of the element and of the target, each for positive and for negative velocity, Nm.
         stiffness: presliding stiffness of the element and of the target, Nm/rad; infinite where that has none.
         lost: what the target does not hold, a sentence each.
+        coupled: what can come to the largest difference while another joint moves, Nm.
     """
 
     name: str
@@ -83,6 +84,12 @@ class FrictionFit:
     break_away: tuple[tuple[float, ...], tuple[float, ...]]
     stiffness: tuple[float, float]
     lost: tuple[str, ...]
+    coupled: float = 0.0
+
+    @property
+    def worst(self) -> float:
+        """Return the most that the torque can differ at these speeds, Nm."""
+        return self.largest + self.coupled
 
 
 def speeds_up_to(high: float, low: float = LINEAR_SPEED) -> Array:
@@ -101,9 +108,7 @@ def sum_of(elements: Sequence[FrictionElement], speeds: Array, sign: float) -> A
     return np.asarray(sum(sign * one.steady_torque(sign * speeds) for one in elements))
 
 
-def fit_friction(
-    target: Target, name: str, elements: Sequence[FrictionElement], speeds: Array, lost: Sequence[str] = ()
-) -> FrictionFit:
+def fit_friction(target: Target, name: str, elements: Sequence[FrictionElement], speeds: Array) -> FrictionFit:
     """Return what a target gets for the sum of elements, and how far that is from them.
 
     Args:
@@ -111,7 +116,6 @@ def fit_friction(
         name: of the element or the joint.
         elements: one, or those that a joint turns against.
         speeds: in use, rad/s, shape (n,), all above 0; the fit weighs each alike.
-        lost: what is lost beside what the elements themselves say.
     """
     forward, backward = (sum_of(elements, speeds, sign) for sign in (1.0, -1.0))
     law = _law(target, elements, speeds, 0.5 * (forward + backward))
@@ -128,7 +132,7 @@ def fit_friction(
         float(np.sqrt(np.mean(difference**2))),
         (static, static if target.everything else (law.tau_s, law.tau_s)),
         (sum(one.c0 for one in elements), law.c0),
-        (*lost, *(each for one in elements for each in _lost(target, one, float(speeds.max())))),
+        tuple(each for one in elements for each in _lost(target, one, float(speeds.max()))),
     )
 
 
