@@ -14,9 +14,11 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
+from rx90_common.description.drives import coupling_matrix, element_matrix
 from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay
 from rx90_common.friction.element import SIGNS, FrictionElement
 from rx90_emulator.export.targets import Target
+from rx90_emulator.loop.setup import Setup
 
 POINTS = 400
 """Of the speeds at which curves are compared, evenly spaced in their logarithm."""
@@ -90,6 +92,16 @@ class FrictionFit:
     def worst(self) -> float:
         """Return the most that the torque can differ at these speeds, Nm."""
         return self.largest + self.coupled
+
+
+def element_turns(setup: Setup) -> Array:  # noqa: ARG001 - of any arm it depends on the arm
+    """Return the velocity of each friction element for the joints' velocities, shape (elements, joints)."""
+    return element_matrix()
+
+
+def motor_turns(setup: Setup) -> Array:  # noqa: ARG001 - as above
+    """Return the turns of each motor for those of the joints without the gears, shape (joints, joints)."""
+    return coupling_matrix()
 
 
 def speeds_up_to(high: float, low: float = LINEAR_SPEED) -> Array:

@@ -10,9 +10,7 @@ import mujoco
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.drives import coupling_matrix, element_matrix
-from rx90_common.friction.friction_set import element_names
-from rx90_emulator.export.fit import FrictionFit
+from rx90_emulator.export.fit import FrictionFit, element_turns, motor_turns
 from rx90_emulator.export.targets import Target
 from rx90_emulator.loop.setup import Setup
 
@@ -40,12 +38,12 @@ def arm_spec(setup: Setup) -> Any:
     for joint in joints.values():
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
     tendons = {}
-    for name, row in _transmissions(setup, element_matrix()):
+    for name, row in _transmissions(setup, element_turns(setup)):
         if name not in joints:
             tendons[name] = spec.add_tendon(name=name)
             for joint in np.flatnonzero(row):
                 tendons[name].wrap_joint(robot.joint_names[joint], row[joint])
-    for (name, _), rotor in zip(_transmissions(setup, coupling_matrix()), drives.rotor_inertia, strict=True):
+    for (name, _), rotor in zip(_transmissions(setup, motor_turns(setup)), drives.rotor_inertia, strict=True):
         (joints | tendons)[name].armature = rotor
     for joint, torque in zip(joints.values(), drives.spring_torque, strict=True):
         if torque > 0.0:
@@ -68,8 +66,8 @@ def _add_tcp(spec: Any, setup: Setup) -> None:
 
 def _transmissions(setup: Setup, turns: Array) -> list[tuple[str, Array]]:
     """Return the joint, or the tendon, for each row of turns, shape (n, joints), and the row."""
-    names, elements = setup.robot.joint_names, element_names(setup.robot.joint_names)
-    rows = {tuple(row): name for name, row in zip(elements, element_matrix().tolist(), strict=True)}
+    names, elements = setup.robot.joint_names, setup.friction.names
+    rows = {tuple(row): name for name, row in zip(elements, element_turns(setup).tolist(), strict=True)}
     return [(names[int(np.argmax(row))] if np.count_nonzero(row) == 1 else rows[tuple(row)], row) for row in turns]
 
 
@@ -106,7 +104,7 @@ def mjcf_text(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> str:
     places = {one.get("name", ""): one for tag in ("joint", "fixed") for one in root.iter(tag)}
     actuators = ET.SubElement(root, "actuator")
     _add_motors(actuators, setup)
-    for fit, (name, _) in zip(fits, _transmissions(setup, element_matrix()), strict=True):
+    for fit, (name, _) in zip(fits, _transmissions(setup, element_turns(setup)), strict=True):
         law, viscous = fit.law, _text(*np.trim_zeros(fit.law.viscous, "b"))
         if target.bristles:
             ET.SubElement(
@@ -145,7 +143,7 @@ def _add_motors(actuators: ET.Element, setup: Setup) -> None:
     """Add a motor for each drive, one that feels its temperature where its windings get warm, and then the cogging."""
     drives, cogging = setup.drives, []
     warm, waves = drives.winding, drives.cogging
-    for i, (name, _) in enumerate(_transmissions(setup, coupling_matrix())):
+    for i, (name, _) in enumerate(_transmissions(setup, motor_turns(setup))):
         turned = {_kind(setup, name): name, "gear": _text(drives.gear[i])}
         peak = float(drives.peak_torque[i])
         motor = {"name": f"motor_{i + 1}", **turned, "ctrllimited": "true", "ctrlrange": _text(-peak, peak)}
@@ -178,7 +176,7 @@ def creep(text: str, setup: Setup, fits: Sequence[FrictionFit]) -> list[float]:
     model = mujoco.MjModel.from_xml_string(text)
     model.opt.gravity[:] = 0.0
     model.tendon_stiffness[:] = 0.0
-    coulomb = np.array([fit.law.tau_c for fit in fits]) @ np.abs(element_matrix())
+    coulomb = np.array([fit.law.tau_c for fit in fits]) @ np.abs(element_turns(setup))
     speeds = []
     for i, name in enumerate(setup.robot.joint_names):
         data = mujoco.MjData(model)

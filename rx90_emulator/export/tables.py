@@ -9,8 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rx90_common.description.drives import coupling_matrix, element_matrix
-from rx90_emulator.export.fit import FrictionFit, SimulatorLaw
+from rx90_emulator.export.fit import FrictionFit, SimulatorLaw, element_turns, motor_turns
 from rx90_emulator.export.targets import Target
 from rx90_emulator.loop.setup import Setup
 
@@ -44,7 +43,7 @@ from isaaclab.actuators import ImplicitActuatorCfg
 def write_isaaclab(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001 - as of every target
     """Return a module with the configuration of one actuator model for all joints."""
     robot, drives = setup.robot, setup.drives
-    rotors = drives.rotor_inertia @ coupling_matrix() ** 2
+    rotors = drives.rotor_inertia @ motor_turns(setup) ** 2
     efforts = abs(drives.gear * drives.peak_torque)
 
     def by_joint(values: ArrayLike) -> str:
@@ -64,8 +63,8 @@ def write_isaaclab(setup: Setup, target: Target, fits: Sequence[FrictionFit]) ->
 def write_bam(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001
     """Return a file for each element, as BAM's `load_model` reads it."""
     rotors = dict.fromkeys(setup.friction.names, 0.0)
-    rows = {tuple(row): name for row, name in zip(element_matrix().tolist(), setup.friction.names, strict=True)}
-    for row, rotor in zip(coupling_matrix().tolist(), setup.drives.rotor_inertia, strict=True):
+    rows = {tuple(row): name for row, name in zip(element_turns(setup).tolist(), setup.friction.names, strict=True)}
+    for row, rotor in zip(motor_turns(setup).tolist(), setup.drives.rotor_inertia, strict=True):
         rotors[rows[tuple(row)]] = float(rotor)
     files = {fit.name: bam_parameters(fit.law, rotors[fit.name]) for fit in fits}
     remark = f"motor: BAM wants one that it knows, {BAM_ACTUATOR} stands there; its kt and R are not this robot's"

@@ -9,8 +9,7 @@ import numpy as np
 import pinocchio as pin
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 
-from rx90_common.description.drives import coupling_matrix
-from rx90_emulator.export.fit import FrictionFit
+from rx90_emulator.export.fit import FrictionFit, motor_turns
 from rx90_emulator.export.targets import Target
 from rx90_emulator.loop.setup import Setup
 
@@ -21,7 +20,7 @@ def write_usd(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> tupl
     model = robot.model
     data = model.createData()
     pin.forwardKinematics(model, data, np.zeros(model.nq))
-    rotors = setup.drives.rotor_inertia @ coupling_matrix() ** 2
+    rotors = setup.drives.rotor_inertia @ motor_turns(setup) ** 2
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
