@@ -24,6 +24,8 @@ EXECUTABLES = (
     "rx90_sweep",
     "rx90_experiment",
     "rx90_identify",
+    "rx90_export",
+    "rx90_import",
     "rx90_view",
 )
 
@@ -45,6 +47,7 @@ def data_files() -> list[tuple[str, list[str]]]:
 
 
 VIEW = ["viser>=1.1,<1.2"]
+EXPORT = ["mujoco>=3.17,<4.1", "usd-core>=24.11,<27"]
 DOCS = [
     "sphinx>=8.1,<9.1",
     "myst-parser>=4,<6",
@@ -90,10 +93,12 @@ setup(
         "sweep": ["distributed>=2026.1,<2027"],
         "docs": DOCS,
         "view": VIEW,
+        "export": EXPORT,
         "test": TEST,
         "dev": [
             *TEST,
             *VIEW,
+            *EXPORT,
             "playwright>=1.50,<2",
             "distributed>=2026.1,<2027",
             "pandas>=2.2,<4",
@@ -101,7 +106,6 @@ setup(
             "nbclient>=0.10,<0.12",
             "nbformat>=5.10,<6",
             "ipykernel>=6.29,<8",
-            "mujoco>=3.17,<4.1",
             "colcon-common-extensions>=0.3.0,<0.4",
             "ruff>=0.17,<0.18",
             "mypy>=2.4,<2.5",

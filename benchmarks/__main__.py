@@ -23,6 +23,7 @@ COMMANDS = {
     "command_delay": "command_delay",
     "accuracy": "accuracy",
     "mujoco_lugre": "mujoco_lugre",
+    "exported_arm": "exported_arm",
     "friction_parts": "friction_parts",
     "perturbation": "perturbation",
     "lockstep": "nodes lockstep",

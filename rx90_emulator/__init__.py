@@ -29,6 +29,8 @@ Identification  plan_experiments, record_on_engine, identify_friction, identific
                 write_excitation, read_payloads, ExcitationIdentification, ExcitationTolerances, Payload; for one of
                 your own: regressor, excitation_problem, predict_torque, identify_friction_parts, RigidArm, Regressor,
                 ExcitationProblem, BaseParameter, Part
+Other simulators export_robot, write_export, export_plot, Export, FrictionFit; import_bam, import_mjcf_friction,
+                import_arm
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted;
                 Rx90Warning, of a run that means less than it seems to
 
@@ -71,6 +73,18 @@ if TYPE_CHECKING:
     from rx90_controller.lines.plan import LinePlan as LinePlan
     from rx90_controller.lines.task import LineTask as LineTask, load_task as load_task
     from rx90_controller.trajectory import TrajectoryPoints as TrajectoryPoints
+    from rx90_emulator.export.export import (
+        Export as Export,
+        export_plot as export_plot,
+        export_robot as export_robot,
+        write_export as write_export,
+    )
+    from rx90_emulator.export.fit import FrictionFit as FrictionFit
+    from rx90_emulator.export.imports import (
+        import_arm as import_arm,
+        import_bam as import_bam,
+        import_mjcf_friction as import_mjcf_friction,
+    )
     from rx90_emulator.identification.arm import RigidArm as RigidArm
     from rx90_emulator.identification.excitation.friction import identify_friction_parts as identify_friction_parts
     from rx90_emulator.identification.excitation.identify import identify_excitation as identify_excitation

@@ -1,0 +1,137 @@
+"""The reference line on the engine and on the exported MJCF in MuJoCo, under the same control law: path error and time.
+
+    python -m benchmarks.exported_arm [--robot tx40] [--tune]
+
+The law is `benchmarks.closed_loop.PythonLaw`, tick by tick that of the compiled controller, with the same drives. With
+--tune its gains are chosen in MuJoCo, for the least path error, and taken here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import time
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from benchmarks.closed_loop import PythonDrives, PythonLaw
+from benchmarks.report import arguments, merge, print_table
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import FailureError
+from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
+from rx90_controller.lines.task import LineTask, load_task
+from rx90_emulator.export.export import export_robot
+from rx90_emulator.loop.line import path_accuracy, plan_line, run_line
+from rx90_emulator.loop.setup import Setup
+
+TARGETS = ("mujoco", "mujoco-classic")
+FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
+"""On kv and ki, of which the best is looked for; what cannot be run is left out."""
+
+
+class ExportedRun(NamedTuple):
+    """Joint positions on position ticks, rad, shape (m, 6), and s of processor time for a tick."""
+
+    position: Array
+    seconds: float
+
+
+def run_exported(setup: Setup, task: LineTask, target: str, steps: int = 1) -> ExportedRun:
+    """Run the line in MuJoCo on what is exported to a target, with so many of MuJoCo's steps in a tick."""
+    (text,) = export_robot(setup, target).files.values()
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.timestep /= steps
+    data = mujoco.MjData(model)
+    plan, ratio = plan_line(setup, task), setup.rates.ratio
+    data.qpos[:] = plan.start_pose
+    controller = setup.cs7b()
+    controller.trajectory.reset(plan.start_pose)
+    controller.trajectory.accept(plan.points, 0, 0)
+    rows = controller.trajectory.setpoints(0, round(plan.duration * setup.rates.position_hz)).tolist()
+    drives, law = PythonDrives(setup, plan.start_pose.tolist()), PythonLaw(setup)
+    position, began = np.empty((len(rows), 6)), time.process_time()
+    for k, row in enumerate(rows):
+        position[k] = data.qpos
+        law.position_loop(row, drives.position)
+        for _ in range(ratio):
+            data.ctrl[:] = law.velocity_loop(drives.velocity)
+            mujoco.mj_step(model, data, nstep=steps)
+            drives.sample(data.qpos.tolist())
+    return ExportedRun(position, (time.process_time() - began) / (len(rows) * ratio))
+
+
+def compare(setup: Setup, task: LineTask) -> dict[str, tuple[float, float, float, float]]:
+    """Return for here and each target: s per tick, path error, its RMS, m, and how far the joints are apart, rad."""
+    ours = run_line(setup, task)
+    began = time.process_time()
+    run_line(setup, task)
+    seconds = (time.process_time() - began) / (len(ours.times) * setup.rates.ratio)
+    found = {"here": (seconds, ours.path_accuracy.worst, ours.path_accuracy.rms, 0.0)}
+    for target in TARGETS:
+        run = run_exported(setup, task, target)
+        count = min(len(run.position), len(ours.times))
+        path = path_accuracy(setup.robot, task, ours.times[:count], run.position[:count])
+        apart = float(np.abs(run.position[:count] - ours.slow.joint_states[:count, 0]).max())
+        found[target] = (run.seconds, path.worst, path.rms, apart)
+    return found
+
+
+def tune(setup: Setup, task: LineTask) -> list[tuple[str, ...]]:
+    """Return for each target the factor on kv and ki that is best there, path errors with it there and here, in mm."""
+    rows, given = [], setup.controller
+    for target in (None, *TARGETS):
+        found = []
+        for factor in FACTORS:
+            controller = dataclasses.replace(given, kv=factor * given.kv, ki=factor * given.ki)
+            tuned = dataclasses.replace(setup, controller=controller)
+            try:
+                here = run_line(tuned, task)
+            except FailureError:  # unstable, or cut off by the supervision
+                continue
+            there = here.path_accuracy.worst
+            if target is not None:
+                position = run_exported(tuned, task, target).position
+                there = path_accuracy(tuned.robot, task, here.times[: len(position)], position).worst
+            found.append((there, here.path_accuracy.worst, factor))
+        there, worst, factor = min(found)
+        rows.append((target or "here", f"{factor:g}", f"{there * 1e3:.4f}", f"{worst * 1e3:.4f}"))
+    return rows
+
+
+def main() -> int:
+    """Print the table and merge the figures."""
+    options = arguments(
+        __doc__,
+        ("--robot", DEFAULT_ROBOT, "robot whose arm, law and line are taken"),
+        ("--tune", False, "choose the gains in MuJoCo, and take them here"),
+    )
+    files = RobotFiles.named(options.robot)
+    setup, task = Setup.load(files), load_task(files.required("task"))
+    if options.tune:
+        print_table(("tuned in", "factor on kv, ki", "path error there mm", "here mm"), tune(setup, task))
+        return 0
+    found = compare(setup, task)
+    rows = [
+        (name, f"{seconds * 1e6:.1f}", f"{worst * 1e3:.4f}", f"{rms * 1e3:.4f}", f"{apart:.1e}")
+        for name, (seconds, worst, rms, apart) in found.items()
+    ]
+    print_table(("", "us per tick", "path error mm", "RMS mm", "joints apart rad"), rows)
+    if options.robot == DEFAULT_ROBOT:
+        here, lugre, classic = (found[name] for name in ("here", *TARGETS))
+        merge(
+            {
+                "exported_speed": lugre[0] / here[0],
+                "exported_path_here_mm": here[1] * 1e3,
+                "exported_path_mujoco_mm": lugre[1] * 1e3,
+                "exported_path_classic_mm": classic[1] * 1e3,
+                "exported_apart_mrad": lugre[3] * 1e3,
+                "exported_apart_classic_mrad": classic[3] * 1e3,
+            }
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,67 @@
+"""A robot's friction, and its arm, for another simulator, with what that costs: differences in Nm, and what is lost."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from rx90_common.base.errors import DONE, VERDICT_NO
+from rx90_emulator.cli.options import POSITIVE, add_robot_arguments, check_picture, new_folder, place
+from rx90_emulator.export.targets import TARGETS
+
+_EPILOG = """\
+The friction torque is compared at constant velocity, without load, at the reference temperature. docs/howto/export.md
+shows what each simulator can hold.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.epilog = _EPILOG
+    parser.set_defaults(interrupted="nothing was written")
+    parser.add_argument("target", metavar="TARGET", choices=TARGETS, help=f"simulator: {', '.join(TARGETS)}")
+    parser.add_argument("--output", required=True, type=new_folder, metavar="FOLDER",
+                        help="new folder for the simulator's files, and export.yaml on what they cost")  # fmt: skip
+    parser.add_argument("--within", type=POSITIVE, metavar="NM",
+                        help="exit code 1 if a friction torque differs by more than this, Nm")  # fmt: skip
+    parser.add_argument("--plot", type=place, metavar="FILE",
+                        help="picture to write: the curves, what the simulator gets, identified intervals")  # fmt: skip
+    speeds = parser.add_argument_group("speeds in use", "over which friction is fitted and compared")
+    either = speeds.add_mutually_exclusive_group()
+    either.add_argument("--speeds", nargs=2, type=POSITIVE, metavar=("LOW", "HIGH"),
+                        help="their range, rad/s (identified, else 0.001 to the largest of each joint)")  # fmt: skip
+    either.add_argument("--bag", type=Path, metavar="BAG",
+                        help="those in its joint_states, as often as they are there")  # fmt: skip
+    add_robot_arguments(parser, "urdf", "tool", "drives", "friction")
+
+
+def main(options: argparse.Namespace) -> int:
+    """Return 0 once everything is written, 1 where a difference is larger than was asked for.
+
+    Raises:
+        Rx90Error: for what cannot be done; nothing has been written then.
+    """
+    # Here, because --help must not wait for them.
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_common.friction.friction_file import FrictionFile
+    from rx90_common.report.picture import write_picture
+    from rx90_emulator.export.export import export_plot, export_robot, write_export
+    from rx90_emulator.loop.setup import Setup
+
+    if options.plot is not None:
+        check_picture(options.plot)
+    files = RobotFiles.of_options(options)
+    speeds = None if options.speeds is None else tuple(options.speeds)
+    export = export_robot(Setup.load(files), options.target, speeds=speeds, bag=options.bag)
+    write_export(export, options.output)
+    if options.plot is not None:
+        write_picture(export_plot(export, FrictionFile.read(files.friction)), options.plot)
+    print(export.text)
+    print(f"\nwritten: {', '.join(export.files)} and export.yaml in {options.output}")
+    if options.within is not None and export.largest > options.within:
+        worst = max(export.fits, key=lambda fit: fit.worst)
+        line = f"{worst.name} differs by up to {worst.worst:.3g} Nm; accepted: {options.within:g} Nm"
+        print(f"rx90_export: {line}", file=sys.stderr)
+        return VERDICT_NO
+    return DONE

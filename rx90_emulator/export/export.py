@@ -1,0 +1,313 @@
+"""Export of a robot's friction, and its arm, to another simulator: what is written, what it costs, and a verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rx90_common.bags.reading import read_joint_states
+from rx90_common.base.arrays import Array
+from rx90_common.base.config import yaml_text
+from rx90_common.base.errors import BagError, ConfigError, check_type, write_error
+from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay_slopes, viscous_torque
+from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.process.files import hidden_beside
+from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Panel, Plot
+from rx90_emulator.configuration.origins import aligned
+from rx90_emulator.export.fit import POINTS, FrictionFit, element_turns, fit_friction, speeds_up_to, sum_of
+from rx90_emulator.export.targets import TARGETS, Target
+from rx90_emulator.loop.setup import Setup
+
+REPORT = "export.yaml"
+"""The file beside those of the simulator that says what the export costs."""
+
+Writer = Callable[[Setup, Target, Sequence[FrictionFit]], tuple[Mapping[str, str], Sequence[str]]]
+"""Returns the texts of the files by their names, and what else is lost."""
+
+_WRITERS = {
+    "mujoco": "mjcf:write_mjcf",
+    "mujoco-classic": "mjcf:write_mjcf",
+    "urdf": "descriptions:write_urdf",
+    "sdf": "descriptions:write_sdf",
+    "usd": "usd:write_usd",
+    "isaaclab": "tables:write_isaaclab",
+    "drake": "descriptions:write_drake",
+    "bam": "tables:write_bam",
+    "modelica": "tables:write_modelica",
+}
+"""The module and function that writes the files of each target, by their names, imported when it is asked for."""
+
+_FEWEST = 20  # samples of a bag that say how fast a joint moves
+_WITHIN = 1e-9  # Nm: of a difference that is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Export:
+    """What a simulator gets.
+
+    Attributes:
+        target: the simulator.
+        fits: the friction of each element, or of each joint.
+        files: their texts by their names.
+        lost: what it does not hold of the arm and its drives, a sentence each.
+        speeds: which speeds were in use, in words.
+    """
+
+    target: Target
+    fits: tuple[FrictionFit, ...]
+    files: Mapping[str, str]
+    lost: tuple[str, ...]
+    speeds: str
+
+    @property
+    def largest(self) -> float:
+        """Return the largest difference of a friction torque, Nm, also while other joints move."""
+        return max(fit.worst for fit in self.fits)
+
+    @property
+    def text(self) -> str:
+        """Return the differences as a table, and what is lost."""
+        head = ["friction", "largest, Nm", "RMS, Nm", "over, rad/s", "break-away, Nm", "presliding, Nm/rad"]
+        rows = [tuple(head)]
+        for fit in self.fits:
+            away = [_both(one) for one in fit.break_away]
+            stiffness = ["rigid" if math.isinf(one) else f"{one:.3g}" for one in fit.stiffness]
+            over = f"{fit.speeds.min():.2g} to {fit.speeds.max():.2g}"
+            numbers = [f"{value:.2g}" if value > _WITHIN else "0" for value in (fit.largest, fit.rms)]
+            rows.append((fit.name, *numbers, over, " -> ".join(away), " -> ".join(stiffness)))
+        lines = [f"{self.target.name}: {self.target.about}", f"speeds: {self.speeds}", ""]
+        lines += aligned(rows, right=range(1, 4))
+        whose: dict[str, list[str]] = {}
+        for fit in self.fits:
+            for line in fit.lost:
+                whose.setdefault(line, []).append(fit.name)
+        lines += ["", "lost:", *(f"  {line}" for line in self.lost)]
+        lines += [f"  {', '.join(names) if len(names) < len(self.fits) else 'all'}: {x}" for x, names in whose.items()]
+        return "\n".join(lines)
+
+    def report(self) -> str:
+        """Return the same as YAML."""
+        elements = {
+            fit.name: {
+                "speeds": [float(fit.speeds.min()), float(fit.speeds.max())],
+                "largest_difference": fit.largest,
+                "rms_difference": fit.rms,
+                "more_while_others_move": fit.coupled,
+                "break_away": {"robot": list(fit.break_away[0]), "exported": list(fit.break_away[1])},
+                "presliding_stiffness": {"robot": fit.stiffness[0], "exported": _finite(fit.stiffness[1])},
+                "exported": {
+                    key: list(value) if isinstance(value, tuple) else _finite(value)
+                    for key, value in vars(fit.law).items()
+                    if key != "table"
+                },
+                "lost": list(fit.lost),
+            }
+            for fit in self.fits
+        }  # fmt: skip
+        head = f"# What {self.target.name} holds of this robot's friction: Nm, rad/s, Nm/rad, joint side.\n"
+        content: dict[str, Any] = {"target": self.target.name, "speeds": self.speeds}
+        return head + yaml_text(content | {"lost": list(self.lost), "friction": elements})
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _both(values: Sequence[float]) -> str:
+    return "/".join(dict.fromkeys(f"{value:.4g}" for value in values))
+
+
+def export_robot(
+    setup: Setup, target: str, *, speeds: tuple[float, float] | None = None, bag: Path | str | None = None
+) -> Export:
+    """Return a robot, or its friction alone, in the language of another simulator.
+
+    Args:
+        setup: the robot and its friction.
+        target: one of TARGETS.
+        speeds: the range in use, rad/s; if neither this nor a bag is given it is that over which each element was
+            identified, else that of each joint, from 1 mrad/s.
+        bag: whose joint_states say which speeds are in use, and how often.
+
+    Raises:
+        ConfigError: for an unknown target, a range that is none, or both a range and a bag.
+        BagError: if the bag cannot be read, or no joint moves in it.
+    """
+    check_type(setup=(setup, Setup))
+    if target not in TARGETS:
+        raise ConfigError(f"target {quoted(target)}; accepted: {listed(TARGETS)}")
+    if speeds is not None and bag is not None:
+        raise ConfigError("speeds from a range and from a bag; accepted: one of both")
+    one, turns, fits = TARGETS[target], element_turns(setup), []
+    used, words = _speeds_in_use(setup, turns if TARGETS[target].coupled else np.eye(turns.shape[1]), speeds, bag)
+    if one.coupled:
+        for name, element, speed in zip(setup.friction.names, setup.friction.elements, used, strict=True):
+            fits.append(fit_friction(one, name, [element], speed))
+    else:
+        for joint, (name, speed) in enumerate(zip(setup.robot.joint_names, used, strict=True)):
+            felt = [each for each, row in zip(setup.friction.elements, turns, strict=True) if row[joint]]
+            fits.append(_with_coupling(fit_friction(one, name, felt, speed), setup, joint))
+    module, _, function = _WRITERS[target].partition(":")
+    writer: Writer = getattr(import_module(f"rx90_emulator.export.{module}"), function)
+    files, remarks = writer(setup, one, fits)
+    return Export(one, tuple(fits), files, (*_arm_lost(setup, one), *remarks), words)
+
+
+def _speeds_in_use(
+    setup: Setup, turns: Array, speeds: tuple[float, float] | None, bag: Path | str | None
+) -> tuple[list[Array], str]:
+    """Return the speeds of each row of turns, shape (k, joints), and what they are in words."""
+    if speeds is not None:
+        return [speeds_up_to(speeds[1], speeds[0])] * len(turns), f"from {speeds[0]:g} to {speeds[1]:g} rad/s"
+    most = np.abs(turns) @ setup.robot.max_velocity
+    whole, words = [speeds_up_to(high) for high in most], f"from {LINEAR_SPEED:g} rad/s to the largest of each joint"
+    identified = _identified_ranges(setup)
+    if identified:
+        names = setup.friction.names[: len(turns)]
+        whole = [speeds_up_to(*identified.get(n, (each[-1],))) for n, each in zip(names, whole, strict=True)]
+        words = "those over which each element was identified; of others " + words
+    if bag is None:
+        return whole, words
+    series = read_joint_states(bag, "joint_states", setup.robot.joint_names)
+    if series.velocity is None:
+        raise BagError(f"{plain(bag)}: joint_states has no velocities; accepted: a bag with them")
+    found, resting = [], []
+    for row, speed, every in zip(turns, np.abs(series.velocity @ turns.T).T, whole, strict=True):
+        moving = speed[speed >= LINEAR_SPEED]
+        if len(moving) < _FEWEST:
+            resting.append(" and ".join(np.array(setup.robot.joint_names)[row != 0.0]))
+        found.append(every if len(moving) < _FEWEST else np.quantile(moving, np.linspace(0.0, 1.0, POINTS)))
+    if len(resting) == len(turns):
+        raise BagError(f"{plain(bag)}: no joint moves at {LINEAR_SPEED:g} rad/s or more; accepted: a bag of motions")
+    rest = f"; {', '.join(resting)} rests there: {words}" if resting else ""
+    return found, f"those of {plain(bag)} from {LINEAR_SPEED:g} rad/s on, as often as they are there{rest}"
+
+
+def _identified_ranges(setup: Setup) -> dict[str, tuple[float, float]]:
+    """Return the fastest and the slowest speed at which each element was identified, as its friction file says."""
+    file = setup.friction.file
+    fits = {} if file is None else (FrictionFile.read(file).identification or {}).get("fit") or {}
+    bands = {name: one["residual_by_speed"] for name, one in fits.items() if one.get("residual_by_speed")}
+    return {name: (float(one[-1][1]), float(one[0][0])) for name, one in bands.items()}
+
+
+def _with_coupling(fit: FrictionFit, setup: Setup, joint: int) -> FrictionFit:
+    """Return the fit of a joint with what is lost where its friction depends on another one's motion, too."""
+    coupled, lost, speeds = 0.0, list(fit.lost), fit.speeds
+    for row, name, element in zip(element_turns(setup), setup.friction.names, setup.friction.elements, strict=True):
+        others = [other for other in np.flatnonzero(row) if other != joint]
+        if row[joint] and others:
+            both = np.add.outer(speeds, np.concatenate([-speeds, speeds]))
+            most = float(np.abs(element.steady_torque(both) - element.steady_torque(speeds)[:, None]).max())
+            moves = " and ".join(setup.robot.joint_names[other] for other in others)
+            lost.append(f"coupling: while {moves} moves, {name} differs by up to {most:.3g} Nm more")
+            coupled += most
+    return replace(fit, lost=tuple(lost), coupled=coupled)
+
+
+def _arm_lost(setup: Setup, target: Target) -> list[str]:
+    """Return what a target does not hold of the drives."""
+    drives, mujoco_arm = setup.drives, target.name.startswith("mujoco")
+    lost = []
+    if target.name in {"bam", "modelica", "isaaclab"}:
+        lost.append("arm: the friction alone is written" + ", with rotor inertias" * (target.name != "modelica"))
+    else:
+        lost.append("drives: encoders, current loop, brakes; end stops are the simulator's own, at the joint limits")
+        if target.name in {"usd", "drake"}:
+            lost.append("rotor of a motor that turns with two joints: its inertia stands in each of them, not between")
+        if drives.spring_torque.any() and not mujoco_arm:
+            lost.append(f"gravity-compensation springs: up to {drives.spring_torque.max():g} Nm")
+    if drives.elasticity.elastic.any():
+        lost.append("elasticity and play of the gears: they are rigid")
+    if drives.cogging.used and not (mujoco_arm and target.bristles):
+        lost.append(f"cogging: up to {np.abs(drives.cogging.amplitude).sum(axis=0).max():.3g} Nm of a motor")
+    if drives.winding.used:
+        kept = ", but for their temperatures" if mujoco_arm and target.bristles else ""
+        lost.append(f"windings: rise of the resistance and derating{kept}")
+    return lost
+
+
+def write_export(export: Export, folder: Path | str) -> None:
+    """Write the files of an export, and REPORT beside them, into a new folder.
+
+    Raises:
+        ConfigError: if something is there.
+        Rx90Error: if it cannot be written.
+    """
+    write_folder(Path(folder), {**export.files, REPORT: export.report()})
+
+
+def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
+    """Write files by their names into a new folder, all or none.
+
+    Raises:
+        ConfigError: if something is there.
+        Rx90Error: if it cannot be written.
+    """
+    if folder.exists():
+        raise ConfigError(f"{plain(folder)} exists; accepted: a new name")
+    try:
+        folder.absolute().parent.mkdir(parents=True, exist_ok=True)
+        with hidden_beside(folder.absolute()) as hidden:
+            inside = hidden / folder.name
+            inside.mkdir()
+            for name, text in texts.items():
+                (inside / name).write_text(text, encoding="utf-8")
+            inside.replace(folder)
+    except OSError as error:
+        raise write_error(folder, error) from error
+
+
+def export_plot(export: Export, friction: FrictionFile | None = None) -> Plot:
+    """Return a panel for each element: its curve, what the simulator gets, and the band of the identified intervals.
+
+    Args:
+        export: the export.
+        friction: the file of the elements, whose `identification` holds the intervals; None for no band.
+    """
+    panels = []
+    for fit in export.fits:
+        speed = fit.speeds[np.argsort(fit.speeds)]
+        true = [sum_of(fit.elements, speed, sign) for sign in (1.0, -1.0)]
+        marks: list[Band | Curve] = []
+        band = None if friction is None or len(fit.elements) > 1 else _band(friction, fit, speed)
+        if band is not None:
+            marks.append(Band(speed, true[0] - band, true[0] + band, "identified, 95 %", GREY))
+        marks.append(Curve(speed, true[0], "here", INK, 1.4))
+        if not np.array_equal(true[0], true[1]):
+            marks.append(Curve(speed, true[1], "here, negative velocity", COLOURS[5], 1.4))
+        got = true[0] if export.target.everything else fit.law.torque(speed)
+        marks.append(Curve(speed, got, "exported", COLOURS[1], 1.4, "dashed"))
+        panels.append(Panel(marks, fit.name, "velocity, rad/s", "torque, Nm", x_scale="log"))
+    return Plot(panels, columns=min(3, len(panels)), height=2.2)
+
+
+def _band(friction: FrictionFile, fit: FrictionFit, speed: Array) -> Array | None:
+    """Return half of the width of the identified interval of an element's curve, Nm, at speeds of shape (n,).
+
+    Errors of the parameters are taken as independent, which makes the band too wide where they compensate each other.
+    """
+    found = ((friction.identification or {}).get("parameters") or {}).get(fit.name, {})
+    one = fit.elements[0]
+    decay, by_omega_s, by_delta = stribeck_decay_slopes(speed, one.omega_s, one.delta)
+    rise, viscous = one.tau_s_positive - one.tau_c_positive, one.viscous_torque(speed)
+    slopes = {
+        "tau_c_positive": 1.0 - decay,
+        "tau_s_positive": decay,
+        "omega_s": rise * by_omega_s / one.omega_s,
+        "delta": rise * by_delta / one.delta,
+        "c2": viscous_torque(speed, 1.0, one.alpha),
+        "alpha": viscous * np.log(np.maximum(speed, LINEAR_SPEED)),
+    }
+    intervals = {name: found[name]["interval"] for name in slopes if "interval" in found.get(name, {})}
+    if not intervals:
+        return None
+    halves = [0.5 * (high - low) * slopes[name] for name, (low, high) in intervals.items()]
+    return np.asarray(np.sqrt(np.sum(np.square(halves), axis=0)))

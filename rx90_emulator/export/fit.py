@@ -1,0 +1,253 @@
+"""Friction as other simulators hold it: one fit of what they cannot hold, and what is lost.
+
+Each simulator has a law with a few of the parameters of a friction element. What it has is copied; where that does not
+give the element's curve, the parameters are those of least squares over the speeds in use.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError
+from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay
+from rx90_common.friction.element import SIGNS, FrictionElement
+from rx90_emulator.export.targets import Target
+from rx90_emulator.loop.setup import Setup
+
+POINTS = 400
+"""Of the speeds at which curves are compared, evenly spaced in their logarithm."""
+
+_EXACT = 1e-12  # of the largest torque: rounding
+_STARTS = (0.3, 1.0, 3.0)  # times the Stribeck velocity, where the fit starts
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatorLaw:
+    """The friction that a target gets, joint side, SI units, the same for both signs of the velocity.
+
+    Attributes:
+        tau_c: Coulomb torque, Nm.
+        tau_s: break-away torque, Nm.
+        omega_s: Stribeck velocity, rad/s; 0 where the torque falls to tau_c as soon as there is motion.
+        delta: Stribeck exponent.
+        viscous: a, b and c of a v + b v |v| + c v^3, Nm s/rad, Nm s²/rad², Nm s³/rad³.
+        c0: bristle stiffness, Nm/rad; infinite without bristles.
+        c1: bristle damping, Nm s/rad.
+        table: speeds and torques of a sampled curve, shape (n, 2), None for the law above.
+    """
+
+    tau_c: float
+    tau_s: float
+    omega_s: float = 0.0
+    delta: float = 2.0
+    viscous: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    c0: float = math.inf
+    c1: float = 0.0
+    table: Array | None = None
+
+    def torque(self, speed: Array) -> Array:
+        """Return the torque of steady motion at speeds above 0, rad/s, in Nm."""
+        if self.table is not None:
+            return np.interp(speed, *self.table.T)
+        a, b, c = self.viscous
+        decay = stribeck_decay(speed, self.omega_s, self.delta) if self.omega_s > 0.0 else 0.0
+        return np.asarray(self.tau_c + (self.tau_s - self.tau_c) * decay + speed * (a + speed * (b + speed * c)))
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionFit:
+    """An element, or those that a joint turns against, as a target holds it.
+
+    Attributes:
+        name: of the element or the joint.
+        elements: whose torques a joint gets where the target has no elements that turn with two joints.
+        law: what the target gets.
+        speeds: at which both are compared, rad/s, shape (n,), all above 0.
+        largest: largest difference of the torque at these speeds of either sign, Nm.
+        rms: root mean square of that difference, Nm.
+        break_away: of the element and of the target, each for positive and for negative velocity, Nm.
+        stiffness: presliding stiffness of the element and of the target, Nm/rad; infinite where that has none.
+        lost: what the target does not hold, a sentence each.
+        coupled: what can come to the largest difference while another joint moves, Nm.
+    """
+
+    name: str
+    elements: tuple[FrictionElement, ...]
+    law: SimulatorLaw
+    speeds: Array
+    largest: float
+    rms: float
+    break_away: tuple[tuple[float, ...], tuple[float, ...]]
+    stiffness: tuple[float, float]
+    lost: tuple[str, ...]
+    coupled: float = 0.0
+
+    @property
+    def worst(self) -> float:
+        """Return the most that the torque can differ at these speeds, Nm."""
+        return self.largest + self.coupled
+
+
+def element_turns(setup: Setup) -> Array:
+    """Return the velocity of each friction element for the joints' velocities, shape (elements, joints)."""
+    return setup.drives.turning.element_matrix
+
+
+def motor_turns(setup: Setup) -> Array:
+    """Return the turns of each motor for those of the joints without the gears, shape (joints, joints)."""
+    return setup.drives.turning.turns
+
+
+def speeds_up_to(high: float, low: float = LINEAR_SPEED) -> Array:
+    """Return the speeds of a range, rad/s, shape (POINTS,), evenly spaced in their logarithm.
+
+    Raises:
+        ConfigError: for a range that is none.
+    """
+    if not 0.0 < low < high < math.inf:
+        raise ConfigError(f"speeds from {low:g} to {high:g} rad/s; accepted: two numbers > 0, the second the larger")
+    return np.geomspace(low, high, POINTS)
+
+
+def sum_of(elements: Sequence[FrictionElement], speeds: Array, sign: float) -> Array:
+    """Return the size of the torque of elements together at speeds of one sign, rad/s, in Nm, shape (n,)."""
+    return np.asarray(sum(sign * one.steady_torque(sign * speeds) for one in elements))
+
+
+def fit_friction(target: Target, name: str, elements: Sequence[FrictionElement], speeds: Array) -> FrictionFit:
+    """Return what a target gets for the sum of elements, and how far that is from them.
+
+    Args:
+        target: one of TARGETS.
+        name: of the element or the joint.
+        elements: one, or those that a joint turns against.
+        speeds: in use, rad/s, shape (n,), all above 0; the fit weighs each alike.
+    """
+    forward, backward = (sum_of(elements, speeds, sign) for sign in (1.0, -1.0))
+    law = _law(target, elements, speeds, 0.5 * (forward + backward))
+    static = tuple(float(sum(getattr(one, f"tau_s_{sign}") for one in elements)) for sign in SIGNS)
+    difference = np.zeros(2)
+    if not target.everything:
+        difference = np.concatenate([forward, backward]) - np.tile(law.torque(speeds), 2)
+    return FrictionFit(
+        name,
+        tuple(elements),
+        law,
+        speeds,
+        float(np.abs(difference).max()),
+        float(np.sqrt(np.mean(difference**2))),
+        (static, static if target.everything else (law.tau_s, law.tau_s)),
+        (sum(one.c0 for one in elements), law.c0),
+        tuple(each for one in elements for each in _lost(target, one, float(speeds.max()))),
+    )
+
+
+def _law(target: Target, elements: Sequence[FrictionElement], speeds: Array, torque: Array) -> SimulatorLaw:
+    """Return a target's law that is nearest to the torque, the mean of both signs, at the speeds; both (n,)."""
+
+    def mean(parameter: str) -> float:
+        return 0.5 * float(sum(getattr(one, f"{parameter}_{sign}") for one in elements for sign in SIGNS))
+
+    if target.sampled:
+        table = np.column_stack([[0.0, *speeds], [mean("tau_s"), *torque]])
+        return SimulatorLaw(mean("tau_c"), mean("tau_s"), table=table)
+    first = elements[0]
+    curved = target.polynomial and any(one.alpha != 1.0 for one in elements)
+    copied = SimulatorLaw(
+        tau_c=mean("tau_c"),
+        tau_s=mean("tau_s") if target.breaks_away else mean("tau_c"),
+        omega_s=first.omega_s if target.stribeck else 0.0,
+        delta=first.delta if target.delta is None else target.delta,
+        viscous=(float(sum(one.c2 * speeds.max() ** (one.alpha - 1.0) for one in elements)), 0.0, 0.0),
+        c0=sum(one.c0 for one in elements) if target.bristles else math.inf,
+        c1=sum(one.c1 for one in elements) if target.bristles else 0.0,
+    )
+    if target.everything or _agrees(copied, speeds, torque):
+        return copied
+    return _fitted(copied, target, curved, speeds, torque)
+
+
+def _agrees(law: SimulatorLaw, speeds: Array, torque: Array) -> bool:
+    return bool(np.abs(law.torque(speeds) - torque).max() <= _EXACT * np.abs(torque).max())
+
+
+def _fitted(law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torque: Array) -> SimulatorLaw:
+    """Return the law of least squares, started from another one.
+
+    The viscous torque is v ((p + q v)^2 + r v), so that no speed, however high, gets energy from it.
+    """
+    from scipy.optimize import least_squares
+
+    def law_of(x: Array) -> SimulatorLaw:
+        tau_c, rise, p, q, r, logarithm, delta = x.tolist()
+        changed = replace(law, tau_c=tau_c, viscous=(p * p, 2.0 * p * q + r, q * q))
+        if not target.stribeck:
+            return replace(changed, tau_s=max(law.tau_s, tau_c) if target.breaks_away else tau_c)
+        return replace(changed, tau_s=tau_c + rise, omega_s=math.exp(logarithm), delta=delta)
+
+    free = np.array([True, target.stribeck, True, curved, curved, target.stribeck, target.delta is None])
+    least = np.array([0.0, 0.0, 0.0, -np.inf, 0.0, math.log(1e-6), 0.1])
+    most = np.array([np.inf, np.inf, np.inf, np.inf, np.inf, math.log(1e4), 20.0])
+    scale, least_cost, best = float(np.abs(torque).max()), math.inf, law
+    for factor in _STARTS if target.stribeck else (1.0,):
+        start = np.array([law.tau_c, law.tau_s - law.tau_c, math.sqrt(law.viscous[0]), 0.0, 0.0,
+                          math.log(factor * law.omega_s) if target.stribeck else 0.0, law.delta])  # fmt: skip
+        if curved:
+            start[3:5] = -0.1 * start[2] / speeds[-1], 1e-3 * start[2]
+        start = np.clip(start, least + 1e-9, most)
+
+        def residuals(x: Array, start: Array = start) -> Array:
+            whole = start.copy()
+            whole[free] = x
+            return (law_of(whole).torque(speeds) - torque) / scale
+
+        result = least_squares(
+            residuals, start[free], bounds=(least[free], most[free]), x_scale=np.maximum(np.abs(start[free]), 1e-3),
+            xtol=1e-12, ftol=1e-12, gtol=1e-12,
+        )  # fmt: skip
+        if result.cost < least_cost:
+            whole = start.copy()
+            whole[free] = result.x
+            least_cost, best = float(result.cost), law_of(whole)
+    return best
+
+
+def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]:
+    """Return what a target does not hold of an element, with its size; up to the fastest speed in use, rad/s."""
+    lost = []
+    if not target.everything:
+        apart = [abs(getattr(element, f"{p}_positive") - getattr(element, f"{p}_negative")) for p in ("tau_c", "tau_s")]
+        if any(apart):
+            lost.append(f"signs: tau_c and tau_s differ by {apart[0]:.3g} and {apart[1]:.3g} Nm, their means are kept")
+        rise = max(getattr(element, f"tau_s_{sign}") - getattr(element, f"tau_c_{sign}") for sign in SIGNS)
+        if rise and not target.stribeck:
+            kept = "kept as break-away torque alone" if target.breaks_away else "left out"
+            lost.append(f"Stribeck curve: {rise:.3g} Nm above tau_c near rest, {kept}")
+        elif rise and target.delta not in {None, element.delta} and not target.sampled:
+            lost.append(f"Stribeck exponent {element.delta:g}: {target.delta:g}, fitted")
+        if element.alpha != 1.0 and not target.sampled:
+            kind = "a polynomial of the third degree" if target.polynomial else "a linear one"
+            lost.append(f"viscous exponent {element.alpha:g}: {kind}, fitted")
+        if not target.bristles:
+            lost.append("bristles: the stiffness of presliding, and its hysteresis")
+        elif math.isfinite(element.omega_d):
+            limit = replace(element, omega_d=math.inf).passivity_limit(fastest)
+            gives = "" if math.isinf(limit) else f", and the element not passive from {limit:.2g} rad/s on"
+            lost.append(f"fading of c1 above {element.omega_d:g} rad/s: it is constant{gives}")
+    if element.bristles is not None:
+        lost.append(f"bristles of the kind {type(element.bristles).__name__}: those of LuGre")
+    if (load := element.load) is not None:
+        shares = f"{load.driving:.3g} (driving) and {load.driven:.3g} (driven)"
+        lost.append(f"load: friction grows by {shares} of the load torque")
+    if (warmth := element.temperature) is not None:
+        warm, cold = warmth.viscous_range
+        lost.append(f"temperature: viscous torque is {warm:.2g} to {cold:.2g} times that at {warmth.reference:g} °C")
+    for part in ("ripple", "scatter"):
+        if getattr(element, part) is not None:
+            lost.append(f"{part}: the mean is kept")
+    return lost

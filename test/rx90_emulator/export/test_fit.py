@@ -1,0 +1,118 @@
+"""What a target cannot hold is fitted, and its cost said, and what it can is copied."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import differential_evolution
+
+import rx90_emulator as rx
+from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO
+from rx90_common.friction import FrictionElement
+from rx90_emulator.cli.frame import run
+from rx90_emulator.export.fit import fit_friction, speeds_up_to
+from rx90_emulator.export.targets import TARGETS
+from rx90_emulator.loop.setup import Setup
+
+LUGRE = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 2.0, 1e5, 100.0, 14.0)
+SPEEDS = speeds_up_to(4.0)
+
+
+def test_what_a_target_holds_is_copied() -> None:
+    """One sign, delta 2: MuJoCo gets the parameters to the last bit, and nothing is lost."""
+    fit = fit_friction(TARGETS["mujoco"], "joint", [LUGRE], SPEEDS)
+    law = fit.law
+    assert (law.c0, law.c1, law.tau_c, law.tau_s, law.omega_s) == (1e5, 100.0, 25.0, 32.0, 0.05)
+    assert law.viscous == (14.0, 0.0, 0.0)
+    assert fit.largest < 1e-12
+    assert fit.lost == ()
+
+
+def test_two_signs_cost_half_of_their_difference() -> None:
+    """The mean of both signs is nearest; what is left is half of what they differ by."""
+    element = dataclasses.replace(LUGRE, tau_c_negative=21.0, tau_s_negative=28.0)
+    fit = fit_friction(TARGETS["mujoco"], "joint", [element], SPEEDS)
+    assert (fit.law.tau_c, fit.law.tau_s) == (23.0, 30.0)
+    assert (fit.largest, fit.rms) == pytest.approx((2.0, 2.0))
+    assert any("signs" in line for line in fit.lost)
+
+
+def test_no_law_of_the_target_is_nearer() -> None:
+    """A global search over MuJoCo's parameters finds no smaller RMS difference for delta 0.8 and exponent 0.7."""
+    element = dataclasses.replace(LUGRE, delta=0.8, alpha=0.7)
+    fit = fit_friction(TARGETS["mujoco"], "joint", [element], SPEEDS)
+    torque = element.steady_torque(SPEEDS)
+
+    def rms(x: np.ndarray) -> float:
+        tau_c, rise, omega_s, p, q, r = x
+        viscous = SPEEDS * ((p + q * SPEEDS) ** 2 + r * SPEEDS)
+        return float(np.sqrt(np.mean((tau_c + rise * np.exp(-((SPEEDS / omega_s) ** 2)) + viscous - torque) ** 2)))
+
+    bounds = [(10, 40), (0, 20), (5e-3, 1.0), (0, 8), (-3, 3), (0, 10)]
+    best = differential_evolution(rms, bounds, seed=1, maxiter=120, popsize=8, tol=1e-6)
+    assert fit.rms <= 1.02 * best.fun
+    a, b, c = fit.law.viscous
+    fast = np.geomspace(1e-3, 1e3, 200)
+    assert (a + fast * (b + c * fast) >= -1e-12).all()  # takes power at every speed
+
+
+def test_step_laws_keep_the_break_away_torque() -> None:
+    """Isaac's friction while sliding is fitted, its break-away torque is that of the element."""
+    fit = fit_friction(TARGETS["usd"], "joint", [LUGRE], SPEEDS)
+    x = np.column_stack([np.ones_like(SPEEDS), SPEEDS])
+    coulomb, viscous = np.linalg.lstsq(x, LUGRE.steady_torque(SPEEDS), rcond=None)[0]
+    assert (fit.law.tau_c, fit.law.viscous[0]) == pytest.approx((coulomb, viscous), rel=1e-6)
+    assert fit.break_away == ((32.0, 32.0), (32.0, 32.0))
+    assert math.isinf(fit.stiffness[1])
+
+
+def test_a_shared_element_counts_while_both_joints_move(shipped: Setup) -> None:
+    """Of all pairs of speeds of joints 5 and 6, none differs by more than `worst`, and one nearly as much."""
+    fit = rx.export_robot(shipped, "urdf", speeds=(1e-3, 3.0)).fits[5]
+    own, shared = shipped.friction["joint_6"], shipped.friction["joint_5_6"]
+    six = np.geomspace(1e-3, 3.0, 60)
+    five = np.concatenate([-six, six])[:, None]
+    torque = own.steady_torque(six) + shared.steady_torque(five + six)
+    most = float(np.abs(torque - fit.law.torque(six)).max())
+    assert fit.coupled > 2.0 * shared.tau_c_positive
+    assert 0.8 * fit.worst < most <= fit.worst
+
+
+def test_speeds_of_a_bag_move_the_fit(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
+    """Over the speeds of a short line the difference is that of these speeds, and smaller than over the whole range."""
+    rx.write_bag(rx.run_line(shipped, task), tmp_path / "bag")
+    used = rx.export_robot(shipped, "mujoco-classic", bag=tmp_path / "bag")
+    whole = rx.export_robot(shipped, "mujoco-classic")
+    speed = np.abs(rx.read_joint_states(tmp_path / "bag", "joint_states").velocity).max(axis=0)
+    for k, fit in enumerate(used.fits[:6]):
+        assert fit.speeds.max() == pytest.approx(speed[k], rel=1e-3)
+    assert used.fits[1].rms < whole.fits[1].rms
+
+
+def test_speeds_are_those_of_the_identification(shipped: Setup, tmp_path: Path) -> None:
+    """Where the friction file says at which speeds an element was identified, it is fitted over these."""
+    assert shipped.friction.file is not None
+    file = rx.FrictionFile.read(shipped.friction.file)
+    bands = {"fit": {"joint_2": {"residual_by_speed": [[0.004, 0.1, 0.0], [0.2, 1.3, 0.0]]}}}
+    path = tmp_path / "friction.yaml"
+    path.write_text(dataclasses.replace(file, identification=bands).text(), encoding="utf-8")
+    fits = rx.export_robot(rx.load_setup(friction=path), "bam").fits
+    assert (fits[1].speeds.min(), fits[1].speeds.max()) == pytest.approx((0.004, 1.3))
+    assert fits[0].speeds.max() == pytest.approx(shipped.robot.max_velocity[0])
+
+
+def test_verdict_and_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 1 where a torque differs by more than was asked for; a bad range is one line, and writes nothing."""
+    words = ["modelica", "--robot", "tx40"]
+    assert run("rx90_export", [*words, "--output", str(tmp_path / "a"), "--within", "0.001"]) == DONE
+    assert (tmp_path / "a" / "export.yaml").is_file()
+    words = ["isaaclab", "--robot", "tx40"]
+    assert run("rx90_export", [*words, "--output", str(tmp_path / "b"), "--within", "0.01"]) == VERDICT_NO
+    assert "joint_6 differs by up to 11.9 Nm; accepted: 0.01 Nm" in capsys.readouterr().err
+    assert run("rx90_export", [*words, "--output", str(tmp_path / "c"), "--speeds", "2", "1"]) == REFUSED
+    assert "speeds from 2 to 1 rad/s; accepted" in capsys.readouterr().err
+    assert not (tmp_path / "c").exists()

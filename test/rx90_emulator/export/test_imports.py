@@ -1,0 +1,107 @@
+"""What comes from other simulators, exactly."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import rx90_emulator as rx
+from rx90_common.base.errors import DONE, ConfigError
+from rx90_common.base.share import config_path
+from rx90_common.description.robot import load_robot
+from rx90_emulator.cli.frame import run
+from rx90_emulator.loop.setup import Setup
+
+# Frames that are turned, a joint beside its body's origin, principal axes that are none of the body's.
+ARM = """<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="foot" quat="1 0 0 1">
+<inertial mass="4" pos="0 0 0" diaginertia="0.1 0.1 0.1"/>{}</body></worldbody><actuator>{}</actuator></mujoco>"""
+LINK = """<body name="link{k}" pos="0.1 0.05 0.3" quat="1 {x} 0.3 0"><inertial mass="{m}" pos="0.02 0.1 0.05"
+quat="1 0.2 {x} 0" diaginertia="0.03 0.02 0.04"/><joint name="joint_{k}" axis="0 {x} 1" range="-2 2" pos="0.01 0 0.02"
+armature="0.2"/>{{}}</body>"""
+
+
+def arm_text() -> str:
+    """Return an MJCF of six hinges with LuGre friction behind a gear on each."""
+    bodies = "{}"
+    for k in range(1, 7):
+        bodies = bodies.format(LINK.format(k=k, x=0.1 * k, m=6.0 / k))
+    dcmotor = '<dcmotor joint="joint_{}" gear="2" input="none" motorconst="0" resistance="1" damping="3" '
+    dcmotor += 'lugre="1e3 1 2 3 .5"/>'
+    return ARM.format(bodies.format(""), "".join(map(dcmotor.format, range(1, 7))))
+
+
+def test_an_mjcf_arm_has_the_same_dynamics(tmp_path: Path) -> None:
+    """The URDF's mass matrix and gravity, by Pinocchio, are MuJoCo's at random poses."""
+    file = tmp_path / "arm.xml"
+    file.write_text(arm_text(), encoding="utf-8")
+    assert run("rx90_import", [str(file), "--output", str(tmp_path / "robot")]) == DONE
+    ours = load_robot(tmp_path / "robot" / "robot.urdf").model
+    model = mujoco.MjModel.from_xml_path(str(file))
+    model.dof_armature[:] = 0.0
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        q, mass = rng.uniform(-2.0, 2.0, 6), np.empty((6, 6))
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, mass)
+        assert np.triu(pin.crba(ours, ours.createData(), q)) == pytest.approx(np.triu(mass), abs=1e-9)
+        gravity = pin.computeGeneralizedGravity(ours, ours.createData(), q)
+        assert gravity == pytest.approx(data.qfrc_bias, abs=1e-9)
+    friction = rx.FrictionFile.read(tmp_path / "robot" / "friction.yaml")
+    assert friction.joints["joint_3"]["rotor_inertia"] == 0.2
+    one = friction.elements["joint_3"]
+    assert (one.tau_c_positive, one.tau_s_negative, one.omega_s) == (4.0, 6.0, 0.25)
+    assert (one.c0, one.c1, one.c2, one.delta) == (4e3, 4.0, 12.0, 2.0)
+
+
+def test_friction_behind_a_gear_is_mujoco_s(tmp_path: Path) -> None:
+    """An imported element has the steady torque that MuJoCo has at constant speed, gear included."""
+    file = tmp_path / "arm.xml"
+    file.write_text(arm_text(), encoding="utf-8")
+    element = rx.import_mjcf_friction(file).elements["joint_1"]
+    model = mujoco.MjModel.from_xml_path(str(file))
+    model.opt.timestep = 5.0  # in which a bristle comes to rest
+    data = mujoco.MjData(model)
+    for speed in (0.02, 0.3, 2.0):
+        for _ in range(3):
+            data.qpos[:], data.qvel[:] = 0.0, [speed, 0, 0, 0, 0, 0]
+            mujoco.mj_step(model, data)
+        data.qpos[:], data.qvel[:] = 0.0, [speed, 0, 0, 0, 0, 0]
+        mujoco.mj_forward(model, data)
+        torque = -(data.qfrc_actuator[0] + data.qfrc_passive[0])
+        assert torque == pytest.approx(float(element.steady_torque(speed)), rel=1e-6)
+
+
+def test_out_to_mujoco_and_back(shipped: Setup, tmp_path: Path) -> None:
+    """Elements that MuJoCo can hold come back to the last bit."""
+    elements = [dataclasses.replace(e, delta=2.0, omega_d=math.inf) for e in shipped.friction.elements]
+    setup = dataclasses.replace(shipped, friction=dataclasses.replace(shipped.friction, elements=tuple(elements)))
+    rx.write_export(rx.export_robot(setup, "mujoco"), tmp_path / "out")
+    back = rx.import_mjcf_friction(tmp_path / "out" / "rx90b.xml")
+    assert back.select(setup.friction.names) == tuple(elements)
+
+
+def test_bam_s_file_of_the_erob80(tmp_path: Path) -> None:
+    """Rhoban/bam, params/erob80_50/m2.json: the element is that of the shipped file, whose values come from it, too."""
+    file = tmp_path / "m2.json"
+    file.write_text(json.dumps({
+        "kt": 4.5436619148111745, "R": 2.521141651470365, "armature": 0.3345162630438232,
+        "friction_base": 4.086230363954603, "friction_stribeck": 1.6504871346024715e-08,
+        "dtheta_stribeck": 0.9617768749469398, "alpha": 1.438935728332229, "friction_viscous": 1.3131993446070485,
+        "model": "m2", "actuator": "erob80_50"}), encoding="utf-8")  # fmt: skip
+    assert run("rx90_import", [str(file), "--output", str(tmp_path / "friction.yaml")]) == DONE
+    ours = rx.FrictionFile.read(config_path("friction") / "erob80_50.yaml").elements["m2"]
+    found = rx.FrictionFile.read(tmp_path / "friction.yaml").elements["m2"]
+    speeds = np.linspace(-3.0, 3.0, 40)
+    assert found.steady_torque(speeds) == pytest.approx(ours.steady_torque(speeds), rel=1e-5)
+    file.write_text('{"model": "m6"}', encoding="utf-8")
+    with pytest.raises(ConfigError, match="model is 'm6'; accepted: m1 or m2"):
+        rx.import_bam([file])

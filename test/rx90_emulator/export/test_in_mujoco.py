@@ -1,0 +1,181 @@
+"""The exported arm in MuJoCo, an independent implementation of arm and LuGre friction, beside the engine."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import pytest
+
+from benchmarks.exported_arm import compare
+from rx90_common.base.arrays import Array
+from rx90_common.description.drives import Cogging, Windings, to_motor_torque
+from rx90_controller.lines.task import LineTask
+from rx90_emulator.export.export import export_robot
+from rx90_emulator.export.mjcf import arm_spec
+from rx90_emulator.loop.setup import Setup
+
+START = np.array([0.3, 0.5, 1.0, -0.4, 0.6, 0.2])
+TICKS = 2400
+_SETTLED = 20  # ticks: the brakes open in the first one
+_STEPS = 8
+
+
+class Motion(NamedTuple):
+    """Joint positions rad, (n, 6), and friction torques Nm, (n, 7), after each tick."""
+
+    q: Array
+    friction: Array
+
+
+def holdable(setup: Setup) -> Setup:
+    """Return the setup with elements that MuJoCo can hold: delta 2, the same for both signs, a constant c1."""
+    elements = [dataclasses.replace(e, delta=2.0, omega_d=math.inf) for e in setup.friction.elements]
+    return dataclasses.replace(setup, friction=dataclasses.replace(setup.friction, elements=tuple(elements)))
+
+
+def torques(setup: Setup, scenario: str) -> Array:
+    """Return motor torques about those that hold the arm at START, shape (TICKS, 6)."""
+    time = np.arange(TICKS)[:, None] * setup.rates.period
+    model = arm_spec(setup).compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = START
+    mujoco.mj_forward(model, data)
+    joint = data.qfrc_bias - data.qfrc_spring
+    static = np.array([e.tau_s_positive for e in setup.friction.elements[:6]])
+    hold, break_away = np.empty(6), np.empty(6)
+    to_motor_torque(setup.drives.gear, joint, hold)
+    to_motor_torque(setup.drives.gear, static, break_away)
+    shapes = {
+        "sticking": 0.5 * np.minimum(1.0, time / 0.1),
+        "break-away": 2.5 * time,
+        "reversals": 1.6 * np.sin(4.0 * np.pi * time),
+    }
+    return np.asarray(hold + shapes[scenario] * break_away)
+
+
+def in_engine(setup: Setup, commands: Array) -> Motion:
+    """Run the plant under motor torques, one row a tick."""
+    plant = setup.plant()
+    plant.reset(START)
+    q, friction = np.empty((len(commands), 6)), np.empty((len(commands), 7))
+    for k, command in enumerate(commands):
+        plant.step(command)
+        q[k], friction[k] = plant.joint_states()[0], plant.friction_states()[2]
+    return Motion(q, friction)
+
+
+def in_mujoco(setup: Setup, commands: Array, target: str = "mujoco", steps: int = 1) -> Motion:
+    """Run the exported file under the same torques, with so many steps in a tick."""
+    (text,) = export_robot(setup, target).files.values()
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.timestep /= steps
+    data = mujoco.MjData(model)
+    data.qpos[:] = START
+    lugre = slice(6, 13)
+    q, friction = np.empty((len(commands), 6)), np.zeros((len(commands), 7))
+    for k, command in enumerate(commands):
+        data.ctrl[:] = command
+        mujoco.mj_step(model, data, nstep=steps)
+        q[k] = data.qpos
+        if target == "mujoco":
+            mujoco.mj_forward(model, data)
+            damper = model.actuator_damping[lugre] * data.actuator_velocity[lugre]
+            friction[k] = damper - data.actuator_force[lugre]
+    return Motion(q, friction)
+
+
+@pytest.mark.parametrize(("scenario", "q_bound", "friction_bound"), [
+    ("sticking", 1e-4, 0.3), ("break-away", 1e-3, 0.3), ("reversals", 1e-3, 2.0)])  # fmt: skip
+def test_what_mujoco_can_hold_moves_alike(shipped: Setup, scenario: str, q_bound: float, friction_bound: float) -> None:
+    """Positions and friction torques agree to the order of MuJoCo's step: with 8 steps a tick they differ by an 8th."""
+    setup = holdable(shipped)
+    commands = torques(setup, scenario)
+    ours, coarse, fine = (
+        in_engine(setup, commands),
+        in_mujoco(setup, commands),
+        in_mujoco(setup, commands, steps=_STEPS),
+    )
+    off, less = (
+        np.array([np.abs(a - b)[_SETTLED:].max() for a, b in zip(ours, theirs, strict=True)])
+        for theirs in (coarse, fine)
+    )
+    moved = np.abs(ours.q - START).max()
+    assert moved < 1e-3 if scenario == "sticking" else moved > 0.05
+    assert (off < [q_bound, friction_bound]).all()
+    assert (less < off / [0.6 * _STEPS, 0.3 * _STEPS]).all()
+
+
+def test_what_mujoco_cannot_hold_costs_what_the_export_says(shipped: Setup) -> None:
+    """Elements with delta 1 at constant speeds: MuJoCo's torque differs from theirs by as much as the fit says."""
+    export = export_robot(shipped, "mujoco", speeds=(1e-2, 2.0))
+    model = mujoco.MjModel.from_xml_string(next(iter(export.files.values())))
+    model.opt.timestep = 1.0  # in which a bristle comes to rest: its step is exact
+    data = mujoco.MjData(model)
+    inputs, worst = np.hstack([np.eye(6), np.eye(6)[:, [5]]]), np.zeros(7)
+    for k, fit in enumerate(export.fits):
+        for speed in np.geomspace(1e-2, 2.0, 60):
+            for _ in range(3):
+                data.qpos[:], data.qvel[:] = 0.0, speed * inputs[:, k]
+                mujoco.mj_step(model, data)
+            data.qpos[:], data.qvel[:] = 0.0, speed * inputs[:, k]
+            mujoco.mj_forward(model, data)
+            damper = model.actuator_damping[6 + k] * data.actuator_velocity[6 + k]
+            torque = damper - data.actuator_force[6 + k]
+            worst[k] = max(worst[k], abs(torque - float(shipped.friction.elements[k].steady_torque(speed))))
+        assert worst[k] == pytest.approx(fit.largest, rel=0.05)
+
+
+@pytest.mark.filterwarnings("ignore::rx90_common.base.errors.Rx90Warning")  # of a constant c1
+def test_a_line_under_the_same_law(shipped: Setup, task: LineTask) -> None:
+    """The shipped elements, fitted: along a line the joints stay within 0.3 mrad, the path error within a tenth.
+
+    Friction as a constraint, without presliding, is farther off.
+    """
+    found = compare(holdable(shipped), task)
+    (_, here, _, _), (_, there, _, apart), (_, _, _, classic) = found["here"], found["mujoco"], found["mujoco-classic"]
+    assert here > 1e-5
+    assert there == pytest.approx(here, rel=0.02)
+    assert apart < 1e-4 < classic
+    _, _, _, fitted = compare(shipped, task)["mujoco"]
+    assert fitted < 3e-4
+
+
+def test_friction_as_a_constraint_creeps_as_said(shipped: Setup) -> None:
+    """Where the engine rests, the classic arm creeps at constant speed, no faster than the export says."""
+    commands = torques(shipped, "sticking")
+    ours, theirs = in_engine(shipped, commands), in_mujoco(shipped, commands, "mujoco-classic")
+    (said,) = [line for line in export_robot(shipped, "mujoco-classic").lost if "creeps" in line]
+    fastest = float(said.split(" by up to ")[1].split(" rad/s")[0])
+    half = TICKS // 2
+    speed = np.abs(theirs.q[-1] - theirs.q[-half]) / ((half - 1) * shipped.rates.period)
+    assert 0.0 < speed.max() < 1.1 * fastest
+    assert np.abs(theirs.q - ours.q).max() < 1e-3
+
+
+def test_cogging_and_windings_are_the_engine_s(shipped: Setup) -> None:
+    """MuJoCo's motors have the cogging torque at an angle, and warm up under I^2 R with the time constant."""
+    full = np.full(6, 1.0)
+    cogging = Cogging(np.array([4.0, 12.0]), np.array([0.03 * full, 0.01 * full]), np.array([0.2 * full, 0.7 * full]))
+    winding = Windings(0.4 * full, 2.0 * full, 30.0 * full, derating=150.0, limit=180.0)
+    setup = dataclasses.replace(shipped, drives=dataclasses.replace(shipped.drives, cogging=cogging, winding=winding))
+    model = mujoco.MjModel.from_xml_string(next(iter(export_robot(setup, "mujoco").files.values())))
+    data = mujoco.MjData(model)
+    data.qpos[:] = START
+    data.ctrl[:] = 0.5
+    mujoco.mj_forward(model, data)
+    angle = setup.drives.gear * [*START[:5], START[4] + START[5]]
+    waves = cogging.harmonic[:, None] * angle + cogging.phase
+    motor = 0.5 + np.sum(cogging.amplitude * np.cos(waves), axis=0)
+    joint = setup.drives.gear * motor
+    joint[4] += joint[5]
+    assert data.qfrc_actuator == pytest.approx(joint, rel=1e-9)
+    model.opt.timestep = 0.1
+    for _ in range(600):  # one time constant, 60 s, the arm held
+        data.qpos[:], data.qvel[:] = START, 0.0
+        mujoco.mj_step(model, data)
+    heat = 0.4 * (0.5 / setup.drives.torque_constant) ** 2
+    assert data.act[:6] == pytest.approx(heat * 2.0 * (1.0 - math.exp(-1.0)), rel=2e-3)
