@@ -241,6 +241,8 @@ def declare_law(node: Node, path: Path) -> tuple[CS7BParameters, Callable[[Mappi
         value, unit = of_file[section][key], f", {shape.unit}" if len(shape.unit) > 1 else ""
         if not isinstance(value, bool):
             value = [float(each) for each in value] if isinstance(value, tuple) else float(value)
+        if isinstance(value, list) and len(value) == 1:  # a default, for all motors
+            value *= len(of_file["servo"]["inertia"])
         about = f"{shape.about[:-1]}{unit}{_OF_JOINTS if isinstance(shape, Numbers) else ''}"
         given[name] = declare(node, name, value, about)
     return read(given), read

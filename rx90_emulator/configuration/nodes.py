@@ -15,7 +15,7 @@ from typing import Any
 
 from friction_bench.node.bench_node import declare_bench_parameters
 from rx90_common.base.config import load_yaml, yaml_lines, yaml_value
-from rx90_common.base.entries import Entry, Integer, JsonSchema, Number, Numbers, Switch, Text
+from rx90_common.base.entries import PER_JOINT, Entry, Integer, JsonSchema, Number, Numbers, Switch, Text
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.rates import Rates
@@ -87,7 +87,7 @@ class DeclaredParameters:
         (span,) = (*descriptor.integer_range, *descriptor.floating_point_range)[:1] or (None,)
         bounds = {} if span is None else {"low": span.from_value, "high": span.to_value}
         if kind is list:
-            self.entries[name] = Numbers(about, count=len(default), default=tuple(default))
+            self.entries[name] = Numbers(about, count=PER_JOINT, default=tuple(default))
         elif kind is int:
             limits = {"low": -_LARGEST_INTEGER, "high": _LARGEST_INTEGER, **bounds}
             self.entries[name] = Integer(about, **limits, default=default)

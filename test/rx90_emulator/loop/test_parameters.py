@@ -153,7 +153,7 @@ def test_wrong_values_of_the_task_are_refused(
     ("prefix", "kind", "without"),
     [
         ("friction.joint_5_6", FrictionElement, set(PART_NAMES)),
-        ("drives", DriveParameters, {"elasticity", "cogging", "winding", "current_sensor"}),
+        ("drives", DriveParameters, {"coupling", "elasticity", "cogging", "winding", "current_sensor"}),
         ("drives.winding", Windings, set()),
         ("drives.current_sensor", CurrentSensor, set()),
         ("drives.elasticity", Elasticity, {"friction_side"}),
