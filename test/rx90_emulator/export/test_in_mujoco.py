@@ -12,7 +12,8 @@ import pytest
 
 from benchmarks.exported_arm import compare
 from rx90_common.base.arrays import Array
-from rx90_common.description.drives import Cogging, Windings, to_motor_torque
+from rx90_common.description.coupling import to_motor_torque
+from rx90_common.description.drives import Cogging, Windings
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.export.export import export_robot
 from rx90_emulator.export.mjcf import arm_spec
