@@ -24,6 +24,7 @@ _LARGEST = float(np.finfo(np.float64).max)
 LAW_STATE_DTYPE = np.dtype(
     [
         ("reference", np.float64, (3, 6)),  # motor-side position, velocity, acceleration set-points
+        ("offset", np.float64, 6),  # of the position set-point, motor side, rad; workspace
         ("error", np.float64, 6),  # position error at the last position tick
         ("velocity_error", np.float64, 6),
         ("integrator", np.float64, 6),
@@ -137,7 +138,8 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
     Args:
         laws: constants, shape (1,), CONTROLLER_DTYPE.
         states: state, shape (1,), LAW_STATE_DTYPE, advanced in place.
-        setpoint: joint position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6).
+        setpoint: joint position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6); with a fourth row, an offset
+            of the position, rad, that only PI sees.
         position: motor positions by the encoders, rad, shape (6,).
         velocity: measured motor velocities, rad/s, shape (6,); for the supervision and the velocity error that is
             published.
@@ -151,10 +153,15 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
         begin_parts(state)
     for k in range(3):
         to_motor(law.gear, setpoint[k], state.reference[k])
+    wanted = load(state.reference[0], 6)
+    if setpoint.shape[0] > 3:
+        to_motor(law.gear, setpoint[3], state.offset)
+        offset = load(state.offset, 6)
+        wanted = select(offset == 0.0, wanted, wanted + offset)  # none leaves the bits, also those of -0
     error, integrator, position_torque, feed_forward = position_servo(
         law,
         6,
-        load(state.reference[0], 6),
+        wanted,
         load(state.reference[1], 6),
         load(state.reference[2], 6),
         load(position, 6),

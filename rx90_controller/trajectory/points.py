@@ -16,6 +16,7 @@ from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange.cdr import CdrReader
+from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.spline import Spline
 
 LONGEST = 3600.0
@@ -47,6 +48,7 @@ class TrajectoryPoints:
         smooth: whether only the velocities at both ends count, see `smoothed`.
         degrees: of the way to each point, shape (n,): 1, a straight line, where one of its two ends has no velocities,
             3, or 5 where both have accelerations, too; None where all are alike. Values that are not given are 0.
+        correction: offsets of the position set-points, played along; None for none.
     """
 
     times: Array
@@ -58,6 +60,7 @@ class TrajectoryPoints:
     way: Way | None = None
     smooth: bool = False
     degrees: NDArray[np.intp] | None = None
+    correction: Correction | None = None
 
     @classmethod
     def create(

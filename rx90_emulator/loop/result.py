@@ -59,6 +59,7 @@ class SlowSeries(NamedTuple):
         temperatures: of the friction elements, degrees Celsius, at the rate of temperatures, shape (k, 7), 0 for those
             that have none; k is 0 where neither joints nor windings get warm.
         windings: of the motors' windings, the same, shape (k, 6).
+        correction: offsets of the position set-points, rad, shape (m, 6), or (0, 6) where nothing was corrected.
     """
 
     joint_states: Array
@@ -68,6 +69,7 @@ class SlowSeries(NamedTuple):
     details: Array
     temperatures: Array
     windings: Array
+    correction: Array
 
 
 def empty_series(ticks: int, ratio: int, record_fast: bool, warm_ticks: int = 0) -> tuple[FastSeries, SlowSeries]:
@@ -80,7 +82,7 @@ def empty_series(ticks: int, ratio: int, record_fast: bool, warm_ticks: int = 0)
     try:
         fast = FastSeries(np.empty((fast_rows, 3, 6)), np.empty((fast_rows, 6)))
         of_joints = (np.empty((rows, 3, columns)) for columns in (6, 7, 6, 6, 6))
-        slow = SlowSeries(*of_joints, np.empty((warm_rows, 7)), np.empty((warm_rows, 6)))  # type: ignore[call-arg]
+        slow = SlowSeries(*of_joints, np.empty((warm_rows, 7)), np.empty((warm_rows, 6)), np.empty((0, 6)))  # type: ignore[call-arg]
     except (MemoryError, ValueError, OverflowError) as error:  # the last two: more than any machine could address
         raise FailureError(f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one") from error
     return fast, slow
