@@ -27,7 +27,7 @@ from rx90_common.description.inverse import (
     solve_anywhere,
     solve_near,
 )
-from rx90_common.description.kinematics import Pose, bias_acceleration, forward, jacobian
+from rx90_common.description.kinematics import Pose, bias_acceleration, forward, jacobian, path_error
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import axis_rotation, length, product, rpy_rotation, solved, turn_between
 from rx90_controller.lines.task import LineTask
@@ -229,6 +229,15 @@ class LinePlan:
         """Return when the line's own motion begins and ends, s."""
         begin = self.task.rest_before
         return begin, begin + self.task.profile().duration
+
+    @property
+    def counted(self) -> tuple[float, float]:
+        """Return what of its trajectory counts for the path error, s."""
+        return self.task.counted
+
+    def distance(self, tip: Array) -> Array:
+        """Return the distance of the tip's positions, m, shape (n, 3), from the line, m, shape (n,)."""
+        return path_error(tip, np.array(self.task.start), np.array(self.task.end)).perpendicular
 
     def tip(self, times: Array) -> Array:
         """Return the tool centre point (n, 3) that the profile asks for at `times`, s."""
