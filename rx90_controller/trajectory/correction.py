@@ -123,4 +123,6 @@ def cut_at(played: list[PlayedCorrection], now: int, begin: int) -> list[PlayedC
     """
     left = [one for one in played if one.begin < now and now < one.over]
     ends = [one.begin + len(one.correction.offsets) for one in left]
-    return [replace(one, cut=one.cut if one.cut <= now else min(end, begin)) for one, end in zip(left, ends, strict=True)]
+    return [
+        replace(one, cut=one.cut if one.cut <= now else min(end, begin)) for one, end in zip(left, ends, strict=True)
+    ]

@@ -392,7 +392,8 @@ class TrajectoryGenerator:
             )
         if self.factor != 1.0:
             raise TrajectoryError(f"speed scaling {self.factor:g} with a correction; accepted: 1, as it was learned")
-        position = spline.sample(np.arange(len(correction.offsets)) * self.period)[:, 0]
+        times = np.arange(len(correction.offsets), dtype=np.float64) * self.period
+        position = spline.sample(times)[:, 0]
         offsets = correction.offsets
         beyond = self.limits.outside(position + offsets) > self.limits.outside(position) + _CORRECTION_SLACK
         if beyond.any():

@@ -223,7 +223,7 @@ def learn(
     remark = ""
     for _ in range(trials + 1):
         try:
-            trial = learner.take(play(learner.correction))
+            learner.take(play(learner.correction))
         except CorrectionError as error:
             remark = str(error)
         if told is not None:

@@ -86,27 +86,27 @@ class NormOptimal:
     Attributes:
         effort: weight of a change of the correction, m/rad: the smaller, the faster and the higher in frequency it
             learns, the more it trusts the model, and the more it takes over of noise.
-        orientation: weight of a joint's error beside that of the tip it makes, m/rad; with encoders.
+        joints: weight of each joint's own error beside that of the tip, m/rad, with encoders; it also keeps the tool's
+            orientation.
         cutoff: of a zero-phase filter of the correction, Hz; None for none.
 
     Raises:
         ConfigError: naming the value and what is accepted.
     """
 
-    effort: float = 0.03
-    orientation: float = 0.02
+    effort: float = 0.1
+    joints: float = 0.005
     cutoff: float | None = None
 
     def __post_init__(self) -> None:
-        _check(self, effort=(0.0, 1e3, " m/rad"), orientation=(0.0, 1e3, " m/rad"), cutoff=(0.0, 1e6, " Hz"))
+        _check(self, effort=(0.0, 1e3, " m/rad"), joints=(0.0, 1e3, " m/rad"), cutoff=(0.0, 1e6, " Hz"))
 
     def prepare(self, setup: Setup, nominal: Nominal, *, tip: bool) -> Update:
         """Return how it learns."""
         a, b, apart = response(setup, nominal.setpoints)
         slopes = jacobian(setup.robot.chain, nominal.setpoints[::apart, 0])
         by_tip = np.ascontiguousarray(np.swapaxes(slopes[:, :3], 1, 2))
-        turned = slopes[:, 3:] * (0.0 if tip else self.orientation)
-        weight = by_tip @ slopes[:, :3] + np.swapaxes(turned, 1, 2) @ turned
+        weight = by_tip @ slopes[:, :3] + (0.0 if tip else self.joints**2) * np.eye(6)
         counted, point = lead_in(nominal), np.arange(len(nominal.counts)) // apart
         feedback, factors = gains(a, b, apart, weight, self.effort, counted)
         towards = (by_tip if tip else weight)[point] * counted[:, None, None]
@@ -137,7 +137,8 @@ def method_named(name: str, **options: float | None) -> Filtered | NormOptimal:
         if not hasattr(method, option):
             accepted = ", ".join(vars(method))
             raise ConfigError(f"the method {name} has no option {option!r}; accepted: {accepted}")
-    return replace(method, **options)  # type: ignore[type-var]
+    changed: Filtered | NormOptimal = replace(method, **options)  # type: ignore[type-var]
+    return changed
 
 
 def lead_in(nominal: Nominal) -> Array:

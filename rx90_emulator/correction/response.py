@@ -1,8 +1,9 @@
 """What an offset of the position set-points does to the joints along a motion, and the change that is best by it.
 
 The deviations dq of the arm from its nominal motion are linear in the offsets c: the linear time-varying model of the
-perturbation method, with M0, C0 and K0 along the motion, and around it the CS7B's PI on the position, D on the velocity,
-and a lag T of first order for amplifier, velocity observer and sampling, drive by drive (p = W q, W the wrist coupling):
+perturbation method, with M0, C0 and K0 along the motion, and around it the CS7B's PI on the position, D on the
+velocity, and a lag T of first order for amplifier, velocity observer and sampling, drive by drive (W is the wrist
+coupling):
 
     M0 d2q/dt2 + (C0 + F) dq/dt + K0 q = W' tau,          di/dt = Mn ki W (c - q),
     T dtau/dt + tau = Mn kv [kp W (c - q) - W dq/dt] + i.
@@ -78,7 +79,7 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
 
 @kernel
 def gains(a: Array, b: Array, apart: int, error: Array, change: float, counted: Array) -> tuple[Array, Array]:
-    """Return the feedback K, shape (n, 6, 24), and the factors of R + B' P B, shape (n, 6, 6), by the Riccati recursion.
+    """Return the feedback K, shape (n, 6, 24), and the factors of R + B' P B, shape (n, 6, 6): the Riccati recursion.
 
     Args:
         a: A, shape (points, 24, 24).
