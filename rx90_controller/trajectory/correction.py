@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 FADE = 0.1
 """How long a correction takes to come, and to go, s."""
 LARGEST = 0.01
-"""The largest offset, rad: beyond the sag of elastic gears, far below what the supervision of following errors takes."""
+"""The largest offset, rad: beyond the sag of elastic gears, far below the supervised following error."""
 FASTEST = 0.5
 """The fastest change of an offset, rad/s."""
 
@@ -121,7 +121,7 @@ def cut_at(played: list[PlayedCorrection], now: int, begin: int) -> list[PlayedC
 
     What had not begun by then is dropped; what fades out already goes on doing so.
     """
-    left = [one for one in played if one.begin < now and now < one.over]
+    left = [one for one in played if one.begin < now < one.over]
     ends = [one.begin + len(one.correction.offsets) for one in left]
     return [
         replace(one, cut=one.cut if one.cut <= now else min(end, begin)) for one, end in zip(left, ends, strict=True)

@@ -27,7 +27,7 @@ from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 
 NOISE = 1e-6
-"""By how much the worst distance may grow, m, unless another noise is given: about what encoder counts make at a tip."""
+"""By how much the worst distance may grow, m, unless another noise is given: of about encoder counts."""
 ENCODERS, TIP = "encoders", "tip"
 _MOST_WORSE: Final = 4  # trials in a row
 _HELD = 1.0  # s from the release of the brakes to where the path error counts
