@@ -18,6 +18,7 @@ EXECUTABLES = (
     "rx90_bag",
     "rx90_compare_measured",
     "rx90_config",
+    "rx90_correct",
     "rx90_demo",
     "rx90_sweep",
     "rx90_experiment",

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ FADE = 0.1
 """How long a correction takes to come, and to go, s."""
 LARGEST = 0.01
 """The largest offset, rad: beyond the sag of elastic gears, far below the supervised following error."""
+_TIME_SLACK = 1e-9  # s
 FASTEST = 0.5
 """The fastest change of an offset, rad/s."""
 
@@ -64,6 +66,31 @@ class Correction:
         """Return it for its trajectory behind a move that takes `time`, s, a whole number of set-points."""
         rest = np.zeros((round(time / self.period), 6))
         return replace(self, offsets=np.concatenate([rest, self.offsets]))
+
+
+def correction_content(joint_names: Sequence[str], correction: Correction) -> dict[str, Any]:
+    """Return offsets as the content of a trajectory_msgs/JointTrajectory, one point for each set-point."""
+    times = [divmod(round(k * correction.period * NANOSECONDS), NANOSECONDS) for k in range(len(correction.offsets))]
+    points = [
+        {"positions": row, "time_from_start": {"sec": sec, "nanosec": nanosec}}
+        for row, (sec, nanosec) in zip(correction.offsets.tolist(), times, strict=True)
+    ]
+    return {"joint_names": list(joint_names), "points": points}
+
+
+def correction_from_points(points: TrajectoryPoints, period: float) -> Correction:
+    """Return the offsets that a message carried as points.
+
+    Raises:
+        TrajectoryError: for points that are not one for each set-point, and offsets beyond the limits.
+    """
+    times = np.arange(len(points.times)) * period
+    late = np.flatnonzero(np.abs(points.times - times) > _TIME_SLACK)
+    if len(late):
+        raise TrajectoryError(
+            f"the correction has point {late[0]} at {points.times[late[0]]:.6g} s; accepted: a point every {period:g} s"
+        )
+    return Correction(points.position, period)
 
 
 def trajectory_identity(points: TrajectoryPoints) -> str:

@@ -6,17 +6,13 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rx90_common.base.errors import VERDICT_NO, ConfigError, check_replaced
+from rx90_common.base.errors import VERDICT_NO, check_replaced
 from rx90_common.base.quoting import one_line
 from rx90_emulator.cli.options import (
     POSITIVE,
-    add_node_arguments,
     add_robot_arguments,
     add_verbs,
-    check_apart,
-    check_needs,
     check_picture,
-    node_of,
     place,
     progress_bar,
     whole_number,
@@ -131,8 +127,8 @@ def _method(options: argparse.Namespace) -> Filtered | NormOptimal:
 
 def _add_show(show: argparse.ArgumentParser) -> None:
     show.add_argument("file", type=Path, metavar="FILE", help="correction file")
-    show.add_argument("--plot", type=place, metavar="FILE", help="picture of trials, offsets, spectra and what is left, "
-                      ".png, .svg or .pdf")  # fmt: skip
+    show.add_argument("--plot", type=place, metavar="FILE", help="picture to write: trials, what is left, offsets "
+                      "and spectra; .png, .svg or .pdf")  # fmt: skip
     show.set_defaults(interrupted="nothing was written")
 
 

@@ -60,7 +60,7 @@ CORRECTION = Group(
             accepted="a list of numbers >= 0",
         ),
         "offsets": Group(
-            "Offsets on the set-points, rad, (n, 6), and distances from the path by trial, m, as `offsets`, `distance`.",
+            "`offsets` on the set-points, rad, (n, 6), and `distance` from the path by trial, m.",
             keys={"file": Text("NumPy file beside this one."), "sha256": Text("Digest of it.")},
         ),
     },
@@ -90,13 +90,17 @@ class Identity:
             digest.update(np.round(model.inertias[k].toDynamicParameters(), 9).tobytes())
         for place in model.jointPlacements:
             digest.update(np.round(place.homogeneous, 9).tobytes())
-        for values in (drives.gear, drives.rotor_inertia, *(getattr(controller, k) for k in ("inertia", "kp", "kv", "ki"))):
+        for values in (
+            drives.gear,
+            drives.rotor_inertia,
+            *(getattr(controller, k) for k in ("inertia", "kp", "kv", "ki")),
+        ):
             digest.update(np.asarray(values, dtype=np.float64).tobytes())
         nominal = Nominal.of(setup, path.points, path.counted)
         speed = float(np.linalg.norm(np.diff(nominal.tip, axis=0), axis=1).max()) / nominal.period
         carried = model.inertias[6]
         return cls(
-            ET.fromstring(setup.robot.urdf).get("name", ""),  # noqa: S314 - read by load_robot, its parser is safe
+            ET.fromstring(setup.robot.urdf).get("name", ""),
             digest.hexdigest()[:16],
             float(carried.mass),
             tuple(float(x) for x in carried.lever),
@@ -108,30 +112,38 @@ class Identity:
 
     def refusal(self, other: Identity) -> str:
         """Return why a correction of this one must not be played on another arm or path; empty where it may."""
-        if self.robot != other.robot:
-            return f"it was learned on the robot {self.robot!r}, this one is {other.robot!r}; accepted: the same robot"
-        if self.arm != other.arm:
-            return (
-                f"it was learned on an arm with other links, gears or gains (digest {self.arm}, here {other.arm}); "
-                "accepted: the same arm and controller"
-            )
-        if abs(self.speed - other.speed) > _SPEED_SHARE * self.speed:
-            return (
-                f"it was learned at {self.speed * 1e3:.4g} mm/s, the path is travelled at {other.speed * 1e3:.4g} mm/s; "
-                "accepted: the same speed"
-            )
-        if abs(self.duration - other.duration) > _DURATION:
-            return f"its path takes {self.duration:.6g} s, this one {other.duration:.6g} s; accepted: the same path"
         apart = np.abs(np.subtract(self.start, other.start))
-        if apart.max() > _START:
-            joint = int(apart.argmax())
-            return (
+        joint, mm = int(apart.argmax()), 1e3
+        faults = (
+            (
+                self.robot != other.robot,
+                f"it was learned on the robot {self.robot!r}, this one is {other.robot!r}; accepted: the same robot",
+            ),
+            (
+                self.arm != other.arm,
+                f"it was learned on an arm with other links, gears or gains (digest {self.arm}, here {other.arm}); "
+                "accepted: the same arm and controller",
+            ),
+            (
+                abs(self.speed - other.speed) > _SPEED_SHARE * self.speed,
+                f"it was learned at {self.speed * mm:.4g} mm/s, the path is travelled at {other.speed * mm:.4g} mm/s; "
+                "accepted: the same speed",
+            ),
+            (
+                abs(self.duration - other.duration) > _DURATION,
+                f"its path takes {self.duration:.6g} s, this one {other.duration:.6g} s; accepted: the same path",
+            ),
+            (
+                apart[joint] > _START,
                 f"its path begins with joint {joint + 1} at {self.start[joint]:.6g} rad, this one at "
-                f"{other.start[joint]:.6g} rad; accepted: the same path"
-            )
-        if self.path != other.path:
-            return f"its path is another one (digest {self.path}, here {other.path}); accepted: the same trajectory"
-        return ""
+                f"{other.start[joint]:.6g} rad; accepted: the same path",
+            ),
+            (
+                self.path != other.path,
+                f"its path is another one (digest {self.path}, here {other.path}); accepted: the same trajectory",
+            ),
+        )
+        return next((why for wrong, why in faults if wrong), "")
 
     def warning(self, other: Identity) -> str:
         """Return how the other payload differs; empty where it does not."""
@@ -222,7 +234,9 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
 
 
 def _described(method: Any) -> str:
-    options = ", ".join(f"{key} {'none' if value is None else format(value, 'g')}" for key, value in asdict(method).items())
+    options = ", ".join(
+        f"{key} {'none' if value is None else format(value, 'g')}" for key, value in asdict(method).items()
+    )
     return f"{type(method).__name__}: {options}"
 
 
@@ -242,7 +256,9 @@ def load_correction(name: Path | str) -> CorrectionFile:
             raise ConfigError(f"{plain(beside)}: {beside.stat().st_size} bytes; accepted: up to {_MOST_BYTES}")
         data = beside.read_bytes()
     except OSError as error:
-        raise ConfigError(f"{plain(beside)}: {error.strerror}; accepted: the file written with {plain(file)}") from error
+        raise ConfigError(
+            f"{plain(beside)}: {error.strerror}; accepted: the file written with {plain(file)}"
+        ) from error
     if hashlib.sha256(data).hexdigest() != content["offsets"]["sha256"]:
         raise ConfigError(f"{plain(beside)}: other offsets than {plain(file)} has; accepted: the file written with it")
     try:

@@ -14,6 +14,7 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, check_type, write_error
 from rx90_common.exchange.topics import (
+    CORRECTION,
     DETAIL_DECIMATION,
     DETAILS,
     MOTOR_COMMANDS,
@@ -124,6 +125,10 @@ class RunResult:
             _series("rx90_controller/reference", joints, slow.reference, period),
             _series("rx90_controller/tracking_error", joints, slow.tracking_error, period),
         ]
+        rows = np.flatnonzero(slow.correction.any(axis=1))
+        if len(rows):
+            topic = f"/rx90_controller/{CORRECTION}"
+            series.append(JointSeries(topic, joints, rows.astype(np.int64) * period, slow.correction[rows]))
         for k, (name, names) in enumerate(zip(DETAILS, (joints, MOTOR_NAMES, MOTOR_NAMES), strict=True)):
             values = np.ascontiguousarray(slow.details[::DETAIL_DECIMATION, k])
             series.append(_series(f"rx90_controller/{name}", names, values, period * DETAIL_DECIMATION))
