@@ -10,9 +10,13 @@ from rx90_common.base.errors import VERDICT_NO, check_replaced
 from rx90_common.base.quoting import one_line
 from rx90_emulator.cli.options import (
     POSITIVE,
+    add_node_arguments,
     add_robot_arguments,
     add_verbs,
+    check_apart,
+    check_needs,
     check_picture,
+    node_of,
     place,
     progress_bar,
     whole_number,
@@ -20,7 +24,7 @@ from rx90_emulator.cli.options import (
 
 if TYPE_CHECKING:
     from rx90_emulator.correction.file import CorrectionFile
-    from rx90_emulator.correction.learning import TrialRecord
+    from rx90_emulator.correction.learning import Learner, TrialRecord
     from rx90_emulator.correction.methods import Filtered, NormOptimal
     from rx90_emulator.correction.path import CorrectablePath
     from rx90_emulator.loop.setup import Setup
@@ -64,27 +68,47 @@ def _add_learn(learn: argparse.ArgumentParser) -> None:
     method.add_argument("--lead", type=POSITIVE, metavar="S", help="filtered: s (1/kp)")
     method.add_argument("--noise", type=POSITIVE, metavar="M", help="by how much the path error may grow from trial to "
                         "trial, m (1e-6)")  # fmt: skip
+    where = learn.add_argument_group("where the trials run", "on the engine, unless one of these says otherwise")
+    where.add_argument("--on-nodes", action="store_true", help="on the running nodes, recorded")
+    where.add_argument("--from-bag", type=Path, metavar="BAG", help="one trial, played with the correction of "
+                       "--previous or without one: bag of an arm or of the nodes, or a table")  # fmt: skip
+    where.add_argument("--tip", type=Path, metavar="CSV", help="learn from the tip, measured in that trial: "
+                       "time [s], x [m], y [m], z [m] in the base frame")  # fmt: skip
+    where.add_argument("--topic", metavar="TOPIC", help="of the joints in the bag (joint_states)")
+    where.add_argument("--tip-on-engine", action="store_true", help="learn from the simulated arm's tip, not "
+                       "from its encoders, which do not see what gears do")  # fmt: skip
+    add_node_arguments(where, _TIMEOUT)
     add_robot_arguments(learn)
 
 
 def _learn(options: argparse.Namespace) -> int:
-    """Learn a correction of a path, trial by trial, on the engine.
+    """Learn a correction of a path, trial by trial.
 
-    The first trial is without correction, or with the one of --previous. Exit code 1: learning has failed, the path got
-    worse trial after trial; the best correction is written.
+    The first trial is without correction, or with the one of --previous. With --from-bag or --tip one trial has been
+    run already, and what is written is for the next one. Exit code 1: the path got worse, trial after trial (the best
+    correction is written), or with the trial that was recorded (nothing is written).
     """
+    check_apart(options, ("on_nodes", "trials", "tip_on_engine"), "from_bag", "one trial for each bag")
+    check_apart(options, ("on_nodes", "trials", "tip_on_engine"), "tip", "one trial for each file")
+    check_apart(options, ("tip_on_engine",), "on_nodes", "the encoders, or --tip")
+    check_needs(options, ("topic",), ("from_bag",))
+    check_needs(options, ("node", "timeout"), ("on_nodes",))
     check_replaced(options.output, force=options.force)
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.correction.file import load_correction, write_correction
-    from rx90_emulator.correction.learning import NOISE, learn_correction, summary
+    from rx90_emulator.correction.learning import NOISE, Learner, learn, learn_correction, summary
     from rx90_emulator.loop.setup import Setup
 
     setup = Setup.load(RobotFiles.of_options(options))
     path, method = _path(options.path, setup), _method(options)
     earlier = None if options.previous is None else load_correction(options.previous)
     previous = None if earlier is None else earlier.fitting(setup, path)
-    count = 4 if options.trials is None else options.trials
+    count, noise = 4 if options.trials is None else options.trials, options.noise or NOISE
+    if options.from_bag is not None or options.tip is not None:
+        before = None if previous is None else previous.offsets
+        learner = Learner(setup, path, method, tip=options.tip is not None, noise=noise, previous=before)
+        return _learn_from_records(learner, earlier, options)
     with progress_bar("trials") as progress:
         done: list[TrialRecord] = []
 
@@ -92,15 +116,50 @@ def _learn(options: argparse.Namespace) -> int:
             done.append(trial)
             progress(len(done), count + 1)
 
-        learned = learn_correction(
-            setup, path, count, method, noise=options.noise or NOISE, previous=previous, told=told
-        )
+        if options.on_nodes:
+            from rx90_common.exchange.ros_start import prepare
+
+            prepare()
+            from rx90_emulator.correction.nodes import node_trials
+
+            before = None if previous is None else previous.offsets
+            learner = Learner(setup, path, method, noise=noise, previous=before)
+            with node_trials(setup, path, node_of(options), options.timeout or _TIMEOUT) as trials:
+                learned = learn(learner, trials.play, count, told)
+        else:
+            learned = learn_correction(
+                setup, path, count, method, tip=options.tip_on_engine, noise=noise, previous=previous, told=told
+            )
     print(summary(learned.trials))
     write_correction(learned, options.output, earlier)
     print(one_line(f"written to {options.output}: worst {learned.best.worst * 1e3:.4f} mm"))
     if learned.remark:
         print(one_line(f"learning has failed: {learned.remark}"))
         return VERDICT_NO
+    return 0
+
+
+def _learn_from_records(learner: Learner, earlier: CorrectionFile | None, options: argparse.Namespace) -> int:
+    """Learn from one trial that was recorded, and write the correction of the next one."""
+    from rx90_emulator.correction.file import write_correction
+    from rx90_emulator.correction.learning import LearnedCorrection, summary
+    from rx90_emulator.correction.recorded import measured
+
+    topic = options.topic or "joint_states"
+    found, said = measured(learner.setup, learner.nominal, options.from_bag, options.tip, topic)
+    print("\n".join(one_line(line) for line in said))
+    trial = learner.take(found)
+    print(summary([trial]))
+    best = min(earlier.worst) if earlier is not None and earlier.worst else None
+    if best is not None and trial.worst > best + learner.noise:
+        print(one_line(f"worse than {best * 1e3:.4f} mm before: not learned from, nothing written; accepted: the "
+                       "correction before, with a smaller gain or a larger effort"))  # fmt: skip
+        return VERDICT_NO
+    learned = LearnedCorrection(
+        learner.setup, learner.path, learner.method, learner.tip, learner.correction, tuple(learner.trials)
+    )
+    write_correction(learned, options.output, earlier)
+    print(one_line(f"written to {options.output}: for the next trial"))
     return 0
 
 
