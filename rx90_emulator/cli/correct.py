@@ -235,7 +235,45 @@ def _plot(found: CorrectionFile) -> Any:
     )  # fmt: skip
 
 
+def _add_precompensate(precompensate: argparse.ArgumentParser) -> None:
+    precompensate.add_argument("file", type=Path, metavar="FILE", help="correction file")
+    precompensate.add_argument("path", metavar="PATH", help="task or trajectory that it is of")
+    precompensate.add_argument("--output", type=place, metavar="FILE", required=True, help="trajectory to write, .yaml")
+    precompensate.add_argument("--force", action="store_true", help="replace a trajectory that exists")
+    precompensate.add_argument(
+        "--cutoff", type=POSITIVE, metavar="HZ", help="of the filter that smooths the offsets (5)"
+    )
+    add_robot_arguments(precompensate)
+    precompensate.set_defaults(interrupted="nothing was written")
+
+
+def _precompensate(options: argparse.Namespace) -> None:
+    """Write the corrected path as a trajectory, for a controller without a channel for corrections, and say what is lost.
+
+    The path errors are those of the engine, with the arm of the files.
+    """
+    check_replaced(options.output, force=options.force)
+    from rx90_common.base.config import yaml_text
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_common.process.files import write_text
+    from rx90_controller.trajectory.points import message_content
+    from rx90_emulator.correction.file import load_correction
+    from rx90_emulator.correction.precompensation import CUTOFF, precompensate
+    from rx90_emulator.loop.setup import Setup
+
+    setup = Setup.load(RobotFiles.of_options(options))
+    path = _path(options.path, setup)
+    correction = load_correction(options.file).fitting(setup, path)
+    found = precompensate(setup, path, correction, options.cutoff or CUTOFF)
+    write_text(options.output, yaml_text(message_content(setup.robot.joint_names, found.points)))
+    errors = (f"{name} {error * 1e3:.4f} mm" for name, error in (
+        ("without correction", found.plain), ("as offsets", found.channel), ("as this trajectory", found.path)))  # fmt: skip
+    print(one_line(f"written to {options.output}: {len(found.points.times)} points"))
+    print(f"worst path error on the engine: {', '.join(errors)}")
+
+
 _VERBS = (
     (_add_learn, _learn, "learn a correction"),
     (_add_show, _show, "show what a correction file holds"),
+    (_add_precompensate, _precompensate, "write the corrected path as a trajectory"),
 )

@@ -140,6 +140,7 @@ WRITTEN = {
         "friction_ramp": [],
         "rx90_bag": ["record"],
         "rx90_config": ["friction", "nowhere"],
+        "rx90_correct": ["learn", "nowhere"],
         "rx90_demo": [],
         "rx90_experiment": ["run", "--engine", "--robot", "nowhere"],
         "rx90_identify": ["nowhere"],

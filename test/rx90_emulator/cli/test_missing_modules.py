@@ -28,6 +28,7 @@ CALLS = {
     "rx90_bag": (["record", "--output", "bag"], "yaml rosbags rclpy"),
     "rx90_compare_measured": (["bag"], "numba scipy"),
     "rx90_config": (["completion", "bash"], "shtab yaml"),
+    "rx90_correct": (["learn", "robots/rx90b/task.yaml", "--output", "out.yaml"], "numba scipy"),
     "rx90_demo": ([], "numba bokeh"),
     "rx90_experiment": (["plan"], "numba rosbags"),
     "rx90_identify": (["bag", "--output", "out.yaml"], "numba scipy"),
