@@ -119,7 +119,7 @@ def other_arms(setup: Setup, task: LineTask) -> dict[str, float]:
         arm = rubbing(setup, factor)
         plain = errors(arm, plan, 0, NormOptimal())
         moved = errors(arm, plan, 1, NormOptimal(), model=setup, previous=nominal)
-        name = f"correction_friction_{factor:g}"
+        name = f"correction_friction_{100.0 * factor:.0f}"
         found |= {f"{name}_plain": plain[0], f"{name}_moved": moved[0], f"{name}_next": moved[1]}
         run, _ = run_corrected(arm, plan, nominal)
         apart.append(tip_position(setup.robot.chain, run.slow.joint_states[:, 0]))
@@ -237,7 +237,7 @@ def main() -> int:
     show("friction x 0.7, x 1.3", [(name, np.array([value])) for name, value in transfer.items()])
     limits = {"moved": ACCEPTED_MOVED * transfer["correction_friction_least"], "next": ACCEPTED_NEXT}
     for which, most in limits.items():
-        names = [f"correction_friction_{factor:g}_{which}" for factor in FACTORS]
+        names = [f"correction_friction_{100.0 * factor:.0f}_{which}" for factor in FACTORS]
         wrong += [name for name in names if not transfer[name] <= most]
     gears = elastic_gears(setup, task)
     show("elastic gears, true tip, learned from", list(gears.items()))
