@@ -248,7 +248,7 @@ def _add_precompensate(precompensate: argparse.ArgumentParser) -> None:
 
 
 def _precompensate(options: argparse.Namespace) -> None:
-    """Write the corrected path as a trajectory, for a controller without a channel for corrections, and say what is lost.
+    """Write the corrected path as a trajectory, for a controller without a channel, and say what is lost.
 
     The path errors are those of the engine, with the arm of the files.
     """
@@ -266,8 +266,8 @@ def _precompensate(options: argparse.Namespace) -> None:
     correction = load_correction(options.file).fitting(setup, path)
     found = precompensate(setup, path, correction, options.cutoff or CUTOFF)
     write_text(options.output, yaml_text(message_content(setup.robot.joint_names, found.points)))
-    errors = (f"{name} {error * 1e3:.4f} mm" for name, error in (
-        ("without correction", found.plain), ("as offsets", found.channel), ("as this trajectory", found.path)))  # fmt: skip
+    told = {"without correction": found.plain, "as offsets": found.channel, "as this trajectory": found.path}
+    errors = [f"{name} {error * 1e3:.4f} mm" for name, error in told.items()]
     print(one_line(f"written to {options.output}: {len(found.points.times)} points"))
     print(f"worst path error on the engine: {', '.join(errors)}")
 

@@ -99,7 +99,7 @@ def test_what_waits_goes_with_its_trajectory(generator: TrajectoryGenerator, ste
 def test_refusals_leave_everything_as_it_was(generator: TrajectoryGenerator, steady: Correction) -> None:
     """Another rate, a scaled speed, a late begin and offsets beyond the limits of position are refused with numbers."""
     other = Correction(np.zeros((10, 6)), 2.0 * PERIOD)
-    with pytest.raises(TrajectoryError, match="an offset every .*; accepted: every"):
+    with pytest.raises(TrajectoryError, match=r"an offset every .*; accepted: every"):
         generator.accept(points(other), 0, None)
     with pytest.raises(TrajectoryError, match=r"begins 0\.01 s late"):
         generator.join(points(steady), 10, 0, anywhere=False)
@@ -108,7 +108,7 @@ def test_refusals_leave_everything_as_it_was(generator: TrajectoryGenerator, ste
         generator.accept(points(steady), 0, None)
     generator.set_speed_scaling(1.0, 0)
     narrow = replace(LIMITS, upper=np.zeros(6) + HOME + 0.1 + 0.5 * SIZE)
-    with pytest.raises(TrajectoryError, match="the correction takes .* within the joint's limits"):
+    with pytest.raises(TrajectoryError, match=r"the correction takes .* within the joint's limits"):
         TrajectoryGenerator(narrow, PERIOD, np.zeros(6) + HOME).accept(points(steady), 0, None)
     assert not generator.moving(1)
 
