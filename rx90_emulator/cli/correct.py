@@ -72,8 +72,10 @@ def _add_learn(learn: argparse.ArgumentParser) -> None:
     where.add_argument("--on-nodes", action="store_true", help="on the running nodes, recorded")
     where.add_argument("--from-bag", type=Path, metavar="BAG", help="one trial, played with the correction of "
                        "--previous or without one: bag of an arm or of the nodes, or a table")  # fmt: skip
-    where.add_argument("--tip", type=Path, metavar="CSV", help="learn from the tip, measured in that trial: "
+    where.add_argument("--tip", type=Path, metavar="FILE", help="learn from the tip, measured in that trial: "
                        "time [s], x [m], y [m], z [m] in the base frame")  # fmt: skip
+    where.add_argument("--tip-topic", metavar="TOPIC", help="the tip is in a bag: PointStamped, PoseStamped or "
+                       "TransformStamped")  # fmt: skip
     where.add_argument("--topic", metavar="TOPIC", help="of the joints in the bag (joint_states)")
     where.add_argument("--tip-on-engine", action="store_true", help="learn from the simulated arm's tip, not "
                        "from its encoders, which do not see what gears do")  # fmt: skip
@@ -92,6 +94,7 @@ def _learn(options: argparse.Namespace) -> int:
     check_apart(options, ("on_nodes", "trials", "tip_on_engine"), "tip", "one trial for each file")
     check_apart(options, ("tip_on_engine",), "on_nodes", "the encoders, or --tip")
     check_needs(options, ("topic",), ("from_bag",))
+    check_needs(options, ("tip_topic",), ("tip",))
     check_needs(options, ("node", "timeout"), ("on_nodes",))
     check_replaced(options.output, force=options.force)
     # Here, because --help must not wait for them.
@@ -146,7 +149,7 @@ def _learn_from_records(learner: Learner, earlier: CorrectionFile | None, option
     from rx90_emulator.correction.recorded import measured
 
     topic = options.topic or "joint_states"
-    found, said = measured(learner.setup, learner.nominal, options.from_bag, options.tip, topic)
+    found, said = measured(learner.setup, learner.nominal, options.from_bag, options.tip, topic, options.tip_topic)
     print("\n".join(one_line(line) for line in said))
     trial = learner.take(found)
     print(summary([trial]))

@@ -137,8 +137,7 @@ def method_named(name: str, **options: float | None) -> Filtered | NormOptimal:
         if not hasattr(method, option):
             accepted = ", ".join(vars(method))
             raise ConfigError(f"the method {name} has no option {option!r}; accepted: {accepted}")
-    changed: Filtered | NormOptimal = replace(method, **options)  # type: ignore[type-var]
-    return changed
+    return replace(method, **options)  # type: ignore[type-var, return-value]
 
 
 def lead_in(nominal: Nominal) -> Array:

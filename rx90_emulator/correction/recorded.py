@@ -8,16 +8,20 @@ counts as none, and only the path remains, which is what a correction is for.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import fftconvolve
 
-from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.reading import BagReader, read_joint_states
+from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.quoting import plain
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import message_time_ns
 from rx90_emulator.correction.learning import Measured
 from rx90_emulator.correction.path import Nominal
 from rx90_emulator.loop.setup import Setup
@@ -26,6 +30,12 @@ REFERENCE, TRACKING, CORRECTION = (f"rx90_controller/{name}" for name in ("refer
 _MOST_APART = 0.02  # of the range of a motion, root mean square: what is further off is another motion
 _TIP_UNITS = {"m": 1.0, "mm": 1e-3}
 _MOST_ROWS = 10_000_000
+_POSITIONS = {
+    "geometry_msgs/msg/PointStamped": "point",
+    "geometry_msgs/msg/PoseStamped": "pose.position",
+    "geometry_msgs/msg/TransformStamped": "transform.translation",
+}
+"""Types of messages that carry a position, and where."""
 
 
 class Laid(NamedTuple):
@@ -136,22 +146,35 @@ def _offsets_of_bag(bag: Path | str, names: Sequence[str], ticks: Array, period:
     return offsets
 
 
-def tip_of_file(file: Path | str, nominal: Nominal) -> tuple[Array, str]:
+def tip_of_file(file: Path | str, nominal: Nominal, topic: str | None = None) -> tuple[Array, str]:
     """Return the tip where it should be less where it was measured on a path's set-points, m, shape (n, 3).
 
     The file is a CSV table with a header: `time [s]`, and `x`, `y`, `z` of the tool centre point in the base frame,
-    each with `[m]` or `[mm]`.
+    each with `[m]` or `[mm]`. With a topic it is a bag with geometry_msgs PointStamped, PoseStamped or TransformStamped.
 
     Returns:
         The error, and how it was found.
 
     Raises:
+        BagError: for a bag that cannot be read, or without such a topic.
         ConfigError: for a file that is none, or of another motion.
     """
-    columns = _table(Path(file))
+    columns = _table(Path(file)) if topic is None else _topic(file, topic)
     times, tip = columns[0], np.column_stack(columns[1:])
     laid = laid_under(times, tip, nominal.tip, nominal.period, nominal.counts, plain(file))
     return nominal.tip - laid.values, f"tip of {plain(file)}, begun at {laid.shift:.6f} s of its time"
+
+
+def _topic(bag: Path | str, name: str) -> list[Array]:
+    with BagReader(bag) as reader:
+        found = [one for one in reader.topics if one.name == absolute(name) and one.msgtype in _POSITIONS]
+        if not found:
+            raise BagError(f"{plain(bag)}: no topic {plain(name)} of {', '.join(_POSITIONS)}; accepted: one that is")
+        read = attrgetter(_POSITIONS[found[0].msgtype])
+        messages = [reader.deserialize(one, data) for one, _, data in reader.messages(found)]
+    rows = [(message_time_ns(each.header.stamp) / NANOSECONDS, read(each)) for each in messages]
+    table = np.array([(time, place.x, place.y, place.z) for time, place in rows], dtype=np.float64).reshape(-1, 4)
+    return list(table.T)
 
 
 def _table(file: Path) -> list[Array]:
@@ -174,7 +197,12 @@ def _table(file: Path) -> list[Array]:
 
 
 def measured(
-    setup: Setup, nominal: Nominal, bag: Path | str | None, tip: Path | str | None, topic: str = "joint_states"
+    setup: Setup,
+    nominal: Nominal,
+    bag: Path | str | None,
+    tip: Path | str | None,
+    topic: str = "joint_states",
+    tip_topic: str | None = None,
 ) -> tuple[Measured, list[str]]:
     """Return what a trial has left, and a line on each record on how it was found; a bag, a tip, or both.
 
@@ -187,6 +215,6 @@ def measured(
         said.append(text)
     error = None
     if tip is not None:
-        error, text = tip_of_file(tip, nominal)
+        error, text = tip_of_file(tip, nominal, tip_topic)
         said.append(text)
     return Measured(joints, error), said
