@@ -218,14 +218,14 @@ def _plot(found: CorrectionFile) -> Any:
 
     period, offsets = found.correction.period, found.correction.offsets
     trials = np.arange(len(found.worst), dtype=np.float64)
-    times = np.arange(found.distance.shape[1]) * period
+    times = np.arange(found.distance.shape[1], dtype=np.float64) * period
     best = int(np.argmin(found.worst))
     shown = [(0, GREY, "first"), (best, COLOURS[0], "best")]
     left = [Curve(times, found.distance[k] * 1e3, name, colour) for k, colour, name in shown]
     spectra = [
         Curve(*(spectrum(found.distance[k] * 1e3, period)), f"error, {name}", colour) for k, colour, name in shown
     ]
-    ticks = np.arange(len(offsets)) * period
+    ticks = np.arange(len(offsets), dtype=np.float64) * period
     return Plot(
         (
             Panel([Curve(trials, np.array(found.worst) * 1e3, dots=True)], "trials", "trial", "worst path error, mm",

@@ -297,4 +297,4 @@ def spectrum(rows: Array, period: float) -> tuple[Array, Array]:
     """Return frequencies, Hz, and amplitudes of a series, of its unit; the mean is left out."""
     window = np.hanning(len(rows))
     amplitude = np.abs(np.fft.rfft((rows - rows.mean()) * window)) * 2.0 / max(window.sum(), math.ulp(1.0))
-    return np.fft.rfftfreq(len(rows), period)[1:], amplitude[1:]
+    return np.asarray(np.fft.rfftfreq(len(rows), period)[1:], dtype=np.float64), amplitude[1:]

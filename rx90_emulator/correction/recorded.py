@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
 from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.topics import absolute
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
@@ -52,7 +53,7 @@ class Laid(NamedTuple):
     apart: float
 
 
-def laid_under(times: Array, values: Array, nominal: Array, period: float, counts: Array, what: str) -> Laid:
+def laid_under(times: Array, values: Array, nominal: Array, period: float, counts: Mask, what: str) -> Laid:
     """Find when a nominal motion runs in a record, and return the record on its set-points.
 
     Args:
@@ -130,7 +131,7 @@ def joints_of_bag(bag: Path | str, setup: Setup, nominal: Nominal, topic: str = 
     return (tracking.position - offsets)[rows], f"the controller's set-points, begun at {first * nominal.period:.6f} s"
 
 
-def _offsets_of_bag(bag: Path | str, names: Sequence[str], ticks: Array, period: float) -> Array:
+def _offsets_of_bag(bag: Path | str, names: Sequence[str], ticks: NDArray[np.int64], period: float) -> Array:
     """Return what a correction had added on the ticks of a bag, rad; 0 where none was played."""
     offsets = np.zeros((len(ticks), len(names)))
     try:
@@ -150,7 +151,7 @@ def tip_of_file(file: Path | str, nominal: Nominal, topic: str | None = None) ->
     """Return the tip where it should be less where it was measured on a path's set-points, m, shape (n, 3).
 
     The file is a CSV table with a header: `time [s]`, and `x`, `y`, `z` of the tool centre point in the base frame,
-    each with `[m]` or `[mm]`. With a topic it is a bag with geometry_msgs PointStamped, PoseStamped or TransformStamped.
+    each with `[m]` or `[mm]`. With a topic it is a bag with PointStamped, PoseStamped or TransformStamped.
 
     Returns:
         The error, and how it was found.
