@@ -16,7 +16,7 @@ import numpy as np
 from rx90_common.base.errors import ExchangeError
 from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ProcessGroup, executable
-from rx90_controller.node.trajectory_client import TrajectoryClient
+from rx90_controller.node.trajectory_client import NewestPositions, TrajectoryClient
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
 from rx90_emulator.correction.learning import Measured
@@ -34,10 +34,10 @@ class NodeTrials:
     """Plays trials on the nodes of a controller; made by `node_trials`."""
 
     def __init__(
-        self, setup: Setup, path: CorrectablePath, trajectory: TrajectoryClient, follow: partial[None],
+        self, setup: Setup, path: CorrectablePath, set_points: NewestPositions, follow: partial[None],
         recorders: ProcessGroup, folder: Path, timeout: float,
     ) -> None:  # fmt: skip
-        self._setup, self._path, self._trajectory, self._follow = setup, path, trajectory, follow
+        self._setup, self._path, self._set_points, self._follow = setup, path, set_points, follow
         self._recorders, self._folder, self._timeout = recorders, folder, timeout
         self._nominal, self._number = Nominal.of(setup, path.points, path.counted), 0
 
@@ -48,8 +48,7 @@ class NodeTrials:
             ExchangeError: if a node does not answer, a trajectory is refused, or the recorder loses messages.
         """
         names, points = self._setup.robot.joint_names, self._path.points
-        set_points = self._trajectory.set_points(names)
-        motion = Motion(np.asarray(set_points.position))
+        motion = Motion(np.asarray(self._set_points.position))
         motion.move(points.position[0], self._setup.robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION)
         if motion.duration > 0.0:
             motion.rest(_HELD)
@@ -95,4 +94,4 @@ def node_trials(setup: Setup, path: CorrectablePath, controller: str, timeout: f
         names = setup.robot.joint_names
         set_points = trajectory.set_points(names)
         follow = partial(follow_trajectory, client, trajectory, names, set_points)
-        yield NodeTrials(setup, path, trajectory, follow, recorders, Path(name), timeout)
+        yield NodeTrials(setup, path, set_points, follow, recorders, Path(name), timeout)
