@@ -24,9 +24,9 @@ from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.topics import CORRECTED, OF_ACTION
 from rx90_controller.law.cs7b import CS7B, DriveFault
-from rx90_controller.trajectory.correction import Correction, correction_from_points, trajectory_identity
+from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.generator import PastError, points_left
-from rx90_controller.trajectory.points import points_from_message
+from rx90_controller.trajectory.points import correction_from_points, points_from_message, trajectory_identity
 from rx90_controller.trajectory.request import (
     GoalOptions,
     GoalTolerances,

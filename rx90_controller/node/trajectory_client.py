@@ -27,8 +27,8 @@ from rx90_common.exchange.ros_start import controller_topic
 from rx90_common.exchange.topics import COMMANDED_CORRECTION, COMMANDED_TRAJECTORY, CORRECTED
 from rx90_controller.lines.plan import Approach, LinePlan, approached
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
-from rx90_controller.trajectory.correction import Correction, correction_content, trajectory_identity
-from rx90_controller.trajectory.points import message_content
+from rx90_controller.trajectory.correction import Correction, correction_content
+from rx90_controller.trajectory.points import message_content, trajectory_identity
 
 _SETTLED = 1.2  # s without a change among those that listen; each participant announces itself every second, config/dds
 _NEXT_SAMPLE = 1.5  # s; at the slowest real_time_factor the samples of a simulation that runs come every second

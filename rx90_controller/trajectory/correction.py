@@ -8,11 +8,10 @@ arm is told meanwhile, a stop, another trajectory, another speed, lets it fade o
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +20,10 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
 
-if TYPE_CHECKING:
-    from rx90_controller.trajectory.points import TrajectoryPoints
-
 FADE = 0.1
 """How long a correction takes to come, and to go, s."""
 LARGEST = 0.01
 """The largest offset, rad: beyond the sag of elastic gears, far below the supervised following error."""
-_TIME_SLACK = 1e-9  # s
 FASTEST = 0.5
 """The fastest change of an offset, rad/s."""
 
@@ -76,29 +71,6 @@ def correction_content(joint_names: Sequence[str], correction: Correction) -> di
         for row, (sec, nanosec) in zip(correction.offsets.tolist(), times, strict=True)
     ]
     return {"joint_names": list(joint_names), "points": points}
-
-
-def correction_from_points(points: TrajectoryPoints, period: float) -> Correction:
-    """Return the offsets that a message carried as points.
-
-    Raises:
-        TrajectoryError: for points that are not one for each set-point, and offsets beyond the limits.
-    """
-    times = np.arange(len(points.times)) * period
-    late = np.flatnonzero(np.abs(points.times - times) > _TIME_SLACK)
-    if len(late):
-        raise TrajectoryError(
-            f"the correction has point {late[0]} at {points.times[late[0]]:.6g} s; accepted: a point every {period:g} s"
-        )
-    return Correction(points.position, period)
-
-
-def trajectory_identity(points: TrajectoryPoints) -> str:
-    """Return what tells a trajectory from others: a digest of its times, in ns, and of its values."""
-    digest = hashlib.sha256(np.round(points.times * NANOSECONDS).astype("<i8").tobytes())
-    for table in (points.position, points.velocity, points.acceleration):
-        digest.update(b"none" if table is None else (np.asarray(table, dtype="<f8") + 0.0).tobytes())
-    return digest.hexdigest()[:32]
 
 
 @dataclass(frozen=True, eq=False)

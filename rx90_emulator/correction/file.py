@@ -20,7 +20,8 @@ from rx90_common.base.errors import ConfigError, TrajectoryError, warn_caller
 from rx90_common.base.groups import Group
 from rx90_common.base.quoting import plain
 from rx90_common.process.files import write_all
-from rx90_controller.trajectory.correction import Correction, trajectory_identity
+from rx90_controller.trajectory.correction import Correction
+from rx90_controller.trajectory.points import trajectory_identity
 from rx90_emulator.correction.learning import ENCODERS, TIP, LearnedCorrection
 from rx90_emulator.correction.path import CorrectablePath, Nominal
 from rx90_emulator.loop.setup import Setup

@@ -17,9 +17,8 @@ from rx90_controller.trajectory.correction import (
     FASTEST,
     Correction,
     correction_content,
-    correction_from_points,
-    trajectory_identity,
 )
+from rx90_controller.trajectory.points import correction_from_points, trajectory_identity
 from rx90_emulator.loop.setup import Setup
 
 SIZE, COUNT = 1e-3, 1000
