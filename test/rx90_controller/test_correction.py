@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from goal_arm import LIMITS
 from joint_moves import HOME, PERIOD
+from servo_rig import Rig
 
 from rx90_common.base.errors import TrajectoryError
+from rx90_common.exchange.topics import CORRECTED
 from rx90_controller.law.loops import position_loop
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.correction import (
@@ -18,7 +21,7 @@ from rx90_controller.trajectory.correction import (
     Correction,
     correction_content,
 )
-from rx90_controller.trajectory.points import correction_from_points, trajectory_identity
+from rx90_controller.trajectory.points import correction_from_points, points_from_message, trajectory_identity
 from rx90_emulator.loop.setup import Setup
 
 SIZE, COUNT = 1e-3, 1000
@@ -144,3 +147,36 @@ def test_a_message_carries_it_to_its_trajectory() -> None:
         correction_from_points(replace(sent, times=sent.times * 1.01), PERIOD)
     one, other = points(None), points(None, 0.2)
     assert trajectory_identity(one) == trajectory_identity(points(correction)) != trajectory_identity(other)
+
+
+def test_the_loop_joins_a_trajectory_with_the_correction_that_waits_for_it(rig: Rig) -> None:
+    """Sent before it, it is played with it; asked for and not there, the trajectory is refused; for another, dropped."""
+    rig.loop.hold(rig.states(0))
+    trajectory = rig.trajectory(0.1)
+    trajectory.header.frame_id = CORRECTED
+    rig.loop.receive(trajectory)
+    assert "its correction has not come; accepted: after it on" in rig.around.lines[-1]
+    identity = trajectory_identity(points_from_message(rig.names, trajectory))
+    rig.loop.receive_correction(sent(rig, identity, SIZE))
+    rig.loop.receive(trajectory)
+    assert rig.around.lines[-1].endswith("; with its correction")
+    rig.run(0, 4 * 200)
+    assert rig.cs7b.offset == pytest.approx(np.full(6, SIZE))
+    rig.loop.receive_correction(sent(rig, identity, 0.02))
+    assert "correction rejected: the correction has the offset 0.02 rad" in rig.around.lines[-1]
+    rig.loop.receive_correction(sent(rig, "another", SIZE))
+    rig.loop.receive(rig.trajectory(0.2))
+    assert "the correction that waited belongs to another trajectory; dropped" in rig.around.lines
+
+
+def sent(rig: Rig, identity: str, size: float) -> SimpleNamespace:
+    """Return the message of a correction of one second."""
+    points = [
+        SimpleNamespace(
+            positions=[size] * 6, velocities=[], accelerations=[], effort=[],
+            time_from_start=SimpleNamespace(sec=0, nanosec=k * 1_000_000),
+        )
+        for k in range(999)
+    ]  # fmt: skip
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id=identity)
+    return SimpleNamespace(header=header, joint_names=list(rig.names), points=points)
