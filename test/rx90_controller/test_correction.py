@@ -150,7 +150,7 @@ def test_a_message_carries_it_to_its_trajectory() -> None:
 
 
 def test_the_loop_joins_a_trajectory_with_the_correction_that_waits_for_it(rig: Rig) -> None:
-    """Sent before it, it is played with it; asked for and not there, the trajectory is refused; for another, dropped."""
+    """Sent before it, it is played; asked for and not there, the trajectory is refused; for another, it is dropped."""
     rig.loop.hold(rig.states(0))
     trajectory = rig.trajectory(0.1)
     trajectory.header.frame_id = CORRECTED
