@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rx90_common.base.errors import VERDICT_NO, check_replaced
-from rx90_common.base.quoting import one_line
+from rx90_common.base.errors import VERDICT_NO, ConfigError, check_replaced
+from rx90_common.base.quoting import one_line, plain
 from rx90_emulator.cli.options import (
     POSITIVE,
     add_node_arguments,
@@ -96,6 +96,8 @@ def _learn(options: argparse.Namespace) -> int:
     check_needs(options, ("topic",), ("from_bag",))
     check_needs(options, ("tip_topic",), ("tip",))
     check_needs(options, ("node", "timeout"), ("on_nodes",))
+    if options.output.suffix != ".yaml":
+        raise ConfigError(f"--output {plain(options.output)}; accepted: a name with .yaml")
     check_replaced(options.output, force=options.force)
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
