@@ -62,7 +62,7 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
         set_points = trajectory.set_points(names)
 
         def follow(points: TrajectoryPoints, show: Callable[[float], object]) -> float:
-            return _follow(client, trajectory, names, set_points, points, show)
+            return follow_trajectory(client, trajectory, names, set_points, points, show)
 
         here, start = set_points.position, plan[0].points.position[0]
         assert here is not None  # the client has waited for the first
@@ -108,7 +108,7 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
                 write_index(folder, plan[: number + 1])
 
 
-def _follow(
+def follow_trajectory(
     client: ClientNode, trajectory: TrajectoryClient, names: Sequence[str], set_points: NewestPositions,
     points: TrajectoryPoints, show: Callable[[float], object],
 ) -> float:  # fmt: skip
