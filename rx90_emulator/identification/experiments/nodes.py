@@ -102,7 +102,7 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
                     shutil.rmtree(bag, ignore_errors=True)
                 if not number and (friction := text_parameter(client, "rx90_sim", "friction")):
                     try:
-                        write_emulated(folder, load_friction(resolve_config(friction), names))
+                        write_emulated(folder, load_friction(resolve_config(friction), setup.friction.names))
                     except ConfigError as error:  # its files are on another machine
                         client.say(f"the simulation's friction is not kept beside the bags: {error}")
                 write_index(folder, plan[: number + 1])
