@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.epilog = _EPILOG
     parser.set_defaults(interrupted="nothing was written")
-    parser.add_argument("target", metavar="TARGET", choices=TARGETS, help=f"simulator: {', '.join(TARGETS)}")
+    parser.add_argument("target", metavar="TARGET", choices=tuple(TARGETS), help=f"simulator: {', '.join(TARGETS)}")
     parser.add_argument("--output", required=True, type=new_folder, metavar="FOLDER",
                         help="new folder for the simulator's files, and export.yaml on what they cost")  # fmt: skip
     parser.add_argument("--within", type=POSITIVE, metavar="NM",
