@@ -16,10 +16,11 @@ Norm-optimal learning asks for the change u of the correction that minimises, ov
     sum  (e - C x)' Q (e - C x) + u' R u,         e the last trial's error, x the response to u
 
 (Amann, Owens and Rogers 1996, "Iterative learning control for discrete-time systems with exponential rate of
-convergence", IEE Proceedings D 143; by Hakvoort, Aarts, van Dijk and Jonker 2008 on a Staubli RX90, Control Engineering
-Practice 16, with lifted matrices, whose cost grows with the cube of the samples, and in a companion paper in Automatica
-with state equations). Its solution is a Riccati recursion backwards in time, which the model alone decides, and for
-each trial an adjoint recursion backwards and a run forwards: cost and memory grow with the number of samples.
+convergence", IEE Proceedings - Control Theory and Applications 143; by Hakvoort, Aarts, van Dijk and Jonker 2008 on a
+Staubli RX90, Control Engineering Practice 16, with lifted matrices, whose cost grows with the cube of the samples, and
+in a companion paper in Automatica with state equations). Its solution is a Riccati recursion backwards in time, which
+the model alone decides, and for each trial an adjoint recursion backwards and a run forwards: cost and memory grow with
+the number of samples.
 """
 
 from __future__ import annotations
