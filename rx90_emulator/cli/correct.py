@@ -88,7 +88,7 @@ def _learn(options: argparse.Namespace) -> int:
 
     The first trial is without correction, or with the one of --previous. With --from-bag or --tip one trial has been
     run already, and what is written is for the next one. Exit code 1: the path got worse, trial after trial (the best
-    correction is written), or with the trial that was recorded (nothing is written).
+    correction is written, from records nothing), or with the trial that was recorded (half the step is written).
     """
     check_apart(options, ("on_nodes", "trials", "tip_on_engine"), "from_bag", "one trial for each bag")
     check_apart(options, ("on_nodes", "trials", "tip_on_engine"), "tip", "one trial for each file")
@@ -102,24 +102,28 @@ def _learn(options: argparse.Namespace) -> int:
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.correction.file import load_correction, write_correction
-    from rx90_emulator.correction.learning import NOISE, Learner, learn, learn_correction, summary
+    from rx90_emulator.correction.learning import ENGINE, NODES, NOISE, Learner, learn, run_corrected, summary
     from rx90_emulator.loop.setup import Setup
 
     setup = Setup.load(RobotFiles.of_options(options))
     path, method = _path(options.path, setup), _method(options)
     earlier = None if options.previous is None else load_correction(options.previous)
-    previous = None if earlier is None else earlier.fitting(setup, path)
-    count, noise = 4 if options.trials is None else options.trials, options.noise or NOISE
+    previous = None if earlier is None else earlier.fitting(setup, path).offsets
+    tip = options.tip is not None or options.tip_on_engine
+    learner = Learner(setup, path, method, tip=tip, noise=options.noise or NOISE, previous=previous)
+    counted = int(learner.nominal.counts.sum())
+    if earlier is not None and earlier.distance.shape[1] != counted:
+        raise ConfigError(
+            f"{plain(options.previous)}: the path error counted on {earlier.distance.shape[1]} set-points, here on "
+            f"{counted}; accepted: the task or trajectory that it was learned for"
+        )
     if options.from_bag is not None or options.tip is not None:
-        before = None if previous is None else previous.offsets
-        learner = Learner(setup, path, method, tip=options.tip is not None, noise=noise, previous=before)
         return _learn_from_records(learner, earlier, options)
+    count = 4 if options.trials is None else options.trials
     with progress_bar("trials") as progress:
-        done: list[TrialRecord] = []
 
-        def told(trial: TrialRecord) -> None:
-            done.append(trial)
-            progress(len(done), count + 1)
+        def told(_: TrialRecord) -> None:
+            progress(len(learner.trials), count + 1)
 
         if options.on_nodes:
             from rx90_common.exchange.ros_start import prepare
@@ -127,14 +131,10 @@ def _learn(options: argparse.Namespace) -> int:
             prepare()
             from rx90_emulator.correction.nodes import node_trials
 
-            before = None if previous is None else previous.offsets
-            learner = Learner(setup, path, method, noise=noise, previous=before)
             with node_trials(setup, path, node_of(options), options.timeout or _TIMEOUT) as trials:
-                learned = learn(learner, trials.play, count, told)
+                learned = learn(learner, trials.play, count, NODES, told)
         else:
-            learned = learn_correction(
-                setup, path, count, method, tip=options.tip_on_engine, noise=noise, previous=previous, told=told
-            )
+            learned = learn(learner, lambda played: run_corrected(setup, path, played)[1], count, ENGINE, told)
     print(summary(learned.trials))
     write_correction(learned, options.output, earlier)
     print(one_line(f"written to {options.output}: worst {learned.best.worst * 1e3:.4f} mm"))
@@ -147,25 +147,22 @@ def _learn(options: argparse.Namespace) -> int:
 def _learn_from_records(learner: Learner, earlier: CorrectionFile | None, options: argparse.Namespace) -> int:
     """Learn from one trial that was recorded, and write the correction of the next one."""
     from rx90_emulator.correction.file import write_correction
-    from rx90_emulator.correction.learning import LearnedCorrection, summary
-    from rx90_emulator.correction.recorded import measured
+    from rx90_emulator.correction.learning import CorrectionError, summary
+    from rx90_emulator.correction.recorded import learn_from_record, measured
 
     topic = options.topic or "joint_states"
     found, said = measured(learner.setup, learner.nominal, options.from_bag, options.tip, topic, options.tip_topic)
     print("\n".join(one_line(line) for line in said))
-    trial = learner.take(found)
-    print(summary([trial]))
-    best = min(earlier.worst) if earlier is not None and earlier.worst else None
-    if best is not None and trial.worst > best + learner.noise:
-        print(one_line(f"worse than {best * 1e3:.4f} mm before: not learned from, nothing written; accepted: the "
-                       "correction before, with a smaller gain or a larger effort"))  # fmt: skip
+    try:
+        learned, why = learn_from_record(learner, found, earlier)
+    except CorrectionError as error:
+        print(one_line(f"learning has failed, nothing written: {error}"))
         return VERDICT_NO
-    learned = LearnedCorrection(
-        learner.setup, learner.path, learner.method, learner.tip, learner.correction, tuple(learner.trials)
-    )
+    print(summary(learned.trials))
     write_correction(learned, options.output, earlier)
-    print(one_line(f"written to {options.output}: for the next trial"))
-    return 0
+    step = f"{why}: half the step from the best trial" if why else "for the next trial"
+    print(one_line(f"written to {options.output}: {step}"))
+    return VERDICT_NO if why else 0
 
 
 def _path(name: str, setup: Setup) -> CorrectablePath:
@@ -219,19 +216,23 @@ def _plot(found: CorrectionFile) -> Any:
     from rx90_emulator.correction.file import spectrum
 
     period, offsets = found.correction.period, found.correction.offsets
-    trials = np.arange(len(found.worst), dtype=np.float64)
-    times = np.arange(found.distance.shape[1], dtype=np.float64) * period
-    best = int(np.argmin(found.worst))
-    shown = [(0, GREY, "first"), (best, COLOURS[0], "best")]
-    left = [Curve(times, found.distance[k] * 1e3, name, colour) for k, colour, name in shown]
-    spectra = [
-        Curve(*(spectrum(found.distance[k] * 1e3, period)), f"error, {name}", colour) for k, colour, name in shown
+    worst, last = np.array(found.worst), len(found.last_seen(found.seen[-1]))
+    rows = {seen: np.flatnonzero([each == seen for each in found.seen]) for seen in found.seen}
+    trials = [
+        Curve(np.asarray(at, dtype=np.float64), worst[at] * 1e3, seen, COLOURS[k], dots=True)
+        for k, (seen, at) in enumerate(rows.items())
     ]
+    times = np.arange(found.distance.shape[1], dtype=np.float64) * period
+    first = len(worst) - last
+    shown = [(first, GREY, f"trial {first}")]
+    if (best := first + int(np.argmin(worst[first:]))) > first:
+        shown.append((best, COLOURS[0], f"best, trial {best}"))
+    left = [Curve(times, found.distance[k] * 1e3, name, colour) for k, colour, name in shown]
+    spectra = [Curve(*(spectrum(found.distance[k] * 1e3, period)), name, colour) for k, colour, name in shown]
     ticks = np.arange(len(offsets), dtype=np.float64) * period
     return Plot(
         (
-            Panel([Curve(trials, np.array(found.worst) * 1e3, dots=True)], "trials", "trial", "worst path error, mm",
-                  y_scale="log"),
+            Panel(trials, "trials", "trial", "worst path error, mm", y_scale="log"),
             Panel(left, "what is left", "time on the path, s", "path error, mm", from_zero=True),
             Panel(
                 [Curve(ticks, row * 1e3, f"joint {k + 1}", COLOURS[k]) for k, row in enumerate(offsets.T)],

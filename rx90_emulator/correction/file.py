@@ -22,7 +22,7 @@ from rx90_common.base.quoting import plain
 from rx90_common.process.files import write_all
 from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.points import trajectory_identity
-from rx90_emulator.correction.learning import ENCODERS, TIP, LearnedCorrection
+from rx90_emulator.correction.learning import SEEN, LearnedCorrection
 from rx90_emulator.correction.path import CorrectablePath, Nominal
 from rx90_emulator.loop.setup import Setup
 
@@ -52,16 +52,22 @@ CORRECTION = Group(
             },
         ),
         "period": Number("From one offset to the next.", "s", low=0.0, above=True),
-        "measured": Text("What it was learned from.", choices=(ENCODERS, TIP)),
-        "method": Text("How, with its options."),
+        "method": Text("How it was learned, with the options."),
+        "seen": ListOf(
+            "By what each trial was measured, and where.",
+            item=Text("", choices=SEEN),
+            accepted="a list of them",
+        ),
         "worst": ListOf(
             "Largest distance from the path, trial by trial.",
             "m",
             item=Number("", low=0.0),
-            accepted="a list of numbers >= 0",
+            accepted="a list of one number >= 0 or more",
+            least=1,
         ),
         "offsets": Group(
-            "`offsets` on the set-points, rad, (n, j), and `distance` from the path by trial, m.",
+            "`offsets` on the set-points, and those of the `best` trial, rad, (n, j); `distance` from the path by "
+            "trial, m.",
             keys={"file": Text("NumPy file beside this one."), "sha256": Text("Digest of it.")},
         ),
     },
@@ -165,8 +171,9 @@ class CorrectionFile:
         file: the head.
         identity: what it is for.
         correction: what is played.
-        measured: what it was learned from, ENCODERS or TIP.
+        best: offsets of the best trial, rad, shape (n, j): the same, but after a trial that was recorded.
         method: how, in words.
+        seen: by what each trial was measured, and where, of SEEN.
         worst: largest distance from the path by trial, m.
         distance: from the path on the set-points that count by trial, m, shape (trials, k).
     """
@@ -174,10 +181,16 @@ class CorrectionFile:
     file: Path
     identity: Identity
     correction: Correction
-    measured: str
+    best: Array
     method: str
+    seen: tuple[str, ...]
     worst: tuple[float, ...]
     distance: Array
+
+    def last_seen(self, how: str) -> tuple[float, ...]:
+        """Return the worst distances of the last trials, m, as far back as all of them were seen in this way."""
+        other = max((k + 1 for k, seen in enumerate(self.seen) if seen != how), default=0)
+        return self.worst[other:]
 
     def fitting(self, setup: Setup, path: CorrectablePath) -> Correction:
         """Return the correction for an arm and a path; another payload is warned of.
@@ -210,11 +223,13 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
         raise ConfigError(f"{plain(head)}: cannot be a correction file; accepted: a name with .yaml")
     identity, beside = Identity.of(learned.setup, learned.path), head.with_suffix(".npz")
     distance = np.array([trial.distance for trial in learned.trials])
-    worst = [trial.worst for trial in learned.trials]
+    worst, seen = [trial.worst for trial in learned.trials], [learned.seen] * len(learned.trials)
     if earlier is not None:
-        distance, worst = np.concatenate([earlier.distance, distance]), [*earlier.worst, *worst]
+        distance, worst, seen = (
+            np.concatenate([earlier.distance, distance]), [*earlier.worst, *worst], [*earlier.seen, *seen]
+        )  # fmt: skip
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, offsets=learned.correction.offsets, distance=distance)
+    np.savez_compressed(buffer, offsets=learned.correction.offsets, best=learned.best_offsets, distance=distance)
     content = {
         "robot": identity.robot,
         "arm": identity.arm,
@@ -226,8 +241,8 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
             "start": list(identity.start),
         },
         "period": learned.correction.period,
-        "measured": TIP if learned.tip else ENCODERS,
         "method": _described(learned.method),
+        "seen": seen,
         "worst": worst,
         "offsets": {"file": beside.name, "sha256": hashlib.sha256(buffer.getvalue()).hexdigest()},
     }
@@ -264,18 +279,24 @@ def load_correction(name: Path | str) -> CorrectionFile:
         raise ConfigError(f"{plain(beside)}: other offsets than {plain(file)} has; accepted: the file written with it")
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            offsets, distance = (np.asarray(arrays[key], dtype=np.float64) for key in ("offsets", "distance"))
+            offsets, best, distance = (
+                np.asarray(arrays[key], dtype=np.float64) for key in ("offsets", "best", "distance")
+            )
         correction = Correction(offsets, content["period"])
+        if Correction(best, content["period"]).offsets.shape != offsets.shape:
+            raise ValueError(f"best offsets of shape {best.shape}, offsets of shape {offsets.shape}")
     except (KeyError, ValueError, zipfile.BadZipFile, TrajectoryError) as error:
         raise ConfigError(f"{plain(beside)}: {error}; accepted: a file that rx90_correct wrote") from error
-    if distance.ndim != 2 or len(distance) != len(content["worst"]) or not np.isfinite(distance).all():
+    trials = {len(distance), len(content["worst"]), len(content["seen"])}
+    if distance.ndim != 2 or len(trials) > 1 or not np.isfinite(distance).all():
         raise ConfigError(f"{plain(beside)}: distances of shape {distance.shape}; accepted: a row for each trial")
     identity = Identity(
         content["robot"], content["arm"], payload["mass"], payload["center_of_mass"], path["identity"], path["speed"],
         path["duration"], path["start"],
     )  # fmt: skip
-    measured, method, worst = content["measured"], content["method"], content["worst"]
-    return CorrectionFile(file, identity, correction, measured, method, worst, distance)
+    return CorrectionFile(
+        file, identity, correction, best, content["method"], content["seen"], content["worst"], distance
+    )
 
 
 def described(found: CorrectionFile) -> str:
@@ -285,12 +306,13 @@ def described(found: CorrectionFile) -> str:
     rows = [
         f"robot {identity.robot}, {identity.mass:.4g} kg on the last joint",
         f"path of {identity.duration:.3f} s, up to {identity.speed * 1e3:.4g} mm/s",
-        f"learned from the {found.measured}; {found.method}",
-        *(f"trial {k}: worst {worst * 1e3:.4f} mm" for k, worst in enumerate(found.worst)),
+        f"learned by {found.method}",
+        *(
+            f"trial {k}, {seen}: worst {worst * 1e3:.4f} mm"
+            for k, (seen, worst) in enumerate(zip(found.seen, found.worst, strict=True))
+        ),
         f"largest offset {float(np.abs(offsets).max()):.3g} rad, fastest change {rate:.3g} rad/s",
     ]
-    if found.worst and min(found.worst) > 0.0:
-        rows.append(f"best of the first: {found.worst[0] / min(found.worst):.3g} times better")
     return "\n".join(rows)
 
 

@@ -29,7 +29,12 @@ from rx90_emulator.loop.setup import Setup
 NOISE = 1e-6
 """By how much the worst distance may grow, m, unless another noise is given: of about encoder counts."""
 ENCODERS, TIP = "encoders", "tip"
-_MOST_WORSE: Final = 4  # trials in a row
+ENGINE, NODES, RECORD = "engine", "nodes", "record"
+SEEN: Final = tuple(f"{what}, {where}" for what in (ENCODERS, TIP) for where in (ENGINE, NODES, RECORD))
+"""What a trial was measured by, and where; path errors that were seen otherwise cannot be compared."""
+_LONGEST = 600_000  # set-points: the feedback of norm-optimal takes 1.5 kB for each
+MOST_WORSE: Final = 4
+"""Trials in a row that make the path worse, after which learning has failed."""
 _HELD = 1.0  # s from the release of the brakes to where the path error counts
 
 
@@ -83,11 +88,11 @@ class Learner:
     Attributes:
         nominal: what the path asks for.
         offsets: to play in the next trial, rad, shape (n, j).
-        best: those of the best trial; those given, or 0, before the first.
+        best: those of the last trial that was kept; those given, or 0, before the first.
         trials: so far.
 
     Raises:
-        ConfigError: for a noise below 0, and offsets of another number of set-points.
+        ConfigError: for a noise below 0, offsets of another number of set-points, and a path that takes too long.
         TrajectoryError: if the controller would refuse the trajectory.
     """
 
@@ -104,6 +109,9 @@ class Learner:
         if not 0.0 <= noise < math.inf:
             raise ConfigError(f"noise is {noise:g} m; accepted: a number >= 0")
         self.setup, self.path, self.method, self.tip, self.noise = setup, path, method or NormOptimal(), tip, noise
+        period = setup.rates.position_period
+        if not path.points.times[-1] <= _LONGEST * period:
+            raise ConfigError(f"a path of {path.points.times[-1]:g} s; accepted: up to {_LONGEST * period:g} s")
         self.nominal = Nominal.of(setup, path.points, path.counted)
         count = len(self.nominal.counts)
         shape = count, len(setup.robot.joint_names)
@@ -122,11 +130,6 @@ class Learner:
             TrajectoryError: if it is larger or faster than a correction may be.
         """
         return Correction(self.offsets, self.nominal.period)
-
-    @property
-    def best_trial(self) -> TrialRecord | None:
-        """Return the trial of `best`; None before the first."""
-        return next((trial for trial in reversed(self.trials) if trial.kept), None)
 
     def distance(self, measured: Measured) -> Array:
         """Return the distance of the tip from the path on the set-points that count, m, by what was measured."""
@@ -152,22 +155,22 @@ class Learner:
                 f"errors of shape {error.shape}, finite: {bool(np.isfinite(error).all())}; accepted: finite numbers on "
                 f"{len(self.nominal.counts)} set-points"
             )
-        distance, before = self.distance(measured), self.best_trial
+        distance = self.distance(measured)
         worst, rms = float(distance.max()), math.sqrt(float(np.mean(distance**2)))
-        kept = before is None or worst <= before.worst + self.noise
+        least = min((trial.worst for trial in self.trials), default=math.inf)
+        kept = worst <= least + self.noise
         trial = TrialRecord(worst, rms, kept, self._gain, distance)
         self.trials.append(trial)
         if kept:
             self.best, self._error, self._worse = self.offsets, error, 0
             self._gain = min(1.0, 2.0 * self._gain) if len(self.trials) > 1 else 1.0
         else:
-            assert before is not None
             self._worse, self._gain = self._worse + 1, 0.5 * self._gain
-            if self._worse >= _MOST_WORSE:
+            if self._worse >= MOST_WORSE:
                 raise CorrectionError(
                     f"{self._worse} trials in a row have made the path worse, the last one {worst * 1e3:.4f} mm after "
-                    f"{before.worst * 1e3:.4f} mm; accepted: the correction of trial {self._best_number}, or another "
-                    "model, method or gain"
+                    f"{least * 1e3:.4f} mm; accepted: the correction of trial {self._best_number}, or another model, "
+                    "method or gain"
                 )
         self.offsets = self._update(self.best, self._error, self._gain)
         return trial
@@ -185,35 +188,39 @@ class LearnedCorrection:
         setup: what was learned with.
         path: what is corrected.
         method: how.
-        tip: whether from a measured tip.
-        correction: the best one.
+        seen: by what the trials were measured, and where, of SEEN.
+        correction: the best one; from a record, the one for the next trial.
         trials: all of them; the first is without correction, or with the one that was gone on from.
+        best_offsets: of the best trial, rad, shape (n, j).
         remark: why it ended early; empty if it did not.
     """
 
     setup: Setup
     path: CorrectablePath
     method: Method
-    tip: bool
+    seen: str
     correction: Correction
     trials: tuple[TrialRecord, ...]
+    best_offsets: Array = field(repr=False)
     remark: str = ""
 
     @property
     def best(self) -> TrialRecord:
-        """Return the trial of the correction."""
+        """Return the last trial that was kept."""
         return next(trial for trial in reversed(self.trials) if trial.kept)
 
 
 def learn(
-    learner: Learner, play: Callable[[Correction], Measured], trials: int, told: Callable[[TrialRecord], None] | None
-) -> LearnedCorrection:
+    learner: Learner, play: Callable[[Correction], Measured], trials: int, where: str,
+    told: Callable[[TrialRecord], None] | None,
+) -> LearnedCorrection:  # fmt: skip
     """Play and learn: one trial as it begins, then `trials` more, each with what the one before has taught.
 
     Args:
         learner: what learns.
         play: runs one trial.
         trials: how many after the first.
+        where: they run, ENGINE or NODES.
         told: is told of each.
 
     Raises:
@@ -231,9 +238,9 @@ def learn(
             told(learner.trials[-1])
         if remark:
             break
-    best = Correction(learner.best, learner.nominal.period)
+    best, seen = Correction(learner.best, learner.nominal.period), f"{TIP if learner.tip else ENCODERS}, {where}"
     return LearnedCorrection(
-        learner.setup, learner.path, learner.method, learner.tip, best, tuple(learner.trials), remark
+        learner.setup, learner.path, learner.method, seen, best, tuple(learner.trials), learner.best, remark
     )
 
 
@@ -294,7 +301,7 @@ def learn_correction(
     planned = plan_line(setup, path) if isinstance(path, LineTask) else path
     before = None if previous is None else previous.offsets
     learner = Learner(model or setup, planned, method, tip=tip, noise=noise, previous=before)
-    return learn(learner, lambda correction: run_corrected(setup, planned, correction)[1], trials, told)
+    return learn(learner, lambda correction: run_corrected(setup, planned, correction)[1], trials, ENGINE, told)
 
 
 def summary(trials: Iterable[TrialRecord]) -> str:

@@ -8,6 +8,7 @@ counts as none, and only the path remains, which is what a correction is for.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +24,18 @@ from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
-from rx90_emulator.correction.learning import Measured
+from rx90_controller.trajectory.correction import Correction
+from rx90_emulator.correction.file import CorrectionFile
+from rx90_emulator.correction.learning import (
+    ENCODERS,
+    MOST_WORSE,
+    RECORD,
+    TIP,
+    CorrectionError,
+    LearnedCorrection,
+    Learner,
+    Measured,
+)
 from rx90_emulator.correction.path import Nominal
 from rx90_emulator.loop.setup import Setup
 
@@ -219,3 +231,37 @@ def measured(
         error, text = tip_of_file(tip, nominal, tip_topic)
         said.append(text)
     return Measured(joints, error), said
+
+
+def learn_from_record(
+    learner: Learner, found: Measured, earlier: CorrectionFile | None = None
+) -> tuple[LearnedCorrection, str]:
+    """Learn from one trial that was recorded, and return the correction of the next one.
+
+    It is compared with the trials before that were measured alike: not with those of the engine, whose arm is another.
+    If it is worse than the best of them, the next one plays half of what the best one and this one have apart.
+
+    Args:
+        learner: with what was played, if anything, as `previous`.
+        found: what the trial has left.
+        earlier: the file of what was played.
+
+    Returns:
+        The correction, and why the trial was not kept; empty where it was.
+
+    Raises:
+        ConfigError: as `Learner.take`.
+        CorrectionError: if trial after trial has made it worse.
+    """
+    seen = f"{TIP if learner.tip else ENCODERS}, {RECORD}"
+    before = () if earlier is None else earlier.last_seen(seen)
+    trial, best, following, why = learner.take(found), learner.best, learner.offsets, ""
+    if earlier is not None and before and trial.worst > min(before) + learner.noise:
+        worse = len(before) - before.index(min(before))
+        why = f"worse than {min(before) * 1e3:.4f} mm before"
+        if worse >= MOST_WORSE:
+            raise CorrectionError(f"{worse} trials in a row are {why}; accepted: another model, method or gain")
+        trial, best = replace(trial, kept=False, gain=0.5 ** (worse - 1)), earlier.best
+        following = 0.5 * (best + earlier.correction.offsets)
+    correction = Correction(following, learner.nominal.period)
+    return LearnedCorrection(learner.setup, learner.path, learner.method, seen, correction, (trial,), best), why

@@ -16,10 +16,11 @@ Norm-optimal learning asks for the change u of the correction that minimises, ov
     sum  (e - C x)' Q (e - C x) + u' R u,         e the last trial's error, x the response to u
 
 (Amann, Owens and Rogers 1996, "Iterative learning control for discrete-time systems with exponential rate of
-convergence", IEE Proceedings D 143; by Hakvoort, Aarts, van Dijk and Jonker 2008 on a Staubli RX90, Control Engineering
-Practice 16, with lifted matrices, whose cost grows with the cube of the samples, and in a companion paper in Automatica
-with state equations). Its solution is a Riccati recursion backwards in time, which the model alone decides, and for
-each trial an adjoint recursion backwards and a run forwards: cost and memory grow with the number of samples.
+convergence", IEE Proceedings - Control Theory and Applications 143; by Hakvoort, Aarts, van Dijk and Jonker 2008 on a
+Staubli RX90, Control Engineering Practice 16, with lifted matrices, whose cost grows with the cube of the samples, and
+in a companion paper in Automatica with state equations). Its solution is a Riccati recursion backwards in time, which
+the model alone decides, and for each trial an adjoint recursion backwards and a run forwards: cost and memory grow with
+the number of samples.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ from rx90_emulator.perturbation.model import SPACING, linearise
 
 STATES = 24
 """Deviations of six joints and their velocities, integrators, torques of the drives."""
+FACTORS = np.dtype([("factor", np.float64, (6, 6))])
+"""Of R + B' P B at a set-point; in records, where `factorise` and `solve` take them from."""
 _HALVINGS, _TERMS = 5, 5  # of the matrix exponential: scaled, a Taylor polynomial, squared
 
 
@@ -78,7 +81,7 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
 
 @kernel
 def gains(a: Array, b: Array, apart: int, error: Array, change: float, counted: Array) -> tuple[Array, Array]:
-    """Return the feedback K, shape (n, 6, 24), and the factors of R + B' P B, shape (n, 6, 6): the Riccati recursion.
+    """Return the feedback K, shape (n, 6, 24), and the FACTORS of R + B' P B, shape (n,): the Riccati recursion.
 
     Args:
         a: A, shape (points, 24, 24).
@@ -89,7 +92,7 @@ def gains(a: Array, b: Array, apart: int, error: Array, change: float, counted: 
         counted: by how much the error of a set-point counts, 0 to 1, shape (n,).
     """
     count, states = len(counted), a.shape[1]
-    feedback, factors = np.empty((count, 6, states)), np.empty((count, 6, 6))
+    feedback, factors = np.empty((count, 6, states)), np.empty(count, FACTORS)
     cost, carried = np.zeros((states, states)), np.empty((states, states))
     closed, pushed, weight, column = np.empty((states, states)), np.empty((states, 6)), np.empty((6, 6)), np.empty(6)
     for k in range(count - 1, -1, -1):
@@ -99,12 +102,12 @@ def gains(a: Array, b: Array, apart: int, error: Array, change: float, counted: 
         _transposed_times(push, pushed, weight)
         for i in range(6):
             weight[i, i] += change * change
-        factorise(weight, factors[k])
+        factorise(weight, factors[k].factor)
         _transposed_times(pushed, step, feedback[k])
         for j in range(states):
             for i in range(6):
                 column[i] = feedback[k, i, j]
-            solve(factors[k], column)
+            solve(factors[k].factor, column)
             for i in range(6):
                 feedback[k, i, j] = column[i]
         _times(push, feedback[k], closed)
@@ -145,7 +148,7 @@ def best_change(a: Array, b: Array, apart: int, feedback: Array, factors: Array,
         for i in range(states):
             now[i, 0] = then[i, 0] - drawn[i, 0] + (weighted[k, i] if i < 6 else 0.0)
         change[k] = pushed[:, 0]
-        solve(factors[k], change[k])
+        solve(factors[k].factor, change[k])
     now[:] = 0.0
     for k in range(count):  # the response
         point = min(k // apart, len(a) - 1)

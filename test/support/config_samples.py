@@ -70,8 +70,8 @@ arm: 0123456789abcdef
 payload: {mass: 3.7, center_of_mass: [0, 0, 0.1]}
 path: {identity: 0123456789abcdef, speed: 0.1, duration: 0.001, start: [0, 0, 0, 0, 0, 0]}
 period: 0.001
-measured: encoders
 method: "Filtered: gain 1"
+seen: ["encoders, engine", "tip, record"]
 worst: [1.0e-4, 1.0e-5]
 offsets: {file: correction.npz, sha256: SHA256}
 """,
@@ -103,7 +103,7 @@ def written(folder: Path) -> list[tuple[str, Path]]:
     for bag in ("one", "two", "three"):
         (folder / bag).mkdir()
     buffer, found = io.BytesIO(), []
-    np.savez(buffer, offsets=np.zeros((2, 6)), distance=np.zeros((2, 2)))
+    np.savez(buffer, offsets=np.zeros((2, 6)), best=np.zeros((2, 6)), distance=np.zeros((2, 2)))
     (folder / "correction.npz").write_bytes(buffer.getvalue())
     for name, text in OWN.items():
         path = folder / f"{name}.yaml"

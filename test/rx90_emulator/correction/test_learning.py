@@ -11,15 +11,19 @@ from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 import rx90_emulator as rx
+from benchmarks.any_arm import write_arm
 from rx90_common.base.arrays import Array
+from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import ConfigError, Rx90Warning
 from rx90_controller.lines.task import load_task
+from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
+from rx90_controller.trajectory.points import message_content
 from rx90_emulator.cli.frame import run
 from rx90_emulator.correction.learning import CorrectionError, Learner, Measured, run_corrected
 from rx90_emulator.correction.methods import zero_phase
 from rx90_emulator.correction.path import TrajectoryPath
-from rx90_emulator.correction.recorded import joints_of_bag, laid_under, tip_of_file
+from rx90_emulator.correction.recorded import joints_of_bag, laid_under, learn_from_record, tip_of_file
 from rx90_emulator.correction.response import best_change, gains, response
 from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.setup import Setup
@@ -165,6 +169,84 @@ def test_a_bag_teaches_what_the_engine_does(shipped: Setup, task: rx.LineTask, t
         joints_of_bag(tmp_path / "arm", shipped, Learner(shipped, plan_line(shipped, other)).nominal)
 
 
+def test_an_arm_goes_on_where_the_engine_has_ended(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
+    """An arm's first trial is worse than the engine's, and taught from; its worse ones halve the step, the 4th fails.
+
+    What the record leaves is chosen here: 5, 9, 8, 7 and 6 times the path error that the engine ended with.
+    """
+    plan = plan_line(shipped, task)
+    earlier = kept(rx.learn_correction(shipped, plan, 1), None, tmp_path / "engine.yaml")
+    engine, error = earlier.worst[-1], run_corrected(shipped, plan, earlier.correction)[1].joints
+    record = "encoders, record"
+
+    def trial(factor: float, before: rx.CorrectionFile) -> tuple[rx.LearnedCorrection, str]:
+        learner = Learner(shipped, plan, previous=before.correction.offsets)
+        return learn_from_record(learner, Measured(factor * error), before)
+
+    learned, why = trial(5.0, earlier)
+    assert not why
+    first = kept(learned, earlier, tmp_path / "0.yaml")
+    assert first.worst == pytest.approx([*earlier.worst, 5.0 * engine], rel=0.02)
+    assert first.seen == ("encoders, engine",) * 2 + (record,)
+    file, step = first, first.correction.offsets - earlier.correction.offsets
+    for number, factor in enumerate((9.0, 8.0, 7.0)):
+        learned, why = trial(factor, file)
+        assert why == f"worse than {first.worst[-1] * 1e3:.4f} mm before"
+        file, step = kept(learned, file, tmp_path / f"{number + 1}.yaml"), 0.5 * step
+        assert file.correction.offsets == pytest.approx(earlier.correction.offsets + step, abs=1e-12)
+        assert np.array_equal(file.best, earlier.correction.offsets)
+    with pytest.raises(CorrectionError, match="4 trials in a row are worse than"):
+        trial(6.0, file)
+    learned, why = trial(1.0, file)
+    assert not why
+    assert np.array_equal(learned.best_offsets, file.correction.offsets)
+
+
+def kept(learned: rx.LearnedCorrection, earlier: rx.CorrectionFile | None, file: Path) -> rx.CorrectionFile:
+    """Write a correction, and read it again."""
+    rx.write_correction(learned, file, earlier)
+    return rx.load_correction(file)
+
+
+def test_errors_do_not_creep(shipped: Setup, task: rx.LineTask) -> None:
+    """Trials that are each worse by less than the noise are not kept once they are worse than the best one by more."""
+    learner = Learner(shipped, plan_line(shipped, task), noise=1e-6)
+    error = np.zeros((len(learner.nominal.counts), 6))
+    error[:, 1] = 1e-4
+    worst = float(learner.distance(Measured(error)).max())
+    kept = [learner.take(Measured((1.0 + k * 0.6e-6 / worst) * error)).kept for k in range(4)]
+    assert kept == [True, True, False, False]
+
+
+def test_an_arm_of_seven_joints_learns_by_the_filtered_method(tmp_path: Path) -> None:
+    """From encoders and from the tip three trials leave a third; norm-optimal is refused."""
+    arm = rx.load_setup(robot=write_arm(tmp_path / "arm", 7))
+    names, times = arm.robot.joint_names, np.round(np.arange(0.0, 2.0005, 0.01), 9)
+    s = np.clip((times - 0.4) / 1.2, 0.0, 1.0)[:, None]
+    way, first = np.array([0.3, -0.2, 0.2, 0.1, -0.2, 0.1, 0.2]), np.array([0.1, 0.4, 0.5, 0.1, 0.6, 0.1, 0.2])
+    rows = (
+        first + way * s**3 * (10.0 - 15.0 * s + 6.0 * s**2),
+        way * 30.0 * s**2 * (1.0 - s) ** 2 / 1.2,
+        way * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / 1.2**2,
+    )
+    points = TrajectoryPoints.create(names, names, times.tolist(), *(row.tolist() for row in rows))
+    path = rx.TrajectoryPath.of(arm, points, (0.4, 1.9))
+    for tip in (False, True):
+        trials = rx.learn_correction(arm, path, 3, rx.Filtered(), tip=tip).trials
+        assert trials[3].worst < trials[0].worst / 3.0
+    with pytest.raises(ConfigError, match=r"norm-optimal holds six joints .*; accepted: filtered"):
+        rx.learn_correction(arm, path, 1)
+
+
+def test_a_path_beyond_the_memory_is_refused(shipped: Setup, task: rx.LineTask) -> None:
+    """A path of more set-points than the method can hold is refused with its time, before anything is computed."""
+    plan = plan_line(shipped, task)
+    points = replace(plan.points, times=plan.points.times * 1e4)
+    long = TrajectoryPath(points, plan.counted, np.zeros((0, 3)))
+    with pytest.raises(ConfigError, match=r"a path of .* s; accepted: up to 600 s"):
+        Learner(shipped, long)
+
+
 def test_a_tip_is_laid_under_the_path(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
     """A tip in mm on a clock of its own, at another rate, is found to microseconds; half a path is refused."""
     plan = plan_line(shipped, task)
@@ -260,6 +342,13 @@ def test_the_command_learns_shows_and_refuses(tmp_path: Path, capsys: pytest.Cap
     for more in (["--from-bag", "x", "--force"], ["--force", "--gain", "1"], [], ["--topic", "x", "--force"]):
         assert run("rx90_correct", [*words, *more]) == 2
         assert len(capsys.readouterr().err.splitlines()) == 1
+    setup = rx.load_setup()
+    points = plan_line(setup, load_task()).points  # the same trajectory, of which all counts
+    as_trajectory = tmp_path / "line_trajectory.yaml"
+    as_trajectory.write_text(yaml_text(message_content(setup.robot.joint_names, points)), encoding="utf-8")
+    more = ["--previous", str(output), "--output", str(tmp_path / "next.yaml")]
+    assert run("rx90_correct", ["learn", str(as_trajectory), *more]) == 2
+    assert "the path error counted on" in capsys.readouterr().err
 
 
 def test_offsets_beyond_the_limits_are_refused() -> None:
