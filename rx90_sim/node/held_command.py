@@ -92,9 +92,10 @@ class HeldCommand:
                 self._announce(f"one controller is left on {self._topic}")
         elif self._followed and self._too_old(tick):
             self._followed = self._wait(tick)
-        if self._followed == self._closed or self._changes:
-            self._announce_brakes()
-        return self._torques if self._followed and not self.two_controllers else None
+        torques = self._torques if self._followed else None
+        if (torques is not None) == self._closed or self._changes:
+            self._announce_brakes(torques is not None)
+        return None if self.two_controllers else torques
 
     def _too_old(self, tick: int) -> bool:
         return self._answered is None or tick - self._answered > self._most_age
@@ -164,18 +165,20 @@ class HeldCommand:
             self.two_controllers = True
             self._announce(f"two controllers publish on {self._topic}: no torque until one is left")
 
-    def _announce_brakes(self) -> None:
+    def _announce_brakes(self, opened: bool) -> None:
         """Say that the brakes have opened or closed, a few times in a while; what comes more often is counted."""
-        if self._followed == self._closed:
-            self._closed = not self._followed
+        if opened == self._closed:
+            self._closed = not opened
             self._changes += 1
         now = time.monotonic()
         if len(self._lines) == _LINES and now - self._lines[0] < _LINES_WINDOW:
             return
         self._lines.append(now)
         changes, self._changes = self._changes, 0
-        if self._followed:
+        if opened:
             text = f"commands on {self._topic}: the brakes open"
+        elif self._followed:
+            text = f"commands on {self._topic} without effort: torque off, brakes closed"
         elif self._answered is None:
             text = f"waiting for a controller on {self._topic}: the brakes hold the arm"
         else:

@@ -29,7 +29,7 @@ def plant() -> Plant:
     """Return the RX90B."""
     files = RobotFiles()
     robot = load_robot(files.urdf, files.tool)
-    friction = load_friction(files.friction, robot.joint_names)
+    friction = load_friction(files.friction, robot.element_names)
     return Plant(robot, load_drives(files.drives), friction, Rates())
 
 
