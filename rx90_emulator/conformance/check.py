@@ -218,7 +218,7 @@ def check_controller(
                     progress(before + tick, total)
 
             record = run_on_topics(case, points, candidate, folder, tell)
-            values, of_other = (measure(one, points) for one in (record, other))
+            values, of_other = (measure(one, points, candidate.interface.at_joints) for one in (record, other))
             found = judge(case, values, of_other, limits)
             yield CaseResult(record, other, points, tuple(found))
             before += case.ticks

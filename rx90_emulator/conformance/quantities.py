@@ -167,15 +167,17 @@ def judge(case: Case, values: Values, of_cs7b: Values, limits: CheckLimits) -> l
     return findings
 
 
-def measure(record: Record, set_points: Array) -> Values:
+def measure(record: Record, set_points: Array, at_joints: bool | None = None) -> Values:
     """Return what is measured in a run.
 
     Args:
         record: of the run.
         set_points: one for each tick of the position loop, shape (m, 3, n).
+        at_joints: whether loops have the names of joints, not of motors; as they were commanded for None.
     """
     case, joints = record.case, record.case.setup.robot.joint_names
-    commanded = joints if record.interface.at_joints else motor_names(len(joints))
+    at_joints = record.interface.at_joints if at_joints is None else at_joints
+    commanded = joints if at_joints else motor_names(len(joints))
     done = len(record.position) * record.interface.ticks
     off = np.isnan(record.torque).any(axis=1)
     values: Values = {("time_run", "all"): min(done, case.ticks) * case.setup.rates.period,

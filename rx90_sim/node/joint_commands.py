@@ -16,7 +16,7 @@ from rx90_sim.joint_interface import JointInterface
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _LOOK = 1.0  # s between two looks at the graph
-_CROWDED_LOOKS = 8  # at two controllers in a row: a process that was killed stays in the graph for 5 s
+_CROWDED_LOOKS = 25  # at two controllers in a row: a user's process that was killed stays in the graph for 20 s
 
 
 class JointCommands:

@@ -7,13 +7,10 @@ import pytest
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
-from rx90_common.description.drives import load_drives
-from rx90_common.description.robot import load_robot
-from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
 from rx90_common.exchange.pacing import OnceLog
-from rx90_common.friction import load_friction
+from rx90_emulator.loop.setup import Setup
 from rx90_sim.joint_interface import JointInterface
 from rx90_sim.node.held_command import NewestCommand
 from rx90_sim.node.parameters import SimulationParameters
@@ -25,12 +22,9 @@ OWN_CLOCK = 1_790_000_000 * 10**9
 
 
 @pytest.fixture(scope="module")
-def plant() -> Plant:
+def plant(shipped: Setup) -> Plant:
     """Return the RX90B."""
-    files = RobotFiles()
-    robot = load_robot(files.urdf, files.tool)
-    friction = load_friction(files.friction, robot.element_names)
-    return Plant(robot, load_drives(files.drives), friction, Rates())
+    return shipped.plant()
 
 
 def test_power_is_the_same_at_motors_and_joints(plant: Plant) -> None:
