@@ -209,7 +209,7 @@ class Ticks:
             self._complain: Callable[[str], None] = once.say
             otherwise = "; with time_mode free_running a clock of its own is accepted"
             limit = parameters.command_age_limit
-            self.held: HeldCommand = NewestCommand(channel, self._decode, rates.period_ns, limit, log.info, once)
+            self.held: HeldCommand = NewestCommand(channel, self._decode, rates.period_ns, limit, log.info, once.say)
         else:
             motors = motor_names(len(plant.joint_names))
             commands, throttled = JointStateCodec(motors), ThrottledLog(log.error)
@@ -217,7 +217,9 @@ class Ticks:
             self._decode = lambda raw: commands.decode(raw)[3]
             self._complain, otherwise = partial(throttled.say, "command"), ""
             timeout, interrupting = parameters.command_timeout, self.control.interrupting
-            self.held = HeldCommand(channel, self._decode, rates.period_ns, timeout, log.info, interrupting)
+            self.held = HeldCommand(
+                channel, self._decode, rates.period_ns, timeout, log.info, self._complain, interrupting
+            )
         self.lockstep = LockstepSimulation(
             channel, log.info, lambda text: self._complain(text + otherwise), self._usable
         )

@@ -75,7 +75,7 @@ class Drive:
         self.inbox: list[bytes] = []
         self.said: list[str] = []
         once = OnceLog(self.said.append)
-        self.held = NewestCommand(self, lambda raw: CODEC.decode(raw)[3], PERIOD, 0.01, self.said.append, once)  # type: ignore[arg-type]
+        self.held = NewestCommand(self, lambda raw: CODEC.decode(raw)[3], PERIOD, 0.01, self.said.append, once.say)  # type: ignore[arg-type]
 
     def receive(self, _timeout: float) -> bytes | None:
         """Return the next command."""
@@ -104,6 +104,20 @@ def test_the_newest_is_held_until_its_age_limit() -> None:
     assert drive.tick(1040 * PERIOD) == 1040.0 * PERIOD
     assert drive.held.waited == 0
     assert "no command on /joint_commands for 0.01 s: torque off, brakes closed" in drive.said
+
+
+def test_commands_without_effort_close_the_brakes() -> None:
+    """They are followed, and the brakes are said to be closed, not to be open; torque opens them again."""
+    drive = Drive()
+    drive.tick()
+    drive.inbox = [CODEC.encode(1002 * PERIOD)]
+    assert drive.tick() is None
+    assert len(drive.said) == 1
+    assert drive.tick(1003 * PERIOD) is not None
+    drive.inbox = [CODEC.encode(1004 * PERIOD)]
+    assert drive.tick() is None
+    assert drive.said[1:] == ["commands on /joint_commands: the brakes open",
+                              "commands on /joint_commands without effort: torque off, brakes closed"]  # fmt: skip
 
 
 @pytest.mark.parametrize("stamp", [OWN_CLOCK, 0, 20 * PERIOD])
