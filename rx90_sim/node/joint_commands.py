@@ -34,7 +34,7 @@ class JointCommands:
         self._accepted = f"{len(names)} efforts at the joints, Nm"
 
     def decode(self, raw: bytes) -> Array | None:
-        """Return the motor torques, motor side, Nm, shape (6,), valid until the next call; None for brakes closed.
+        """Return the motor torques, motor side, Nm, shape (n,), valid until the next call; None for brakes closed.
 
         Raises:
             ExchangeError: for what is no command of these joints.

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from benchmarks.any_arm import write_arm
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
 from rx90_common.exchange.pacing import OnceLog
-from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.own_controller import run_controller
+from rx90_emulator.loop.setup import Setup, load_setup
 from rx90_sim.joint_interface import JointInterface
 from rx90_sim.node.held_command import NewestCommand
 from rx90_sim.node.parameters import SimulationParameters
@@ -162,3 +166,27 @@ def test_a_fault_is_said_once() -> None:
         "/joint_commands: joint name 'elbow'",
         "/joint_commands: the stamp",
     ]
+
+
+def test_the_arm_may_have_another_number_of_joints_and_another_coupling(tmp_path: Path) -> None:
+    """Seven joints, the last motor of which turns with two: power is the same on both sides, and a run follows springs.
+
+    Efforts that are no number for each joint are refused with their count.
+    """
+    turns = np.eye(7)
+    turns[6, 5] = -1.0  # motor 7 turns with joint 7, and against joint 6
+    setup = load_setup(robot=write_arm(tmp_path / "arm", 7, turns.tolist()))
+    plant, rng = setup.plant(), np.random.default_rng(2)
+    joints = JointInterface(plant, setup.rates, 500)
+    effort, speed = rng.normal(size=(2, 7))
+    torques, motor_speed = joints.motor_torques(effort).copy(), setup.drives.gear * (turns @ speed)
+    assert torques @ motor_speed == pytest.approx(effort @ speed, rel=1e-12)
+    plant.state["motor_velocity"][0] = motor_speed
+    np.testing.assert_allclose(joints.measure()[1], speed, rtol=1e-12, atol=1e-13)
+    stiffness = np.full(7, 2000.0)
+    run = run_controller(setup, lambda q, v, _t: stiffness * (0.02 - q - 0.1 * v), 0.5, command_rate=500)
+    assert run.measured.shape == (250, 3, 7)
+    assert np.isfinite(run.joint_states).all()
+    assert np.abs(run.measured[-1, 0] - 0.02).max() < np.abs(run.measured[0, 0] - 0.02).max()
+    with pytest.raises(ConfigError, match="accepted: 7 finite efforts, Nm, or None"):
+        run_controller(setup, lambda _q, _v, _t: np.zeros(6), 0.01)
