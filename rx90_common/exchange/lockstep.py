@@ -64,19 +64,25 @@ class LockstepSimulation:
         channel: publishes states, receives commands.
         announce: prints a line.
         complain: prints a line about a controller whose stamps are wrong; called once for each wait; else `announce`.
+        usable: returns whether a command with the pending stamp is one; where not, it has said why.
 
     Attributes:
         ignored: commands whose stamp was not the pending one.
     """
 
     def __init__(
-        self, channel: TickChannel, announce: Callable[[str], None], complain: Callable[[str], None] | None = None
+        self,
+        channel: TickChannel,
+        announce: Callable[[str], None],
+        complain: Callable[[str], None] | None = None,
+        usable: Callable[[bytes], bool] = lambda _raw: True,
     ) -> None:
-        self._channel, self._complain = channel, complain or announce
+        self._channel, self._complain, self._usable = channel, complain or announce, usable
         self._wait = Wait(announce, "the controller answers: time runs on from")
         self._accepted = b""
         self._conflicts = 0
         self._two_controllers = False
+        self._others = 0  # commands with other stamps since one came at once, but repetitions
         self.ignored = 0
 
     def exchange(
@@ -86,7 +92,7 @@ class LockstepSimulation:
         interrupted: Callable[[], bool],
         meanwhile: Callable[[], None] = lambda: None,
     ) -> bytes | None:
-        """Publish the states stamped `stamp_ns` and return the command with that stamp, None if interrupted.
+        """Publish the states stamped `stamp_ns` and return a usable command with that stamp, None if interrupted.
 
         `meanwhile` is called once the states are on their way: what it does costs no time while the controller works.
         `interrupted` is asked 20 times a second and after each `Channel.wake`, and only while there is no command.
@@ -94,28 +100,33 @@ class LockstepSimulation:
         self._channel.publish(state)
         meanwhile()
         raw = self._channel.receive(_SLICE)
-        if raw is None or cdr_stamp_ns(raw) != stamp_ns or self._two_controllers:
-            return self.again(stamp_ns, state, interrupted, raw)
-        self._accepted = raw
-        return raw
+        if raw is not None and self._answers(raw, stamp_ns):
+            self._others = 0
+            return raw
+        return self._wait_for(stamp_ns, state, interrupted, raw)
 
-    def again(
-        self, stamp_ns: int, state: bytes, interrupted: Callable[[], bool], raw: bytes | None = None
+    def _answers(self, raw: bytes, stamp_ns: int) -> bool:
+        """Return whether this is the command that is waited for; keep it, or note why not."""
+        if cdr_stamp_ns(raw) != stamp_ns or self._two_controllers:
+            self._ignore(raw)
+            return False
+        if not self._usable(raw):
+            self._wait.explained()
+            return False
+        self._accepted = raw
+        return True
+
+    def _wait_for(
+        self, stamp_ns: int, state: bytes, interrupted: Callable[[], bool], raw: bytes | None
     ) -> bytes | None:
-        """Return another command for the tick of the last `exchange`, whose command `raw` could not be used."""
+        """Return a command for the tick of the last `exchange`, for which `raw` was of no use."""
         channel = self._channel
         matches = channel.matches()
         began = sent = looked = time.monotonic()
         others, wrong_ns, complained = 0, 0, False  # commands with other stamps; whether that was said
         while True:
-            if raw is not None:
-                if cdr_stamp_ns(raw) == stamp_ns and not self._two_controllers:
-                    self._wait.end(stamp_ns)
-                    self._accepted = raw
-                    return raw
-                self._ignore(raw)
-                if cdr_stamp_ns(raw) != stamp_ns and not self._two_controllers:
-                    others, wrong_ns = others + 1, cdr_stamp_ns(raw)
+            if raw is not None and cdr_stamp_ns(raw) != stamp_ns and not self._two_controllers:
+                others, wrong_ns = others + 1, cdr_stamp_ns(raw)
             now = time.monotonic()
             # Looked at by the clock: a stream of foreign commands must not keep it from being looked at.
             if raw is None or now - looked >= _SLICE:
@@ -124,10 +135,12 @@ class LockstepSimulation:
                 looked = now
                 current = channel.matches()
                 there = current.publishers > 0 and current.subscriptions > 0
-                if others >= _OTHERS and now - began > _PATIENCE:
+                # Who always answers with the stamp before is right when the states come again, once a second.
+                if others and max(others, self._others) >= _OTHERS and now - began > _PATIENCE:
                     if not complained:
                         complained = True
-                        self._wait.explained()
+                        if others >= _OTHERS:
+                            self._wait.explained()
                         self._complain(
                             f"{channel.subscribe_topic}: {stamped(wrong_ns, stamp_ns)}; accepted in lock_step: that of "
                             "the states that a command answers; time stands still"
@@ -140,10 +153,9 @@ class LockstepSimulation:
                     sent = now
                 matches = current
             raw = channel.receive(_SLICE)
-
-    def explained(self) -> None:
-        """Announce no more that nobody answers: why the command of the last `exchange` is refused has been said."""
-        self._wait.explained()
+            if raw is not None and self._answers(raw, stamp_ns):
+                self._wait.end(stamp_ns)
+                return raw
 
     def _announce_wait(self, stamp_ns: int, there: bool) -> None:
         topic, still = self._channel.subscribe_topic, f"time stands still at {stamp_ns / NANOSECONDS:.6g} s"
@@ -157,6 +169,7 @@ class LockstepSimulation:
     def _ignore(self, raw: bytes) -> None:
         """Count a command that nobody waits for; a repetition of the accepted one is usual, another one is not."""
         self.ignored += 1
+        self._others += raw != self._accepted
         if raw == self._accepted or cdr_stamp_ns(raw) != cdr_stamp_ns(self._accepted) or self._two_controllers:
             return
         self._conflicts += 1

@@ -27,7 +27,7 @@ from markupsafe import Markup
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.share import share_directory
-from rx90_common.report.picture import as_svg
+from rx90_common.report.picture import as_svg, log_ticks
 from rx90_common.report.plot import (
     Band,
     Curve,
@@ -173,6 +173,8 @@ def _panel(panel: Panel, height: int, share: Range1d | None) -> Any:
         places = symlog(np.array(ticks), panel.smallest).tolist()
         shown.xaxis.ticker = FixedTicker(ticks=places)
         shown.xaxis.major_label_overrides = {place: f"{tick:g}" for place, tick in zip(places, ticks, strict=True)}
+    elif panel.x_scale == "log" and (few := log_ticks(*panel.x_range)):
+        shown.xaxis.ticker = FixedTicker(ticks=few)
     hovered = [renderer for mark in panel.marks for renderer in _draw_mark(shown, panel, mark)]
     labels = [("", "$name"), (panel.x_label or "x", "@x" + _PRINTF), (panel.y_label or "y", "@y" + _PRINTF)]
     formatters: Any = {"@x": "printf", "@y": "printf"}

@@ -35,6 +35,7 @@ _LEGEND_ROW = 12.0  # points
 _CHARACTER, _HANDLE = 0.062, 0.42  # inches of a legend's entry: a character on average, the line before it
 _TITLE_CHARACTER = 0.072  # inches
 _FEW_DECADES = 1e3  # on a logarithmic axis: room for 1, 2 and 5 of each
+_SUBS = (1.0, 2.0, 5.0)  # of a decade, that have a tick
 _LONG_NUMBER = re.compile(r"(\d\.\d\d)\d+")  # a hundredth of a point is less than a dot of any printer
 # Any: matplotlib types the keys one by one.
 _STYLE: Any = {
@@ -105,7 +106,7 @@ def drawn(plot: Plot, most: int = _MOST_POINTS, title: str = "") -> Figure:
         if isinstance(panel, Heat):
             _draw_heat(axes, panel)
             continue
-        _draw_panel(axes, panel, plot.x_range if plot.share_x else panel.x_range)
+        _draw_panel(axes, panel, plot.x_range if plot.share_x else panel.x_range, max(4, 10 - 2 * plot.columns))
         labels = tuple(dict.fromkeys(mark.label for mark in panel.marks if mark.label))
         rows_above = 0
         if labels and labels not in shown:  # equal legends stand once
@@ -117,7 +118,7 @@ def drawn(plot: Plot, most: int = _MOST_POINTS, title: str = "") -> Figure:
     return figure
 
 
-def _draw_panel(axes: Axes, panel: Panel, x_range: tuple[float, float]) -> None:
+def _draw_panel(axes: Axes, panel: Panel, x_range: tuple[float, float], most_ticks: int) -> None:
     scales = {"linthresh": panel.smallest, "linscale": LINEAR_PART} if panel.x_scale == "symlog" else {}
     axes.set_xscale(panel.x_scale, **scales)
     axes.set_yscale(panel.y_scale)
@@ -126,16 +127,22 @@ def _draw_panel(axes: Axes, panel: Panel, x_range: tuple[float, float]) -> None:
     axes.set(xlim=x_range, ylim=panel.y_range, xlabel=panel.x_label, ylabel=panel.y_label)
     for axis, scale, (low, high) in ((axes.xaxis, panel.x_scale, x_range), (axes.yaxis, panel.y_scale, panel.y_range)):
         if scale == "linear":
-            axis.set_major_locator(MaxNLocator(8 if axis is axes.xaxis else 5, steps=[1, 2, 2.5, 5, 10]))
+            axis.set_major_locator(MaxNLocator(most_ticks if axis is axes.xaxis else 5, steps=[1, 2, 2.5, 5, 10]))
         elif scale == "symlog":
             axis.set_ticks(symlog_ticks(low, high, panel.smallest))
             axis.set_major_formatter(lambda value, _: f"{value:g}")
             axis.set_minor_locator(NullLocator())
         elif high < _FEW_DECADES * low:
-            axis.set(major_locator=LogLocator(subs=(1.0, 2.0, 5.0)), major_formatter="{x:g}")
+            axis.set(major_locator=LogLocator(subs=_SUBS), major_formatter="{x:g}")
             axis.set_minor_locator(NullLocator())
         else:
             axis.set_major_formatter(lambda value, _: f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e"))
+
+
+def log_ticks(low: float, high: float) -> list[float]:
+    """Return the ticks of a logarithmic axis over a few decades, none for more."""
+    ticks = LogLocator(subs=_SUBS).tick_values(low, high) if high < _FEW_DECADES * low else []
+    return [float(tick) for tick in ticks if low <= tick <= high]
 
 
 def _draw_mark(axes: Axes, mark: Mark) -> None:

@@ -176,7 +176,7 @@ class ServoLoop:
                     self._note(f"{what} at {end[0] * self._period:.3f} s; holding")
                 stream, tick = self._stream, cs7b.position_tick
                 if stream is not None and tick > stream.expires and not cs7b.trajectory.moving(tick):
-                    self._end_stream("holding")
+                    self._end_stream(stream.ending)
             cs7b.step(states.position, states.velocity, states.torque)
             self._unpublished = slow
             fault = cs7b.fault

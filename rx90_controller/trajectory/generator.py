@@ -63,15 +63,16 @@ class TrajectoryGenerator:
 
     def warm_up(self) -> None:
         """Compile, or load, the kernels that a running arm may need."""
-        rest = np.zeros((2, len(self.limits.names)))
+        joints = len(self.limits.names)
+        rest, held = np.zeros((2, joints)), np.zeros((3, joints))
         spline = smooth(np.array([0.0, 1.0]), rest, rest)
         spline.bounds()
         self._followed(0, Path(spline, 0.0, 1.0)).halted(0, 1)
-        every = np.ones(len(self.limits.names), dtype=np.bool_)
+        every = np.ones(joints, dtype=np.bool_)
         stream = Stream(POSITION, every, self.limits, self.period, 0.0)
         one = SetPoints(POSITION, None, np.array([self.period]), rest[:1], rest[:1], every)
-        stream.take(one, 0, np.zeros((3, len(every))))
-        stream.motion(0, np.zeros((3, len(every))))
+        stream.take(one, 0, held)
+        stream.motion(0, held)
 
     def reset(self, hold: Array) -> None:
         """Drop every trajectory and hold a position, rad, shape (j,)."""

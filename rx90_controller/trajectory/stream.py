@@ -247,6 +247,13 @@ class Stream:
         self.said |= fresh.keys()
         return list(fresh.values())
 
+    @property
+    def ending(self) -> str:
+        """Return how it ends by itself, in words."""
+        if self.interface == VELOCITY and self._values[-1].any():
+            return f"braked, because no velocity came for stream.timeout, {self._timeout * self._period:g} s; holding"
+        return "holding"
+
     def motion(self, now: int, held: Array) -> Spline:
         """Return the motion from tick `now` on, at the set-point `held`, shape (3, j), to rest; times in s from there.
 

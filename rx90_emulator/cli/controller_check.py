@@ -34,7 +34,7 @@ docs/howto/controller_check.md says more.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.epilog = _EPILOG
-    parser.set_defaults(interrupted="there is no report; {output} has the logs of the controller", ros_args=[])
+    parser.set_defaults(interrupted="there is no report", ros_args=[])
     parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND",
                         help="starts the controller, with its arguments; after all options")  # fmt: skip
     parser.add_argument("--case", action="append", dest="cases", metavar="NAME",
@@ -105,6 +105,7 @@ def main(options: argparse.Namespace) -> int:
     candidate = Candidate(command, node_of(options), options.set_points, interface, timeout)
     output = Path(options.output)
     output.mkdir(parents=True)
+    options.interrupted += "; {output} has the logs of the controller"
     with progress_bar("check") as progress:
         result = check_controller(candidate, setup, names, limits, output, progress)
     write_text(output / _RESULT, result.json)

@@ -93,3 +93,4 @@ def _drive(controller: ComputedTorque, names: tuple[str, ...], options: argparse
                 calls, heard = len(controller.errors), time.monotonic()
             elif time.monotonic() - heard > timeout:
                 raise ExchangeError(f"no states within {timeout:g} s; accepted: a simulation that runs")
+        controller.errors.pop()  # at the end itself, which a run in one process has not

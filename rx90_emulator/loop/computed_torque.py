@@ -32,7 +32,7 @@ class ComputedTorque:
         friction: whether friction is compensated.
 
     Attributes:
-        errors: set-point less position in each call, rad, each of shape (6,).
+        errors: set-point less position in each call, rad, each of shape (n,).
     """
 
     def __init__(self, setup: Setup, amplitude: float = 0.3, period: float = 4.0, *, friction: bool = True) -> None:
@@ -46,7 +46,7 @@ class ComputedTorque:
         self.errors: list[Array] = []
 
     def __call__(self, position: Array, velocity: Array, time: float) -> Array:
-        """Return efforts, Nm, shape (6,), for measured positions rad, velocities rad/s and time s."""
+        """Return efforts, Nm, shape (n,), for measured positions rad, velocities rad/s and time s."""
         if self._begin is None:
             self._begin = time, position
         begin, home = self._begin

@@ -12,7 +12,6 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import cdr_stamp_ns
 from rx90_common.exchange.channel import TickChannel
 from rx90_common.exchange.lockstep import stamped
-from rx90_common.exchange.pacing import OnceLog, ThrottledLog
 
 MOST_AGE = 3
 """Ticks from the states that a command answers to the last that it is applied in: docs/explanation/free_running.md."""
@@ -37,6 +36,7 @@ class HeldCommand:
         period_ns: a tick.
         timeout: how long to wait for a command, s.
         announce: prints a line for the user.
+        complain: says what is wrong with commands, which may come thousands of times a second.
         interrupted: whether somebody waits for the thread that ticks.
 
     Attributes:
@@ -52,12 +52,12 @@ class HeldCommand:
         period_ns: int,
         timeout: float,
         announce: Callable[[str], None],
+        complain: Callable[[str], None],
         interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
         self._channel, self._topic = channel, channel.subscribe_topic
         self._decode, self._period_ns = decode, period_ns
-        self._announce, self._interrupted = announce, interrupted
-        self._log = ThrottledLog(announce)
+        self._announce, self._complain, self._interrupted = announce, complain, interrupted
         self.wait_for(timeout)
         self.forget()
         self._out_of_turn: deque[float] = deque(maxlen=_OUT_OF_TURN)
@@ -92,9 +92,10 @@ class HeldCommand:
                 self._announce(f"one controller is left on {self._topic}")
         elif self._followed and self._too_old(tick):
             self._followed = self._wait(tick)
-        if self._followed == self._closed or self._changes:
-            self._announce_brakes()
-        return self._torques if self._followed and not self.two_controllers else None
+        torques = self._torques if self._followed else None
+        if (torques is not None) == self._closed or self._changes:
+            self._announce_brakes(torques is not None)
+        return None if self.two_controllers else torques
 
     def _too_old(self, tick: int) -> bool:
         return self._answered is None or tick - self._answered > self._most_age
@@ -123,9 +124,6 @@ class HeldCommand:
                 self._complain(f"{self._topic}: {error}; the message is ignored")
             raw = self._channel.receive(0.0)
         return found
-
-    def _complain(self, text: str) -> None:
-        self._log.say("command", text)
 
     def _use(self, raw: bytes, tick: int) -> bool:
         """Hold a command; return whether it is newer than the one before.
@@ -164,18 +162,20 @@ class HeldCommand:
             self.two_controllers = True
             self._announce(f"two controllers publish on {self._topic}: no torque until one is left")
 
-    def _announce_brakes(self) -> None:
+    def _announce_brakes(self, opened: bool) -> None:
         """Say that the brakes have opened or closed, a few times in a while; what comes more often is counted."""
-        if self._followed == self._closed:
-            self._closed = not self._followed
+        if opened == self._closed:
+            self._closed = not opened
             self._changes += 1
         now = time.monotonic()
         if len(self._lines) == _LINES and now - self._lines[0] < _LINES_WINDOW:
             return
         self._lines.append(now)
         changes, self._changes = self._changes, 0
-        if self._followed:
+        if opened:
             text = f"commands on {self._topic}: the brakes open"
+        elif self._followed:
+            text = f"commands on {self._topic} without effort: torque off, brakes closed"
         elif self._answered is None:
             text = f"waiting for a controller on {self._topic}: the brakes hold the arm"
         else:
@@ -188,28 +188,8 @@ class NewestCommand(HeldCommand):
 
     Its age is counted from the states whose stamp it bears. A controller that stamps by a clock of its own, or not at
     all, is recognised by stamps that are not simulated times of late; of its commands the age is counted from the
-    arrival.
-
-    Args:
-        channel: as for HeldCommand.
-        decode: as for HeldCommand.
-        period_ns: a tick.
-        limit: age at which the torque is taken away, s.
-        announce: prints a line for the user.
-        once: says what is wrong with commands.
+    arrival. `timeout` is the age at which the torque is taken away, s.
     """
-
-    def __init__(
-        self,
-        channel: TickChannel,
-        decode: Callable[[bytes], Array | None],
-        period_ns: int,
-        limit: float,
-        announce: Callable[[str], None],
-        once: OnceLog,
-    ) -> None:
-        self._once = once
-        super().__init__(channel, decode, period_ns, limit, announce)
 
     def wait_for(self, timeout: float) -> None:
         """Hold a command up to this age, s, from the next tick on; callable from every thread."""
@@ -224,9 +204,6 @@ class NewestCommand(HeldCommand):
     def _wait(self, tick: int) -> bool:  # noqa: ARG002 - time goes on
         return False
 
-    def _complain(self, text: str) -> None:
-        self._once.say(text)
-
     def _tick_answered(self, stamp: int, tick: int) -> int | None:
         answered = stamp // self._period_ns
         if stamp >= 0 and 0 <= tick - answered <= self._oldest:
@@ -239,7 +216,7 @@ class NewestCommand(HeldCommand):
         self._elsewhere += 1
         if self._elsewhere < _ELSEWHERE:
             return None
-        self._once.say(
+        self._complain(
             f"{self._topic}: {stamped(stamp, tick * self._period_ns)}; accepted: that of the states that a command "
             f"answers, up to {self._timeout:g} s old; now the newest counts, for {self._timeout:g} s from its arrival"
         )

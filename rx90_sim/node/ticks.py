@@ -205,11 +205,11 @@ class Ticks:
             self._joints = joints = JointInterface(plant, rates, parameters.command_hz)
             self._command_ticks = joints.ticks
             self._encode_states = JointStateCodec(plant.joint_names).encoder(*joints.measure())
-            self._decode = JointCommands(joints, plant.joint_names, once).decode
+            self._decode = JointCommands(joints, plant.joint_names, channel.subscribe_topic, once).decode
             self._complain: Callable[[str], None] = once.say
             otherwise = "; with time_mode free_running a clock of its own is accepted"
             limit = parameters.command_age_limit
-            self.held: HeldCommand = NewestCommand(channel, self._decode, rates.period_ns, limit, log.info, once)
+            self.held: HeldCommand = NewestCommand(channel, self._decode, rates.period_ns, limit, log.info, once.say)
         else:
             motors = motor_names(len(plant.joint_names))
             commands, throttled = JointStateCodec(motors), ThrottledLog(log.error)
@@ -217,8 +217,12 @@ class Ticks:
             self._decode = lambda raw: commands.decode(raw)[3]
             self._complain, otherwise = partial(throttled.say, "command"), ""
             timeout, interrupting = parameters.command_timeout, self.control.interrupting
-            self.held = HeldCommand(channel, self._decode, rates.period_ns, timeout, log.info, interrupting)
-        self.lockstep = LockstepSimulation(channel, log.info, lambda text: self._complain(text + otherwise))
+            self.held = HeldCommand(
+                channel, self._decode, rates.period_ns, timeout, log.info, self._complain, interrupting
+            )
+        self.lockstep = LockstepSimulation(
+            channel, log.info, lambda text: self._complain(text + otherwise), self._usable
+        )
 
     @property
     def next_stamp_ns(self) -> int:
@@ -265,11 +269,7 @@ class Ticks:
             self._publish_due()
         else:
             stamp = plant.tick * self._period_ns
-            states = self._states()
-            raw = self.lockstep.exchange(stamp, states, self._interrupted, self._publish_due)
-            while raw is not None and not self._usable(raw):
-                raw = self.lockstep.again(stamp, states, self._interrupted)
-            if raw is None:
+            if self.lockstep.exchange(stamp, self._states(), self._interrupted, self._publish_due) is None:
                 return False
         plant.step(self._torques)
         if self.pacer.factor == 0.0:
@@ -323,7 +323,6 @@ class Ticks:
             self._torques = self._decode(raw)
         except ExchangeError as error:
             self._complain(f"{self._channel.subscribe_topic}: {error}; the message is ignored")
-            self.lockstep.explained()
             return False
         return True
 

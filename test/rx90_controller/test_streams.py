@@ -241,7 +241,9 @@ def test_velocities_are_followed_held_for_the_timeout_and_braked(arm: Arm) -> No
     last = 1.0 + DELAY + arm.options.timeout
     assert np.abs(setpoints[100 : int(last / T) - 1, 1] - 0.2).max() < 1e-12
     assert np.abs(setpoints[int(last / T) + 40 :, 1]).max() == 0.0
-    assert arm.around.lines[1] == f"stream begins at 0.010 s: {VELOCITY} set-points from a topic"
+    _, begun, *_, ended = arm.around.lines
+    assert begun == f"stream begins at 0.010 s: {VELOCITY} set-points from a topic"
+    assert ended.endswith("after 100 set-points; braked, because no velocity came for stream.timeout, 0.1 s; holding")
 
 
 def test_velocities_end_at_the_position_limit(arm: Arm) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import struct
+from functools import partial
 
 import numpy as np
 import pytest
 
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
+from rx90_common.exchange.pacing import ThrottledLog
 from rx90_sim.node import held_command
 
 CODEC = JointStateCodec(["a"])
@@ -32,7 +34,10 @@ class Drive:
         self.late: list[tuple[float, int]] = []  # seconds of waiting, stamp in ticks
         self.said: list[str] = []
         self.publishers = 1
-        self.held = held_command.HeldCommand(self, lambda raw: CODEC.decode(raw)[3], PERIOD, TIMEOUT, self.said.append)
+        complain = partial(ThrottledLog(self.said.append).say, "command")
+        self.held = held_command.HeldCommand(
+            self, lambda raw: CODEC.decode(raw)[3], PERIOD, TIMEOUT, self.said.append, complain
+        )
 
     def receive(self, timeout: float) -> bytes | None:
         """Return the next command."""

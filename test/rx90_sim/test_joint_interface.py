@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from benchmarks.any_arm import write_arm
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
-from rx90_common.description.drives import load_drives
-from rx90_common.description.robot import load_robot
-from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
 from rx90_common.exchange.pacing import OnceLog
-from rx90_common.friction import load_friction
+from rx90_emulator.loop.own_controller import run_controller
+from rx90_emulator.loop.setup import Setup, load_setup
 from rx90_sim.joint_interface import JointInterface
 from rx90_sim.node.held_command import NewestCommand
 from rx90_sim.node.parameters import SimulationParameters
@@ -25,13 +26,9 @@ OWN_CLOCK = 1_790_000_000 * 10**9
 
 
 @pytest.fixture(scope="module")
-def plant() -> Plant:
+def plant(shipped: Setup) -> Plant:
     """Return the RX90B."""
-    files = RobotFiles()
-    robot = load_robot(files.urdf, files.tool)
-    drives = load_drives(files.drives)
-    friction = load_friction(files.friction, drives.turning.element_names(robot.joint_names))
-    return Plant(robot, drives, friction, Rates())
+    return shipped.plant()
 
 
 def test_power_is_the_same_at_motors_and_joints(plant: Plant) -> None:
@@ -82,7 +79,7 @@ class Drive:
         self.inbox: list[bytes] = []
         self.said: list[str] = []
         once = OnceLog(self.said.append)
-        self.held = NewestCommand(self, lambda raw: CODEC.decode(raw)[3], PERIOD, 0.01, self.said.append, once)  # type: ignore[arg-type]
+        self.held = NewestCommand(self, lambda raw: CODEC.decode(raw)[3], PERIOD, 0.01, self.said.append, once.say)  # type: ignore[arg-type]
 
     def receive(self, _timeout: float) -> bytes | None:
         """Return the next command."""
@@ -111,6 +108,20 @@ def test_the_newest_is_held_until_its_age_limit() -> None:
     assert drive.tick(1040 * PERIOD) == 1040.0 * PERIOD
     assert drive.held.waited == 0
     assert "no command on /joint_commands for 0.01 s: torque off, brakes closed" in drive.said
+
+
+def test_commands_without_effort_close_the_brakes() -> None:
+    """They are followed, and the brakes are said to be closed, not to be open; torque opens them again."""
+    drive = Drive()
+    drive.tick()
+    drive.inbox = [CODEC.encode(1002 * PERIOD)]
+    assert drive.tick() is None
+    assert len(drive.said) == 1
+    assert drive.tick(1003 * PERIOD) is not None
+    drive.inbox = [CODEC.encode(1004 * PERIOD)]
+    assert drive.tick() is None
+    assert drive.said[1:] == ["commands on /joint_commands: the brakes open",
+                              "commands on /joint_commands without effort: torque off, brakes closed"]  # fmt: skip
 
 
 @pytest.mark.parametrize("stamp", [OWN_CLOCK, 0, 20 * PERIOD])
@@ -155,3 +166,27 @@ def test_a_fault_is_said_once() -> None:
         "/joint_commands: joint name 'elbow'",
         "/joint_commands: the stamp",
     ]
+
+
+def test_the_arm_may_have_another_number_of_joints_and_another_coupling(tmp_path: Path) -> None:
+    """Seven joints, the last motor of which turns with two: power is the same on both sides, and a run follows springs.
+
+    Efforts that are no number for each joint are refused with their count.
+    """
+    turns = np.eye(7)
+    turns[6, 5] = -1.0  # motor 7 turns with joint 7, and against joint 6
+    setup = load_setup(robot=write_arm(tmp_path / "arm", 7, turns.tolist()))
+    plant, rng = setup.plant(), np.random.default_rng(2)
+    joints = JointInterface(plant, setup.rates, 500)
+    effort, speed = rng.normal(size=(2, 7))
+    torques, motor_speed = joints.motor_torques(effort).copy(), setup.drives.gear * (turns @ speed)
+    assert torques @ motor_speed == pytest.approx(effort @ speed, rel=1e-12)
+    plant.state["motor_velocity"][0] = motor_speed
+    np.testing.assert_allclose(joints.measure()[1], speed, rtol=1e-12, atol=1e-13)
+    stiffness = np.full(7, 2000.0)
+    run = run_controller(setup, lambda q, v, _t: stiffness * (0.02 - q - 0.1 * v), 0.5, command_rate=500)
+    assert run.measured.shape == (250, 3, 7)
+    assert np.isfinite(run.joint_states).all()
+    assert np.abs(run.measured[-1, 0] - 0.02).max() < np.abs(run.measured[0, 0] - 0.02).max()
+    with pytest.raises(ConfigError, match="accepted: 7 finite efforts, Nm, or None"):
+        run_controller(setup, lambda _q, _v, _t: np.zeros(6), 0.01)

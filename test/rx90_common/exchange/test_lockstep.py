@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from rx90_common.base.errors import ExchangeError
 from rx90_common.exchange import lockstep
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
@@ -39,7 +40,16 @@ class Controller:
         self.said: list[str] = []
         self.peers = Matches(1, 1)
         self.on_wait: Callable[[], None] = lambda: None
-        self.side = lockstep.LockstepSimulation(self, self.said.append)  # type: ignore[arg-type]
+        self.side = lockstep.LockstepSimulation(self, self.said.append, None, self.usable)  # type: ignore[arg-type]
+
+    def usable(self, raw: bytes) -> bool:
+        """Return whether a command is finite; say so where it is not."""
+        try:
+            CODEC.decode(raw)
+        except ExchangeError:
+            self.said.append("unusable")
+            return False
+        return True
 
     def publish(self, raw: bytes) -> None:
         """Note what is sent."""
@@ -81,15 +91,36 @@ def test_the_simulation_takes_the_command_of_its_tick_alone(controller: Controll
 
 
 def test_a_command_that_cannot_be_used_leaves_the_tick_to_the_next_one(controller: Controller) -> None:
-    """Of two commands for a tick the second is taken when the first is refused; the states are not sent again."""
+    """The one that is usable is taken; meanwhile the states come again, and no line says that time runs on."""
     bad, good = message(1, np.nan), message(1, 1.0)
     controller.inbox.extend([bad, message(0), good, good])
-    assert controller.exchange(1) == bad
-    again = (PERIOD, message(1), lambda: False)
-    assert controller.side.again(*again) == good
+    assert controller.exchange(1) == good
     assert controller.sent == [message(1)]
-    assert controller.side.again(*again) == good
-    assert controller.side.again(PERIOD, message(1), lambda: True) is None
+    assert controller.said == ["unusable", "the controller answers: time runs on from 0.00025 s"]
+    controller.said.clear()
+    controller.on_wait = lambda: controller.inbox.extend([message(2, np.nan)] * (controller.passed % 1.0 < 0.05))
+    assert controller.exchange(2, lambda: controller.passed > 5.0) is None
+    assert set(controller.said) == {"unusable"}
+    assert len(controller.sent) > 3
+
+
+def test_who_answers_with_the_stamp_before_is_told(controller: Controller) -> None:
+    """Such a controller is right once the states come again, so that time creeps; that is said, not that it runs on."""
+    last = [9]
+
+    def answer() -> None:
+        if len(controller.sent) > heard[0]:
+            heard[0] = len(controller.sent)
+            controller.inbox.append(message(last[0], 0.5 * heard[0]))
+            last[0] = tick
+
+    heard = [0]
+    controller.on_wait = answer
+    for tick in range(8):
+        assert controller.exchange(tick) is not None
+    assert 6.0 < controller.passed < 10.0
+    assert controller.said
+    assert all("accepted in lock_step: that of the states" in line for line in controller.said)
 
 
 def test_a_silent_controller_gets_the_states_again_once_a_second(controller: Controller) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import gzip
+import itertools
 import re
 from pathlib import Path
 
@@ -110,3 +111,21 @@ def test_a_legend_covers_neither_title_nor_panel_nor_the_edge(count: int, words:
         assert box.y1 <= figure.bbox.y1 + 1.0
         inside = box.padded(-1.0)
         assert not any(inside.overlaps(other) for other in [*titles, *frames, *legends[:k]])
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_numbers_on_the_axes_of_panels_side_by_side_do_not_touch(scale: str) -> None:
+    """Of three in a row, from 0 s on or over two decades of Hz; the page has the same ticks on a logarithmic axis."""
+    x = np.geomspace(6.0, 480.0, 50) if scale == "log" else np.linspace(0.0, 1.705, 50)
+    plot = Plot([panel(Curve(x, x), x_scale=scale)] * 3, columns=3)
+    with mpl.rc_context(_STYLE):
+        figure = drawn(plot)
+        figure.draw_without_rendering()
+        for axes in figure.axes:
+            low, high = axes.get_xlim()
+            shown = [axes.xaxis.get_major_ticks()[k].label1.get_window_extent()
+                     for k, tick in enumerate(axes.xaxis.get_majorticklocs()) if low <= tick <= high]  # fmt: skip
+            assert len(shown) >= 3
+            assert all(left.x1 + 2.0 < right.x0 for left, right in itertools.pairwise(shown))
+    if scale == "log":
+        assert '"ticks":[10.0,20.0,50.0,100.0,200.0,500.0]' in plot_json(plot)

@@ -11,7 +11,6 @@ import pytest
 from processes import Processes, command, wait_until
 
 from rx90_common.base.errors import DONE, FAILED, INTERRUPTED, REFUSED, VERDICT_NO
-from rx90_common.exchange import topics
 from rx90_emulator.cli.frame import run
 
 CS7B = command("rx90_controller")
@@ -72,7 +71,6 @@ def test_another_controller_gets_set_points_one_by_one_and_twice_the_same_run(
     assert 0.0 < values["tracking_error_peak", "joint_1"] < 5e-3  # of a way of 0.035 rad: it followed
 
 
-@pytest.mark.skipif(not hasattr(topics, "JOINT_COMMANDS"), reason="the simulation takes no joint_commands")
 def test_a_controller_of_the_joints_is_checked_at_its_rate(processes: Processes, tmp_path: Path) -> None:
     """Torques at the joints at 1 kHz: the arm follows, and each loop has margins, beside those of the CS7B's motors."""
     words = ("--output", tmp_path / "out", "--case", "step", "--case", "sweep", "--set-points", "set_points",

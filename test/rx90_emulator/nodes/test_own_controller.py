@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from processes import Processes
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_client import JOINTS, Client, seconds
 from sensor_msgs.msg import JointState
 
@@ -133,66 +133,6 @@ def test_each_fault_is_one_line_that_says_what_is_expected(processes: Processes,
         assert len(re.findall(words, simulation.output)) == 1, words
     now = seconds(states[-1])
     client.spin_until(lambda: send(lambda s: command(s, effort=ZERO)) or seconds(states[-1]) > now + 0.01, "time")
-
-
-class TopicSystem:
-    """What JointStateTopicSystem of topic_based_hardware_interfaces does (its source of July 2026), effort interfaces.
-
-    States by sensor data QoS into a latest message; commands by QoS(1), stamped with the node's clock, in the order of
-    its own joints, only where the sum of |state - command| is above the threshold.
-    """
-
-    def __init__(self, client: Client, joints: Sequence[str], threshold: float) -> None:
-        self._clock, self._joints, self._threshold = client.node.get_clock(), list(joints), threshold
-        self.latest = JointState()
-        self._commands = client.node.create_publisher(JointState, "joint_commands", QoSProfile(depth=1))
-        client.node.create_subscription(JointState, "joint_states", self._take, qos_profile_sensor_data)
-        self.effort = dict.fromkeys(self._joints, 0.0)
-        self.sent = 0
-
-    def _take(self, message: Any) -> None:
-        self.latest = message
-
-    def read(self) -> dict[str, tuple[float, float, float]]:
-        """Return position, velocity and effort by joint."""
-        m = self.latest
-        return {name: (m.position[i], m.velocity[i], m.effort[i]) for i, name in enumerate(m.name)}
-
-    def write(self) -> None:
-        """Publish the efforts, if they are to be."""
-        state = self.read()
-        if sum(abs(state[name][2] - self.effort[name]) for name in self._joints) > self._threshold:
-            message = JointState(name=self._joints, effort=[self.effort[name] for name in self._joints])
-            message.header.stamp = self._clock.now().to_msg()
-            self._commands.publish(message)
-            self.sent += 1
-
-
-def test_a_topic_based_ros2_control_system_drives_the_arm(processes: Processes, client: Client) -> None:
-    """Its stand-in, by its own clock and with joints in another order, holds the arm in free-running time.
-
-    One line says of which clock the stamps are; when it stops, the brakes close after the age limit.
-    """
-    simulation = start(processes, time_mode="free_running", initial_position=START)
-    system = TopicSystem(client, ["joint_3", "joint_1", "joint_6", "joint_2", "joint_5", "joint_4"], -1.0)
-    client.spin_until(lambda: bool(system.latest.name), "states")
-    begin = system.read()
-    stiff = dict(zip(JOINTS, STIFFNESS.tolist(), strict=True))
-    wanted = {name: state[0] + 0.05 for name, state in begin.items()}
-    due = time.monotonic()
-
-    def cycle() -> bool:
-        nonlocal due
-        if time.monotonic() >= due:
-            due += 0.002
-            for name, (position, velocity, _) in system.read().items():
-                system.effort[name] = stiff[name] * (wanted[name] - position) - 0.1 * stiff[name] * velocity
-            system.write()
-        return abs(system.read()["joint_1"][0] - wanted["joint_1"]) < 0.02
-
-    client.spin_until(cycle, "joint_1, which carries no weight, to come as near as its friction lets it")
-    assert len(re.findall("of another clock", simulation.output)) == 1
-    simulation.wait_for("no command on /joint_commands for 0.1 s: torque off, brakes closed")
 
 
 def test_a_late_listener_of_joint_states_alone_may_answer_them(processes: Processes, client: Client) -> None:
