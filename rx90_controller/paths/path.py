@@ -1,0 +1,504 @@
+"""What a path is asked to be, from a path file or from Python, and how fast an arm can travel it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path as FilePath
+from typing import Any, ClassVar
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import LEFT_OUT, ListOf, Number, Numbers, Text
+from rx90_common.base.errors import LineError
+from rx90_common.base.groups import Group
+from rx90_common.description.branch import Branch
+from rx90_common.description.kinematics import PathError, Pose
+from rx90_common.description.rotations import axis_rotation, product, rotated, rpy_rotation, transposed, turn_between
+from rx90_controller.lines.task import (
+    DEFAULT_BRANCH,
+    LONGEST_LINE,
+    LONGEST_MOTION,
+    TASK,
+    TOOL_DOWN,
+    USUAL_ACCELERATION,
+    USUAL_SPEED,
+    check_rests,
+    counted_motion,
+)
+from rx90_controller.paths.curve import KINK, Curve, Piece, Polynomial, arc_about, arc_through, line, spline
+from rx90_controller.paths.drawing import UNITS, Drawing
+from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
+
+FIXED, TANGENT, INTERPOLATED = ORIENTATIONS = ("fixed", "tangent", "interpolated")
+_JUMP = 1e-6  # rad/m: a smaller change of the tool's turn by the distance is rounding
+_BLOCK = 5e-3  # m of the path that have one lowered speed, at least
+_BLOCKS = 40  # in a stretch of one speed, at most
+_RESERVE = 0.99  # of a joint's limit: the places between those that are looked at need a little more
+_ACCELERATION_SHARE = 0.5  # of a joint's limit for the path's own acceleration, where it is short of it
+_point = Numbers("", "m", count=3)
+_speed = Number("Speed along it; that of the path if left out.", "m/s", low=0.0, above=True, default=LEFT_OUT)
+_LINE = TASK.keys["line"].keys  # type: ignore[attr-defined]
+
+PATH = Group(
+    "A path of the tool centre point: lines, arcs and splines.",
+    keys={
+        "path": Group(
+            "The path and the motion along it.",
+            one_of=("segments", "file"),
+            needed_by={"segments": "start"},
+            keys={
+                "start": Numbers("Start, in base_link.", "m", count=3, default=LEFT_OUT),
+                "segments": ListOf(
+                    "Lines, arcs and splines, each from the end of the one before it.",
+                    item=Group(
+                        "A segment.",
+                        one_of=("line", "arc", "spline"),
+                        keys={
+                            "line": Group("A straight line.", default=LEFT_OUT,
+                                          keys={"end": Numbers("Its end.", "m", count=3)}),
+                            "arc": Group(
+                                "A circular arc: through `via`, or about `center`, counter-clockwise seen against "
+                                "`normal`. A full circle about its centre ends at its start.",
+                                one_of=("via", "center"), needed_by={"normal": "center"}, default=LEFT_OUT,
+                                keys={
+                                    "via": Numbers("A place between its ends.", "m", count=3, default=LEFT_OUT),
+                                    "center": Numbers("Its centre.", "m", count=3, default=LEFT_OUT),
+                                    "normal": Numbers("Of its plane; up if left out.", "1", count=3, default=LEFT_OUT),
+                                    "end": Numbers("Its end.", "m", count=3),
+                                },
+                            ),
+                            "spline": Group(
+                                "A natural cubic spline through points.", default=LEFT_OUT,
+                                keys={"points": ListOf("Points behind its start.", "m", item=_point, least=1,
+                                                       accepted="a list of points, one or more")},
+                            ),
+                            "speed": _speed,
+                            "zone": Number(
+                                "How far before and behind its end a blend rounds the corner to the next segment; "
+                                "0 if left out: the tool stops at a corner.", "m", low=0.0, default=LEFT_OUT),
+                            "tool_rpy_degrees": Numbers(
+                                "Of an interpolated orientation: roll, pitch and yaw of the tool at its end; as at its "
+                                "start if left out.", "deg", count=3, low=-360.0, high=360.0, default=LEFT_OUT),
+                        },
+                    ),
+                    accepted="a list of segments, one or more", least=1, default=LEFT_OUT,
+                ),
+                "file": Group(
+                    "A file with the path: points (.csv), G-code (.nc, .ngc, .gcode, .tap) or a drawing (.dxf).",
+                    default=LEFT_OUT,
+                    keys={
+                        "name": Text("The file, beside this one."),
+                        "unit": Text("Unit of its numbers; of G-code, mm unless it says G20.", choices=tuple(UNITS),
+                                     default=LEFT_OUT),
+                        "origin": Numbers("Where its origin lies, in base_link; base_link's if left out.", "m",
+                                          count=3, default=LEFT_OUT),
+                        "rpy_degrees": Numbers("Roll, pitch and yaw of its axes.", "deg", count=3, low=-360.0,
+                                               high=360.0, default=LEFT_OUT),
+                        "points": Text("Points of a CSV file as the corners of lines, or on a spline; spline if left "
+                                       "out.", choices=("lines", "spline"), default=LEFT_OUT),
+                        "layer": Text("Layer of the drawing; all if left out.", default=LEFT_OUT),
+                        "zone": Number("Zone at each corner; 0 if left out.", "m", low=0.0, default=LEFT_OUT),
+                    },
+                ),
+                "speed": Number("Speed along the path.", "m/s", low=0.0, above=True),
+                "acceleration": Number("Largest acceleration along the path.", "m/s^2", low=0.0, above=True),
+                "jerk": Number("Largest jerk along the path; trapezoids of the speed if left out.", "m/s^3", low=0.0,
+                               above=True, default=LEFT_OUT),
+                "orientation": Text(
+                    "Of the tool: fixed; turning about its z axis as the path does; or interpolated from segment to "
+                    "segment. Fixed if left out.", choices=ORIENTATIONS, default=LEFT_OUT),
+                "tool_rpy_degrees": Numbers("Roll, pitch and yaw of the tool at the start, about fixed axes of "
+                                            "base_link.", "deg", count=3, low=-360.0, high=360.0),
+                **{key: _LINE[key] for key in ("rest_before", "rest_after", "singularity_margin", "start_posture")},
+            },
+        ),
+        "posture": TASK.keys["posture"],
+    },
+)  # fmt: skip
+"""What a path file holds."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A part of a path, from the end of the one before it.
+
+    Attributes:
+        points: a line: its end; an arc through a point: that point and its end; an arc about a centre: its end; a
+            spline: its points behind the start; m.
+        kind: "line", "arc" or "spline".
+        center: of an arc, m; None for one through a point.
+        normal: of the arc's plane; the arc runs counter-clockwise seen from where it points to.
+        speed: m/s; None for that of the path.
+        zone: m before and behind the end that a blend to the next segment replaces; 0: the tool stops at a corner.
+        end_rpy: roll, pitch and yaw of the tool at the end, rad; None: as at its start.
+    """
+
+    points: tuple[tuple[float, ...], ...]
+    kind: str = "line"
+    center: tuple[float, ...] | None = None
+    normal: tuple[float, ...] = (0.0, 0.0, 1.0)
+    speed: float | None = None
+    zone: float = 0.0
+    end_rpy: tuple[float, ...] | None = None
+
+    def piece(self, start: tuple[float, ...]) -> Piece:
+        """Return the curve from a place, m.
+
+        Raises:
+            LineError: if there is none.
+        """
+        points = np.array([start, *self.points], dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise LineError(f"has the points {self.points}; accepted: three finite numbers for each")
+        if self.kind == "line" and len(points) == 2:
+            return line(*points)
+        if self.kind == "spline":
+            return spline(points)
+        if self.kind == "arc" and self.center is not None and len(points) == 2:
+            return arc_about(points[0], np.array(self.center), points[1], np.array(self.normal))
+        if self.kind == "arc" and self.center is None and len(points) == 3:
+            return arc_through(*points)
+        raise LineError(
+            f"is of kind {self.kind!r} with {len(self.points)} points; accepted: a line with its end, an arc with two "
+            "points or with its centre and its end, a spline with its points"
+        )
+
+
+@dataclass(frozen=True)
+class Path:
+    """A path of the tool centre point in the base frame, a task as `LineTask` is one.
+
+    Attributes:
+        start: m.
+        segments: one after the other.
+        speed: along the path, m/s.
+        acceleration: largest one along the path, m/s².
+        jerk: largest one along the path, m/s³; infinite: the speed is a trapezoid.
+        orientation: "fixed", "tangent" (the tool turns about its own z axis as the path turns about it) or
+            "interpolated" (from each segment's orientation to the next, evenly in a path of one segment, else
+            beginning and ending gently).
+        start_rpy: roll, pitch and yaw of the tool at the start about fixed axes, rad.
+        rest_before: s.
+        rest_after: s.
+        branch: as LineTask's; singularity_margin and start_posture likewise.
+        singularity_margin: 1.
+        start_posture: rad.
+        lowered: speeds below those asked for, which an arm's joints need; `within_limits` finds them.
+        remarks: what was lowered, in words.
+
+    Raises:
+        LineError: naming the segment, the value and what is accepted.
+    """
+
+    start: tuple[float, ...]
+    segments: tuple[Segment, ...]
+    speed: float = USUAL_SPEED
+    acceleration: float = USUAL_ACCELERATION
+    jerk: float = math.inf
+    orientation: str = FIXED
+    start_rpy: tuple[float, ...] = TOOL_DOWN
+    rest_before: float = 0.5
+    rest_after: float = 0.5
+    branch: Branch = DEFAULT_BRANCH
+    singularity_margin: float = 0.05
+    start_posture: tuple[float, ...] | None = None
+    lowered: tuple[SpeedLimit, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    what: ClassVar[str] = "path"
+
+    def __post_init__(self) -> None:
+        if len(self.start_rpy) != 3 or not all(math.isfinite(x) for x in self.start_rpy):
+            raise LineError(f"the path's start_rpy is {self.start_rpy}; accepted: three finite numbers")
+        if self.orientation not in ORIENTATIONS:
+            raise LineError(f"orientation is {self.orientation!r}; accepted: one of {', '.join(ORIENTATIONS)}")
+        if not self.segments:
+            raise LineError("the path has no segments; accepted: one or more")
+        values = [("speed", self.speed), ("acceleration", self.acceleration), ("jerk", self.jerk)]
+        for i, segment in enumerate(self.segments):
+            values += [(f"segment {i}: speed", self.speed if segment.speed is None else segment.speed)]
+            if not (math.isfinite(segment.zone) and segment.zone >= 0.0):
+                raise LineError(f"segment {i}: zone is {segment.zone:g} m; accepted: a number >= 0")
+            if segment.end_rpy is not None and self.orientation != INTERPOLATED:
+                raise LineError(f"segment {i} turns the tool; accepted: with the orientation {INTERPOLATED}")
+        if self.segments[-1].zone > 0.0:
+            raise LineError(f"segment {len(self.segments) - 1}: zone at the end of the path; accepted: before another")
+        for name, value in values:
+            if not value > 0.0 or (math.isinf(value) and name != "jerk"):
+                raise LineError(f"{name} is {value:g}; accepted: a number > 0")
+        check_rests(self)
+        if self.length > LONGEST_LINE:
+            raise LineError(f"the path's length is {self.length:g} m; accepted: up to {LONGEST_LINE:g} m")
+        slowest = self.length / min(one.speed for one in self._limits)
+        if not slowest < LONGEST_MOTION:
+            raise LineError(f"the path would take {slowest:g} s; accepted: up to {LONGEST_MOTION:g} s")
+        if self.orientation == TANGENT:
+            self._check_tangent()
+
+    @cached_property
+    def curve(self) -> Curve:
+        """Return its geometry."""
+        pieces: list[Piece] = []
+        start = self.start
+        for i, segment in enumerate(self.segments):
+            try:
+                pieces.append(segment.piece(start))
+            except LineError as error:
+                raise LineError(f"segment {i} ({segment.kind}) {error}") from error
+            start = segment.points[-1]
+        return Curve(pieces, [segment.zone for segment in self.segments[:-1]])
+
+    @property
+    def length(self) -> float:
+        """Return its length, m."""
+        return self.curve.length
+
+    @cached_property
+    def _limits(self) -> tuple[SpeedLimit, ...]:
+        """Return the speeds that are asked for."""
+        joints = self.curve.joints.tolist()
+        return tuple(
+            SpeedLimit(begin, end, self.speed if segment.speed is None else segment.speed)
+            for begin, end, segment in zip(joints[:-1], joints[1:], self.segments, strict=True)
+        )
+
+    @cached_property
+    def stops(self) -> tuple[float, ...]:
+        """Return where the tool stops, m: at the ends, and at corners that no zone rounds."""
+        inner = self.curve.starts[1:-1][self._stopped()]
+        return (0.0, *inner.tolist(), self.length)
+
+    def _stopped(self) -> Array:
+        corners = 2.0 * np.arcsin(np.minimum(0.5 * self.curve.jumps(1), 1.0)) > KINK
+        inner = self.curve.starts[1:-1]
+        before, after = (self.twists(inner + side)[0][:, 3:] for side in (-1e-9, 0.0))
+        turns = np.abs(after - before).max(axis=1, initial=0.0) > np.maximum(_JUMP, 1e-3 * np.abs(after).max(axis=1, initial=0.0))
+        return np.asarray(corners | turns)
+
+    def _check_tangent(self) -> None:
+        corners = 2.0 * np.arcsin(np.minimum(0.5 * self.curve.jumps(1), 1.0)) > KINK
+        if corners.any():
+            at = float(self.curve.starts[1:-1][corners][0])
+            raise LineError(
+                f"the tool turns with the path, which has a corner at {at:.6g} m; accepted: a zone there, or another "
+                "orientation"
+            )
+        grid = np.linspace(0.0, self.length, 400)
+        flat = np.linalg.norm(rotated(transposed(rpy_rotation(self.start_rpy)), self.curve.at(grid, 1))[:, :2], axis=1)
+        if flat.min() < 0.05:
+            at = float(grid[int(np.argmin(flat))])
+            raise LineError(
+                f"the tool turns with the path, which runs along the tool's z axis at {at:.6g} m; accepted: a path "
+                "across it, or another orientation"
+            )
+
+    @cached_property
+    def _profile(self) -> LimitedProfile:
+        return LimitedProfile((*self._limits, *self.lowered), self.stops, self.acceleration, self.jerk)
+
+    def profile(self) -> LimitedProfile:
+        """Return the motion along the path."""
+        return self._profile
+
+    def corners(self) -> tuple[float, ...]:
+        """Return the times of the motion at which an acceleration jumps, s: of the motion, and where the curve does."""
+        profile, curve = self.profile(), self.curve
+        places = curve.starts[1:-1]
+        if self.orientation == TANGENT:
+            places = np.concatenate([places, curve.knots])
+        if self.orientation == INTERPOLATED:
+            places = np.concatenate([places, curve.joints])
+        places = places[(places > 1e-9) & (places < self.length - 1e-9)]
+        own = np.array(profile.corners)
+        found = profile.times_at(np.unique(places))
+        found = found[np.abs(found[:, None] - own).min(axis=1, initial=math.inf) > 1e-6]
+        return tuple(np.unique(np.concatenate([own, found])).tolist())
+
+    def poses(self, distance: Array) -> Pose:
+        """Return the poses of the tool centre point at `distance` (n,) m from the start."""
+        distance = np.clip(distance, 0.0, self.length)
+        position, first = self.curve.at(distance), rpy_rotation(self.start_rpy)
+        if self.orientation == FIXED:
+            return Pose(position, np.broadcast_to(first, (len(distance), 3, 3)))
+        if self.orientation == TANGENT:
+            ways = rotated(transposed(first), self.curve.at(np.append(0.0, distance), 1))
+            heading = np.arctan2(ways[:, 1], ways[:, 0])
+            return Pose(position, product(first, axis_rotation(np.array([0.0, 0.0, 1.0]), heading[1:] - heading[0])))
+        rotation = np.empty((len(distance), 3, 3))
+        for rows, rpy, turn, share in self._turns(distance):
+            angle = float(np.linalg.norm(turn))
+            axis = turn / angle if angle > 0.0 else turn
+            rotation[rows] = product(axis_rotation(axis, angle * share[0]), rpy_rotation(rpy))
+        return Pose(position, rotation)
+
+    def _turns(self, distance: Array) -> list[tuple[Array, tuple[float, ...], Array, tuple[Array, Array, Array]]]:
+        """Return for each segment its rows, orientation at its start, turn, and what share of it has been made.
+
+        The share comes with its first and second derivative by the distance.
+        """
+        joints = self.curve.joints
+        which = np.clip(np.searchsorted(joints, distance, side="right") - 1, 0, len(self.segments) - 1)
+        found, rpy = [], self.start_rpy
+        for i, segment in enumerate(self.segments):
+            end = segment.end_rpy or rpy
+            rows, whole = np.flatnonzero(which == i), joints[i + 1] - joints[i]
+            x = (distance[rows] - joints[i]) / whole
+            if len(self.segments) == 1:
+                share = x, np.full_like(x, 1.0 / whole), np.zeros_like(x)
+            else:  # the polynomial of the fifth degree that begins and ends without speed and acceleration
+                share = (
+                    x**3 * (10.0 - 15.0 * x + 6.0 * x * x),
+                    30.0 * (x * (1.0 - x)) ** 2 / whole,
+                    60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / whole**2,
+                )
+            found.append((rows, rpy, turn_between(rpy, end), share))
+            rpy = end
+        return found
+
+    def twists(self, distance: Array) -> tuple[Array, Array]:
+        """Return first and second derivative of place and orientation by the distance, (n, 6): 1, rad/m; 1/m, rad/m²."""
+        distance = np.clip(distance, 0.0, self.length)
+        first, second = np.zeros((2, len(distance), 6))
+        first[:, :3], second[:, :3] = self.curve.at(distance, 1), self.curve.at(distance, 2)
+        if self.orientation == TANGENT:
+            tool = rpy_rotation(self.start_rpy)
+            (x, y), (dx, dy), (ddx, ddy) = (
+                rotated(transposed(tool), self.curve.at(distance, k)).T[:2] for k in (1, 2, 3)
+            )
+            flat = x * x + y * y
+            rate = (x * dy - y * dx) / flat
+            change = (x * ddy - y * ddx) / flat - 2.0 * rate * (x * dx + y * dy) / flat
+            first[:, 3:], second[:, 3:] = rate[:, None] * tool[:, 2], change[:, None] * tool[:, 2]
+        if self.orientation == INTERPOLATED:
+            for rows, _, turn, share in self._turns(distance):
+                first[rows, 3:], second[rows, 3:] = (each[:, None] * turn for each in share[1:])
+        return first, second
+
+    def error(self, tip: Array, near: Array | None = None) -> PathError:
+        """Return how far positions (n, 3) m of the tool centre point are from the path.
+
+        `near`, distances (n,) m, says around which places alone it is looked for.
+        """
+        return self.curve.error(tip, near)
+
+    def notes(self) -> list[str]:
+        """Return lines for a person: where the tool stops, and what was lowered."""
+        inner = [f"{at:.3f}" for at in self.stops[1:-1]]
+        stops = [f"stops     {len(inner)}, at {', '.join(inner[:6])}{', ...' * (len(inner) > 6)} m"] if inner else []
+        return [*stops, *(f"lowered   {remark}" for remark in self.remarks)]
+
+    @property
+    def counted(self) -> tuple[float, float]:
+        """Return what of its trajectory counts for the path error, s; see `counted_motion`."""
+        return counted_motion(self)
+
+    def within_limits(
+        self, names: Sequence[str], distance: Array, slope: Array, bend: Array, velocity: Array, most: Array
+    ) -> Path:
+        """Return the path with speeds, and the acceleration, at which no joint exceeds its limits.
+
+        The speed is lowered in blocks of some millimetres, so that it stays even within one; the acceleration along
+        the whole path.
+
+        Args:
+            names: of the joints.
+            distance: places, m, shape (k,).
+            slope: of the joints by the distance there, rad/m, shape (k, n).
+            bend: their second derivative, rad/m², shape (k, n).
+            velocity: limits, rad/s, shape (n,).
+            most: limits of the acceleration, rad/s², shape (n,); infinite for none.
+        """
+        slope, bend = np.abs(slope), np.abs(bend)
+        asked = np.full(len(distance), np.inf)
+        for one in self._limits:
+            rows = (distance >= one.begin) & (distance <= one.end)
+            asked[rows] = np.minimum(asked[rows], one.speed)
+        velocity, most = _RESERVE * velocity, _RESERVE * most
+        acceleration, remarks = self.acceleration, []
+        short = slope * acceleration + bend * asked[:, None] ** 2 > most
+        with np.errstate(divide="ignore", invalid="ignore"):
+            allowed = np.where(short & (slope > 0.0), _ACCELERATION_SHARE * most / slope, np.inf)
+            if allowed.min() < acceleration:
+                k, j = np.unravel_index(int(np.argmin(allowed)), allowed.shape)
+                acceleration = float(allowed[k, j])
+                remarks.append(f"acceleration lowered from {self.acceleration:.4g} to {acceleration:.4g} m/s^2: the "
+                               f"acceleration of {names[j]} at {distance[k]:.3f} m")  # fmt: skip
+            turning = np.where(slope > 0.0, velocity / slope, np.inf)
+            bending = np.where(bend > 0.0, np.sqrt(np.maximum(most - slope * acceleration, 0.0) / bend), np.inf)
+        both = np.stack([turning, bending])
+        possible = both.min(axis=(0, 2))
+        lowered: list[SpeedLimit] = []
+        for one in self._limits:
+            rows = np.flatnonzero((distance >= one.begin) & (distance <= one.end))
+            if not len(rows) or possible[rows].min() >= one.speed:
+                continue
+            lowest = int(rows[np.argmin(possible[rows])])
+            kind, j = np.unravel_index(int(np.argmin(both[:, lowest])), both[:, lowest].shape)
+            count = max(1, min(_BLOCKS, int((one.end - one.begin) / _BLOCK)))
+            edges = np.linspace(one.begin, one.end, count + 1)
+            blocks = []
+            for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+                low, high = np.searchsorted(distance, [a, b])
+                speed = float(possible[max(low - 1, 0) : high + 1].min())
+                if speed < one.speed:
+                    blocks.append(SpeedLimit(a, b, speed))
+            lowered += blocks
+            remarks.append(
+                f"speed lowered from {one.speed:.4g} to {possible[lowest]:.4g} m/s between {blocks[0].begin:.3f} and "
+                f"{blocks[-1].end:.3f} m: the {('velocity', 'acceleration')[kind]} of {names[j]} at "
+                f"{distance[lowest]:.3f} m"
+            )
+        if not remarks:
+            return self
+        return replace(self, lowered=tuple(lowered), acceleration=acceleration, remarks=tuple(remarks))
+
+
+def load_path(name: FilePath | str) -> Path:
+    """Read a path file.
+
+    Raises:
+        ConfigError: naming file, key, value and what is accepted.
+        LineError: if the values do not make a path.
+    """
+    file = FilePath(name)
+    content = PATH.read(load_yaml(file))
+    values: dict[str, Any] = content["path"]
+    drawn = values.pop("file", None)
+    start, segments = values.pop("start", None), values.pop("segments", ())
+    values["start_rpy"] = _radians(values.pop("tool_rpy_degrees"))
+    try:
+        if drawn is not None:
+            if start is not None:
+                raise LineError("a start beside a file, which has its own; accepted: one of them")
+            turn = _radians(drawn.pop("rpy_degrees", (0.0, 0.0, 0.0)))
+            name = file.parent / drawn.pop("name")
+            start, parts = Drawing(name, rpy=turn, **drawn).read()
+        else:
+            parts = tuple(_segment(one) for one in segments)
+        return Path(start, parts, **values, branch=Branch(**content.get("posture", {})))
+    except LineError as error:
+        raise LineError(f"{file}: {error}") from error
+
+
+def _segment(content: dict[str, Any]) -> Segment:
+    motion = {key: content[key] for key in ("speed", "zone") if key in content}
+    if "tool_rpy_degrees" in content:
+        motion["end_rpy"] = _radians(content["tool_rpy_degrees"])
+    if "line" in content:
+        return Segment((content["line"]["end"],), **motion)
+    if "spline" in content:
+        return Segment(content["spline"]["points"], "spline", **motion)
+    arc = content["arc"]
+    if "via" in arc:
+        return Segment((arc["via"], arc["end"]), "arc", **motion)
+    about = {key: arc[key] for key in ("center", "normal") if key in arc}
+    return Segment((arc["end"],), "arc", **about, **motion)
+
+
+def _radians(degrees: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(math.radians(angle) for angle in degrees)
