@@ -10,8 +10,9 @@
     rx.write_bag(run, "out/stiff")                                          # as if the nodes had been recorded
 
 Setups          load_setup, parameters, with_parameters, Setup, Rates
-Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints
-Runs            run_line, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; for hours: repeat_line,
+Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints; of lines, arcs and splines:
+                load_path, plan_path, Path, Segment
+Runs            run_line, run_path, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; for hours: repeat_line,
                 RepeatedLine; with a controller of one's own: run_controller, ControllerRun; small deviations from a
                 motion: prepare_perturbation, PerturbationModel, PerturbationResult
 Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
     from rx90_common.friction.parts.temperature import TemperaturePart as TemperaturePart
     from rx90_controller.lines.plan import LinePlan as LinePlan
     from rx90_controller.lines.task import LineTask as LineTask, load_task as load_task
+    from rx90_controller.paths.path import Path as Path, Segment as Segment, load_path as load_path
     from rx90_controller.trajectory import TrajectoryPoints as TrajectoryPoints
     from rx90_emulator.export.export import (
         Export as Export,
@@ -140,7 +142,9 @@ if TYPE_CHECKING:
         PathAccuracy as PathAccuracy,
         path_accuracy as path_accuracy,
         plan_line as plan_line,
+        plan_path as plan_path,
         run_line as run_line,
+        run_path as run_path,
     )
     from rx90_emulator.loop.own_controller import ControllerRun as ControllerRun, run_controller as run_controller
     from rx90_emulator.loop.parameters import parameters as parameters, with_parameters as with_parameters

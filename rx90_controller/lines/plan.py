@@ -51,7 +51,6 @@ class Slowable(TipTask, Protocol):
     def within_limits(
         self, names: Sequence[str], distance: Array, slope: Array, bend: Array, velocity: Array, most: Array
     ) -> TipTask: ...  # noqa: D102
-    def notes(self) -> list[str]: ...  # noqa: D102
 
 
 @dataclass(frozen=True, eq=False)
@@ -414,8 +413,7 @@ def describe_line(plan: LinePlan) -> str:
         f"margin    {kind} {margin:.3f} at {at:.3f} m (accepted: >= {task.singularity_margin:g})"
         for kind, (margin, at) in plan.path.margins.items()
     ]
-    if isinstance(task, Slowable):
-        lines += task.notes()
+    lines += task.notes()
     lines.append(f"{'joint':<10}{'start':>9}{'lowest':>9}{'highest':>9} deg{'peak':>9} deg/s{'of limit':>10}")
     peak = np.abs(plan.velocity).max(axis=0)
     columns = (plan.start_pose, plan.position.min(axis=0), plan.position.max(axis=0), peak)

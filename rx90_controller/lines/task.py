@@ -256,6 +256,10 @@ class LineTask:
         """Return how far positions (n, 3) m of the tool centre point are from the line."""
         return path_error(tip, np.array(self.start), np.array(self.end))
 
+    def notes(self) -> list[str]:
+        """Return lines for a person beside length and speed; of a line there are none."""
+        return []
+
     @property
     def counted(self) -> tuple[float, float]:
         """Return what of its trajectory counts for the path error, s; see `counted_motion`."""
@@ -285,6 +289,7 @@ class TipTask(Protocol):
     def start_posture(self) -> tuple[float, ...] | None: ...  # noqa: D102
     @property
     def counted(self) -> tuple[float, float]: ...  # noqa: D102
+    def notes(self) -> list[str]: ...  # noqa: D102
     def profile(self) -> Profile: ...  # noqa: D102
     def corners(self) -> tuple[float, ...]: ...  # noqa: D102
     def poses(self, distance: Array) -> Pose: ...  # noqa: D102

@@ -28,6 +28,7 @@ _NEWTON = 5
 _COLLINEAR = 1e-9  # sine between the chords of three points
 _ROUNDED = 2e-5  # m: by how much ends of an arc may be unequally far from its centre, as drawings print them
 _SHARPEST = -0.98  # cosine of the turn at a corner that a blend rounds
+_AROUND = 0.05  # m along a path from where the tip should be to where it is looked for
 KINK = 1e-3
 """A corner up to this angle, rad, is travelled without a stop: set-points one period apart round it."""
 
@@ -328,13 +329,12 @@ class Curve:
         distance = np.append(np.concatenate(inner), self.length)
         return distance, self.at(distance)
 
-    def nearest(self, points: Array, near: Array | None = None, within: float = 0.03) -> Place:
+    def nearest(self, points: Array, near: Array | None = None) -> Place:
         """Return what is nearest on the curve to points (n, 3) m; beyond its ends it goes on along its tangents.
 
         Args:
             points: m.
-            near: distances (n,) m around which alone it is looked for, within as many m: a path may cross itself.
-            within: m.
+            near: distances (n,) m around which alone it is looked for: a path may cross itself.
         """
         points = np.asarray(points, dtype=np.float64)
         distance, places = self._samples
@@ -343,6 +343,7 @@ class Curve:
 
             nearest = np.asarray(cKDTree(places).query(points)[1])
         else:
+            within = min(_AROUND, 0.25 * self.length)
             first = np.searchsorted(distance, near - within)
             last = np.searchsorted(distance, near + within, side="right")
             nearest = np.array(

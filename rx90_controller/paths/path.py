@@ -16,6 +16,7 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import LEFT_OUT, ListOf, Number, Numbers, Text
 from rx90_common.base.errors import LineError
 from rx90_common.base.groups import Group
+from rx90_common.base.share import resolve_config
 from rx90_common.description.branch import Branch
 from rx90_common.description.kinematics import PathError, Pose
 from rx90_common.description.rotations import axis_rotation, product, rotated, rpy_rotation, transposed, turn_between
@@ -459,13 +460,13 @@ class Path:
 
 
 def load_path(name: FilePath | str) -> Path:
-    """Read a path file.
+    """Read a path file, by its path or the name of a shipped one below config/.
 
     Raises:
         ConfigError: naming file, key, value and what is accepted.
         LineError: if the values do not make a path.
     """
-    file = FilePath(name)
+    file = resolve_config(str(name))
     content = PATH.read(load_yaml(file))
     values: dict[str, Any] = content["path"]
     drawn = values.pop("file", None)
@@ -476,8 +477,7 @@ def load_path(name: FilePath | str) -> Path:
             if start is not None:
                 raise LineError("a start beside a file, which has its own; accepted: one of them")
             turn = _radians(drawn.pop("rpy_degrees", (0.0, 0.0, 0.0)))
-            name = file.parent / drawn.pop("name")
-            start, parts = Drawing(name, rpy=turn, **drawn).read()
+            start, parts = Drawing(file.parent / drawn.pop("name"), rpy=turn, **drawn).read()
         else:
             parts = tuple(_segment(one) for one in segments)
         return Path(start, parts, **values, branch=Branch(**content.get("posture", {})))

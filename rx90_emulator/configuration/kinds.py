@@ -18,6 +18,7 @@ from rx90_common.description.robot import TOOL, load_tool
 from rx90_common.friction.friction_file import FRICTION, FrictionFile
 from rx90_controller.law.parameters import CONTROLLER, load_controller
 from rx90_controller.lines.task import TASK, load_task
+from rx90_controller.paths.path import PATH, load_path
 from rx90_emulator.conformance.quantities import CHECK_LIMITS, CheckLimits
 from rx90_emulator.identification.excitation.payload import PAYLOADS, read_payloads
 from rx90_emulator.identification.experiments.folder import EXPERIMENTS, read_index
@@ -80,6 +81,7 @@ KINDS = (
     FileKind("friction", FRICTION, FrictionFile.read),
     FileKind("controller", CONTROLLER, load_controller),
     FileKind("task", TASK, load_task),
+    FileKind("path", PATH, load_path),
     FileKind("poses", POSES, Poses.load),
     FileKind("moveit_limits", _MOVEIT_LIMITS, lambda path: _MOVEIT_LIMITS.read(load_yaml(path))),
     FileKind("rig", RIG, load_rig),
