@@ -48,9 +48,9 @@ _STILL = 1e-10
 class Slowable(TipTask, Protocol):
     """A path that can be travelled more slowly in places, as `rx90_controller.paths.path.Path`."""
 
-    def within_limits(
+    def within_limits(  # noqa: D102
         self, names: Sequence[str], distance: Array, slope: Array, bend: Array, velocity: Array, most: Array
-    ) -> TipTask: ...  # noqa: D102
+    ) -> TipTask: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ def _joint_path(robot: RobotModel, task: TipTask, acceleration: Array | None) ->
     Raises:
         LineError: saying where on the path the arm cannot go, the joint or singularity, and what is accepted.
     """
-    distance = np.linspace(0.0, task.length, max(_MIN_EXAMINED, int(np.ceil(task.length / _EXAMINED_STEP))) + 1)
+    distance = task.places(_EXAMINED_STEP, _MIN_EXAMINED)
     postures, faults = Postures.of(robot, task), dict[int, str]()  # the first reason, by the place
     q, missed = _follow(postures, distance)
     if missed:
@@ -238,9 +238,7 @@ class LinePlan:
         return interpolate(self.times, self.position, self.velocity, self.acceleration).sample(times)
 
 
-def plan_line(
-    robot: RobotModel, task: TipTask, period: float = 1e-3, acceleration: Array | None = None
-) -> LinePlan:
+def plan_line(robot: RobotModel, task: TipTask, period: float = 1e-3, acceleration: Array | None = None) -> LinePlan:
     """Plan a straight line, or another path.
 
     Args:
@@ -390,8 +388,8 @@ def approached(
         return ApproachedLine(plan.points, 0.0, plan.duration, name, way)
     if approach is None:
         raise LineError(
-            f"{name} is at {here[joint]:.4f} rad, the {plan.task.what} starts at {plan.start_pose[joint]:.4f} rad; accepted: "
-            f"within {limits.start_tolerance:g} rad, or --approach"
+            f"{name} is at {here[joint]:.4f} rad, the {plan.task.what} starts at {plan.start_pose[joint]:.4f} rad; "
+            f"accepted: within {limits.start_tolerance:g} rad, or --approach"
         )
     duration = math.ceil(approach.duration(plan.path.robot, here, plan.start_pose) * 1e3) / 1e3
     check_plan(plan, limits, period, here, duration)

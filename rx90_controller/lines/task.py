@@ -233,6 +233,10 @@ class LineTask:
         """Return the times of the motion at which an acceleration jumps, s."""
         return self.profile().corners
 
+    def places(self, step: float, least: int) -> Array:
+        """Return distances at most `step` m apart, and so many steps at least, at which the line is examined, m."""
+        return np.linspace(0.0, self.length, max(least, int(np.ceil(self.length / step))) + 1)
+
     def poses(self, distance: Array) -> Pose:
         """Return the poses of the tool centre point at `distance` (n,) m from the start."""
         start = np.array(self.start)
@@ -292,6 +296,7 @@ class TipTask(Protocol):
     def notes(self) -> list[str]: ...  # noqa: D102
     def profile(self) -> Profile: ...  # noqa: D102
     def corners(self) -> tuple[float, ...]: ...  # noqa: D102
+    def places(self, step: float, least: int) -> Array: ...  # noqa: D102
     def poses(self, distance: Array) -> Pose: ...  # noqa: D102
     def twists(self, distance: Array) -> tuple[Array, Array]: ...  # noqa: D102
     def error(self, tip: Array, near: Array | None = None) -> PathError: ...  # noqa: D102

@@ -84,9 +84,7 @@ class Polynomial:
     def __init__(self, curve: PPoly) -> None:
         self._orders = [curve.derivative(k) if k else curve for k in range(4)]
         knots = curve.x
-        self._cells = np.append(
-            np.linspace(knots[:-1], knots[1:], _CELLS, endpoint=False).T.ravel(), knots[-1]
-        )
+        self._cells = np.append(np.linspace(knots[:-1], knots[1:], _CELLS, endpoint=False).T.ravel(), knots[-1])
         self._lengths = np.concatenate([[0.0], np.cumsum(self._way(self._cells[:-1], self._cells[1:]))])
         self.length = float(self._lengths[-1])
         self.knots: Array = self._lengths[::_CELLS]
@@ -162,17 +160,18 @@ def arc_through(start: Array, via: Array, end: Array) -> Circular:
     scale = float(length(a) * length(b) * max(1e-300, float(length(end - via))))
     if float(length(normal)) * float(length(end - via)) <= _COLLINEAR * scale:
         raise LineError(
-            f"an arc through {_point(start)}, {_point(via)} and {_point(end)} m, which lie on one line; accepted: three "
-            "points of a circle (a full one: its centre, and its start as its end)"
+            f"an arc through {_point(start)}, {_point(via)} and {_point(end)} m, which lie on one line; accepted: "
+            "three points of a circle (a full one: its centre, and its start as its end)"
         )
     to_center = np.cross((a @ a) * b - (b @ b) * a, normal) / -(2.0 * (normal @ normal))
     return _arc(start, start + to_center, end, normal / length(normal))
 
 
 def arc_about(start: Array, center: Array, end: Array, normal: Array) -> Circular:
-    """Return the arc about a centre, counter-clockwise seen from where its normal points to; a full circle to its start.
+    """Return the arc about a centre, counter-clockwise seen from where its normal points to.
 
-    The points are (3,) m. A centre whose distances to the ends differ by rounding is moved to the middle between them.
+    It is a full circle where it ends at its start. The points are (3,) m; a centre whose distances to the ends differ by
+    rounding is moved to the middle between them.
 
     Raises:
         LineError: for ends unequally far from the centre, or out of the plane.
@@ -211,7 +210,7 @@ def _arc(start: Array, center: Array, end: Array, normal: Array) -> Circular:
 
 
 def spline(points: Array) -> Polynomial:
-    """Return the natural cubic spline through points (n, 3) m, over its chords; one that comes back to its start is closed.
+    """Return the natural cubic spline through points (n, 3) m, over its chords; closed if it comes back to its start.
 
     Raises:
         LineError: for equal points next to each other.
@@ -297,7 +296,7 @@ class Curve:
             )
 
     def at(self, distance: Array, order: int = 0) -> Array:
-        """Return the derivative of an order, 0 to 3, by the distance (n,) m; shape (n, 3). At a joint that behind it."""
+        """Return the derivative of an order, 0 to 3, by the distance (n,) m, of the next piece at a joint; (n, 3)."""
         distance = np.clip(np.asarray(distance, dtype=np.float64), 0.0, self.length)
         which = np.clip(np.searchsorted(self.starts, distance, side="right") - 1, 0, len(self._pieces) - 1)
         found = np.empty((len(distance), 3))

@@ -14,13 +14,14 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, LineError
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.description.rotations import rpy_rotation
 from rx90_controller.paths.curve import KINK
@@ -157,7 +158,7 @@ class Drawing:
         unit = self._unit(named)
         if len(rows) < 2:
             self._refuse(f"holds {len(rows)} points; accepted: two or more")
-        for number, (a, b) in enumerate(zip(rows[:-1], rows[1:], strict=True), 1):
+        for number, (a, b) in enumerate(pairwise(rows), 1):
             if a == b:
                 self._refuse(f"points {number} and {number + 1} are both {a}; accepted: different points")
         if self.points == "spline" and len(rows) > 2:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path as FilePath
 from typing import Any, ClassVar
 
@@ -31,12 +32,14 @@ from rx90_controller.lines.task import (
     check_rests,
     counted_motion,
 )
-from rx90_controller.paths.curve import KINK, Curve, Piece, Polynomial, arc_about, arc_through, line, spline
+from rx90_controller.paths.curve import KINK, Curve, Piece, arc_about, arc_through, line, spline
 from rx90_controller.paths.drawing import UNITS, Drawing
 from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
 
 FIXED, TANGENT, INTERPOLATED = ORIENTATIONS = ("fixed", "tangent", "interpolated")
-_JUMP = 1e-6  # rad/m: a smaller change of the tool's turn by the distance is rounding
+_TURN = 0.02  # rad of the path between two places at which it is examined
+_MOST_PARTS = 50
+_JUMP = 1e-3  # rad/m: a smaller change of the tool's turn by the distance is rounding
 _BLOCK = 5e-3  # m of the path that have one lowered speed, at least
 _BLOCKS = 40  # in a stretch of one speed, at most
 _RESERVE = 0.99  # of a joint's limit: the places between those that are looked at need a little more
@@ -189,7 +192,7 @@ class Path:
         branch: as LineTask's; singularity_margin and start_posture likewise.
         singularity_margin: 1.
         start_posture: rad.
-        lowered: speeds below those asked for, which an arm's joints need; `within_limits` finds them.
+        lowered: speeds and accelerations below those asked for, as an arm's joints need; `within_limits` finds them.
         remarks: what was lowered, in words.
 
     Raises:
@@ -278,7 +281,8 @@ class Path:
         corners = 2.0 * np.arcsin(np.minimum(0.5 * self.curve.jumps(1), 1.0)) > KINK
         inner = self.curve.starts[1:-1]
         before, after = (self.twists(inner + side)[0][:, 3:] for side in (-1e-9, 0.0))
-        turns = np.abs(after - before).max(axis=1, initial=0.0) > np.maximum(_JUMP, 1e-3 * np.abs(after).max(axis=1, initial=0.0))
+        jumps, rates = (np.abs(each).max(axis=1, initial=0.0) for each in (after - before, after))
+        turns = jumps > np.maximum(_JUMP, 1e-3 * rates)
         return np.asarray(corners | turns)
 
     def _check_tangent(self) -> None:
@@ -319,6 +323,14 @@ class Path:
         found = profile.times_at(np.unique(places))
         found = found[np.abs(found[:, None] - own).min(axis=1, initial=math.inf) > 1e-6]
         return tuple(np.unique(np.concatenate([own, found])).tolist())
+
+    def places(self, step: float, least: int) -> Array:
+        """Return distances at which the path is examined, m: as of a line, and closer where it bends."""
+        distance = np.linspace(0.0, self.length, max(least, math.ceil(self.length / step)) + 1)
+        turn = np.linalg.norm(self.curve.at(distance, 2), axis=1) * (distance[1] - distance[0])
+        parts = np.minimum(np.ceil(np.maximum(turn[1:], turn[:-1]) / _TURN).astype(int), _MOST_PARTS)
+        inner = [np.linspace(distance[k], distance[k + 1], parts[k] + 1)[1:-1] for k in np.flatnonzero(parts > 1)]
+        return np.unique(np.concatenate([distance, *inner]))
 
     def poses(self, distance: Array) -> Pose:
         """Return the poses of the tool centre point at `distance` (n,) m from the start."""
@@ -362,7 +374,7 @@ class Path:
         return found
 
     def twists(self, distance: Array) -> tuple[Array, Array]:
-        """Return first and second derivative of place and orientation by the distance, (n, 6): 1, rad/m; 1/m, rad/m²."""
+        """Return first and second derivative of place and orientation by the distance, as of a line, (n, 6)."""
         distance = np.clip(distance, 0.0, self.length)
         first, second = np.zeros((2, len(distance), 6))
         first[:, :3], second[:, :3] = self.curve.at(distance, 1), self.curve.at(distance, 2)
@@ -403,8 +415,7 @@ class Path:
     ) -> Path:
         """Return the path with speeds, and the acceleration, at which no joint exceeds its limits.
 
-        The speed is lowered in blocks of some millimetres, so that it stays even within one; the acceleration along
-        the whole path.
+        Both are lowered in blocks of some millimetres, so that the speed stays even within one.
 
         Args:
             names: of the joints.
@@ -420,43 +431,42 @@ class Path:
             rows = (distance >= one.begin) & (distance <= one.end)
             asked[rows] = np.minimum(asked[rows], one.speed)
         velocity, most = _RESERVE * velocity, _RESERVE * most
-        acceleration, remarks = self.acceleration, []
-        short = slope * acceleration + bend * asked[:, None] ** 2 > most
+        short = slope * self.acceleration + bend * asked[:, None] ** 2 > most
         with np.errstate(divide="ignore", invalid="ignore"):
             allowed = np.where(short & (slope > 0.0), _ACCELERATION_SHARE * most / slope, np.inf)
-            if allowed.min() < acceleration:
-                k, j = np.unravel_index(int(np.argmin(allowed)), allowed.shape)
-                acceleration = float(allowed[k, j])
-                remarks.append(f"acceleration lowered from {self.acceleration:.4g} to {acceleration:.4g} m/s^2: the "
-                               f"acceleration of {names[j]} at {distance[k]:.3f} m")  # fmt: skip
+            acceleration = np.minimum(allowed.min(axis=1), self.acceleration)
             turning = np.where(slope > 0.0, velocity / slope, np.inf)
-            bending = np.where(bend > 0.0, np.sqrt(np.maximum(most - slope * acceleration, 0.0) / bend), np.inf)
+            rest = np.maximum(most - slope * acceleration[:, None], 0.0)
+            bending = np.where(bend > 0.0, np.sqrt(rest / bend), np.inf)
         both = np.stack([turning, bending])
         possible = both.min(axis=(0, 2))
-        lowered: list[SpeedLimit] = []
+        lowered, remarks = list[SpeedLimit](), list[str]()
         for one in self._limits:
             rows = np.flatnonzero((distance >= one.begin) & (distance <= one.end))
-            if not len(rows) or possible[rows].min() >= one.speed:
+            slow = rows[(possible[rows] < one.speed) | (acceleration[rows] < self.acceleration)]
+            if not len(slow):
                 continue
-            lowest = int(rows[np.argmin(possible[rows])])
-            kind, j = np.unravel_index(int(np.argmin(both[:, lowest])), both[:, lowest].shape)
             count = max(1, min(_BLOCKS, int((one.end - one.begin) / _BLOCK)))
-            edges = np.linspace(one.begin, one.end, count + 1)
-            blocks = []
-            for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-                low, high = np.searchsorted(distance, [a, b])
-                speed = float(possible[max(low - 1, 0) : high + 1].min())
-                if speed < one.speed:
-                    blocks.append(SpeedLimit(a, b, speed))
-            lowered += blocks
-            remarks.append(
-                f"speed lowered from {one.speed:.4g} to {possible[lowest]:.4g} m/s between {blocks[0].begin:.3f} and "
-                f"{blocks[-1].end:.3f} m: the {('velocity', 'acceleration')[kind]} of {names[j]} at "
-                f"{distance[lowest]:.3f} m"
-            )
-        if not remarks:
-            return self
-        return replace(self, lowered=tuple(lowered), acceleration=acceleration, remarks=tuple(remarks))
+            for begin, end in pairwise(np.linspace(one.begin, one.end, count + 1).tolist()):
+                low, high = np.searchsorted(distance, [begin, end])
+                near = slice(max(low - 1, 0), high + 1)
+                speed, ramp = float(possible[near].min()), float(acceleration[near].min())
+                if speed < one.speed or ramp < self.acceleration:
+                    lowered.append(SpeedLimit(begin, end, min(speed, one.speed), ramp))
+            between = f"between {distance[slow[0]]:.3f} and {distance[slow[-1]]:.3f} m"
+            lowest, least = slow[np.argmin(possible[slow])], slow[np.argmin(acceleration[slow])]
+            if possible[lowest] < one.speed:
+                kind, j = np.unravel_index(int(np.argmin(both[:, lowest])), both[:, lowest].shape)
+                remarks.append(
+                    f"speed from {one.speed:.4g} to {possible[lowest]:.4g} m/s {between}: the "
+                    f"{('velocity', 'acceleration')[kind]} of {names[j]} at {distance[lowest]:.3f} m"
+                )
+            if acceleration[least] < self.acceleration:
+                remarks.append(
+                    f"acceleration from {self.acceleration:.4g} to {acceleration[least]:.4g} m/s^2 {between}: the "
+                    f"acceleration of {names[int(np.argmin(allowed[least]))]} at {distance[least]:.3f} m"
+                )
+        return replace(self, lowered=tuple(lowered), remarks=tuple(remarks)) if lowered else self
 
 
 def load_path(name: FilePath | str) -> Path:

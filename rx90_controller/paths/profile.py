@@ -29,11 +29,12 @@ _BISECTIONS = 60
 
 
 class SpeedLimit(NamedTuple):
-    """The largest speed, m/s, from one distance to another, m."""
+    """The largest speed, m/s, and acceleration along the path, m/s², from one distance to another, m."""
 
     begin: float
     end: float
     speed: float
+    acceleration: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,25 +78,27 @@ class LimitedProfile:
 
     def _between(self, begin: float, end: float, mean: float) -> list[tuple[float, float, float, float]]:
         """Return the phases from one stop to the next."""
-        wide = [
-            (max(begin, one.begin - 0.5 * mean * one.speed), min(end, one.end + 0.5 * mean * one.speed), one.speed)
-            for one in self.limits
-            if one.begin < end and one.end > begin
-        ]
-        edges = np.unique([begin, end, *(place for a, b, _ in wide for place in (a, b))])
-        middles, a = 0.5 * (edges[1:] + edges[:-1]), self.acceleration
-        most = np.full(len(middles), np.inf)
-        for low, high, speed in wide:
-            rows = (middles > low) & (middles < high)
-            most[rows] = np.minimum(most[rows], speed * speed)
+        wide = []
+        for one in self.limits:
+            if one.begin < end and one.end > begin:
+                way = 0.5 * mean * one.speed
+                wide.append(one._replace(begin=max(begin, one.begin - way), end=min(end, one.end + way)))
+        edges = np.unique([begin, end, *(place for one in wide for place in one[:2])])
+        middles = 0.5 * (edges[1:] + edges[:-1])
+        most, most_acceleration = np.full(len(middles), np.inf), np.full(len(middles), self.acceleration)
+        for one in wide:
+            rows = (middles > one.begin) & (middles < one.end)
+            most[rows] = np.minimum(most[rows], one.speed**2)
+            most_acceleration[rows] = np.minimum(most_acceleration[rows], one.acceleration)
         ways = np.diff(edges)
         squares = np.concatenate([[0.0], np.minimum(most[1:], most[:-1]), [0.0]])
-        for k, way in enumerate(ways):
-            squares[k + 1] = min(squares[k + 1], squares[k] + 2.0 * a * way)
+        gains = 2.0 * most_acceleration * ways
+        for k, gain in enumerate(gains):
+            squares[k + 1] = min(squares[k + 1], squares[k] + gain)
         for k in range(len(ways) - 1, -1, -1):
-            squares[k] = min(squares[k], squares[k + 1] + 2.0 * a * ways[k])
+            squares[k] = min(squares[k], squares[k + 1] + gains[k])
         phases = []
-        for k, way in enumerate(ways):
+        for k, (way, a) in enumerate(zip(ways, most_acceleration, strict=True)):
             first, last = squares[k], squares[k + 1]
             peak = min(most[k], 0.5 * (first + last) + a * way)
             v0, v, v1 = math.sqrt(first), math.sqrt(peak), math.sqrt(last)

@@ -22,7 +22,9 @@ example: rx90_path seam.yaml --approach
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.epilog, parser.formatter_class = _EPILOG, argparse.RawDescriptionHelpFormatter
-    parser.add_argument("path", metavar="PATH", help="path file, or the name of a shipped one, such as paths/circle.yaml")
+    parser.add_argument(
+        "path", metavar="PATH", help="path file, or the name of a shipped one, such as paths/circle.yaml"
+    )
     add_robot_arguments(parser, "urdf", "tool", "controller")
     add_sending(parser)
 

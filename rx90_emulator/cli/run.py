@@ -167,10 +167,8 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
         simulate = partial(
             closed_loop.simulate, setup, points, start, begin + float(points.times[-1]) + SETTLING, begin
         )
-    elif options.path is not None:
-        simulate = partial(run_path, setup, load_path(options.path), start_time=begin)
     else:
-        task = load_task(RobotFiles.of_options(options).required("task"))
+        task = load_path(options.path) if options.path else load_task(RobotFiles.of_options(options).required("task"))
         simulate = partial(run_path, setup, task, start_time=begin)
     if start is not None:
         print("begins at rest at", ", ".join(f"{angle:.6g}" for angle in start), "rad")
