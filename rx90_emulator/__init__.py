@@ -44,7 +44,7 @@ from __future__ import annotations
 
 import re
 from importlib import import_module
-from pathlib import Path
+from pathlib import Path as _File
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -174,7 +174,9 @@ if TYPE_CHECKING:
 
 _HOMES = {
     name: module
-    for module, names in re.findall(r"^    from (\S+) import (\([^)]*\)|.*)$", Path(__file__).read_text(), re.MULTILINE)
+    for module, names in re.findall(
+        r"^    from (\S+) import (\([^)]*\)|.*)$", _File(__file__).read_text(), re.MULTILINE
+    )
     for name in re.findall(r"(\w+) as", names)
 }
 """The module of each name, by the imports above, which type checkers and editors read."""

@@ -34,9 +34,10 @@ KINK = 1e-3
 
 
 class Piece(Protocol):
-    """A curve by its length."""
+    """A curve by its length, m."""
 
-    length: float
+    @property
+    def length(self) -> float: ...  # noqa: D102
 
     def at(self, distance: Array, order: int) -> Array:
         """Return the derivative of an order, 0 to 3, by the distance (n,) m from the start; shape (n, 3)."""
@@ -163,15 +164,15 @@ def arc_through(start: Array, via: Array, end: Array) -> Circular:
             f"an arc through {_point(start)}, {_point(via)} and {_point(end)} m, which lie on one line; accepted: "
             "three points of a circle (a full one: its centre, and its start as its end)"
         )
-    to_center = np.cross((a @ a) * b - (b @ b) * a, normal) / -(2.0 * (normal @ normal))
+    to_center = np.cross((a @ a) * b - (b @ b) * a, normal) / (2.0 * (normal @ normal))
     return _arc(start, start + to_center, end, normal / length(normal))
 
 
 def arc_about(start: Array, center: Array, end: Array, normal: Array) -> Circular:
     """Return the arc about a centre, counter-clockwise seen from where its normal points to.
 
-    It is a full circle where it ends at its start. The points are (3,) m; a centre whose distances to the ends differ by
-    rounding is moved to the middle between them.
+    It is a full circle where it ends at its start. The points are (3,) m; a centre whose distances to the ends differ
+    by rounding is moved to the middle between them.
 
     Raises:
         LineError: for ends unequally far from the centre, or out of the plane.
@@ -219,8 +220,8 @@ def spline(points: Array) -> Polynomial:
     if not chords.all():
         raise LineError(f"a spline with the point {_point(points[int(np.argmin(chords))])} m twice; accepted: once")
     closed = len(points) > 3 and not np.any(points[-1] - points[0])
-    ends = "periodic" if closed else "natural"
-    return Polynomial(CubicSpline(np.append(0.0, np.cumsum(chords)), points, bc_type=ends))
+    over = np.append(0.0, np.cumsum(chords))
+    return Polynomial(CubicSpline(over, points, bc_type="periodic" if closed else "natural"))
 
 
 def _blend(before: Piece, after: Piece, zone: float) -> Polynomial:

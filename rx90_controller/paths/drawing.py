@@ -130,7 +130,8 @@ class Drawing:
         text = self._text()
         first = next((line for line in text.splitlines() if line.strip()), "")
         delimiter = next((each for each in ",;\t" if each in first), " ")
-        rows, named, columns = [], None, [0, 1, 2]
+        rows: list[tuple[float, ...]] = []
+        named, columns = None, [0, 1, 2]
         for number, row in enumerate(csv.reader(text.splitlines(), delimiter=delimiter, skipinitialspace=True), 1):
             cells = [cell for cell in row if cell.strip()] if delimiter == " " else row
             if not any(cell.strip() for cell in cells) or cells[0].lstrip().startswith("#"):
@@ -325,7 +326,7 @@ class _Program:
                 if letter in numbers:
                     self._refuse(number, f"{letter} stands twice; accepted: once")
                 numbers[letter] = value
-            elif letter not in _PASSED_OVER:
+            elif letter not in _PASSED_OVER and not (letter in "PQ" and ("G", 64.0) in words):
                 self._refuse(number, f"{letter}{value:g}; accepted: X, Y, Z, I, J, R, F, and words that do not move")
         if "F" in numbers:
             if not numbers["F"] > 0.0:
@@ -373,7 +374,7 @@ class _Program:
             if np.any(end != before):
                 self._segments.append(Segment((tuple(end.tolist()),), speed=speed))
             return
-        if end[2] != before[2] or "K" in numbers:
+        if end[2] != before[2] or numbers.get("K"):
             self._refuse(number, "an arc that leaves the plane G17; accepted: X, Y, I and J")
         normal = (0.0, 0.0, 1.0 if self._mode == 3.0 else -1.0)
         center = self._center(number, before, end, numbers)

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import LEFT_OUT, ListOf, Number, Numbers, Text
 from rx90_common.base.errors import LineError
@@ -42,7 +42,8 @@ _MOST_PARTS = 50
 _JUMP = 1e-3  # rad/m: a smaller change of the tool's turn by the distance is rounding
 _BLOCK = 5e-3  # m of the path that have one lowered speed, at least
 _BLOCKS = 40  # in a stretch of one speed, at most
-_RESERVE = 0.99  # of a joint's limit: the places between those that are looked at need a little more
+_SPEED_RESERVE = 0.99  # of a joint's limit: the places between those that are looked at need a little more
+_RESERVE = 0.9  # of a joint's acceleration: quintics round its steps, and overshoot
 _ACCELERATION_SHARE = 0.5  # of a joint's limit for the path's own acceleration, where it is short of it
 _point = Numbers("", "m", count=3)
 _speed = Number("Speed along it; that of the path if left out.", "m/s", low=0.0, above=True, default=LEFT_OUT)
@@ -277,7 +278,7 @@ class Path:
         inner = self.curve.starts[1:-1][self._stopped()]
         return (0.0, *inner.tolist(), self.length)
 
-    def _stopped(self) -> Array:
+    def _stopped(self) -> Mask:
         corners = 2.0 * np.arcsin(np.minimum(0.5 * self.curve.jumps(1), 1.0)) > KINK
         inner = self.curve.starts[1:-1]
         before, after = (self.twists(inner + side)[0][:, 3:] for side in (-1e-9, 0.0))
@@ -349,7 +350,7 @@ class Path:
             rotation[rows] = product(axis_rotation(axis, angle * share[0]), rpy_rotation(rpy))
         return Pose(position, rotation)
 
-    def _turns(self, distance: Array) -> list[tuple[Array, tuple[float, ...], Array, tuple[Array, Array, Array]]]:
+    def _turns(self, distance: Array) -> list[tuple[Index, tuple[float, ...], Array, tuple[Array, Array, Array]]]:
         """Return for each segment its rows, orientation at its start, turn, and what share of it has been made.
 
         The share comes with its first and second derivative by the distance.
@@ -428,9 +429,9 @@ class Path:
         slope, bend = np.abs(slope), np.abs(bend)
         asked = np.full(len(distance), np.inf)
         for one in self._limits:
-            rows = (distance >= one.begin) & (distance <= one.end)
-            asked[rows] = np.minimum(asked[rows], one.speed)
-        velocity, most = _RESERVE * velocity, _RESERVE * most
+            within = (distance >= one.begin) & (distance <= one.end)
+            asked[within] = np.minimum(asked[within], one.speed)
+        velocity, most = _SPEED_RESERVE * velocity, _RESERVE * most
         short = slope * self.acceleration + bend * asked[:, None] ** 2 > most
         with np.errstate(divide="ignore", invalid="ignore"):
             allowed = np.where(short & (slope > 0.0), _ACCELERATION_SHARE * most / slope, np.inf)
@@ -456,7 +457,7 @@ class Path:
             between = f"between {distance[slow[0]]:.3f} and {distance[slow[-1]]:.3f} m"
             lowest, least = slow[np.argmin(possible[slow])], slow[np.argmin(acceleration[slow])]
             if possible[lowest] < one.speed:
-                kind, j = np.unravel_index(int(np.argmin(both[:, lowest])), both[:, lowest].shape)
+                kind, j = divmod(int(np.argmin(both[:, lowest])), len(names))
                 remarks.append(
                     f"speed from {one.speed:.4g} to {possible[lowest]:.4g} m/s {between}: the "
                     f"{('velocity', 'acceleration')[kind]} of {names[j]} at {distance[lowest]:.3f} m"
@@ -496,7 +497,7 @@ def load_path(name: FilePath | str) -> Path:
 
 
 def _segment(content: dict[str, Any]) -> Segment:
-    motion = {key: content[key] for key in ("speed", "zone") if key in content}
+    motion: dict[str, Any] = {key: content[key] for key in ("speed", "zone") if key in content}
     if "tool_rpy_degrees" in content:
         motion["end_rpy"] = _radians(content["tool_rpy_degrees"])
     if "line" in content:

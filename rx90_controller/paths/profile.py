@@ -158,6 +158,10 @@ class LimitedProfile:
         still = over | before if mean > 0.0 else (t > end) | (t < 0.0)
         return PathMotion(distance, np.where(still, 0.0, found[1]), np.where(still, 0.0, found[2]))
 
+    def speed_at(self, distance: Array) -> Array:
+        """Return the speed in m/s at `distance` m from the start, shape (n,)."""
+        return self.sample(self.times_at(distance)).speed
+
     def times_at(self, distance: Array) -> Array:
         """Return the first times, s, at which distances (n,) m are reached."""
         low, high = np.zeros(len(distance)), np.full(len(distance), self.duration)
