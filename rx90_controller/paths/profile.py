@@ -62,18 +62,19 @@ class LimitedProfile:
     def _built(self) -> tuple[PPoly, float]:
         """Return the distance over the time before the mean, and the time of the mean, s."""
         steps = (1.0, 2.0) if math.isfinite(self.jerk) else (0.0,)
-        for step in steps:  # a peak between two ramps has a jump of twice the acceleration
+        for step in steps:  # ramps up and down within the mean's time have twice the jump of one
             mean = step * self.acceleration / self.jerk
             phases: list[tuple[float, float, float, float]] = []  # duration, distance, speed, acceleration
             for begin, end in pairwise(self.stops):
                 phases += self._between(begin, end, mean)
                 phases.append((mean, end, 0.0, 0.0))
-            phases = [phase for phase in phases[:-1] if phase[0] > _SHORTEST_PHASE]
-            rows = np.array(phases)
-            jump = np.abs(np.diff(rows[:, 3], prepend=0.0, append=0.0)).max()
-            if jump <= step * self.acceleration * (1.0 + 1e-9):
+            rows = np.array([phase for phase in phases[:-1] if phase[0] > _SHORTEST_PHASE])
+            times = np.concatenate([[0.0], np.cumsum(rows[:, 0])])
+            at = np.concatenate([times, times + mean])
+            steps_of = np.concatenate([[0.0], rows[:, 3], [0.0]])
+            now, before = (steps_of[np.searchsorted(times, t + _SHORTEST_PHASE / 2.0)] for t in (at, at - mean))
+            if mean == 0.0 or np.abs(now - before).max() / mean <= self.jerk * (1.0 + 1e-9):
                 break
-        times = np.concatenate([[0.0], np.cumsum(rows[:, 0])])
         return PPoly(np.array([0.5 * rows[:, 3], rows[:, 2], rows[:, 1]]), times), mean
 
     def _between(self, begin: float, end: float, mean: float) -> list[tuple[float, float, float, float]]:
