@@ -73,7 +73,8 @@ if TYPE_CHECKING:
     from rx90_common.friction.parts.temperature import TemperaturePart as TemperaturePart
     from rx90_controller.lines.plan import LinePlan as LinePlan
     from rx90_controller.lines.task import LineTask as LineTask, load_task as load_task
-    from rx90_controller.paths.path import Path as Path, Segment as Segment, load_path as load_path
+    from rx90_controller.paths.path import Path as Path, load_path as load_path
+    from rx90_controller.paths.segment import Segment as Segment
     from rx90_controller.trajectory import TrajectoryPoints as TrajectoryPoints
     from rx90_emulator.export.export import (
         Export as Export,

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -25,9 +25,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.description.rotations import rpy_rotation
 from rx90_controller.paths.curve import KINK
-
-if TYPE_CHECKING:
-    from rx90_controller.paths.path import Segment
+from rx90_controller.paths.segment import Segment
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 25.4e-3}
 """Units of drawings, m."""
@@ -125,8 +123,6 @@ class Drawing:
             raise ConfigError(f"{plain(self.file)}: cannot be read ({error}); accepted: a text file") from error
 
     def _csv(self) -> tuple[str, Any, list[Segment]]:
-        from rx90_controller.paths.path import Segment
-
         text = self._text()
         first = next((line for line in text.splitlines() if line.strip()), "")
         delimiter = next((each for each in ",;\t" if each in first), " ")
@@ -196,12 +192,8 @@ class Drawing:
                 return
 
     def _dxf(self) -> tuple[str, Any, list[Segment]]:
-        try:
-            import ezdxf
-        except ImportError as error:
-            raise ConfigError(
-                f"{plain(self.file)}: DXF needs the package ezdxf; accepted: after pip install 'rx90_emulator[dxf]'"
-            ) from error
+        import ezdxf  # here, because only drawings need it
+
         try:
             document = ezdxf.readfile(self.file)
         except (OSError, UnicodeDecodeError, ezdxf.DXFError) as error:  # an OSError, too, for what is no DXF file
@@ -221,8 +213,6 @@ class Drawing:
 
     def _strands(self, entity: Any) -> list[_Strand]:
         """Return what an entity draws, in its order."""
-        from rx90_controller.paths.path import Segment
-
         kind, dxf = entity.dxftype(), entity.dxf
         if kind == "LINE":
             return [_Strand(tuple(dxf.start), Segment((tuple(dxf.end),)))]
@@ -353,8 +343,6 @@ class _Program:
         return False
 
     def _move(self, number: int, numbers: dict[str, float]) -> None:
-        from rx90_controller.paths.path import Segment
-
         given = {k: numbers[axis] * self._unit for k, axis in enumerate("XYZ") if axis in numbers}
         if self._mode is None:
             self._refuse(number, "moves without G0, G1, G2 or G3; accepted: with one of them")

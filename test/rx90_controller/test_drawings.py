@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 from pathlib import Path as File
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_controller.paths.drawing import Drawing
 from rx90_controller.paths.path import Path, load_path
+from rx90_emulator.cli.frame import run
 
 HALF = math.sqrt(0.5)
 
@@ -145,11 +147,16 @@ def test_a_path_file_names_its_drawing(tmp_path: File) -> None:
         load_path(tmp_path / "both.yaml")
 
 
-def test_dxf_without_its_package_is_one_line(tmp_path: File, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where ezdxf is missing the refusal says what to install."""
+def test_dxf_without_its_package_is_one_line(
+    tmp_path: File, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where ezdxf is missing a command says in one line what to install."""
     monkeypatch.setitem(sys.modules, "ezdxf", None)
-    with pytest.raises(ConfigError, match=r"DXF needs the package ezdxf; accepted: after pip install"):
-        _read(tmp_path, "part.dxf", "")
+    (tmp_path / "part.dxf").write_text("")
+    (tmp_path / "path.yaml").write_text("path: {file: {name: part.dxf}, speed: 0.1, acceleration: 1.0, "
+                                        "tool_rpy_degrees: [0, 180, 0]}\n")  # fmt: skip
+    assert run("rx90_path", [str(tmp_path / "path.yaml"), "--dry-run"]) == 3
+    assert re.fullmatch(r"rx90_path: .*ezdxf.*pip install.*\n", capsys.readouterr().err)
 
 
 @pytest.fixture
