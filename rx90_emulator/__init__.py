@@ -73,7 +73,7 @@ if TYPE_CHECKING:
     from rx90_common.friction.parts.temperature import TemperaturePart as TemperaturePart
     from rx90_controller.lines.plan import LinePlan as LinePlan
     from rx90_controller.lines.task import LineTask as LineTask, load_task as load_task
-    from rx90_controller.paths.path import Path as Path, load_path as load_path
+    from rx90_controller.paths.path import Path as Path
     from rx90_controller.paths.segment import Segment as Segment
     from rx90_controller.trajectory import TrajectoryPoints as TrajectoryPoints
     from rx90_emulator.export.export import (
@@ -149,6 +149,7 @@ if TYPE_CHECKING:
     )
     from rx90_emulator.loop.own_controller import ControllerRun as ControllerRun, run_controller as run_controller
     from rx90_emulator.loop.parameters import parameters as parameters, with_parameters as with_parameters
+    from rx90_emulator.loop.path_file import load_path as load_path
     from rx90_emulator.loop.result import RunResult as RunResult, save_arrays as save_arrays, write_bag as write_bag
     from rx90_emulator.loop.setup import Setup as Setup, load_setup as load_setup
     from rx90_emulator.loop.trajectory_file import load_trajectory as load_trajectory

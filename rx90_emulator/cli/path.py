@@ -39,6 +39,6 @@ def main(options: argparse.Namespace) -> None:
 
 
 def _path(options: argparse.Namespace, files: RobotFiles, robot: RobotModel) -> Path:  # noqa: ARG001 - as of a line
-    from rx90_controller.paths.path import load_path
+    from rx90_emulator.loop.path_file import load_path
 
     return load_path(options.path)

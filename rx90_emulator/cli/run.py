@@ -134,10 +134,10 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
     """Run what was asked for; print where the arm begins and how well it kept to its path."""
     from rx90_common.description.robot_files import RobotFiles
     from rx90_controller.lines.task import SETTLING, load_task
-    from rx90_controller.paths.path import load_path
     from rx90_emulator.loop import closed_loop
     from rx90_emulator.loop import recorded_run as loop
     from rx90_emulator.loop.line import LineRun, run_path
+    from rx90_emulator.loop.path_file import load_path
     from rx90_emulator.loop.trajectory_file import load_trajectory
 
     begin, start = options.start_time or 0.0, options.initial_position

@@ -18,11 +18,11 @@ from rx90_common.description.robot import TOOL, load_tool
 from rx90_common.friction.friction_file import FRICTION, FrictionFile
 from rx90_controller.law.parameters import CONTROLLER, load_controller
 from rx90_controller.lines.task import TASK, load_task
-from rx90_controller.paths.path import PATH, load_path
 from rx90_emulator.conformance.quantities import CHECK_LIMITS, CheckLimits
 from rx90_emulator.identification.excitation.payload import PAYLOADS, read_payloads
 from rx90_emulator.identification.experiments.folder import EXPERIMENTS, read_index
 from rx90_emulator.identification.experiments.plan import POSES, Poses
+from rx90_emulator.loop.path_file import PATH, load_path
 from rx90_emulator.loop.trajectory_file import TRAJECTORY, load_trajectory
 from rx90_emulator.sweep.plan import PLAN, load_sweep_plan
 from rx90_emulator.sweep.sweep import Sweep

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_controller.paths.drawing import Drawing
-from rx90_controller.paths.path import Path, load_path
+from rx90_controller.paths.path import Path
 from rx90_emulator.cli.frame import run
+from rx90_emulator.loop.drawing import Drawing
+from rx90_emulator.loop.path_file import load_path
 
 HALF = math.sqrt(0.5)
 
