@@ -12,7 +12,7 @@ from rx90_common.base.errors import LineError
 from rx90_common.base.groups import Group
 from rx90_common.base.share import resolve_config
 from rx90_common.description.branch import Branch
-from rx90_controller.lines.task import TASK
+from rx90_controller.lines.task import TASK, LineTask, load_task
 from rx90_controller.paths.path import ORIENTATIONS, Path
 from rx90_controller.paths.segment import Segment
 from rx90_emulator.loop.drawing import UNITS, Drawing
@@ -124,6 +124,17 @@ def load_path(name: FilePath | str) -> Path:
         return Path(start, parts, **values, branch=Branch(**content.get("posture", {})))
     except LineError as error:
         raise LineError(f"{file}: {error}") from error
+
+
+def load_motion(name: FilePath | str) -> LineTask | Path:
+    """Read a task file or a path file, whichever it is.
+
+    Raises:
+        ConfigError: naming file, key, value and what is accepted.
+        LineError: if the values do not make a line or a path.
+    """
+    file = resolve_config(str(name))
+    return load_path(file) if "path" in load_yaml(file) else load_task(file)
 
 
 def _segment(content: dict[str, Any]) -> Segment:
