@@ -14,6 +14,7 @@ EXECUTABLES = (
     "friction_presliding",
     "friction_rig_emulator",
     "rx90_line",
+    "rx90_path",
     "rx90_run",
     "rx90_bag",
     "rx90_compare_measured",
@@ -49,6 +50,7 @@ def data_files() -> list[tuple[str, list[str]]]:
 
 VIEW = ["viser>=1.1,<1.2"]
 EXPORT = ["mujoco>=3.17,<4.1", "usd-core>=24.11,<27"]
+DXF = ["ezdxf>=1.4,<2"]
 DOCS = [
     "sphinx>=8.1,<9.1",
     "myst-parser>=4,<6",
@@ -95,11 +97,13 @@ setup(
         "docs": DOCS,
         "view": VIEW,
         "export": EXPORT,
+        "dxf": DXF,
         "test": TEST,
         "dev": [
             *TEST,
             *VIEW,
             *EXPORT,
+            *DXF,
             "playwright>=1.50,<2",
             "distributed>=2026.1,<2027",
             "pandas>=2.2,<4",

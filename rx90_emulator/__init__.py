@@ -10,8 +10,9 @@
     rx.write_bag(run, "out/stiff")                                          # as if the nodes had been recorded
 
 Setups          load_setup, parameters, with_parameters, Setup, Rates
-Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints
-Runs            run_line, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; for hours: repeat_line,
+Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints; of lines, arcs and splines:
+                load_path, plan_path, Path, Segment
+Runs            run_line, run_path, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; for hours: repeat_line,
                 RepeatedLine; with a controller of one's own: run_controller, ControllerRun; small deviations from a
                 motion: prepare_perturbation, PerturbationModel, PerturbationResult
 Corrections     learn_correction, load_correction, write_correction, precompensate, NormOptimal, Filtered,
@@ -45,7 +46,7 @@ from __future__ import annotations
 
 import re
 from importlib import import_module
-from pathlib import Path
+from pathlib import Path as _File
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -74,6 +75,8 @@ if TYPE_CHECKING:
     from rx90_common.friction.parts.temperature import TemperaturePart as TemperaturePart
     from rx90_controller.lines.plan import LinePlan as LinePlan
     from rx90_controller.lines.task import LineTask as LineTask, load_task as load_task
+    from rx90_controller.paths.path import Path as Path
+    from rx90_controller.paths.segment import Segment as Segment
     from rx90_controller.trajectory import TrajectoryPoints as TrajectoryPoints
     from rx90_emulator.export.export import (
         Export as Export,
@@ -155,10 +158,13 @@ if TYPE_CHECKING:
         PathAccuracy as PathAccuracy,
         path_accuracy as path_accuracy,
         plan_line as plan_line,
+        plan_path as plan_path,
         run_line as run_line,
+        run_path as run_path,
     )
     from rx90_emulator.loop.own_controller import ControllerRun as ControllerRun, run_controller as run_controller
     from rx90_emulator.loop.parameters import parameters as parameters, with_parameters as with_parameters
+    from rx90_emulator.loop.path_file import load_path as load_path
     from rx90_emulator.loop.result import RunResult as RunResult, save_arrays as save_arrays, write_bag as write_bag
     from rx90_emulator.loop.setup import Setup as Setup, load_setup as load_setup
     from rx90_emulator.loop.trajectory_file import load_trajectory as load_trajectory
@@ -185,7 +191,9 @@ if TYPE_CHECKING:
 
 _HOMES = {
     name: module
-    for module, names in re.findall(r"^    from (\S+) import (\([^)]*\)|.*)$", Path(__file__).read_text(), re.MULTILINE)
+    for module, names in re.findall(
+        r"^    from (\S+) import (\([^)]*\)|.*)$", _File(__file__).read_text(), re.MULTILINE
+    )
     for name in re.findall(r"(\w+) as", names)
 }
 """The module of each name, by the imports above, which type checkers and editors read."""

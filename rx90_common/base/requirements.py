@@ -21,6 +21,7 @@ SOURCES = {
     "backports": Source("rosbags"),  # backports.zstd
     "bokeh": Source("bokeh"),
     "distributed": Source("distributed"),
+    "ezdxf": Source("ezdxf"),
     "jinja2": Source("Jinja2", "python3-jinja2"),
     "llvmlite": Source("numba"),
     "lz4": Source("rosbags"),

@@ -1,4 +1,4 @@
-"""Straight Cartesian lines, and moves to their start, for a controller that interpolates with quintics.
+"""Straight Cartesian lines and other paths, and moves to their start, for a controller that interpolates with quintics.
 
 The acceleration along the line jumps at the corners of the trapezoidal profile. A quintic segment that ended
 in a corner could only have one of the two accelerations there and would miss the other over its whole
@@ -13,8 +13,9 @@ The joint-space image of a line, with exact derivatives, is examined against the
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -23,12 +24,11 @@ from rx90_common.base.errors import LineError, TrajectoryError
 from rx90_common.description.inverse import nearest_turn, singularity_margins
 from rx90_common.description.kinematics import (
     forward,
-    path_error,
 )
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import length
-from rx90_controller.lines.postures import Postures, line_poses
-from rx90_controller.lines.task import LineTask
+from rx90_controller.lines.postures import Postures
+from rx90_controller.lines.task import TipTask
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
 
@@ -46,13 +46,22 @@ _MAX_JUMP = 0.05
 _STILL = 1e-10
 
 
+@runtime_checkable
+class Slowable(TipTask, Protocol):
+    """A path that can be travelled more slowly in places, as `rx90_controller.paths.path.Path`."""
+
+    def within_limits(  # noqa: D102
+        self, names: Sequence[str], distance: Array, slope: Array, bend: Array, velocity: Array, most: Array
+    ) -> TipTask: ...
+
+
 @dataclass(frozen=True, eq=False)
 class JointPath:
-    """Joint angles as functions of the distance along the line.
+    """Joint angles as functions of the distance along a path.
 
     Attributes:
         robot: the arm, of n joints.
-        task: the line.
+        task: the path.
         distance: (k,) examined distances, m.
         angles: (k, m) angles there, rad: of the joints, and behind them those that `Postures` adds.
         margins: smallest distance from each kind of singularity, and where on the line in m.
@@ -60,7 +69,7 @@ class JointPath:
     """
 
     robot: RobotModel
-    task: LineTask
+    task: TipTask
     distance: Array
     angles: Array
     margins: dict[str, tuple[float, float]]
@@ -74,7 +83,7 @@ class JointPath:
     def at(self, distance: Array) -> tuple[Array, Array, Array]:
         """Return joint angles (k, n) in rad, and their first and second derivative in rad/m and rad/m²."""
         q = self.postures.between(distance, self.distance, self.angles)
-        slope, bend = self.postures.derivatives(q)
+        slope, bend = self.postures.derivatives(distance, q)
         still = np.ptp(self.angles, axis=0) == 0.0
         values = np.where(still, self.angles[0], q), np.where(still, 0.0, slope), np.where(still, 0.0, bend)
         angle, first, second = (value[:, : len(self.robot.joint_names)] for value in values)
@@ -92,13 +101,15 @@ def _follow(postures: Postures, distance: Array) -> tuple[Array, str]:
     return np.asarray(q), missed
 
 
-def plan_path(robot: RobotModel, task: LineTask) -> JointPath:
-    """Find the joint path of a line and examine it from start to end.
+def _joint_path(robot: RobotModel, task: TipTask, acceleration: Array | None) -> JointPath:
+    """Find the joint path of a path of the tip and examine it from start to end.
+
+    A path that is not a line is travelled more slowly where a joint asks for it.
 
     Raises:
-        LineError: saying where on the line the arm cannot go, the joint or singularity, and what is accepted.
+        LineError: saying where on the path the arm cannot go, the joint or singularity, and what is accepted.
     """
-    distance = np.linspace(0.0, task.length, max(_MIN_EXAMINED, int(np.ceil(task.length / _EXAMINED_STEP))) + 1)
+    distance = task.places(_EXAMINED_STEP, _MIN_EXAMINED)
     postures, faults = Postures.of(robot, task), dict[int, str]()  # the first reason, by the place
     q, missed = _follow(postures, distance)
     if missed:
@@ -115,14 +126,19 @@ def plan_path(robot: RobotModel, task: LineTask) -> JointPath:
             accepted = f">= {task.singularity_margin:g}"
             faults.setdefault(at, f"{kind} singularity, margin {values[at]:.4f}; accepted: {accepted}")
     q = q[: min(faults, default=len(q))]
-    slope, _ = postures.derivatives(q)
+    slope, _ = postures.derivatives(distance[: len(q)], q)
     gap = np.abs(np.diff(q, axis=0) - 0.5 * (slope[1:] + slope[:-1]) * np.diff(distance[: len(q)])[:, None])
     jumps = np.argwhere(gap[:, : len(robot.joint_names)] > _MAX_JUMP)
     if jumps.size:
         k, j = jumps[0].tolist()
         jump = q[k + 1, j] - q[k, j]
         faults[k + 1] = f"{robot.joint_names[j]} jumps by {jump:.3f} rad to another branch; accepted: no jump"
-    if not faults:
+    if not faults and isinstance(task, Slowable):
+        limit = np.full(len(robot.joint_names), np.inf) if acceleration is None else acceleration
+        slopes, bends = (each[:, : len(robot.joint_names)] for each in postures.derivatives(distance, q))
+        task = task.within_limits(robot.joint_names, distance, slopes, bends, robot.max_velocity, limit)
+        postures = replace(postures, task=task)
+    elif not faults:
         # What no speed can mend came first: near a singularity the joint speeds grow, whatever the line's speed.
         rate = np.abs(slope) * task.profile().speed_at(distance)[:, None]
         for j, name in enumerate(robot.joint_names):
@@ -135,7 +151,8 @@ def plan_path(robot: RobotModel, task: LineTask) -> JointPath:
         first = min(faults)
         at_m = float(distance[first])
         raise LineError(
-            f"the line cannot be travelled at {at_m:.3f} m from its start ({at_m / task.length:.0%}): {faults[first]}"
+            f"the {task.what} cannot be travelled at {at_m:.3f} m from its start ({at_m / task.length:.0%}): "
+            f"{faults[first]}"
         )
     q = np.where(np.ptp(q, axis=0) < _STILL, np.round(q[0], 12), q)
     worst = {kind: int(np.argmin(values)) for kind, values in margins.items()}
@@ -150,7 +167,7 @@ def _first(rows: Mask) -> int:
 
 @dataclass(frozen=True, eq=False)
 class LinePlan:
-    """A line as a joint trajectory.
+    """A line, or another path, as a joint trajectory.
 
     Attributes:
         path: the joint path it follows.
@@ -169,8 +186,8 @@ class LinePlan:
     tip_error: float
 
     @property
-    def task(self) -> LineTask:
-        """Return what was asked for, with rests of at least half a set-point period."""
+    def task(self) -> TipTask:
+        """Return what was asked for, with rests of at least half a set-point period and speeds the joints allow."""
         return self.path.task
 
     @property
@@ -207,13 +224,13 @@ class LinePlan:
         return self.task.counted
 
     def distance(self, tip: Array) -> Array:
-        """Return the distance of the tip's positions, m, shape (n, 3), from the line, m, shape (n,)."""
-        return path_error(tip, np.array(self.task.start), np.array(self.task.end)).perpendicular
+        """Return the distance of the tip's positions, m, shape (n, 3), from the path, m, shape (n,)."""
+        return self.task.error(tip).perpendicular
 
     def tip(self, times: Array) -> Array:
         """Return the tool centre point (n, 3) that the profile asks for at `times`, s."""
         motion = self.task.profile().sample(times - self.task.rest_before)
-        return line_poses(self.task, motion.distance).position
+        return self.task.poses(motion.distance).position
 
     def setpoints(self, times: Array) -> Array:
         """Return position, velocity and acceleration at `times`, as the controller's quintics give them.
@@ -223,20 +240,21 @@ class LinePlan:
         return interpolate(self.times, self.position, self.velocity, self.acceleration).sample(times)
 
 
-def plan_line(robot: RobotModel, task: LineTask, period: float = 1e-3) -> LinePlan:
-    """Plan a straight line.
+def plan_line(robot: RobotModel, task: TipTask, period: float = 1e-3, acceleration: Array | None = None) -> LinePlan:
+    """Plan a straight line, or another path.
 
     Args:
         robot: the arm with its tool.
-        task: the line.
+        task: the line or path.
         period: of the controller's set-points, s. The plan rests at least half of it before and after the
             line, so that the first and the last corner lie between two knots too.
+        acceleration: limits of the joints, rad/s², for which a path that is not a line is slowed down; None for none.
 
     Raises:
         LineError: saying where on the line the arm cannot go and why.
     """
     rest = {name: max(getattr(task, name), period / 2.0) for name in ("rest_before", "rest_after")}
-    path = plan_path(robot, replace(task, **rest))
+    path = _joint_path(robot, replace(task, **rest), acceleration)  # type: ignore[type-var]
     for step in range(_REFINEMENTS + 1):
         plan = _through(path, _knots(path.task, _WIDEST_SPACING / 2**step, period / 2**step))
         if plan.tip_error <= TIP_TOLERANCE:
@@ -249,10 +267,9 @@ def plan_line(robot: RobotModel, task: LineTask, period: float = 1e-3) -> LinePl
     )
 
 
-def _knots(task: LineTask, spacing: float, window: float) -> Array:
+def _knots(task: TipTask, spacing: float, window: float) -> Array:
     """Return the times of the knots, s: around each corner, and in between at most `spacing` apart."""
-    profile = task.profile()
-    corners = task.rest_before + np.array(profile.corners)
+    corners = task.rest_before + np.array(task.corners())
     end = corners[-1] + task.rest_after
     gaps = np.diff(np.concatenate([[0.0], corners, [end]]))
     # A window never reaches past the middle to the next corner, nor past the trajectory's ends.
@@ -301,7 +318,7 @@ def check_plan(plan: LinePlan, limits: JointLimits, period: float, start: Array,
     try:
         TrajectoryGenerator(limits, period, start).accept(replace(points, times=points.times + delay), 0, None)
     except TrajectoryError as error:
-        raise LineError(f"the controller would refuse the line: {error}") from error
+        raise LineError(f"the controller would refuse the {plan.task.what}: {error}") from error
 
 
 @dataclass(frozen=True)
@@ -373,8 +390,8 @@ def approached(
         return ApproachedLine(plan.points, 0.0, plan.duration, name, way)
     if approach is None:
         raise LineError(
-            f"{name} is at {here[joint]:.4f} rad, the line starts at {plan.start_pose[joint]:.4f} rad; accepted: "
-            f"within {limits.start_tolerance:g} rad, or --approach"
+            f"{name} is at {here[joint]:.4f} rad, the {plan.task.what} starts at {plan.start_pose[joint]:.4f} rad; "
+            f"accepted: within {limits.start_tolerance:g} rad, or --approach"
         )
     duration = math.ceil(approach.duration(plan.path.robot, here, plan.start_pose) * 1e3) / 1e3
     check_plan(plan, limits, period, here, duration)
@@ -387,7 +404,7 @@ def describe_line(plan: LinePlan) -> str:
     task, profile = plan.task, plan.task.profile()
     begin, end = plan.motion
     lines = [
-        f"line      {task.length:.4f} m at {profile.peak_speed:.4g} m/s, {task.acceleration:.4g} m/s^2",
+        f"{task.what:<10}{task.length:.4f} m at {profile.peak_speed:.4g} m/s, {task.acceleration:.4g} m/s^2",
         f"time      {plan.duration:.3f} s, moving from {begin:.3f} s to {end:.3f} s",
         f"knots     {len(plan.times)}, tip error between them {plan.tip_error * 1e6:.3g} um",
         f"posture   {_posture_text(plan.path)}",
@@ -396,6 +413,7 @@ def describe_line(plan: LinePlan) -> str:
         f"margin    {kind} {margin:.3f} at {at:.3f} m (accepted: >= {task.singularity_margin:g})"
         for kind, (margin, at) in plan.path.margins.items()
     ]
+    lines += task.notes()
     lines.append(f"{'joint':<10}{'start':>9}{'lowest':>9}{'highest':>9} deg{'peak':>9} deg/s{'of limit':>10}")
     peak = np.abs(plan.velocity).max(axis=0)
     columns = (plan.start_pose, plan.position.min(axis=0), plan.position.max(axis=0), peak)

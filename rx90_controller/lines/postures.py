@@ -1,4 +1,4 @@
-"""Joint angles along a straight line, each posture from the one before.
+"""Joint angles along a straight line or any other path, each posture from the one before.
 
 A spherical-wrist arm of six joints has its closed form. Any other one starts in a posture that Newton steps find, and
 goes on from there by Newton steps. An arm of five joints keeps place and direction of the tool; how the tool is turned
@@ -31,8 +31,8 @@ from rx90_common.description.inverse import (
 )
 from rx90_common.description.kinematics import Pose, bias_acceleration, forward, jacobian
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.rotations import axis_rotation, length, product, rpy_rotation, solved, turn_between
-from rx90_controller.lines.task import LineTask
+from rx90_common.description.rotations import length, solved
+from rx90_controller.lines.task import LineTask, TipTask
 from rx90_controller.trajectory.spline import interpolate
 
 FEWEST, MOST = 5, 7
@@ -49,19 +49,21 @@ class LeastSpeed:
 
     Args:
         robot: an arm of m joints, more than six.
-        twist: of the tool by the distance along the line, 1 and rad/m, in base axes, shape (6,).
     """
 
-    def __init__(self, robot: RobotModel, twist: Array) -> None:
-        self._model, self._data, self._twist = robot.model, robot.model.createData(), twist
+    def __init__(self, robot: RobotModel) -> None:
+        self._model, self._data = robot.model, robot.model.createData()
         self._frame = robot.model.getFrameId(robot.tcp_frame)
 
-    def derivatives(self, q: Array) -> tuple[Array, Array]:
-        """Return first and second derivatives of angles (m,) by the distance, rad/m and rad/m²."""
+    def derivatives(self, q: Array, twist: Array, bend: Array) -> tuple[Array, Array]:
+        """Return first and second derivatives of angles (m,) by the distance, rad/m and rad/m².
+
+        `twist` and `bend` are those of the tool, in base axes, shape (6,): 1 and rad/m, 1/m and rad/m².
+        """
         model, data, frame = self._model, self._data, self._frame
         j = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
         try:
-            weights = np.linalg.solve(j @ j.T, self._twist)
+            weights = np.linalg.solve(j @ j.T, twist)
         except np.linalg.LinAlgError:  # at a singularity, which the margins tell
             return np.full_like(q, np.nan), np.full_like(q, np.nan)
         slope = j.T @ weights
@@ -69,10 +71,10 @@ class LeastSpeed:
         rate = pin.getFrameJacobianTimeVariation(model, data, frame, pin.WORLD)
         place, spin = pin.updateFramePlacement(model, data, frame).translation, j[3:]
         # Of the tool centre point instead of the point of the tool that is at the base's origin.
-        rate[:3] -= pin.skew(place) @ rate[3:] + pin.skew(self._twist[:3]) @ spin
-        # q' = Jᵀ w and J q' = x' by the distance: q'' = Jᵀ' w + Jᵀ w', where J q'' = -J' q', for x'' is 0.
+        rate[:3] -= pin.skew(place) @ rate[3:] + pin.skew(twist[:3]) @ spin
+        # q' = Jᵀ w and J q' = x' by the distance: q'' = Jᵀ' w + Jᵀ w', where J q'' = x'' - J' q'.
         own = rate.T @ weights
-        return slope, own + j.T @ np.linalg.solve(j @ j.T, -rate @ slope - j @ own)
+        return slope, own + j.T @ np.linalg.solve(j @ j.T, bend - rate @ slope - j @ own)
 
     def put_right(self, q: Array, pose: Pose) -> Array | None:
         """Return the angles (m,) that the shortest steps from angles near a pose lead to, or None if they miss it."""
@@ -88,13 +90,16 @@ class LeastSpeed:
             q = q + j.T @ np.linalg.solve(j @ j.T + 1e-2 * (error @ error) * np.eye(_POSE), error)
         return None
 
-    def onwards(self, q: Array, step: float, pose: Pose) -> Array | None:
-        """Return the angles (m,) at a pose that is a step, m, farther on the line than other angles, or None."""
-        slope, bend = self.derivatives(q)
+    def onwards(self, q: Array, step: float, pose: Pose, twists: tuple[Array, Array]) -> Array | None:
+        """Return the angles (m,) at a pose that is a step, m, farther on than other angles, or None.
+
+        `twists` are those of the tool, first and second derivative, at both places, each (2, 6).
+        """
+        slope, bend = self.derivatives(q, twists[0][0], twists[1][0])
         after = self.put_right(q + step * (slope + 0.5 * step * bend), pose)
         for _ in range(_CORRECTIONS):
             if after is not None:
-                slope_there, bend_there = self.derivatives(after)
+                slope_there, bend_there = self.derivatives(after, twists[0][1], twists[1][1])
                 way = 0.5 * step * (slope + slope_there) + step * step / 12.0 * (bend - bend_there)
                 after = self.put_right(q + way, pose)
         return after
@@ -102,41 +107,41 @@ class LeastSpeed:
 
 @dataclass(frozen=True, eq=False)
 class Postures:
-    """How an arm follows a line.
+    """How an arm follows a line, or another path.
 
     Attributes:
         robot: the arm; one of five joints with a sixth, the tool's turn about its own z axis. Hence m joints below.
-        task: the line.
+        task: the path.
         closed_form: of a spherical-wrist arm, else None.
         least_speed: of an arm of seven joints, else None.
     """
 
     robot: RobotModel
-    task: LineTask
+    task: TipTask
     closed_form: SphericalWristArm | None
     least_speed: LeastSpeed | None
 
     @classmethod
-    def of(cls, robot: RobotModel, task: LineTask) -> Postures:
-        """Return how an arm of n joints follows a line.
+    def of(cls, robot: RobotModel, task: TipTask) -> Postures:
+        """Return how an arm of n joints follows a path.
 
         Raises:
             LineError: for another number of joints, and for a start posture that does not fit the arm.
         """
         names, given = robot.joint_names, task.start_posture
         if not FEWEST <= len(names) <= MOST:
-            raise LineError(f"a line of an arm of {len(names)} joints; accepted: of {FEWEST} to {MOST}")
+            raise LineError(f"a {task.what} of an arm of {len(names)} joints; accepted: of {FEWEST} to {MOST}")
         arm = SphericalWristArm.from_chain(robot.chain)
         if given is not None and arm is not None:
             raise LineError("start_posture of an arm with a spherical wrist; accepted: shoulder, elbow and wrist")
         if given is not None and len(given) != len(names):
             raise LineError(_wrong_count(len(given), len(names)))
-        least_speed = LeastSpeed(robot, line_twist(task)) if len(names) > _POSE else None
+        least_speed = LeastSpeed(robot) if len(names) > _POSE else None
         return cls(_with_free_tool(robot) if len(names) < _POSE else robot, task, arm, least_speed)
 
     def from_start(self, distance: Array) -> tuple[Array, str]:
         """Return continuous angles (n, m) at distances (n,) in m as far as the arm reaches, and why no farther."""
-        chain, poses = self.robot.chain, line_poses(self.task, distance)
+        chain, poses = self.robot.chain, self.task.poses(distance)
         if self.closed_form is not None:
             solved_at = self.closed_form.solve(chain, poses, self.task.branch)
             there = ~np.isnan(solved_at).any(axis=1)
@@ -157,7 +162,8 @@ class Postures:
             if self.least_speed is None:
                 q = solve_near(chain, pose, guess)
             else:
-                q = self.least_speed.onwards(guess, float(distance[len(found)] - distance[len(found) - 1]), pose)
+                here = distance[len(found) - 1 : len(found) + 1]
+                q = self.least_speed.onwards(guess, float(here[1] - here[0]), pose, self.task.twists(here))
             missed = self._missed(pose, guess) if q is None else ""
         return np.array(found).reshape(-1, len(self.robot.lower)), missed
 
@@ -166,26 +172,26 @@ class Postures:
         metres, turn = float(length(error[:3])), float(length(error[3:]))
         return f"out of reach, Newton's steps end {metres:.3g} m and {turn:.3g} rad away; {_REACHABLE}"
 
-    def derivatives(self, q: Array) -> tuple[Array, Array]:
-        """Return first and second derivatives of angles (n, m) by the distance, rad/m and rad/m², each (n, m)."""
+    def derivatives(self, distance: Array, q: Array) -> tuple[Array, Array]:
+        """Return first and second derivatives of angles (n, m) at distances (n,) m by these, rad/m and rad/m²."""
+        twist, change = self.task.twists(distance)
         if self.least_speed is not None:
-            rows = [self.least_speed.derivatives(row) for row in q]
+            rows = [self.least_speed.derivatives(*row) for row in zip(q, twist, change, strict=True)]
             slopes, bends = (np.array(each).reshape(q.shape) for each in zip(*rows, strict=True)) if rows else (q, q)
             return slopes, bends
         chain = self.robot.chain
         j = jacobian(chain, q)
-        slope = solved(j, np.broadcast_to(line_twist(self.task), q.shape))
-        # The line's own second derivative by the distance is zero, in position and in orientation.
-        return slope, -solved(j, bias_acceleration(chain, q, slope))
+        slope = solved(j, twist)
+        return slope, solved(j, change - bias_acceleration(chain, q, slope))
 
     def between(self, distance: Array, known: Array, angles: Array) -> Array:
         """Return angles (n, m) at distances (n,) m, from those (k, m) at the known distances (k,) that lie around."""
-        chain, poses = self.robot.chain, line_poses(self.task, distance)
+        chain, poses = self.robot.chain, self.task.poses(distance)
         near = angles[np.clip(np.searchsorted(known, distance), 0, len(known) - 1)]
         if self.closed_form is not None:
             return nearest_turn(self.closed_form.solve(chain, poses, self.task.branch), near)
         if self.least_speed is not None:
-            near = interpolate(known, angles, *self.derivatives(angles)).sample(distance)[:, 0]
+            near = interpolate(known, angles, *self.derivatives(known, angles)).sample(distance)[:, 0]
             found = [self.least_speed.put_right(guess, Pose(*pose)) for *pose, guess in zip(*poses, near, strict=True)]
         else:
             found = [solve_near(chain, Pose(*pose), guess) for *pose, guess in zip(*poses, near, strict=True)]
@@ -223,20 +229,3 @@ def _with_free_tool(robot: RobotModel) -> RobotModel:
     )
     lower, upper = np.append(robot.lower, -_HALF_TURN), np.append(robot.upper, _HALF_TURN)
     return replace(robot, chain=moved, lower=lower, upper=upper)
-
-
-def line_twist(task: LineTask) -> Array:
-    """Return the derivative of place and orientation by the distance along a line, 1 and rad/m, shape (6,)."""
-    turn = turn_between(task.start_rpy, task.end_rpy)
-    return np.asarray(np.concatenate([np.subtract(task.end, task.start), turn]) / task.length)
-
-
-def line_poses(task: LineTask, distance: Array) -> Pose:
-    """Return the poses of the tool centre point at `distance` (n,) m from the start."""
-    start = np.array(task.start)
-    position = start + (np.array(task.end) - start) * (distance / task.length)[:, None]
-    turn = turn_between(task.start_rpy, task.end_rpy)
-    angle = length(turn)
-    axis = turn / angle if angle > 0.0 else turn
-    rotation = axis_rotation(axis, angle * (distance / task.length))
-    return Pose(position, product(rotation, rpy_rotation(task.start_rpy)))

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from rx90_common.base.entries import LEFT_OUT, ListOf, Number, Numbers, Text
 from rx90_common.base.errors import LineError
 from rx90_common.base.groups import Group
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
+from rx90_common.description.kinematics import PathError, Pose, path_error
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.description.rotations import length
+from rx90_common.description.rotations import axis_rotation, length, product, rpy_rotation, turn_between
 
 MARGIN_RANGE = (1e-3, 1.0)
 LONGEST_LINE = 10.0
@@ -80,6 +81,19 @@ class PathMotion(NamedTuple):
     distance: Array
     speed: Array
     acceleration: Array
+
+
+class Profile(Protocol):
+    """A motion along a path from rest to rest, as TrapezoidalProfile is one."""
+
+    @property
+    def duration(self) -> float: ...  # noqa: D102
+    @property
+    def peak_speed(self) -> float: ...  # noqa: D102
+    @property
+    def corners(self) -> tuple[float, ...]: ...  # noqa: D102
+    def sample(self, times: Array) -> PathMotion: ...  # noqa: D102
+    def speed_at(self, distance: Array) -> Array: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -185,6 +199,8 @@ class LineTask:
     singularity_margin: float = 0.05
     start_posture: tuple[float, ...] | None = None
 
+    what: ClassVar[str] = "line"
+
     def __post_init__(self) -> None:
         for name in ("start", "end", "start_rpy", "end_rpy"):
             value = getattr(self, name)
@@ -202,11 +218,7 @@ class LineTask:
                 f"the line takes {duration:g} s at speed {self.speed:g} m/s and acceleration "
                 f"{self.acceleration:g} m/s^2; accepted: up to {LONGEST_MOTION:g} s"
             )
-        rests = (("rest_before", 0.0, LONGEST_REST, " s"), ("rest_after", 0.0, LONGEST_REST, " s"))
-        for name, low, high, unit in (*rests, ("singularity_margin", *MARGIN_RANGE, "")):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise LineError(f"{name} is {value:g}{unit}; accepted: a number in [{low:g}, {high:g}]")
+        check_rests(self)
 
     @property
     def length(self) -> float:
@@ -217,13 +229,98 @@ class LineTask:
         """Return the speed profile along the line."""
         return TrapezoidalProfile(self.length, self.speed, self.acceleration)
 
+    def corners(self) -> tuple[float, ...]:
+        """Return the times of the motion at which an acceleration jumps, s."""
+        return self.profile().corners
+
+    def places(self, step: float, least: int) -> Array:
+        """Return distances at most `step` m apart, and so many steps at least, at which the line is examined, m."""
+        return np.linspace(0.0, self.length, max(least, int(np.ceil(self.length / step))) + 1)
+
+    def poses(self, distance: Array) -> Pose:
+        """Return the poses of the tool centre point at `distance` (n,) m from the start."""
+        start = np.array(self.start)
+        position = start + (np.array(self.end) - start) * (distance / self.length)[:, None]
+        turn = turn_between(self.start_rpy, self.end_rpy)
+        angle = length(turn)
+        axis = turn / angle if angle > 0.0 else turn
+        rotation = axis_rotation(axis, angle * (distance / self.length))
+        return Pose(position, product(rotation, rpy_rotation(self.start_rpy)))
+
+    def twists(self, distance: Array) -> tuple[Array, Array]:
+        """Return first and second derivative of place and orientation by the distance, (n, 6): 1, rad/m; 1/m, rad/m².
+
+        Those of a line are the same everywhere, and 0.
+        """
+        turn = turn_between(self.start_rpy, self.end_rpy)
+        twist = np.concatenate([np.subtract(self.end, self.start), turn]) / self.length
+        return np.broadcast_to(twist, (len(distance), 6)), np.zeros((len(distance), 6))
+
+    def error(self, tip: Array, near: Array | None = None) -> PathError:  # noqa: ARG002 - of other paths
+        """Return how far positions (n, 3) m of the tool centre point are from the line."""
+        return path_error(tip, np.array(self.start), np.array(self.end))
+
+    def notes(self) -> list[str]:
+        """Return lines for a person beside length and speed; of a line there are none."""
+        return []
+
     @property
     def counted(self) -> tuple[float, float]:
-        """Return what of its trajectory counts for the path error, s: the line's motion, until the arm has settled.
+        """Return what of its trajectory counts for the path error, s; see `counted_motion`."""
+        return counted_motion(self)
 
-        In the rest before, the controller may still take up the weight of the arm.
-        """
-        return self.rest_before, self.rest_before + self.profile().duration + min(SETTLING, self.rest_after)
+
+class TipTask(Protocol):
+    """What the tool centre point is asked to do: a line, or any other path."""
+
+    what: ClassVar[str]
+
+    @property
+    def length(self) -> float: ...  # noqa: D102 - as LineTask's, all of them
+    @property
+    def rest_before(self) -> float: ...  # noqa: D102
+    @property
+    def rest_after(self) -> float: ...  # noqa: D102
+    @property
+    def speed(self) -> float: ...  # noqa: D102
+    @property
+    def acceleration(self) -> float: ...  # noqa: D102
+    @property
+    def branch(self) -> Branch: ...  # noqa: D102
+    @property
+    def singularity_margin(self) -> float: ...  # noqa: D102
+    @property
+    def start_posture(self) -> tuple[float, ...] | None: ...  # noqa: D102
+    @property
+    def counted(self) -> tuple[float, float]: ...  # noqa: D102
+    def notes(self) -> list[str]: ...  # noqa: D102
+    def profile(self) -> Profile: ...  # noqa: D102
+    def corners(self) -> tuple[float, ...]: ...  # noqa: D102
+    def places(self, step: float, least: int) -> Array: ...  # noqa: D102
+    def poses(self, distance: Array) -> Pose: ...  # noqa: D102
+    def twists(self, distance: Array) -> tuple[Array, Array]: ...  # noqa: D102
+    def error(self, tip: Array, near: Array | None = None) -> PathError: ...  # noqa: D102
+
+
+def check_rests(task: TipTask) -> None:
+    """Check rests and singularity margin.
+
+    Raises:
+        LineError: naming the value and what is accepted.
+    """
+    rests = (("rest_before", 0.0, LONGEST_REST, " s"), ("rest_after", 0.0, LONGEST_REST, " s"))
+    for name, low, high, unit in (*rests, ("singularity_margin", *MARGIN_RANGE, "")):
+        value = getattr(task, name)
+        if not low <= value <= high:
+            raise LineError(f"{name} is {value:g}{unit}; accepted: a number in [{low:g}, {high:g}]")
+
+
+def counted_motion(task: TipTask) -> tuple[float, float]:
+    """Return what of a trajectory counts for the path error, s: the path's motion, until the arm has settled.
+
+    In the rest before, the controller may still take up the weight of the arm.
+    """
+    return task.rest_before, task.rest_before + task.profile().duration + min(SETTLING, task.rest_after)
 
 
 def load_task(name: Path | str | None = None, *, robot: Path | str | None = None) -> LineTask:

@@ -15,7 +15,7 @@ from rx90_emulator.cli.node import NODES
 from rx90_emulator.cli.options import CommandParser, new_file, new_folder, place
 
 SHELLS: Final = ("bash", "zsh", "fish")
-_FILES = {"FILE", "BAG", "A", "B", "LOG", "TASK", "REFERENCE", "DIR", "BASELINE"}
+_FILES = {"FILE", "BAG", "A", "B", "LOG", "TASK", "PATH", "REFERENCE", "DIR", "BASELINE"}
 """Placeholders of arguments that are files or folders; arguments of the type Path need none of them."""
 
 

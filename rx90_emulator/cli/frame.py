@@ -46,6 +46,7 @@ EXECUTABLES = {
     "rx90_import": "rx90_emulator.cli.import_",
     "rx90_line": "rx90_emulator.cli.line",
     "rx90_own_controller": "rx90_emulator.cli.own_controller",
+    "rx90_path": "rx90_emulator.cli.path",
     "rx90_run": "rx90_emulator.cli.run",
     "rx90_sweep": "rx90_emulator.cli.sweep",
     "rx90_view": "rx90_emulator.cli.view",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,7 @@ from rx90_emulator.cli.options import (
 if TYPE_CHECKING:
     from rx90_common.description.robot import RobotModel
     from rx90_controller.lines.plan import LinePlan
-    from rx90_controller.lines.task import LineTask
+    from rx90_controller.lines.task import LineTask, TipTask
     from rx90_controller.trajectory import JointLimits
     from rx90_controller.trajectory.correction import Correction
 
@@ -41,7 +42,6 @@ _PLAIN_OPTIONS = ("start", "end", "speed", "acceleration", "rest_before", "rest_
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.epilog, parser.formatter_class = _EPILOG, argparse.RawDescriptionHelpFormatter
-    parser.set_defaults(ros_args=[])
     line = parser.add_argument_group("line")
     xyz, rpy = ("X", "Y", "Z"), ("ROLL", "PITCH", "YAW")
     given = line.add_mutually_exclusive_group()
@@ -66,6 +66,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--singularity-margin", type=FINITE, metavar="M", help="closest to a singularity, 0.001 to 1 (0.05)"
     )
     add_robot_arguments(parser, "urdf", "tool", "controller")
+    add_sending(parser)
+
+
+def add_sending(parser: argparse.ArgumentParser) -> None:
+    """Add the options of what becomes of a plan."""
+    parser.set_defaults(ros_args=[], program=parser.prog)
     send = parser.add_argument_group("sending")
     send.add_argument("--set-point-rate", type=POSITIVE, default=1000.0, metavar="HZ", help="Hz (1000)")
     add_node_arguments(send, _TIMEOUT)
@@ -84,10 +90,21 @@ def main(options: argparse.Namespace) -> None:
     Raises:
         Rx90Error: if the line is refused; as an ExchangeError if it could not be delivered.
     """
-    check_needs(options, ("approach_speed", "approach_acceleration"), ("approach",))
     filed = options.reference or options.from_file is not None
     if not filed and (options.end is None or (options.start is None and options.start_posture is None)):
         raise LineError("a line needs --start or --start-posture, and --end, or --from-file or --reference")
+    plan_and_send(options, _task)
+
+
+def plan_and_send(
+    options: argparse.Namespace, task_of: Callable[[argparse.Namespace, RobotFiles, RobotModel], TipTask]
+) -> None:
+    """Plan what `task_of` reads for an arm, show it, write it where asked for, and send it, except with --dry-run.
+
+    Raises:
+        Rx90Error: if the path is refused; as an ExchangeError if it could not be delivered.
+    """
+    check_needs(options, ("approach_speed", "approach_acceleration"), ("approach",))
     # Here, because --help must not wait for them.
     from rx90_common.base.config import yaml_text
     from rx90_common.description.robot import load_robot
@@ -97,10 +114,8 @@ def main(options: argparse.Namespace) -> None:
 
     files = RobotFiles.of_options(options)
     robot, period = load_robot(files.urdf, files.tool), 1.0 / options.set_point_rate
-    plan, limits = (
-        plan_line(robot, _task(options, files, robot), period),
-        load_controller(files.controller).limits(robot),
-    )
+    task, limits = task_of(options, files, robot), load_controller(files.controller).limits(robot)
+    plan = plan_line(robot, task, period, limits.acceleration)
     _say(describe_line(plan))
     check_plan(plan, limits, period, plan.start_pose)
     correction = _correction(plan, files, options)
@@ -166,7 +181,7 @@ def _send(plan: LinePlan, limits: JointLimits, correction: Correction | None, op
     delivery = Delivery(
         node_of(options), options.start_time, limits, 1.0 / options.set_point_rate, approach, correction
     )
-    with client_node("rx90_line", options.timeout or _TIMEOUT, _say, options.ros_args) as client:
+    with client_node(options.program, options.timeout or _TIMEOUT, _say, options.ros_args) as client:
         deliver(client, plan, delivery)
 
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 _ROWS = 12  # of the tables of --hours
 _NOT_WITH_HOURS = (
-    "trajectory", "from_bag", "initial_position", "start_time", "output", "arrays", "storage", "decimation",
+    "path", "trajectory", "from_bag", "initial_position", "start_time", "output", "arrays", "storage", "decimation",
     "slow_only", "temperature_rate", "substeps",
 )  # fmt: skip
 
@@ -45,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="only what is named above was written whole")
     motion = parser.add_mutually_exclusive_group()
     motion.add_argument("--task", metavar="FILE", help="task file (the robot's task.yaml)")
+    motion.add_argument("--path", metavar="FILE", help="path file instead: lines, arcs, splines")
     motion.add_argument("--trajectory", type=Path, help="JointTrajectory in YAML instead of a task")
     motion.add_argument("--from-bag", type=Path, metavar="BAG",
                         help="the trajectories of a recorded bag, from where the arm began")  # fmt: skip
@@ -135,7 +136,8 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
     from rx90_controller.lines.task import SETTLING, load_task
     from rx90_emulator.loop import closed_loop
     from rx90_emulator.loop import recorded_run as loop
-    from rx90_emulator.loop.line import LineRun, run_line
+    from rx90_emulator.loop.line import LineRun, run_path
+    from rx90_emulator.loop.path_file import load_path
     from rx90_emulator.loop.trajectory_file import load_trajectory
 
     begin, start = options.start_time or 0.0, options.initial_position
@@ -166,8 +168,8 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
             closed_loop.simulate, setup, points, start, begin + float(points.times[-1]) + SETTLING, begin
         )
     else:
-        task = load_task(RobotFiles.of_options(options).required("task"))
-        simulate = partial(run_line, setup, task, start_time=begin)
+        task = load_path(options.path) if options.path else load_task(RobotFiles.of_options(options).required("task"))
+        simulate = partial(run_path, setup, task, start_time=begin)
     if start is not None:
         print("begins at rest at", ", ".join(f"{angle:.6g}" for angle in start), "rad")
     began = time.perf_counter()
@@ -176,7 +178,11 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
     print(f"simulated {simulated:.3f} s in {time.perf_counter() - began:.2f} s")
     if isinstance(result, LineRun):
         accuracy = result.path_accuracy
+        print("\n".join(result.task.notes()), end="\n" * bool(result.task.notes()))
         print(f"path error: worst {accuracy.worst * 1e3:.4f} mm, RMS {accuracy.rms * 1e3:.4f} mm")
+        if options.path is not None:
+            print(f"along the path: {accuracy.worst_along_track * 1e3:.4f} mm off the set-point; "
+                  f"orientation: {accuracy.worst_orientation * 1e3:.4f} mrad")  # fmt: skip
         return result
     worst = abs(result.slow.tracking_error[:, 0]).max(axis=0)
     for name, error in zip(setup.robot.joint_names, worst, strict=True):

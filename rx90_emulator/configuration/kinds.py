@@ -23,6 +23,7 @@ from rx90_emulator.correction.file import CORRECTION, load_correction
 from rx90_emulator.identification.excitation.payload import PAYLOADS, read_payloads
 from rx90_emulator.identification.experiments.folder import EXPERIMENTS, read_index
 from rx90_emulator.identification.experiments.plan import POSES, Poses
+from rx90_emulator.loop.path_file import PATH, load_path
 from rx90_emulator.loop.trajectory_file import TRAJECTORY, load_trajectory
 from rx90_emulator.sweep.plan import PLAN, load_sweep_plan
 from rx90_emulator.sweep.sweep import Sweep
@@ -81,6 +82,7 @@ KINDS = (
     FileKind("friction", FRICTION, FrictionFile.read),
     FileKind("controller", CONTROLLER, load_controller),
     FileKind("task", TASK, load_task),
+    FileKind("path", PATH, load_path),
     FileKind("poses", POSES, Poses.load),
     FileKind("moveit_limits", _MOVEIT_LIMITS, lambda path: _MOVEIT_LIMITS.read(load_yaml(path))),
     FileKind("rig", RIG, load_rig),

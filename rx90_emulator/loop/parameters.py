@@ -14,7 +14,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -29,6 +29,7 @@ from rx90_common.description.urdf import inertia_fault
 from rx90_common.friction.element import FRICTION_PARAMETERS, PARTS
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_controller.lines.task import LineTask
+from rx90_controller.paths.path import Path
 from rx90_emulator.loop.setup import Setup
 
 Key = tuple[str, ...]
@@ -39,6 +40,7 @@ SWITCH = "switch"
 """Stands where the unit would, for values that are true or false."""
 
 ARM_UNITS = {"mass": "kg", "com": "m", "inertia": "kg m^2"}
+Motion = TypeVar("Motion", bound="LineTask | Path")
 TASK_UNITS = {
     "start": "m", "end": "m", "speed": "m/s", "acceleration": "m/s^2", "start_rpy": "rad", "end_rpy": "rad",
     "rest_before": "s", "rest_after": "s", "singularity_margin": "1",
@@ -103,14 +105,15 @@ def parameters(setup: Setup) -> dict[str, ParameterValue]:
 class Catalogue:
     """All values of a setup, and of a task if there is one, that have a path."""
 
-    def __init__(self, setup: Setup, task: LineTask | None = None) -> None:
+    def __init__(self, setup: Setup, task: LineTask | Path | None = None) -> None:
         check_type(setup=(setup, Setup))
         self._units: dict[Key, str] = {("arm", "seed"): "1"}
         self._values: dict[Key, Any] = {("arm", "seed"): setup.seed}
         self._add_declared(("drives",), setup.drives)
         self._add_declared(("controller",), setup.controller)
-        for field, unit in TASK_UNITS.items() if task is not None else ():
-            self._units["task", field], self._values["task", field] = unit, getattr(task, field)
+        for field, unit in TASK_UNITS.items():
+            if hasattr(task, field):
+                self._units["task", field], self._values["task", field] = unit, getattr(task, field)
         for name, element in zip(setup.friction.names, setup.friction.elements, strict=True):
             self._add_declared(("friction", name), element)
             for part_name, part in element.parts.items():
@@ -233,7 +236,7 @@ def with_parameters(setup: Setup, values: Mapping[str, Value]) -> Setup:
     return _changed(setup, _tree(leaves))
 
 
-def apply(setup: Setup, task: LineTask, values: Mapping[Leaf, Value]) -> tuple[Setup, LineTask]:
+def apply(setup: Setup, task: Motion, values: Mapping[Leaf, Value]) -> tuple[Setup, Motion]:
     """Return the setup and the task with the given values set.
 
     The URDF text inside the robot stays as it was read; its chain and Pinocchio's model are changed.

@@ -18,13 +18,15 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, SweepError
 from rx90_common.base.sources import ROOT, sources_hash, versions, with_imports
-from rx90_common.description.kinematics import path_error, tip_position
+from rx90_common.description.kinematics import tip_position
 from rx90_common.description.robot_files import provenance_of
-from rx90_controller.lines.task import LineTask, load_task
+from rx90_controller.lines.task import LineTask, TipTask
+from rx90_controller.paths.path import Path
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.closed_loop import peaks_and_work, setpoints_of, simulate_commands
-from rx90_emulator.loop.line import plan_line
+from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.parameters import Catalogue, Leaf, Value, apply
+from rx90_emulator.loop.path_file import load_motion
 from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.model import PerturbationModel, PerturbationResult, prepare_perturbation
@@ -88,7 +90,7 @@ def metrics_of(joints: Sequence[str], elements: Sequence[str], *, perturbs: bool
     )
 
 
-def measure(task: LineTask, result: RunResult) -> tuple[float | int, ...]:
+def measure(task: TipTask, result: RunResult) -> tuple[float | int, ...]:
     """Return the metrics of a run of `task`."""
     rows = _window(task, result.times)
     slow = result.slow
@@ -100,17 +102,17 @@ def measure(task: LineTask, result: RunResult) -> tuple[float | int, ...]:
     )  # fmt: skip
     velocity, torque, error = peaks.tolist()
     return (
-        *_path_errors(task, tip), *error, *map(_rms, slow.tracking_error[rows, 0].T),
+        *_path_errors(task, tip, result.times[rows]), *error, *map(_rms, slow.tracking_error[rows, 0].T),
         *velocity, *torque, *work.tolist(), *result.saturated.tolist(),
     )  # fmt: skip
 
 
-def measure_perturbation(task: LineTask, result: PerturbationResult, run: int) -> tuple[float | int, ...]:
+def measure_perturbation(task: TipTask, result: PerturbationResult, run: int) -> tuple[float | int, ...]:
     """Return the metrics of a run of `task` by the perturbation method."""
     rows = _window(task, result.model.times)
     deviation = result.joint_deviation[run, rows]
     return (
-        *_path_errors(task, result.tip_position(run)[rows]),
+        *_path_errors(task, result.tip_position(run)[rows], result.model.times[rows]),
         *np.abs(deviation).max(axis=0).tolist(),
         *map(_rms, deviation.T),
         *result.saturated[run].tolist(),
@@ -123,12 +125,14 @@ def tip_distance(result: PerturbationResult, run: int) -> float:
     return float(np.linalg.norm(result.tip_deviation[run], axis=1).max())
 
 
-def _path_errors(task: LineTask, tip: Array) -> tuple[float, float]:
-    path = path_error(tip, np.array(task.start), np.array(task.end)).perpendicular
+def _path_errors(task: TipTask, tip: Array, times: Array) -> tuple[float, float]:
+    line = isinstance(task, LineTask)  # to which the nearest place is known at once
+    near = None if line else task.profile().sample(times - task.rest_before).distance
+    path = task.error(tip, near).perpendicular
     return float(path.max()), _rms(path)
 
 
-def _window(task: LineTask, times: Array) -> slice:
+def _window(task: TipTask, times: Array) -> slice:
     begin, end = task.counted
     first, last = np.searchsorted(times, begin), np.searchsorted(times, end, side="right")
     return slice(int(first), int(last))
@@ -176,7 +180,7 @@ class Sweep:
         self.versions = versions()
         self.sources = run_hash()
         self.setup = Setup.load(plan.base.files, plan.base.rates)
-        self.task = load_task(plan.base.files.required("task"))
+        self.task = load_motion(plan.base.files.required("task"))
         self.provenance = provenance_of(plan.base.files)
         names = self.setup.robot.joint_names
         self.metrics = metrics_of(names, self.setup.friction.names, perturbs=self.perturbs)
@@ -206,13 +210,15 @@ class Sweep:
     def _prepare(self) -> None:
         # A sweep changes masses and inertias, never the kinematics: the task alone decides the line.
         @lru_cache(maxsize=PLANNED_LINES)
-        def motion(task: LineTask) -> TrajectoryPoints:
-            return plan_line(self.setup, task).points
+        def motion(task: LineTask | Path) -> tuple[TrajectoryPoints, LineTask | Path]:
+            """Return points of the motion, and the task as it is travelled: paths as slowly as the joints ask for."""
+            plan = plan_path(self.setup, task)
+            return plan.points, plan.task if isinstance(plan.task, Path) else task
 
         @lru_cache(maxsize=_PREPARED)
-        def model(changes: tuple[tuple[Leaf, Value], ...]) -> tuple[LineTask, PerturbationModel]:
+        def model(changes: tuple[tuple[Leaf, Value], ...]) -> tuple[LineTask | Path, PerturbationModel]:
             setup, task = apply(self.setup, self.task, dict(changes))
-            points = motion(task)
+            points, task = motion(task)
             duration = float(points.times[-1])
             return task, prepare_perturbation(setup, points, points.position[0], duration)
 
@@ -240,8 +246,8 @@ class Sweep:
         """
         return self._follow(*apply(self.setup, self.task, self.runs.changes(self.runs.describe(index))))
 
-    def _follow(self, setup: Setup, task: LineTask, duration: float | None = None) -> RunResult:
-        points = self._motion(task)
+    def _follow(self, setup: Setup, task: LineTask | Path, duration: float | None = None) -> RunResult:
+        points, _ = self._motion(task)
 
         def sample(generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int) -> Array:
             """Return set-points, which runs of the same task, limits and start share."""
@@ -265,7 +271,7 @@ class Sweep:
         try:
             with np.errstate(all="ignore"):  # a diverging run says so itself
                 setup, task = apply(self.setup, self.task, self.runs.changes(run))
-                return RunOutcome(run, measure(task, self._follow(setup, task)), None)
+                return RunOutcome(run, measure(self._motion(task)[1], self._follow(setup, task)), None)
         except Exception as error:  # the sweep goes on whatever a value has led to
             return _failed(run, error)
 

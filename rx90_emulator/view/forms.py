@@ -44,11 +44,13 @@ class LinePreview(NamedTuple):
     """A line that can be sent.
 
     Attributes:
-        plan: the line itself.
+        task: the line itself.
+        plan: of it.
         line: with the move to its start.
         approach: the way of the tip to the start of the line, m, shape (n, 3); none where the arm stands there.
     """
 
+    task: LineTask
     plan: LinePlan
     line: ApproachedLine
     approach: Array
@@ -60,7 +62,7 @@ class LinePreview(NamedTuple):
 
     def text(self) -> str:
         """Return what a person wants to know before sending it."""
-        task, name = self.plan.task, self.plan.joint_names
+        task, name = self.task, self.plan.joint_names
         shares = ", ".join(f"{joint} {share:.0%}" for joint, share in zip(name, self.share, strict=True))
         said = f"{task.length:.3f} m in {task.profile().duration:.2f} s"
         if self.line.approach > 0.0:
@@ -156,7 +158,7 @@ class LineForm:
             rest = np.zeros((2, len(here)))
             motion = interpolate(np.array([0.0, line.approach]), np.stack([here, plan.start_pose]), rest, rest)
             way = tip_position(self._robot.chain, motion.sample(np.linspace(0.0, line.approach, _DRAWN))[:, 0])
-        return LinePreview(plan, line, way)
+        return LinePreview(task, plan, line, way)
 
     def _give(self, *, wanted: bool = False) -> None:
         self._wanted, self._preview, self._checked_from = wanted, None, self._here
@@ -170,7 +172,7 @@ class LineForm:
         self._enable()
         if found is None:
             return ""
-        connect(self._line, np.array([found.plan.task.start, found.plan.task.end]))
+        connect(self._line, np.array([found.task.start, found.task.end]))
         if len(found.approach):
             connect(self._approach, found.approach)
         if wanted and not self._missing:

@@ -385,7 +385,7 @@ class DoPanel:
         self._operator.send(self._joints, points)
 
     def _send_line(self, preview: LinePreview) -> None:
-        self._on_line(preview.plan.task)
+        self._on_line(preview.task)
         self._send(preview.line.points)
 
     def _start_with(self, path: str) -> None:

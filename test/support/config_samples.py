@@ -94,6 +94,7 @@ def shipped() -> list[tuple[str, Path]]:
     found += [("moveit_limits", folder / "moveit" / "joint_limits.yaml") for folder in robots]
     found += [("friction", path) for path in sorted(config_path("friction").rglob("*.yaml"))]
     found += [("rig", path) for path in sorted(config_path("rig").glob("*.yaml"))]
+    found += [("path", path) for path in sorted(config_path("paths").glob("*.yaml"))]
     found += [("sweep_plan", path) for path in sorted(config_path("sweep").glob("*.yaml"))]
     return [(kind, path) for kind, path in found if path.is_file()]
 

@@ -149,6 +149,7 @@ WRITTEN = {
         "rx90_import": ["nowhere"],
         "rx90_line": ["--task", "nowhere"],
         "rx90_own_controller": ["--engine", "--robot", "nowhere"],
+        "rx90_path": ["nowhere"],
         "rx90_run": ["--task", "nowhere"],
         "rx90_sweep": ["run", "nowhere"],
         "rx90_view": ["nowhere"],

@@ -37,6 +37,7 @@ CALLS = {
     "rx90_import": (["arm.xml", "--output", "robot"], "numba mujoco"),
     "rx90_line": (["--from-file", "robots/rx90b/task.yaml"], "yaml numba"),
     "rx90_own_controller": (["--engine"], "yaml numba pinocchio"),
+    "rx90_path": (["paths/circle.yaml"], "yaml numba"),
     "rx90_run": ([], "yaml numba pinocchio"),
     "rx90_sweep": (["info", "out.parquet"], "pyarrow"),
     "rx90_view": (["--port", "0", "--no-browser"], "viser numba"),

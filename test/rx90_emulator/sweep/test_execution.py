@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from multiprocessing import active_children
 from pathlib import Path
 
@@ -17,11 +18,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from rx90_common.base.errors import FAILED, FailureError, SweepError
+from rx90_common.base.share import config_path
 from rx90_common.description.kinematics import forward, tip_position
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.children import TIMEOUT
 from rx90_controller.lines.task import LineTask
-from rx90_emulator.loop.line import path_accuracy, run_line
+from rx90_emulator.loop.line import path_accuracy, run_line, run_path
+from rx90_emulator.loop.path_file import load_path
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.sweep import execution
 from rx90_emulator.sweep.execution import dask_pool, local_pool, run_sweep
@@ -191,6 +194,19 @@ def test_tip_is_that_of_the_kinematics(shipped: Setup) -> None:
     robot = shipped.robot
     q = np.random.default_rng(1).uniform(robot.lower, robot.upper, (500, 6))
     np.testing.assert_allclose(tip_position(robot.chain, q), forward(robot.chain, q).position, rtol=0, atol=1e-14)
+
+
+def test_a_sweep_goes_along_a_path(shipped: Setup) -> None:
+    """The task may be a path file: path errors of its runs are those of `run_path` at the speed of the run."""
+    speeds, file = (0.05, 0.1), config_path("paths/circle.yaml")
+    swept = SweptParameter("speed", paths=("task.speed",), factor=False, space=Values(speeds))
+    sweep = Sweep(SweepPlan((Block("a", (swept,)),), base=SweepBase(RobotFiles(task=file))))
+    column = [metric.name for metric in sweep.metrics].index("path_error_worst")
+    for index, speed in enumerate(speeds):
+        metrics = sweep.run(index).metrics
+        assert metrics is not None
+        worst = run_path(shipped, replace(load_path(file), speed=speed)).path_accuracy.worst
+        assert metrics[column] == pytest.approx(worst, abs=1e-12)
 
 
 def test_metrics_of_a_run(shipped: Setup, task: LineTask) -> None:

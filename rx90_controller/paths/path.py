@@ -1,0 +1,337 @@
+"""What a path is asked to be, and how fast an arm can travel it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import ClassVar
+
+import numpy as np
+
+from rx90_common.base.arrays import Array, Index, Mask
+from rx90_common.base.errors import LineError
+from rx90_common.description.branch import Branch
+from rx90_common.description.kinematics import PathError, Pose
+from rx90_common.description.rotations import axis_rotation, product, rotated, rpy_rotation, transposed, turn_between
+from rx90_controller.lines.task import (
+    DEFAULT_BRANCH,
+    LONGEST_LINE,
+    LONGEST_MOTION,
+    TOOL_DOWN,
+    USUAL_ACCELERATION,
+    USUAL_SPEED,
+    check_rests,
+    counted_motion,
+)
+from rx90_controller.paths.curve import KINK, Curve, Piece
+from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
+from rx90_controller.paths.segment import Segment
+
+FIXED, TANGENT, INTERPOLATED = ORIENTATIONS = ("fixed", "tangent", "interpolated")
+_TURN = 0.02  # rad of the path between two places at which it is examined
+_MOST_PARTS = 50
+_JUMP = 1e-3  # rad/m: a smaller change of the tool's turn by the distance is rounding
+_BLOCK = 5e-3  # m of the path that have one lowered speed, at least
+_BLOCKS = 40  # in a stretch of one speed, at most
+_SPEED_RESERVE = 0.99  # of a joint's limit: the places between those that are looked at need a little more
+_RESERVE = 0.9  # of a joint's acceleration: quintics round its steps, and overshoot
+_ACCELERATION_SHARE = 0.5  # of a joint's limit for the path's own acceleration, where it is short of it
+
+
+@dataclass(frozen=True)
+class Path:
+    """A path of the tool centre point in the base frame, a task as `LineTask` is one.
+
+    Attributes:
+        start: m.
+        segments: one after the other.
+        speed: along the path, m/s.
+        acceleration: largest one along the path, m/s².
+        jerk: largest one along the path, m/s³; infinite: the speed is a trapezoid.
+        orientation: "fixed", "tangent" (the tool turns about its own z axis as the path turns about it) or
+            "interpolated" (from each segment's orientation to the next, evenly in a path of one segment, else
+            beginning and ending gently).
+        start_rpy: roll, pitch and yaw of the tool at the start about fixed axes, rad.
+        rest_before: s.
+        rest_after: s.
+        branch: as LineTask's; singularity_margin and start_posture likewise.
+        singularity_margin: 1.
+        start_posture: rad.
+        lowered: speeds and accelerations below those asked for, as an arm's joints need; `within_limits` finds them.
+        remarks: what was lowered, in words.
+
+    Raises:
+        LineError: naming the segment, the value and what is accepted.
+    """
+
+    start: tuple[float, ...]
+    segments: tuple[Segment, ...]
+    speed: float = USUAL_SPEED
+    acceleration: float = USUAL_ACCELERATION
+    jerk: float = math.inf
+    orientation: str = FIXED
+    start_rpy: tuple[float, ...] = TOOL_DOWN
+    rest_before: float = 0.5
+    rest_after: float = 0.5
+    branch: Branch = DEFAULT_BRANCH
+    singularity_margin: float = 0.05
+    start_posture: tuple[float, ...] | None = None
+    lowered: tuple[SpeedLimit, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    what: ClassVar[str] = "path"
+
+    def __post_init__(self) -> None:
+        if len(self.start_rpy) != 3 or not all(math.isfinite(x) for x in self.start_rpy):
+            raise LineError(f"the path's start_rpy is {self.start_rpy}; accepted: three finite numbers")
+        if self.orientation not in ORIENTATIONS:
+            raise LineError(f"orientation is {self.orientation!r}; accepted: one of {', '.join(ORIENTATIONS)}")
+        if not self.segments:
+            raise LineError("the path has no segments; accepted: one or more")
+        values = [("speed", self.speed), ("acceleration", self.acceleration), ("jerk", self.jerk)]
+        for i, segment in enumerate(self.segments):
+            values += [(f"segment {i}: speed", self.speed if segment.speed is None else segment.speed)]
+            if not (math.isfinite(segment.zone) and segment.zone >= 0.0):
+                raise LineError(f"segment {i}: zone is {segment.zone:g} m; accepted: a number >= 0")
+            if segment.end_rpy is not None and self.orientation != INTERPOLATED:
+                raise LineError(f"segment {i} turns the tool; accepted: with the orientation {INTERPOLATED}")
+        if self.segments[-1].zone > 0.0:
+            raise LineError(f"segment {len(self.segments) - 1}: zone at the end of the path; accepted: before another")
+        for name, value in values:
+            if not value > 0.0 or (math.isinf(value) and name != "jerk"):
+                raise LineError(f"{name} is {value:g}; accepted: a number > 0")
+        check_rests(self)
+        if self.length > LONGEST_LINE:
+            raise LineError(f"the path's length is {self.length:g} m; accepted: up to {LONGEST_LINE:g} m")
+        slowest = self.length / min(one.speed for one in self._limits)
+        if not slowest < LONGEST_MOTION:
+            raise LineError(f"the path would take {slowest:g} s; accepted: up to {LONGEST_MOTION:g} s")
+        if self.orientation == TANGENT:
+            self._check_tangent()
+
+    @cached_property
+    def curve(self) -> Curve:
+        """Return its geometry."""
+        pieces: list[Piece] = []
+        start = self.start
+        for i, segment in enumerate(self.segments):
+            try:
+                pieces.append(segment.piece(start))
+            except LineError as error:
+                raise LineError(f"segment {i} ({segment.kind}) {error}") from error
+            start = segment.points[-1]
+        return Curve(pieces, [segment.zone for segment in self.segments[:-1]])
+
+    @property
+    def length(self) -> float:
+        """Return its length, m."""
+        return self.curve.length
+
+    @cached_property
+    def _limits(self) -> tuple[SpeedLimit, ...]:
+        """Return the speeds that are asked for."""
+        joints = self.curve.joints.tolist()
+        return tuple(
+            SpeedLimit(begin, end, self.speed if segment.speed is None else segment.speed)
+            for begin, end, segment in zip(joints[:-1], joints[1:], self.segments, strict=True)
+        )
+
+    @cached_property
+    def stops(self) -> tuple[float, ...]:
+        """Return where the tool stops, m: at the ends, and at corners that no zone rounds."""
+        inner = self.curve.starts[1:-1][self._stopped()]
+        return (0.0, *inner.tolist(), self.length)
+
+    def _stopped(self) -> Mask:
+        corners = 2.0 * np.arcsin(np.minimum(0.5 * self.curve.jumps(1), 1.0)) > KINK
+        inner = self.curve.starts[1:-1]
+        before, after = (self.twists(inner + side)[0][:, 3:] for side in (-1e-9, 0.0))
+        jumps, rates = (np.abs(each).max(axis=1, initial=0.0) for each in (after - before, after))
+        turns = jumps > np.maximum(_JUMP, 1e-3 * rates)
+        return np.asarray(corners | turns)
+
+    def _check_tangent(self) -> None:
+        corners = 2.0 * np.arcsin(np.minimum(0.5 * self.curve.jumps(1), 1.0)) > KINK
+        if corners.any():
+            at = float(self.curve.starts[1:-1][corners][0])
+            raise LineError(
+                f"the tool turns with the path, which has a corner at {at:.6g} m; accepted: a zone there, or another "
+                "orientation"
+            )
+        grid = np.linspace(0.0, self.length, 400)
+        flat = np.linalg.norm(rotated(transposed(rpy_rotation(self.start_rpy)), self.curve.at(grid, 1))[:, :2], axis=1)
+        if flat.min() < 0.05:
+            at = float(grid[int(np.argmin(flat))])
+            raise LineError(
+                f"the tool turns with the path, which runs along the tool's z axis at {at:.6g} m; accepted: a path "
+                "across it, or another orientation"
+            )
+
+    @cached_property
+    def _profile(self) -> LimitedProfile:
+        return LimitedProfile((*self._limits, *self.lowered), self.stops, self.acceleration, self.jerk)
+
+    def profile(self) -> LimitedProfile:
+        """Return the motion along the path."""
+        return self._profile
+
+    def corners(self) -> tuple[float, ...]:
+        """Return the times of the motion at which an acceleration jumps, s: of the motion, and where the curve does."""
+        profile, curve = self.profile(), self.curve
+        places = curve.starts[1:-1]
+        if self.orientation == TANGENT:
+            places = np.concatenate([places, curve.knots])
+        if self.orientation == INTERPOLATED:
+            places = np.concatenate([places, curve.joints])
+        places = places[(places > 1e-9) & (places < self.length - 1e-9)]
+        own = np.array(profile.corners)
+        found = profile.times_at(np.unique(places))
+        found = found[np.abs(found[:, None] - own).min(axis=1, initial=math.inf) > 1e-6]
+        return tuple(np.unique(np.concatenate([own, found])).tolist())
+
+    def places(self, step: float, least: int) -> Array:
+        """Return distances at which the path is examined, m: as of a line, and closer where it bends."""
+        distance = np.linspace(0.0, self.length, max(least, math.ceil(self.length / step)) + 1)
+        turn = np.linalg.norm(self.curve.at(distance, 2), axis=1) * (distance[1] - distance[0])
+        parts = np.minimum(np.ceil(np.maximum(turn[1:], turn[:-1]) / _TURN).astype(int), _MOST_PARTS)
+        inner = [np.linspace(distance[k], distance[k + 1], parts[k] + 1)[1:-1] for k in np.flatnonzero(parts > 1)]
+        return np.unique(np.concatenate([distance, *inner]))
+
+    def poses(self, distance: Array) -> Pose:
+        """Return the poses of the tool centre point at `distance` (n,) m from the start."""
+        distance = np.clip(distance, 0.0, self.length)
+        position, first = self.curve.at(distance), rpy_rotation(self.start_rpy)
+        if self.orientation == FIXED:
+            return Pose(position, np.broadcast_to(first, (len(distance), 3, 3)))
+        if self.orientation == TANGENT:
+            ways = rotated(transposed(first), self.curve.at(np.append(0.0, distance), 1))
+            heading = np.arctan2(ways[:, 1], ways[:, 0])
+            return Pose(position, product(first, axis_rotation(np.array([0.0, 0.0, 1.0]), heading[1:] - heading[0])))
+        rotation = np.empty((len(distance), 3, 3))
+        for rows, rpy, turn, share in self._turns(distance):
+            angle = float(np.linalg.norm(turn))
+            axis = turn / angle if angle > 0.0 else turn
+            rotation[rows] = product(axis_rotation(axis, angle * share[0]), rpy_rotation(rpy))
+        return Pose(position, rotation)
+
+    def _turns(self, distance: Array) -> list[tuple[Index, tuple[float, ...], Array, tuple[Array, Array, Array]]]:
+        """Return for each segment its rows, orientation at its start, turn, and what share of it has been made.
+
+        The share comes with its first and second derivative by the distance.
+        """
+        joints = self.curve.joints
+        which = np.clip(np.searchsorted(joints, distance, side="right") - 1, 0, len(self.segments) - 1)
+        found, rpy = [], self.start_rpy
+        for i, segment in enumerate(self.segments):
+            end = segment.end_rpy or rpy
+            rows, whole = np.flatnonzero(which == i), joints[i + 1] - joints[i]
+            x = (distance[rows] - joints[i]) / whole
+            if len(self.segments) == 1:
+                share = x, np.full_like(x, 1.0 / whole), np.zeros_like(x)
+            else:  # the polynomial of the fifth degree that begins and ends without speed and acceleration
+                share = (
+                    x**3 * (10.0 - 15.0 * x + 6.0 * x * x),
+                    30.0 * (x * (1.0 - x)) ** 2 / whole,
+                    60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / whole**2,
+                )
+            found.append((rows, rpy, turn_between(rpy, end), share))
+            rpy = end
+        return found
+
+    def twists(self, distance: Array) -> tuple[Array, Array]:
+        """Return first and second derivative of place and orientation by the distance, as of a line, (n, 6)."""
+        distance = np.clip(distance, 0.0, self.length)
+        first, second = np.zeros((2, len(distance), 6))
+        first[:, :3], second[:, :3] = self.curve.at(distance, 1), self.curve.at(distance, 2)
+        if self.orientation == TANGENT:
+            tool = rpy_rotation(self.start_rpy)
+            (x, y), (dx, dy), (ddx, ddy) = (
+                rotated(transposed(tool), self.curve.at(distance, k)).T[:2] for k in (1, 2, 3)
+            )
+            flat = x * x + y * y
+            rate = (x * dy - y * dx) / flat
+            change = (x * ddy - y * ddx) / flat - 2.0 * rate * (x * dx + y * dy) / flat
+            first[:, 3:], second[:, 3:] = rate[:, None] * tool[:, 2], change[:, None] * tool[:, 2]
+        if self.orientation == INTERPOLATED:
+            for rows, _, turn, share in self._turns(distance):
+                first[rows, 3:], second[rows, 3:] = (each[:, None] * turn for each in share[1:])
+        return first, second
+
+    def error(self, tip: Array, near: Array | None = None) -> PathError:
+        """Return how far positions (n, 3) m of the tool centre point are from the path.
+
+        `near`, distances (n,) m, says around which places alone it is looked for.
+        """
+        return self.curve.error(tip, near)
+
+    def notes(self) -> list[str]:
+        """Return lines for a person: where the tool stops, and what was lowered."""
+        inner = [f"{at:.3f}" for at in self.stops[1:-1]]
+        stops = [f"stops     {len(inner)}, at {', '.join(inner[:6])}{', ...' * (len(inner) > 6)} m"] if inner else []
+        return [*stops, *(f"lowered   {remark}" for remark in self.remarks)]
+
+    @property
+    def counted(self) -> tuple[float, float]:
+        """Return what of its trajectory counts for the path error, s; see `counted_motion`."""
+        return counted_motion(self)
+
+    def within_limits(
+        self, names: Sequence[str], distance: Array, slope: Array, bend: Array, velocity: Array, most: Array
+    ) -> Path:
+        """Return the path with speeds, and the acceleration, at which no joint exceeds its limits.
+
+        Both are lowered in blocks of some millimetres, so that the speed stays even within one.
+
+        Args:
+            names: of the joints.
+            distance: places, m, shape (k,).
+            slope: of the joints by the distance there, rad/m, shape (k, n).
+            bend: their second derivative, rad/m², shape (k, n).
+            velocity: limits, rad/s, shape (n,).
+            most: limits of the acceleration, rad/s², shape (n,); infinite for none.
+        """
+        slope, bend = np.abs(slope), np.abs(bend)
+        asked = np.full(len(distance), np.inf)
+        for one in self._limits:
+            within = (distance >= one.begin) & (distance <= one.end)
+            asked[within] = np.minimum(asked[within], one.speed)
+        velocity, most = _SPEED_RESERVE * velocity, _RESERVE * most
+        short = slope * self.acceleration + bend * asked[:, None] ** 2 > most
+        with np.errstate(divide="ignore", invalid="ignore"):
+            allowed = np.where(short & (slope > 0.0), _ACCELERATION_SHARE * most / slope, np.inf)
+            acceleration = np.minimum(allowed.min(axis=1), self.acceleration)
+            turning = np.where(slope > 0.0, velocity / slope, np.inf)
+            rest = np.maximum(most - slope * acceleration[:, None], 0.0)
+            bending = np.where(bend > 0.0, np.sqrt(rest / bend), np.inf)
+        both = np.stack([turning, bending])
+        possible = both.min(axis=(0, 2))
+        lowered, remarks = list[SpeedLimit](), list[str]()
+        for one in self._limits:
+            rows = np.flatnonzero((distance >= one.begin) & (distance <= one.end))
+            slow = rows[(possible[rows] < one.speed) | (acceleration[rows] < self.acceleration)]
+            if not len(slow):
+                continue
+            count = max(1, min(_BLOCKS, int((one.end - one.begin) / _BLOCK)))
+            for begin, end in pairwise(np.linspace(one.begin, one.end, count + 1).tolist()):
+                low, high = np.searchsorted(distance, [begin, end])
+                near = slice(max(low - 1, 0), high + 1)
+                speed, ramp = float(possible[near].min()), float(acceleration[near].min())
+                if speed < one.speed or ramp < self.acceleration:
+                    lowered.append(SpeedLimit(begin, end, min(speed, one.speed), ramp))
+            between = f"between {distance[slow[0]]:.3f} and {distance[slow[-1]]:.3f} m"
+            lowest, least = slow[np.argmin(possible[slow])], slow[np.argmin(acceleration[slow])]
+            if possible[lowest] < one.speed:
+                kind, j = divmod(int(np.argmin(both[:, lowest])), len(names))
+                remarks.append(
+                    f"speed from {one.speed:.4g} to {possible[lowest]:.4g} m/s {between}: the "
+                    f"{('velocity', 'acceleration')[kind]} of {names[j]} at {distance[lowest]:.3f} m"
+                )
+            if acceleration[least] < self.acceleration:
+                remarks.append(
+                    f"acceleration from {self.acceleration:.4g} to {acceleration[least]:.4g} m/s^2 {between}: the "
+                    f"acceleration of {names[int(np.argmin(allowed[least]))]} at {distance[least]:.3f} m"
+                )
+        return replace(self, lowered=tuple(lowered), remarks=tuple(remarks)) if lowered else self

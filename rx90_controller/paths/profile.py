@@ -1,0 +1,173 @@
+"""The motion along a path within limits of the speed, place by place: trapezoids, rounded where the jerk is limited.
+
+Between two stops the square of the speed is the largest that no limit forbids and that the acceleration allows from
+both sides; it is piecewise linear in the distance, found forwards and backwards over the places at which a limit
+changes.
+
+A limited jerk takes the mean of that motion over a time tau (Biagiotti and Melchiorri 2012, "FIR filters for online
+trajectory planning with time- and frequency-domain specifications"): steps of the acceleration become ramps over tau,
+speed and acceleration grow nowhere. The mean looks back, so each limit is first widened by half of tau's way on both
+sides, and each stop lasts tau.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import PPoly
+
+from rx90_common.base.arrays import Array
+from rx90_controller.lines.task import PathMotion
+
+_SHORTEST_PHASE = 1e-9  # s
+_BISECTIONS = 60
+
+
+class SpeedLimit(NamedTuple):
+    """The largest speed, m/s, and acceleration along the path, m/s², from one distance to another, m."""
+
+    begin: float
+    end: float
+    speed: float
+    acceleration: float = math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class LimitedProfile:
+    """A motion from rest to rest.
+
+    Attributes:
+        limits: of the speed; they cover the path in its order.
+        stops: distances, m, at which the motion rests for an instant, its start and end among them.
+        acceleration: largest one along the path, m/s².
+        jerk: largest one along the path, m/s³; infinite for trapezoids.
+    """
+
+    limits: tuple[SpeedLimit, ...]
+    stops: tuple[float, ...]
+    acceleration: float
+    jerk: float = math.inf
+
+    @property
+    def length(self) -> float:
+        """Return the length of the path, m."""
+        return self.stops[-1]
+
+    @cached_property
+    def _built(self) -> tuple[PPoly, float]:
+        """Return the distance over the time before the mean, and the time of the mean, s."""
+        steps = (1.0, 2.0) if math.isfinite(self.jerk) else (0.0,)
+        for step in steps:  # ramps up and down within the mean's time have twice the jump of one
+            mean = step * self.acceleration / self.jerk
+            phases: list[tuple[float, float, float, float]] = []  # duration, distance, speed, acceleration
+            for begin, end in pairwise(self.stops):
+                phases += self._between(begin, end, mean)
+                phases.append((mean, end, 0.0, 0.0))
+            rows = np.array([phase for phase in phases[:-1] if phase[0] > _SHORTEST_PHASE])
+            times = np.concatenate([[0.0], np.cumsum(rows[:, 0])])
+            at = np.concatenate([times, times + mean])
+            steps_of = np.concatenate([[0.0], rows[:, 3], [0.0]])
+            now, before = (steps_of[np.searchsorted(times, t + _SHORTEST_PHASE / 2.0)] for t in (at, at - mean))
+            if mean == 0.0 or np.abs(now - before).max() / mean <= self.jerk * (1.0 + 1e-9):
+                break
+        return PPoly(np.array([0.5 * rows[:, 3], rows[:, 2], rows[:, 1]]), times), mean
+
+    def _between(self, begin: float, end: float, mean: float) -> list[tuple[float, float, float, float]]:
+        """Return the phases from one stop to the next."""
+        wide = []
+        for one in self.limits:
+            if one.begin < end and one.end > begin:
+                way = 0.5 * mean * one.speed
+                wide.append(one._replace(begin=max(begin, one.begin - way), end=min(end, one.end + way)))
+        edges = np.unique([begin, end, *(place for one in wide for place in one[:2])])
+        middles = 0.5 * (edges[1:] + edges[:-1])
+        most, most_acceleration = np.full(len(middles), np.inf), np.full(len(middles), self.acceleration)
+        for one in wide:
+            rows = (middles > one.begin) & (middles < one.end)
+            most[rows] = np.minimum(most[rows], one.speed**2)
+            most_acceleration[rows] = np.minimum(most_acceleration[rows], one.acceleration)
+        ways = np.diff(edges)
+        squares = np.concatenate([[0.0], np.minimum(most[1:], most[:-1]), [0.0]])
+        gains = 2.0 * most_acceleration * ways
+        for k, gain in enumerate(gains):
+            squares[k + 1] = min(squares[k + 1], squares[k] + gain)
+        for k in range(len(ways) - 1, -1, -1):
+            squares[k] = min(squares[k], squares[k + 1] + gains[k])
+        phases = []
+        for k, (way, a) in enumerate(zip(ways, most_acceleration, strict=True)):
+            first, last = squares[k], squares[k + 1]
+            peak = min(most[k], 0.5 * (first + last) + a * way)
+            v0, v, v1 = math.sqrt(first), math.sqrt(peak), math.sqrt(last)
+            up, down = 0.5 * (peak - first) / a, 0.5 * (peak - last) / a
+            even = max(way - up - down, 0.0)
+            phases.append(((v - v0) / a, edges[k], v0, a))
+            phases.append((even / v, edges[k] + up, v, 0.0))
+            phases.append(((v - v1) / a, edges[k + 1] - down, v, -a))
+        return phases
+
+    @property
+    def duration(self) -> float:
+        """Return the duration from rest to rest, s."""
+        motion, mean = self._built
+        return float(motion.x[-1]) + mean
+
+    @property
+    def peak_speed(self) -> float:
+        """Return the highest speed reached, m/s; with a limited jerk at the ends of its ramps."""
+        return float(self.sample(np.array(self.corners)).speed.max())
+
+    @property
+    def corners(self) -> tuple[float, ...]:
+        """Return the times at which the acceleration jumps, or its slope, s."""
+        motion, mean = self._built
+        times = motion.x if mean == 0.0 else np.sort(np.concatenate([motion.x, motion.x + mean]))
+        kept = np.concatenate([[True], np.diff(times) > 1e-6])
+        kept[-1] = True
+        return tuple(times[kept].tolist())
+
+    def sample(self, times: Array) -> PathMotion:
+        """Return the motion at `times`, s, shape (n,): at rest before 0 and after the duration."""
+        motion, mean = self._built
+        speed, whole = motion.derivative(), motion.antiderivative()
+        end = float(motion.x[-1])
+
+        def at(curve: PPoly, t: Array, past: float) -> Array:
+            inner = np.asarray(curve(np.clip(t, 0.0, end)))
+            return np.where(t < 0.0, 0.0, np.where(t > end, past, inner))
+
+        t = np.asarray(times, dtype=np.float64)
+        if mean == 0.0:
+            inside = (t >= 0.0) & (t <= end)
+            found = at(motion, t, self.length), at(speed, t, 0.0), np.where(inside, speed.derivative()(t), 0.0)
+        else:
+            total = float(whole(end))
+            after = np.maximum(t - end, 0.0), np.maximum(t - mean - end, 0.0)
+            sums = [at(whole, each, total) + self.length * past
+                    for each, past in zip((t, t - mean), after, strict=True)]  # fmt: skip
+            found = (
+                (sums[0] - sums[1]) / mean,
+                (at(motion, t, self.length) - at(motion, t - mean, self.length)) / mean,
+                (at(speed, t, 0.0) - at(speed, t - mean, 0.0)) / mean,
+            )
+        over, before = t >= end + mean, t <= 0.0
+        distance = np.where(over, self.length, np.where(before, 0.0, np.clip(found[0], 0.0, self.length)))
+        still = over | before if mean > 0.0 else (t > end) | (t < 0.0)
+        return PathMotion(distance, np.where(still, 0.0, found[1]), np.where(still, 0.0, found[2]))
+
+    def speed_at(self, distance: Array) -> Array:
+        """Return the speed in m/s at `distance` m from the start, shape (n,)."""
+        return self.sample(self.times_at(distance)).speed
+
+    def times_at(self, distance: Array) -> Array:
+        """Return the first times, s, at which distances (n,) m are reached."""
+        low, high = np.zeros(len(distance)), np.full(len(distance), self.duration)
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            there = self.sample(middle).distance >= distance
+            low, high = np.where(there, low, middle), np.where(there, middle, high)
+        return high

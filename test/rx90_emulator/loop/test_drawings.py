@@ -1,0 +1,218 @@
+"""Paths from CSV, G-code and DXF: against points by hand, RS274's rules and ezdxf's own geometry."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from pathlib import Path as File
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rx90_common.base.errors import ConfigError, Rx90Error
+from rx90_controller.paths.path import Path
+from rx90_emulator.cli.frame import run
+from rx90_emulator.loop.drawing import Drawing
+from rx90_emulator.loop.path_file import load_path
+
+HALF = math.sqrt(0.5)
+
+
+def _read(folder: File, name: str, text: str, **more: Any) -> Path:
+    file = folder / name
+    file.write_text(text)
+    return Path(*Drawing(file, **more).read())
+
+
+GCODE = {
+    # text, points that the path passes at shares of its length, m, length, m
+    "lines and both arcs": (
+        "%\nN10 G21 G90 (mm)\nG0 X100 Y0 Z5\nG0 Z-1\nM3 S100\nG1 X110 F600\nG3 X120 Y10 I0 J10\nG1 Y20\n"
+        "G2 X130 Y30 I10\nM5\nM30\nG1 X999\n%\n",
+        [(0.0, (0.1, 0.0, -1e-3)), (1.0, (0.13, 0.03, -1e-3))],
+        0.02 + 2 * math.pi * 0.01 / 2,
+    ),
+    "relative, in inches": (
+        "G20\nG91\nG1 X1 Y1\nG1 X1\nX1\n",
+        [(0.0, (0.0254, 0.0254, 0.0)), (1.0, (0.0762, 0.0254, 0.0))],
+        0.0508,
+    ),
+    "an arc by its radius, the short way and the long way": (
+        "G0 X10 Y0\nG3 X0 Y10 R10 F60\nG3 X10 Y0 R-10\n",
+        [(0.125, (0.01 * HALF, 0.01 * HALF, 0.0)), (0.5, (-0.01, 0.0, 0.0))],
+        2 * math.pi * 0.01 * (0.25 + 0.75),
+    ),
+    "a full circle, with an absolute centre": (
+        "G90.1\nG0 X10 Y0 Z2\nG2 X10 Y0 I0 J0 F60\n",
+        [(0.25, (0.0, -0.01, 2e-3)), (0.5, (-0.01, 0.0, 2e-3))],
+        2 * math.pi * 0.01,
+    ),
+    "clockwise from quarter to eighth": (
+        "g0x0y10\ng2x7.0710678y7.0710678j-10",
+        [(1.0, (0.01 * HALF, 0.01 * HALF, 0.0))],
+        math.pi / 4 * 0.01,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", GCODE)
+def test_gcode_is_drawn_as_its_rules_say(tmp_path: File, name: str) -> None:
+    """Length, and places at shares of it, are those that the words mean."""
+    text, places, length = GCODE[name]
+    path = _read(tmp_path, "part.nc", text)
+    assert path.length == pytest.approx(length, rel=1e-6)
+    for share, place in places:
+        np.testing.assert_allclose(path.curve.at(np.array([share * path.length]))[0], place, atol=1e-8)
+
+
+def test_f_is_the_speed_of_cuts_and_g0_goes_at_the_paths(tmp_path: File) -> None:
+    """F600 in mm/min is 0.01 m/s; in inches 25.4 times that."""
+    path = _read(tmp_path, "part.ngc", "G0 X0 Y0\nG1 X10 F600\nG0 Y10\nG20 F600\nG1 X1\n")
+    assert [one.speed for one in path.segments] == pytest.approx([0.01, None, 0.254])
+
+
+def test_a_drawing_is_laid_where_its_origin_and_axes_are(tmp_path: File) -> None:
+    """A quarter turn about z and a shift: x becomes y; arcs keep their sense, and a rounded corner its zone."""
+    turned = _read(tmp_path, "part.nc", "G0 X10 Y0\nG3 X0 Y10 I-10\nG1 X-20", origin=(0.5, 0.1, 0.2),
+                   rpy=(0.0, 0.0, math.pi / 2), zone=0.002)  # fmt: skip
+    ends = turned.curve.at(np.array([0.0, turned.length]))
+    np.testing.assert_allclose(ends, [(0.5, 0.11, 0.2), (0.49, 0.08, 0.2)], atol=1e-9)
+    assert turned.stops == (0.0, turned.length), "the arc goes over into the line"
+    corner = _read(tmp_path, "corner.nc", "G0 X0 Y0\nG1 X10\nG1 Y3", zone=0.002)
+    assert corner.segments[0].zone == 0.0015, "half of the shorter neighbour"
+    assert len(corner.stops) == 2
+
+
+CSV = {
+    "with names and units": "x [mm]; y [mm]; z [mm]; note\n600; 0; 200; a\n600; 50; 200; b\n620; 90; 210; c\n",
+    "in other columns": "t,z [m],x [m],y [m]\n0,0.2,0.6,0\n1,0.2,0.6,0.05\n2,0.21,0.62,0.09\n",
+    "bare": "# seam\n0.6 0 0.2\n0.6  0.05 0.2\n\n0.62 0.09 0.21\n",
+}
+
+
+@pytest.mark.parametrize("name", CSV)
+def test_points_of_a_table(tmp_path: File, name: str) -> None:
+    """Three points in SI units, whatever the table looks like; on a spline, or as corners of lines."""
+    wanted = ((0.6, 0.0, 0.2), (0.6, 0.05, 0.2), (0.62, 0.09, 0.21))
+    unit = {"unit": "m"} if name == "bare" else {}
+    path = _read(tmp_path, "seam.csv", CSV[name], **unit)
+    assert path.segments[0].kind == "spline"
+    np.testing.assert_allclose([path.start, *path.segments[0].points], wanted)
+    lines = _read(tmp_path, "seam.csv", CSV[name], points="lines", **unit)
+    np.testing.assert_allclose([lines.start, *(one.points[0] for one in lines.segments)], wanted)
+
+
+REFUSED = {
+    "no unit": ("p.csv", "1 2 3\n4 5 6\n", {}, "names no unit; accepted: with unit, one of m, mm"),
+    "two units": ("p.csv", "x [mm],y [mm],z [mm]\n1,2,3\n4,5,6\n", {"unit": "m"}, "is in mm, unit is m"),
+    "a gap": ("p.csv", "x [m],y [m],z [m]\n1,2,3\n4,,6\n", {}, "line 3 is '4, , 6'; accepted: three finite numbers"),
+    "not a number": ("p.csv", "1 2 nan\n", {"unit": "m"}, "line 1 is '1, 2, nan'"),
+    "twice": ("p.csv", "1 2 3\n1 2 3\n", {"unit": "m"}, r"points 1 and 2 are both \(1.0, 2.0, 3.0\)"),
+    "one point": ("p.csv", "1 2 3\n", {"unit": "m"}, "holds 1 points; accepted: two or more"),
+    "no motion word": ("p.nc", "X1 Y2\n", {}, "line 1: moves without G0, G1, G2 or G3"),
+    "not a word": ("p.nc", "G0 X1\n$I\n", {}, r"line 2: '\$I'; accepted: words"),
+    "another plane": ("p.nc", "G18\n", {}, "line 1: G18; accepted: G0 to G3, G17"),
+    "home": ("p.nc", "G0 X1\nG28\n", {}, "line 2: G28"),
+    "a helix": ("p.nc", "G0 X10 Y0 Z0\nG2 X-10 Z5 I-10\n", {}, "line 2: an arc that leaves the plane G17"),
+    "ends elsewhere": ("p.nc", "G0 X10 Y0\nG2 X0 Y5 I-10\n", {}, "line 2: the arc's ends are 10 and 5 mm"),
+    "a short radius": ("p.nc", "G0 X10 Y0\nG2 X-10 Y0 R5\n", {}, "line 2: R5 between ends 20 mm apart"),
+    "no centre": ("p.nc", "G0 X10 Y0\nG2 X-10 Y0\n", {}, "line 2: an arc without a centre"),
+    "no path": ("p.nc", "G0 X10 Y0\nM30\n", {}, "holds no path"),
+    "another axis": ("p.nc", "G0 X10 A5\n", {}, "line 1: A5"),
+    "another kind": ("p.svg", "", {}, "ends with '.svg'; accepted: .csv, .nc"),
+    "a layer": ("p.nc", "G0 X1\n", {"layer": "a"}, "layer of a file without layers"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_read_is_refused_with_its_line(tmp_path: File, name: str) -> None:
+    """Each refusal is one line with file, line, what is there and what is accepted."""
+    file, text, more, said = REFUSED[name]
+    with pytest.raises(ConfigError, match=said) as refusal:
+        _read(tmp_path, file, text, **more)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_path_file_names_its_drawing(tmp_path: File) -> None:
+    """The file beside it is read, with its origin; a start beside a file is refused."""
+    (tmp_path / "part.nc").write_text("G0 X0 Y0\nG1 X50 F3000\n")
+    head = "path:\n  file: {name: part.nc, origin: [0.6, 0, 0.2]}\n  speed: 0.2\n  acceleration: 1.0\n"
+    (tmp_path / "path.yaml").write_text(f"{head}  tool_rpy_degrees: [0, 180, 0]\n")
+    path = load_path(tmp_path / "path.yaml")
+    assert path.start == (0.6, 0.0, 0.2)
+    assert path.profile().peak_speed == pytest.approx(0.05)
+    (tmp_path / "both.yaml").write_text(f"{head}  tool_rpy_degrees: [0, 180, 0]\n  start: [0, 0, 0]\n")
+    with pytest.raises(Rx90Error, match="a start beside a file"):
+        load_path(tmp_path / "both.yaml")
+
+
+def test_dxf_without_its_package_is_one_line(
+    tmp_path: File, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where ezdxf is missing a command says in one line what to install."""
+    monkeypatch.setitem(sys.modules, "ezdxf", None)
+    (tmp_path / "part.dxf").write_text("")
+    (tmp_path / "path.yaml").write_text("path: {file: {name: part.dxf}, speed: 0.1, acceleration: 1.0, "
+                                        "tool_rpy_degrees: [0, 180, 0]}\n")  # fmt: skip
+    assert run("rx90_path", [str(tmp_path / "path.yaml"), "--dry-run"]) == 3
+    assert re.fullmatch(r"rx90_path: .*ezdxf.*pip install.*\n", capsys.readouterr().err)
+
+
+@pytest.fixture
+def drawing() -> Any:
+    """Return a new drawing in mm."""
+    ezdxf = pytest.importorskip("ezdxf")
+    document = ezdxf.new()
+    document.header["$INSUNITS"] = 4
+    return document
+
+
+def _dxf(folder: File, document: Any, **more: Any) -> Path:
+    document.saveas(folder / "part.dxf")
+    return Path(*Drawing(folder / "part.dxf", **more).read())
+
+
+def test_dxf_entities_are_joined_in_their_order(tmp_path: File, drawing: Any) -> None:
+    """Lines, arcs, polylines with bulges and a spline, some drawn backwards: ezdxf's own points lie on the path."""
+    import ezdxf.path
+
+    space = drawing.modelspace()
+    space.add_arc((100.0, 10.0), 10.0, 270.0, 0.0)  # from (100, 0) to (110, 10)
+    space.add_line((100.0, 0.0), (50.0, 0.0))  # backwards
+    space.add_lwpolyline([(110.0, 10.0, 0.0), (110.0, 30.0, -0.5), (140.0, 40.0, 0.0)], format="xyb")
+    space.add_arc((140.0, 50.0, 0.0), 10.0, 270.0, 0.0, dxfattribs={"extrusion": (0, 0, 1)})
+    space.add_spline([(180.0, 60.0, 5.0), (165.0, 55.0, 3.0), (150.0, 50.0, 0.0)])
+    space.add_text("seam")
+    path = _dxf(tmp_path, drawing)
+    wanted = [point for entity in space if entity.dxftype() != "TEXT"
+              for point in ezdxf.path.make_path(entity).flattening(1e-4)]  # fmt: skip
+    off = path.error(np.array([tuple(point) for point in wanted]) * 1e-3)
+    assert off.perpendicular.max() < 5e-6
+    assert off.along.max() == pytest.approx(path.length, abs=1e-6)
+    assert path.start == pytest.approx((0.05, 0.0, 0.0))
+
+
+def test_dxf_circles_layers_and_mirrored_arcs(tmp_path: File, drawing: Any) -> None:
+    """A circle is closed; a layer leaves out others; an arc seen from below starts and ends where ezdxf says."""
+    space = drawing.modelspace()
+    space.add_circle((50.0, 20.0), 15.0, dxfattribs={"layer": "cut"})
+    arc = space.add_arc((0.0, 0.0), 10.0, 0.0, 90.0, dxfattribs={"layer": "mirrored", "extrusion": (0, 0, -1)})
+    assert _dxf(tmp_path, drawing, layer="cut").length == pytest.approx(2 * math.pi * 0.015)
+    mirrored = _dxf(tmp_path, drawing, layer="mirrored")
+    ends = mirrored.curve.at(np.array([0.0, mirrored.length]))
+    np.testing.assert_allclose(ends, np.array([tuple(arc.start_point), tuple(arc.end_point)]) * 1e-3, atol=1e-9)
+    assert mirrored.length == pytest.approx(math.pi / 2 * 0.01)
+    with pytest.raises(ConfigError, match=r"goes on nowhere from .* 1 entities are left"):
+        _dxf(tmp_path, drawing)
+    with pytest.raises(ConfigError, match=r"on the layer 'none' \(there are cut, mirrored\)"):
+        _dxf(tmp_path, drawing, layer="none")
+
+
+def test_dxf_that_is_none_is_one_line(tmp_path: File) -> None:
+    """Text that is no drawing is refused in one line."""
+    pytest.importorskip("ezdxf")
+    with pytest.raises(ConfigError, match="cannot be read") as refusal:
+        _read(tmp_path, "part.dxf", "hello\nworld\n")
+    assert "\n" not in str(refusal.value)
