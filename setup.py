@@ -20,6 +20,7 @@ EXECUTABLES = (
     "rx90_own_controller",
     "rx90_config",
     "rx90_controller_check",
+    "rx90_correct",
     "rx90_demo",
     "rx90_sweep",
     "rx90_experiment",

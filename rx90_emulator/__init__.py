@@ -14,6 +14,8 @@ Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, Traje
 Runs            run_line, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; for hours: repeat_line,
                 RepeatedLine; with a controller of one's own: run_controller, ControllerRun; small deviations from a
                 motion: prepare_perturbation, PerturbationModel, PerturbationResult
+Corrections     learn_correction, load_correction, write_correction, precompensate, NormOptimal, Filtered,
+                TrajectoryPath, Correction, CorrectionFile, LearnedCorrection
 Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries
 Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
                 Verdict
@@ -85,6 +87,19 @@ if TYPE_CHECKING:
         import_bam as import_bam,
         import_mjcf_friction as import_mjcf_friction,
     )
+    from rx90_controller.trajectory.correction import Correction as Correction
+    from rx90_emulator.correction.file import (
+        CorrectionFile as CorrectionFile,
+        load_correction as load_correction,
+        write_correction as write_correction,
+    )
+    from rx90_emulator.correction.learning import (
+        LearnedCorrection as LearnedCorrection,
+        learn_correction as learn_correction,
+    )
+    from rx90_emulator.correction.methods import Filtered as Filtered, NormOptimal as NormOptimal
+    from rx90_emulator.correction.path import TrajectoryPath as TrajectoryPath
+    from rx90_emulator.correction.precompensation import precompensate as precompensate
     from rx90_emulator.identification.arm import RigidArm as RigidArm
     from rx90_emulator.identification.excitation.friction import identify_friction_parts as identify_friction_parts
     from rx90_emulator.identification.excitation.identify import identify_excitation as identify_excitation

@@ -6,6 +6,7 @@ from typing import Final
 
 from rx90_common.exchange.topics import (
     COMMANDED_CURRENT,
+    CORRECTION,
     DETAILS,
     MOTOR_CURRENT,
     PARAMETERS,
@@ -43,6 +44,7 @@ SUITE_TOPICS: Final = (
     f"rx90_controller/{TRAJECTORY_ACCEPTED}",
     "rx90_controller/reference",
     "rx90_controller/tracking_error",
+    f"rx90_controller/{CORRECTION}",
     *(f"rx90_controller/{name}" for name in DETAILS),
     f"rx90_controller/{PARAMETERS}",
     f"rx90_sim/{PARAMETERS}",

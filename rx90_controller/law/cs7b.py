@@ -82,6 +82,7 @@ class CS7B:
         state: compiled state, shape (1,), of `law_state_dtype`.
         command: motor torques of the last step, Nm, shape (n,); always the same view of the state.
         setpoint: that of the last position tick: position rad, velocity rad/s, acceleration rad/s^2, shape (3, n).
+        offset: of the position of the set-point by a correction, rad, shape (n,); None where none is played.
         fault: what the supervision has found since the last reset, if anything; who drives motors switches them off.
     """
 
@@ -101,6 +102,7 @@ class CS7B:
         self._details = np.zeros((3, n))
         self.command: Array = self.state["command"][0]
         self.setpoint = np.zeros((3, n))
+        self.offset: Array | None = None
         self._measured: tuple[Array, Array, Array | None] = (np.zeros(n), np.zeros(n), None)
         self._currents_err = drives.current_sensor.used
         self.fault: DriveFault | None = None
@@ -165,11 +167,13 @@ class CS7B:
         if slow == 0:
             row, revision = tick - self._ahead_from, self.trajectory.revision
             if self._ahead_revision != revision or not 0 <= row < len(self._ahead):
-                self._ahead = self.trajectory.setpoints(tick, _LOOKAHEAD)
+                self._ahead = self.trajectory.corrected(tick, _LOOKAHEAD)
                 self._ahead_from, self._ahead_revision, row = tick, revision, 0
-            self.setpoint, self._measured = self._ahead[row], (position, velocity, torque)
+            corrected = self._ahead[row]
+            self.setpoint, self.offset = corrected[:3], corrected[3] if len(corrected) > 3 else None
+            self._measured = (position, velocity, torque)
             self._reference[:2], self._details[0] = self.setpoint[:2], self.setpoint[2]
-            if position_loop(self.law, self.state, self.setpoint, position, velocity):
+            if position_loop(self.law, self.state, corrected, position, velocity):
                 self.note_fault()
         if velocity_loop(self.law, self.state, velocity) and self.fault is None:
             motor, time = int(np.argmin(np.isfinite(self.command))), self.tick * self.rates.period

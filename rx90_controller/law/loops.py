@@ -36,6 +36,7 @@ def law_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     return np.dtype(
         [
             ("reference", np.float64, (3, n)),  # motor-side position, velocity, acceleration set-points
+            ("offset", np.float64, n),  # of the position set-point, motor side, rad; workspace
             ("error", np.float64, n),  # position error at the last position tick
             ("velocity_error", np.float64, n),
             ("integrator", np.float64, n),
@@ -148,7 +149,8 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
     Args:
         laws: constants, shape (1,), of `controller_dtype`.
         states: state, shape (1,), of `law_state_dtype`, advanced in place.
-        setpoint: joint position rad, velocity rad/s, acceleration rad/s^2, shape (3, n).
+        setpoint: joint position rad, velocity rad/s, acceleration rad/s^2, shape (3, n); with a fourth row, an offset
+            of the position, rad, that only PI sees.
         position: motor positions by the encoders, rad, shape (n,).
         velocity: measured motor velocities, rad/s, shape (n,); for the supervision and the velocity error that is
             published.
@@ -163,10 +165,15 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
     for k in range(3):
         to_motor(law.gear, setpoint[k], state.reference[k])
     n = size(state.error)
+    wanted = load(state.reference[0], n)
+    if setpoint.shape[0] > 3:
+        to_motor(law.gear, setpoint[3], state.offset)
+        offset = load(state.offset, n)
+        wanted = select(offset == 0.0, wanted, wanted + offset)  # none leaves the bits, also those of -0
     error, integrator, position_torque, feed_forward = position_servo(
         law,
         n,
-        load(state.reference[0], n),
+        wanted,
         load(state.reference[1], n),
         load(state.reference[2], n),
         load(position, n),

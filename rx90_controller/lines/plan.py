@@ -21,7 +21,10 @@ import numpy as np
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import LineError, TrajectoryError
 from rx90_common.description.inverse import nearest_turn, singularity_margins
-from rx90_common.description.kinematics import forward
+from rx90_common.description.kinematics import (
+    forward,
+    path_error,
+)
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import length
 from rx90_controller.lines.postures import Postures, line_poses
@@ -197,6 +200,15 @@ class LinePlan:
         """Return when the line's own motion begins and ends, s."""
         begin = self.task.rest_before
         return begin, begin + self.task.profile().duration
+
+    @property
+    def counted(self) -> tuple[float, float]:
+        """Return what of its trajectory counts for the path error, s."""
+        return self.task.counted
+
+    def distance(self, tip: Array) -> Array:
+        """Return the distance of the tip's positions, m, shape (n, 3), from the line, m, shape (n,)."""
+        return path_error(tip, np.array(self.task.start), np.array(self.task.end)).perpendicular
 
     def tip(self, times: Array) -> Array:
         """Return the tool centre point (n, 3) that the profile asks for at `times`, s."""

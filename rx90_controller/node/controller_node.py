@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
@@ -39,6 +40,8 @@ from rx90_common.exchange.pacing import Pacer, ThrottledLog
 from rx90_common.exchange.parameters import declare_rates
 from rx90_common.exchange.ros_start import missing_control_msgs, missing_controller_manager_msgs
 from rx90_common.exchange.topics import (
+    COMMANDED_CORRECTION,
+    CORRECTION,
     DETAILS,
     FREE_RUNNING,
     MOTOR_COMMANDS,
@@ -126,6 +129,8 @@ class Control:
             (topic("reference"), cs7b.reference, codec.encoder(*cs7b.reference())),
             (topic("tracking_error"), cs7b.tracking_error, codec.encoder(*cs7b.tracking_error())),
         ]
+        self._offset = np.zeros(6)
+        self._correction = topic(CORRECTION), codec.encoder(position=self._offset)
         details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
         self._details = [(topic(each), names.encoder(effort=values)) for each, names, values in details]
         self._detail_ns = tick_ns * decimation
@@ -141,11 +146,7 @@ class Control:
         self._pacer = pacer = Pacer(rates.period, 1.0)
         self.serving = Serving(channel, motor, rates, loop, pacer, name, self.info, self.error, local=local)
         self._complaints = ThrottledLog(self.error)
-        if not local:
-            subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS)
-        subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, TRAJECTORY_QOS, check_trajectory_bytes)
-        subscribe(node, JointState, _SET_POINTS, self._on_set_point, TRAJECTORY_QOS)
-        subscribe(node, Float64MultiArray, _COMMANDS, self._on_commands, TRAJECTORY_QOS)
+        self._subscribe(loop, local=local)
         node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS)
         interfaces = import_client_interfaces(node)
         self.clients: ClientInterfaces | None = None
@@ -159,6 +160,7 @@ class Control:
         self.publishers: tuple[Publisher, ...] = (
             *(row[0] for row in self._every_tick),
             *(row[0] for row in self._details),
+            self._correction[0],
             self._accepted,
             *([] if self.clients is None else [self.clients.publisher]),
             channel.publisher,
@@ -166,6 +168,17 @@ class Control:
         allow_goal_changes(node, cs7b, loop)
         self._reported = (0, time.monotonic())  # tick and time of the last status
         self._diagnostics = Diagnostics(node, self._status)
+
+    def _subscribe(self, loop: ServoLoop, *, local: bool) -> None:
+        node = self._node
+        if not local:
+            subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS)
+        # Before that of the trajectories: of two that wait the executor takes the first one first.
+        correction = f"~/{COMMANDED_CORRECTION}"
+        subscribe(node, JointTrajectory, correction, loop.receive_correction, TRAJECTORY_QOS, check_trajectory_bytes)
+        subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, TRAJECTORY_QOS, check_trajectory_bytes)
+        subscribe(node, JointState, _SET_POINTS, self._on_set_point, TRAJECTORY_QOS)
+        subscribe(node, Float64MultiArray, _COMMANDS, self._on_commands, TRAJECTORY_QOS)
 
     # The ticking thread.
 
@@ -189,6 +202,10 @@ class Control:
             if publisher.get_subscription_count():
                 update()
                 publisher.publish(encode(stamp_ns))
+        offset, (publisher, encode) = self._cs7b.offset, self._correction
+        if offset is not None and offset.any() and publisher.get_subscription_count():
+            self._offset[:] = offset
+            publisher.publish(encode(stamp_ns))
         if stamp_ns % self._detail_ns == 0:
             self._cs7b.details()
             for publisher, encode in self._details:

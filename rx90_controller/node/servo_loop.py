@@ -12,6 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -23,10 +24,11 @@ from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange.pacing import ThrottledLog
-from rx90_common.exchange.topics import OF_ACTION
+from rx90_common.exchange.topics import CORRECTED, OF_ACTION
 from rx90_controller.law.cs7b import CS7B, DriveFault
+from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.generator import PastError, points_left
-from rx90_controller.trajectory.points import points_from_message
+from rx90_controller.trajectory.points import correction_from_points, points_from_message, trajectory_identity
 from rx90_controller.trajectory.request import (
     GoalOptions,
     GoalTolerances,
@@ -118,6 +120,7 @@ class ServoLoop:
         self.running = self._unpublished = False  # whether the position loop has left something
         self.options, self.tolerances = GoalOptions(), GoalTolerances.of_parameters(cs7b.joint_names)
         self._waiting: TrajectoryRequest | None = None  # for the first states
+        self._correction: tuple[str, Correction] | None = None  # for the trajectory of that identity
         self._followed: TrajectoryRequest | None = None  # a goal, or a trajectory that is held to tolerances
         self.streaming = StreamOptions()
         self._stream: Stream | None = None  # that is followed
@@ -276,6 +279,7 @@ class ServoLoop:
             return None
         try:
             request = check_request(message, self.tolerances, self.options, self._cs7b.rates.position_hz, goal)
+            self._correct(request)
             with self._lock:
                 if (self.running or goal is not None) and (self.inactive or missing):
                     raise TrajectoryError(self.inactive or missing)
@@ -289,6 +293,41 @@ class ServoLoop:
         if goal is None:
             self.offer(request)
         return request
+
+    def receive_correction(self, message: Any) -> None:
+        """Keep offsets for the trajectory whose identity their frame says, until that comes, or another correction.
+
+        Args:
+            message: trajectory_msgs/JointTrajectory: a point with positions, the offsets in rad, for each set-point.
+        """
+        try:
+            points = points_from_message(self._cs7b.joint_names, message)
+            correction = correction_from_points(points, self._period)
+        except TrajectoryError as error:
+            self._correction = None
+            with self._lock:
+                self._refused("correction", error)
+            return
+        self._correction = message.header.frame_id, correction
+
+    def _correct(self, request: TrajectoryRequest) -> None:
+        """Join a request with the correction that waits for it.
+
+        Raises:
+            TrajectoryError: if it is not to run without one, and none waits for it.
+        """
+        asked, points = request.message.header.frame_id == CORRECTED, request.points
+        if points is None or (self._correction is None and not asked):
+            return
+        identity = trajectory_identity(points)
+        waiting, self._correction = self._correction, None
+        if waiting is not None and waiting[0] == identity:
+            request.points = replace(points, correction=waiting[1])
+        elif asked:
+            raise TrajectoryError("its correction has not come; accepted: after it on ~/commanded_correction")
+        else:
+            with self._lock:
+                self._note("the correction that waited belongs to another trajectory; dropped")
 
     def offer(self, request: TrajectoryRequest) -> None:
         """Follow a request, at the latest once there are states, or refuse it.
@@ -421,6 +460,8 @@ class ServoLoop:
             text = f"{request.kind} accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin:.3f} s"
             if points.smooth:
                 text += "; velocities from its positions"
+            if points.correction is not None:
+                text += "; with its correction"
             if schedule.blend_error > 0.0:
                 text += f"; its ramps pass the points in between at up to {schedule.blend_error:.3g} rad"
         start = schedule.begin if request.start is None or points is None else request.start

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from builtin_interfaces.msg import Duration
 from rclpy.duration import Duration as RclpyDuration
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
@@ -23,9 +24,11 @@ from rx90_common.exchange import endpoints
 from rx90_common.exchange.client_node import POLL, ClientNode, ServiceRequest, spoken
 from rx90_common.exchange.endpoints import ros_time
 from rx90_common.exchange.ros_start import controller_topic
+from rx90_common.exchange.topics import COMMANDED_CORRECTION, COMMANDED_TRAJECTORY, CORRECTED
 from rx90_controller.lines.plan import Approach, LinePlan, approached
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
-from rx90_controller.trajectory.points import message_content
+from rx90_controller.trajectory.correction import Correction, correction_content
+from rx90_controller.trajectory.points import message_content, trajectory_identity
 
 _SETTLED = 1.2  # s without a change among those that listen; each participant announces itself every second, config/dds
 _NEXT_SAMPLE = 1.5  # s; at the slowest real_time_factor the samples of a simulation that runs come every second
@@ -77,6 +80,8 @@ class TrajectoryClient:
         self.topic = controller_topic(client.node, controller)
         self._client, self._controller = client, controller
         self._publisher = client.node.create_publisher(JointTrajectory, self.topic, 1)
+        corrections = self.topic.removesuffix(COMMANDED_TRAJECTORY) + COMMANDED_CORRECTION
+        self._corrections = client.node.create_publisher(JointTrajectory, corrections, 1)
         self._arm: NewestPositions | None = None
 
     def wait_for_controller(self) -> None:
@@ -162,13 +167,21 @@ class TrajectoryClient:
             ExchangeError: if that is not confirmed within the client's timeout.
         """
         self._settle()
+        if points.correction is not None:
+            there = self._corrections.get_subscription_count
+            self._client.wait(lambda: there() > 0, f"a controller on {self._corrections.topic_name}")
+            self._corrections.publish(correction_message(names, points, points.correction))
+            self._confirm(self._corrections, "correction")
         self._publisher.publish(trajectory_message(names, points, start_time))
+        self._confirm(self._publisher, "trajectory")
+
+    def _confirm(self, publisher: Publisher, what: str) -> None:
         deadline = time.monotonic() + self._client.timeout
-        while not self._publisher.wait_for_all_acked(RclpyDuration(nanoseconds=round(POLL * NANOSECONDS))):
+        while not publisher.wait_for_all_acked(RclpyDuration(nanoseconds=round(POLL * NANOSECONDS))):
             self._client.check_interrupt()
             if time.monotonic() >= deadline:
                 raise ExchangeError(
-                    f"the controller on {self.topic} did not confirm the trajectory in {self._client.timeout:g} s"
+                    f"the controller on {publisher.topic_name} did not confirm the {what} in {self._client.timeout:g} s"
                 )
 
     def offer(self, names: Sequence[str], points: TrajectoryPoints | None) -> None:
@@ -193,9 +206,21 @@ def trajectory_message(names: Sequence[str], points: TrajectoryPoints, start_tim
     """Return the points as a message that starts at `start_time`, s; 0 means when it arrives."""
     message = JointTrajectory(joint_names=list(names))
     message.header.stamp = ros_time(round(start_time * NANOSECONDS))
+    message.header.frame_id = "" if points.correction is None else CORRECTED
     message.points = [
         JointTrajectoryPoint(**(point | {"time_from_start": Duration(**point["time_from_start"])}))
         for point in message_content(names, points)["points"]
+    ]
+    return message
+
+
+def correction_message(names: Sequence[str], points: TrajectoryPoints, correction: Correction) -> JointTrajectory:
+    """Return the offsets for a trajectory as a message, which goes before that."""
+    message = JointTrajectory(joint_names=list(names))
+    message.header.frame_id = trajectory_identity(points)
+    message.points = [
+        JointTrajectoryPoint(positions=point["positions"], time_from_start=Duration(**point["time_from_start"]))
+        for point in correction_content(names, correction)["points"]
     ]
     return message
 
@@ -210,6 +235,7 @@ class Delivery:
         limits: the controller's.
         set_point_period: the controller's, s.
         approach: the move to the start of the line, None where the arm already stands there.
+        correction: of the line, None for none.
     """
 
     controller: str
@@ -217,6 +243,7 @@ class Delivery:
     limits: JointLimits
     set_point_period: float
     approach: Approach | None
+    correction: Correction | None = None
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.start_time) and 0.0 <= self.start_time < 2.0**31):
@@ -240,7 +267,10 @@ def deliver(client: ClientNode, plan: LinePlan, delivery: Delivery) -> None:
     line = approached(plan, here, delivery.limits, delivery.set_point_period, delivery.approach)
     if line.approach > 0.0:
         client.say(f"approach: {np.degrees(line.way):.1f} deg in {line.farthest}, {line.approach:.3f} s")
-    trajectory.send(plan.joint_names, line.points, delivery.start_time)
+    points, correction = line.points, delivery.correction
+    if correction is not None:
+        points = replace(points, correction=correction.later(line.approach))
+    trajectory.send(plan.joint_names, points, delivery.start_time)
     start = f"at {delivery.start_time:g} s" if delivery.start_time else "now"
     client.say(f"sent {len(line.points.times)} points to {trajectory.topic}: start {start}, {line.duration:.3f} s")
     standing = trajectory.standing_time()

@@ -11,12 +11,14 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
+from rx90_controller.trajectory.correction import Correction, PlayedCorrection, cut_at
 from rx90_controller.trajectory.paths import JointLimits, connect, stop
 from rx90_controller.trajectory.points import TrajectoryPoints
-from rx90_controller.trajectory.spline import FollowedPath, Path, joined, merged, remainder, resting, smooth
+from rx90_controller.trajectory.spline import FollowedPath, Path, Spline, joined, merged, remainder, resting, smooth
 from rx90_controller.trajectory.stream import POSITION, SetPoints, Stream
 
 _ADVICE = ", or velocities_from_positions, where the points' velocities do not belong to their positions"
+_CORRECTION_SLACK = 1e-6  # rad, as planners have it
 _MAX_HALT_RATIO = 3  # a stop along the path may take so many times as long as one joint by joint
 
 
@@ -65,17 +67,18 @@ class TrajectoryGenerator:
         spline = smooth(np.array([0.0, 1.0]), rest, rest)
         spline.bounds()
         self._followed(0, Path(spline, 0.0, 1.0)).halted(0, 1)
-        every = np.ones(6, dtype=np.bool_)
+        every = np.ones(len(self.limits.names), dtype=np.bool_)
         stream = Stream(POSITION, every, self.limits, self.period, 0.0)
         one = SetPoints(POSITION, None, np.array([self.period]), rest[:1], rest[:1], every)
-        stream.take(one, 0, np.zeros((3, 6)))
-        stream.motion(0, np.zeros((3, 6)))
+        stream.take(one, 0, np.zeros((3, len(every))))
+        stream.motion(0, np.zeros((3, len(every))))
 
     def reset(self, hold: Array) -> None:
         """Drop every trajectory and hold a position, rad, shape (j,)."""
         self._current = self._followed(0, Path(resting(np.array(hold, dtype=np.float64)), 0.0, 0.0))
         self._current.announced = True
         self._next: FollowedPath | None = None
+        self._played: list[PlayedCorrection] = []
         self.revision += 1
 
     def _followed(self, start: int, path: Path, *, fixed: bool = False) -> FollowedPath:
@@ -90,8 +93,14 @@ class TrajectoryGenerator:
         self._promote(now - count)
         at_rest = not self._current.runs(now - count)
         self._current.delay(count)
+        later = max(now - self._next.start, 0) if at_rest and self._next is not None else count
         if self._next is not None:
-            self._next.delay(max(now - self._next.start, 0) if at_rest else count)
+            self._next.delay(later)
+        self._played = [
+            replace(one, begin=one.begin + by, cut=one.cut + by)
+            for one in self._played
+            for by in (count if one.begin < now - count else later,)
+        ]
         self.revision += 1
 
     # What the set-points are.
@@ -106,6 +115,15 @@ class TrajectoryGenerator:
         head = min(max(self._next.start - tick, 0), count)
         before = self._current.setpoints(tick, head)
         return np.concatenate([before, self._next.setpoints(tick + head, count - head)])
+
+    def corrected(self, tick: int, count: int = 1) -> Array:
+        """Return the set-points, and where a correction is played beneath them its offsets, rad, (count, 4, j)."""
+        setpoints = self.setpoints(tick, count)
+        if not self._played:
+            return setpoints
+        ticks = np.arange(tick, tick + count)
+        offsets = sum((one.at(ticks) for one in self._played), np.zeros((count, setpoints.shape[2])))
+        return np.concatenate([setpoints, offsets[:, None]], axis=1)
 
     def moving(self, tick: int) -> bool:
         """Return whether a trajectory runs, is held on its path, or waits for its start at position tick `tick`."""
@@ -176,6 +194,7 @@ class TrajectoryGenerator:
         if factor == self.factor:
             return
         self.factor = factor
+        self._played = cut_at(self._played, now, now)  # it belongs to the speed at which it was learned
         motion, waiting = self._effective(now), self._next
         if motion.runs(now) and not motion.fixed:
             if waiting is not None and motion is not waiting:
@@ -224,6 +243,8 @@ class TrajectoryGenerator:
         """
         begin, late, left = points_left(points, now, start, self.period)
         self._promote(now)
+        if late > 0.0 and points.correction is not None:
+            raise TrajectoryError(f"a correction begins {late:.6g} s late; accepted: with its trajectory's first point")
         if late == 0.0 and points.times[0] == 0.0 and not anywhere:
             held = self._base(now).entry(begin)
             first = points.held_at(held[0])
@@ -243,7 +264,7 @@ class TrajectoryGenerator:
         held = base.setpoints(now, 1)[0] if rate == 0.0 else base.entry(now)
         if stream.take(points, now, held):
             spline = stream.motion(now, held)
-            self._follow(base, Path(spline, 0.0, spline.duration), now, rate or self.factor)
+            self._follow(base, Path(spline, 0.0, spline.duration), now, now, rate or self.factor)
             assert self._next is not None
             self._next.announced = True
 
@@ -259,7 +280,7 @@ class TrajectoryGenerator:
         position, velocity, _ = base.setpoints(now, 1)[0] if begin == now else base.entry(begin)
         spline = stop(position, velocity, self.limits.acceleration)
         rate = None if begin == now else self._rate(base, begin)
-        return self._follow(base, Path(spline, 0.0, spline.duration, stop=True), begin, rate)
+        return self._follow(base, Path(spline, 0.0, spline.duration, stop=True), now, begin, rate)
 
     def halt(self, now: int) -> Schedule:
         """Come to rest on the path, within the accelerations, from position tick `now` on, and hold.
@@ -271,6 +292,7 @@ class TrajectoryGenerator:
         base, acceleration = self._base(now), self.limits.acceleration
         if base.fixed and base.runs(now):
             self._current, self._next = base, None
+            self._played = cut_at(self._played, now, now)
             self.revision += 1
             return Schedule(base.start, base.end, 0.0)
         position, velocity, _ = base.setpoints(now, 1)[0]
@@ -278,7 +300,7 @@ class TrajectoryGenerator:
         spline = base.halted(now, _MAX_HALT_RATIO * math.ceil(shortest / self.period) + 2)
         if spline is None:
             spline = stop(position, velocity, acceleration)
-        return self._follow(base, Path(spline, 0.0, spline.duration, stop=True), now, None)
+        return self._follow(base, Path(spline, 0.0, spline.duration, stop=True), now, now, None)
 
     # New motions that are computed beside the ticks.
 
@@ -305,9 +327,14 @@ class TrajectoryGenerator:
     def adopt(self, fork: TrajectoryGenerator, late: int) -> None:
         """Go on as a fork that this one `continues` does; what was joined to it comes `late` ticks later."""
         if fork._next is not None:
+            begin = fork._next.start
             fork._next.delay(late)
+            fork._played = [
+                replace(one, begin=begin + late, cut=one.cut + late) if one.begin == begin else one
+                for one in fork._played
+            ]
         fork._current.announced = self._current.announced
-        self._current, self._next = fork._current, fork._next
+        self._current, self._next, self._played = fork._current, fork._next, fork._played
         self.revision += 1
 
     def _effective(self, tick: float) -> FollowedPath:
@@ -369,11 +396,38 @@ class TrajectoryGenerator:
             if points.velocity is None or points.smooth or np.count_nonzero(points.times) < 2:
                 raise
             raise TrajectoryError(f"{error}{_ADVICE}") from None
-        return self._follow(base, Path(spline, 0.0, last), begin, self.factor if rests else rate)
+        correction = points.correction
+        if correction is not None:
+            self._check_correction(correction, spline)
+        schedule = self._follow(base, Path(spline, 0.0, last), now, begin, self.factor if rests else rate)
+        if correction is not None:
+            self._played = [*self._played, PlayedCorrection.started(correction, begin)]
+        return schedule
 
-    def _follow(self, base: FollowedPath, path: Path, begin: int, rate: float | None) -> Schedule:
+    def _check_correction(self, correction: Correction, spline: Spline) -> None:
+        """Refuse a correction of another rate or speed, and one that leads beyond the position limits."""
+        if correction.period != self.period:
+            raise TrajectoryError(
+                f"the correction has an offset every {correction.period:g} s; accepted: every {self.period:g} s, one "
+                "for each set-point"
+            )
+        if self.factor != 1.0:
+            raise TrajectoryError(f"speed scaling {self.factor:g} with a correction; accepted: 1, as it was learned")
+        times = np.arange(len(correction.offsets), dtype=np.float64) * self.period
+        position = spline.sample(times)[:, 0]
+        offsets = correction.offsets
+        beyond = self.limits.outside(position + offsets) > self.limits.outside(position) + _CORRECTION_SLACK
+        if beyond.any():
+            row, joint = np.argwhere(beyond)[0].tolist()
+            raise TrajectoryError(
+                f"the correction takes {self.limits.names[joint]} to {position[row, joint] + offsets[row, joint]:.6g} "
+                f"rad at {row * self.period:.3f} s; accepted: within the joint's limits"
+            )
+
+    def _follow(self, base: FollowedPath, path: Path, now: int, begin: int, rate: float | None) -> Schedule:
         """Follow a path from a tick on, behind `base`, from a rate on; None for full speed whatever the scaling is."""
         self.revision += 1
+        self._played = cut_at(self._played, now, begin)
         self._current, self._next = base, self._followed(begin, path, fixed=rate is None)
         end = self._next.end
         if rate is not None:

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.topics import POINT_FIELDS
-from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.arrays import Array, Mask, array_digest
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange.cdr import CdrReader
+from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.spline import Spline
 
 LONGEST = 3600.0
@@ -48,6 +49,7 @@ class TrajectoryPoints:
         smooth: whether only the velocities at both ends count, see `smoothed`.
         degrees: of the way to each point, shape (n,): 1, a straight line, where one of its two ends has no velocities,
             3, or 5 where both have accelerations, too; None where all are alike. Values that are not given are 0.
+        correction: offsets of the position set-points, played along; None for none.
     """
 
     times: Array
@@ -59,6 +61,7 @@ class TrajectoryPoints:
     way: Way | None = None
     smooth: bool = False
     degrees: NDArray[np.intp] | None = None
+    correction: Correction | None = None
 
     def __post_init__(self) -> None:
         if not self.named.size:
@@ -310,3 +313,27 @@ def message_content(joint_names: Sequence[str], points: TrajectoryPoints) -> dic
             for (sec, nanosec), position, velocity, acceleration in zip(times, *columns, strict=True)
         ],
     }
+
+
+# Corrections.
+
+
+def correction_from_points(points: TrajectoryPoints, period: float) -> Correction:
+    """Return the offsets that a message carried as points.
+
+    Raises:
+        TrajectoryError: for points that are not one for each set-point, and offsets beyond the limits.
+    """
+    times = np.arange(len(points.times)) * period
+    late = np.flatnonzero(np.abs(points.times - times) > 2.0 * _SHORTEST_STEP)
+    if len(late):
+        raise TrajectoryError(
+            f"the correction has point {late[0]} at {points.times[late[0]]:.6g} s; accepted: a point every {period:g} s"
+        )
+    return Correction(points.position, period)
+
+
+def trajectory_identity(points: TrajectoryPoints) -> str:
+    """Return what tells a trajectory from others: a digest of its times, in ns, and of its values."""
+    times = np.round(points.times * NANOSECONDS).astype(np.int64)
+    return array_digest(times, points.position, points.velocity, points.acceleration)

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rx90_controller.lines.plan import LinePlan
     from rx90_controller.lines.task import LineTask
     from rx90_controller.trajectory import JointLimits
+    from rx90_controller.trajectory.correction import Correction
 
 _EPILOG = """\
 Positions are those of the tool centre point in base_link; the tool's z axis is the beam, and rpy 0 180 0
@@ -72,6 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     send.add_argument("--approach", action="store_true", help="first move to the start, straight in the joints")
     send.add_argument("--approach-speed", type=FINITE, help="share of the joint speeds (0.25)")
     send.add_argument("--approach-acceleration", type=FINITE, help="rad/s^2 (2)")
+    send.add_argument("--correction", metavar="FILE", help="correction file of this line, as rx90_correct learns it")
     send.add_argument("--dry-run", action="store_true", help="plan and print, send nothing")
     send.add_argument("--output", type=place, metavar="FILE", help="write the trajectory as a YAML message")
 
@@ -101,11 +103,12 @@ def main(options: argparse.Namespace) -> None:
     )
     _say(describe_line(plan))
     check_plan(plan, limits, period, plan.start_pose)
+    correction = _correction(plan, files, options)
     if options.output is not None:
         write_text(options.output, yaml_text(message_content(plan.joint_names, plan.points)))
         _say(f"written to {options.output}")
     if not options.dry_run:
-        _send(plan, limits, options)
+        _send(plan, limits, correction, options)
 
 
 def _task(options: argparse.Namespace, files: RobotFiles, robot: RobotModel) -> LineTask:
@@ -135,7 +138,20 @@ def _task(options: argparse.Namespace, files: RobotFiles, robot: RobotModel) -> 
     return replace(task, **given)
 
 
-def _send(plan: LinePlan, limits: JointLimits, options: argparse.Namespace) -> None:
+def _correction(plan: LinePlan, files: RobotFiles, options: argparse.Namespace) -> Correction | None:
+    """Return the correction of --correction, which must be one of this line."""
+    if options.correction is None:
+        return None
+    from rx90_emulator.correction.file import load_correction
+    from rx90_emulator.loop.setup import Setup
+
+    found = load_correction(options.correction)
+    correction = found.fitting(Setup.load(files), plan)
+    _say(f"correction of {options.correction}: path error {min(found.worst) * 1e3:.4f} mm when it was learned")
+    return correction
+
+
+def _send(plan: LinePlan, limits: JointLimits, correction: Correction | None, options: argparse.Namespace) -> None:
     from rx90_common.exchange.ros_start import prepare
 
     prepare()
@@ -147,7 +163,9 @@ def _send(plan: LinePlan, limits: JointLimits, options: argparse.Namespace) -> N
     asked = {"speed": options.approach_speed, "acceleration": options.approach_acceleration}
     given = {name: value for name, value in asked.items() if value is not None}
     approach = Approach(**given) if options.approach else None
-    delivery = Delivery(node_of(options), options.start_time, limits, 1.0 / options.set_point_rate, approach)
+    delivery = Delivery(
+        node_of(options), options.start_time, limits, 1.0 / options.set_point_rate, approach, correction
+    )
     with client_node("rx90_line", options.timeout or _TIMEOUT, _say, options.ros_args) as client:
         deliver(client, plan, delivery)
 

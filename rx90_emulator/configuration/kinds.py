@@ -19,6 +19,7 @@ from rx90_common.friction.friction_file import FRICTION, FrictionFile
 from rx90_controller.law.parameters import CONTROLLER, load_controller
 from rx90_controller.lines.task import TASK, load_task
 from rx90_emulator.conformance.quantities import CHECK_LIMITS, CheckLimits
+from rx90_emulator.correction.file import CORRECTION, load_correction
 from rx90_emulator.identification.excitation.payload import PAYLOADS, read_payloads
 from rx90_emulator.identification.experiments.folder import EXPERIMENTS, read_index
 from rx90_emulator.identification.experiments.plan import POSES, Poses
@@ -92,6 +93,7 @@ KINDS = (
     FileKind("log_mapping", MAPPING, LogMapping.load),
     FileKind("tolerances", TOLERANCES, load_rules),
     FileKind("check_limits", CHECK_LIMITS, CheckLimits.load),
+    FileKind("correction", CORRECTION, load_correction),
     FileKind("payloads", PAYLOADS, read_payloads),
     FileKind("experiments", EXPERIMENTS, lambda path: read_index(path.parent)),
 )

@@ -207,6 +207,7 @@ def check_controller(
     of_cs7b = Nominal(nominal, arms, lambda case: np.asarray(np.nanmax(np.abs(run_cs7b(case, nominal).sent), axis=0)))
     cases = [make_case(name, of_cs7b) for name in names]
     total = sum(case.ticks for case in cases)
+    commanded = nominal.robot.joint_names if candidate.interface.at_joints else None
 
     def results() -> Iterator[CaseResult]:
         before = 0
@@ -218,7 +219,7 @@ def check_controller(
                     progress(before + tick, total)
 
             record = run_on_topics(case, points, candidate, folder, tell)
-            values, of_other = (measure(one, points) for one in (record, other))
+            values, of_other = (measure(one, points, commanded) for one in (record, other))
             found = judge(case, values, of_other, limits)
             yield CaseResult(record, other, points, tuple(found))
             before += case.ticks

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, NamedTuple
@@ -167,15 +167,15 @@ def judge(case: Case, values: Values, of_cs7b: Values, limits: CheckLimits) -> l
     return findings
 
 
-def measure(record: Record, set_points: Array) -> Values:
+def measure(record: Record, set_points: Array, commanded: Sequence[str] | None = None) -> Values:
     """Return what is measured in a run.
 
     Args:
         record: of the run.
         set_points: one for each tick of the position loop, shape (m, 3, n).
+        commanded: names of the motors or joints whose commands open the loops; None for motors.
     """
     case, joints = record.case, record.case.setup.robot.joint_names
-    commanded = joints if record.interface.at_joints else motor_names(len(joints))
     done = len(record.position) * record.interface.ticks
     off = np.isnan(record.torque).any(axis=1)
     values: Values = {("time_run", "all"): min(done, case.ticks) * case.setup.rates.period,
@@ -185,7 +185,7 @@ def measure(record: Record, set_points: Array) -> Values:
     error = tracking_error(record, set_points)
     moving = record.times >= START
     if case.sines is not None:
-        for name, loop in zip(commanded, loops(record), strict=True):
+        for name, loop in zip(commanded or motor_names(len(joints)), loops(record), strict=True):
             values |= {(quantity, name): value for quantity, value in loop.margins().items()}
         return values
     for j, name in enumerate(joints):

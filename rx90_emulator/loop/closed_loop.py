@@ -49,7 +49,7 @@ def run_ticks(
         plant_states: state of the plant, advanced in place.
         laws: constants of the control law.
         law_states: state of the control law, advanced in place.
-        setpoints: one for each position tick from tick 0 on, shape (m, 3, n).
+        setpoints: one for each position tick from tick 0 on, shape (m, 3, n), or with offsets (m, 4, n).
         ratio: base ticks in a position tick.
         warm_ticks: base ticks in a row of temperatures.
         first: number of the first tick.
@@ -211,22 +211,24 @@ def simulate_commands(
     run_setpoints(plant, controller, setpoints, ticks, fast, slow)
     if warn:
         setup.warn_of_heat(slow.temperatures)
+    slow = slow._replace(correction=np.ascontiguousarray(setpoints[:, 3:].reshape(-1, setpoints.shape[2])))
     return RunResult(setup, fast if record_fast else None, slow, controller.saturated, tuple(commands), plant.substeps)
 
 
 def setpoints_of(generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int) -> Array:
-    """Return the set-points of `count` position ticks, shape (count, 3, n)."""
+    """Return the set-points of `count` position ticks, (count, 3, n); with a correction's offsets (count, 4, n)."""
     parts, at = [], 0
     for start, points in commands:
         begin = min(max(start, at), count)
-        parts.append(generator.setpoints(at, begin - at))
+        parts.append(generator.corrected(at, begin - at))
         at = begin
         if points is None:
             generator.stop(begin, start)
         else:
             generator.accept(points, begin, start)
-    parts.append(generator.setpoints(at, count - at))
-    return np.concatenate(parts)
+    parts.append(generator.corrected(at, count - at))
+    rows = max(part.shape[1] for part in parts)
+    return np.concatenate([np.pad(part, ((0, 0), (0, rows - part.shape[1]), (0, 0))) for part in parts])
 
 
 def run_setpoints(

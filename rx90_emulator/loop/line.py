@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,7 @@ from rx90_common.description.robot import RobotModel
 from rx90_controller.lines import plan as planning
 from rx90_controller.lines.plan import LinePlan
 from rx90_controller.lines.task import LineTask
+from rx90_controller.trajectory.correction import Correction
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
@@ -75,7 +76,13 @@ def plan_line(setup: Setup, task: LineTask) -> LinePlan:
 
 
 def run_line(
-    setup: Setup, task: LineTask, *, start_time: float = 0.0, substeps: int | None = None, record_fast: bool = False
+    setup: Setup,
+    task: LineTask,
+    *,
+    start_time: float = 0.0,
+    substeps: int | None = None,
+    record_fast: bool = False,
+    correction: Correction | None = None,
 ) -> LineRun:
     """Plan a line, put the arm at rest at its beginning, and run it through the closed loop to its end.
 
@@ -85,12 +92,14 @@ def run_line(
         start_time: when the trajectory, that is the rest before the line, starts, s.
         substeps: plant steps in a tick; None for as many as the arm needs, usually 1.
         record_fast: also keep the series on base ticks.
+        correction: offsets of the position set-points, as `learn_correction` finds them.
 
     Raises:
+        TrajectoryError: if the correction is refused.
         LineError: if the arm cannot travel the line.
         DivergenceError: naming joint and tick.
     """
-    points = plan_line(setup, task).points
+    points = replace(plan_line(setup, task).points, correction=correction)
     run = simulate(setup, points, start_time=start_time, substeps=substeps, record_fast=record_fast)
     return LineRun(run.setup, run.fast, run.slow, run.saturated, run.commands, run.substeps, task, start_time)
 

@@ -15,6 +15,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, check_type, write_error
 from rx90_common.description.coupling import ArmSize
 from rx90_common.exchange.topics import (
+    CORRECTION,
     DETAIL_DECIMATION,
     DETAILS,
     MOTOR_COMMANDS,
@@ -60,6 +61,7 @@ class SlowSeries(NamedTuple):
         temperatures: of the friction elements, degrees Celsius, at the rate of temperatures, shape (k, e), 0 for those
             that have none; k is 0 where neither joints nor windings get warm.
         windings: of the motors' windings, the same, shape (k, j).
+        correction: offsets of the position set-points, rad, shape (m, j), or (0, j) where nothing was corrected.
     """
 
     joint_states: Array
@@ -69,6 +71,7 @@ class SlowSeries(NamedTuple):
     details: Array
     temperatures: Array
     windings: Array
+    correction: Array
 
 
 def empty_series(
@@ -84,7 +87,7 @@ def empty_series(
     try:
         fast = FastSeries(np.empty((fast_rows, 3, n)), np.empty((fast_rows, n)))
         of_joints = (np.empty((rows, 3, columns)) for columns in (n, e, n, n, n))
-        slow = SlowSeries(*of_joints, np.empty((warm_rows, e)), np.empty((warm_rows, n)))  # type: ignore[call-arg]
+        slow = SlowSeries(*of_joints, np.empty((warm_rows, e)), np.empty((warm_rows, n)), np.empty((0, n)))  # type: ignore[call-arg]
     except (MemoryError, ValueError, OverflowError) as error:  # the last two: more than any machine could address
         raise FailureError(f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one") from error
     return fast, slow
@@ -127,6 +130,10 @@ class RunResult:
             _series("rx90_controller/reference", joints, slow.reference, period),
             _series("rx90_controller/tracking_error", joints, slow.tracking_error, period),
         ]
+        rows = np.flatnonzero(slow.correction.any(axis=1))
+        if len(rows):
+            topic = f"/rx90_controller/{CORRECTION}"
+            series.append(JointSeries(topic, joints, rows.astype(np.int64) * period, slow.correction[rows]))
         for k, (name, names) in enumerate(zip(DETAILS, (joints, motors, motors), strict=True)):
             values = np.ascontiguousarray(slow.details[::DETAIL_DECIMATION, k])
             series.append(_series(f"rx90_controller/{name}", names, values, period * DETAIL_DECIMATION))

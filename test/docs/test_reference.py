@@ -15,7 +15,12 @@ from tools.node_reference import PAGE, NodeReference, from_json, with_tables
 
 REFERENCE = Path(__file__).resolve().parents[2] / "docs/reference"
 OF_EVERY_NODE = re.compile(r"/parameter_events|.*/(\w*parameter\w*|get_type_description|get_\w*(state|transition)\w*)")
-ON_DEMAND = {"/tf": "tf2_msgs/TFMessage", "/tf_static": "tf2_msgs/TFMessage"}
+ON_DEMAND = {
+    "/tf": "tf2_msgs/TFMessage",
+    "/tf_static": "tf2_msgs/TFMessage",
+    "/joint_commands": "sensor_msgs/JointState",  # with command_interface joint
+    "/measured_joint_states": "sensor_msgs/JointState",
+}
 
 
 @pytest.fixture(scope="module")

@@ -49,7 +49,9 @@ def random_goal(generator: Generator, now: float, options: GoalOptions) -> Simpl
     if kind > 0 and not (options.allow_nonzero_velocity_at_trajectory_end and generator.random() < 0.5):
         points[-1].velocities = [0.0] * n
     start = now + generator.uniform(-0.5, 0.5) if generator.random() < 0.4 else 0.0
-    trajectory = SimpleNamespace(header=SimpleNamespace(stamp=stamp(max(start, 0.0))), joint_names=names, points=points)
+    trajectory = SimpleNamespace(
+        header=SimpleNamespace(stamp=stamp(max(start, 0.0)), frame_id=""), joint_names=names, points=points
+    )
     if generator.random() < 0.3:
         damage(generator, trajectory)
     several = SimpleNamespace(joint_names=[], points=[])

@@ -29,8 +29,9 @@ def plant() -> Plant:
     """Return the RX90B."""
     files = RobotFiles()
     robot = load_robot(files.urdf, files.tool)
-    friction = load_friction(files.friction, robot.joint_names)
-    return Plant(robot, load_drives(files.drives), friction, Rates())
+    drives = load_drives(files.drives)
+    friction = load_friction(files.friction, drives.turning.element_names(robot.joint_names))
+    return Plant(robot, drives, friction, Rates())
 
 
 def test_power_is_the_same_at_motors_and_joints(plant: Plant) -> None:

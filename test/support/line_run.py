@@ -16,7 +16,9 @@ from ros_client import Client, seconds
 from rx90_common.bags.comparison import BagComparison, compare_bags
 from rx90_common.process.children import executable
 from rx90_controller.lines.plan import plan_line
-from rx90_controller.lines.task import load_task
+from rx90_controller.lines.task import LineTask, load_task
+from rx90_emulator.correction.file import write_correction
+from rx90_emulator.correction.learning import learn_correction
 from rx90_emulator.loop.line import run_line
 from rx90_emulator.loop.result import write_bag
 from rx90_emulator.loop.setup import Setup
@@ -60,13 +62,14 @@ def run_both_ways(
     burners: int = 0,
     rests: int = 0,
     switches: Sequence[str] = (),
+    corrected: bool = False,
 ) -> BagComparison:
     """Run the line of a shipped robot's setup both ways and compare all that was recorded, bit by bit.
 
     `around` is the command line before those of the simulation and the controller, `composed` puts both into one
     process. So many `burners` take the processors while the simulation runs, which is deactivated and activated so many
     times in between: `rests`. Then it is paced, slowly while it is to be met on its way, and the pace is changed each
-    time. `switches` of the feed-forward are on, in the setup too.
+    time. `switches` of the feed-forward are on, in the setup too. `corrected`: with a correction.
     """
     files = setup.files
     assert files is not None
@@ -74,7 +77,7 @@ def run_both_ways(
     file.write_text(TASK.replace("0.6,", f"{REACH[files.urdf.parent.name]},"), encoding="utf-8")
     task = load_task(file)
     setup = replace(setup, rates=replace(setup.rates, temperature_hz=10))
-    write_bag(run_line(setup, task, start_time=START, record_fast=True), folder / "closed_loop")
+    more = _write_run(setup, task, folder, corrected=corrected)
     plan = plan_line(setup.robot, task)
     parameters = folder / "parameters.yaml"
     pose = [float(angle) for angle in plan.start_pose]
@@ -94,7 +97,9 @@ def run_both_ways(
         processes.start(*around, *executable(name), "--ros-args", "--params-file", parameters) for name in names
     ]
     simulation.wait_for("]: ready: ")  # kernels that are compiled first take longer than rx90_line waits
-    line = processes.start("rx90_line", "--robot", files.urdf.parent.name, "--from-file", file, "--start-time", START)
+    line = processes.start(
+        "rx90_line", "--robot", files.urdf.parent.name, "--from-file", file, "--start-time", START, *more
+    )
     assert line.wait() == 0
     # Only now: whoever sent the trajectory is gone before anybody records.
     recorder = processes.start("rx90_bag", "record", "--output", folder / "recorded")
@@ -127,3 +132,15 @@ def run_both_ways(
     assert [line.split(":")[0] for line in said] == ["not recorded"], said
     assert "1 trajectories of /rx90_controller/joint_trajectory that the controller" in said[0]
     return compare_bags(folder / "recorded", folder / "closed_loop")
+
+
+def _write_run(setup: Setup, task: LineTask, folder: Path, *, corrected: bool) -> list[str | Path]:
+    """Write the run of the closed loop; return the options of rx90_line for the same."""
+    learned = learn_correction(setup, task, 1) if corrected else None
+    correction = None if learned is None else learned.correction
+    run = run_line(setup, task, start_time=START, record_fast=True, correction=correction)
+    write_bag(run, folder / "closed_loop")
+    if learned is None:
+        return []
+    write_correction(learned, folder / "correction.yaml")
+    return ["--correction", folder / "correction.yaml"]

@@ -97,4 +97,4 @@ class Rig:
 
 def header(stamp: tuple[int, int]) -> SimpleNamespace:
     """Return the header of a message."""
-    return SimpleNamespace(stamp=SimpleNamespace(sec=stamp[0], nanosec=stamp[1]))
+    return SimpleNamespace(stamp=SimpleNamespace(sec=stamp[0], nanosec=stamp[1]), frame_id="")

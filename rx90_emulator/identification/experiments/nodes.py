@@ -62,7 +62,7 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
         set_points = trajectory.set_points(names)
 
         def follow(points: TrajectoryPoints, show: Callable[[float], object]) -> float:
-            return _follow(client, trajectory, names, set_points, points, show)
+            return follow_trajectory(client, trajectory, names, set_points, points, show)
 
         here, start = set_points.position, plan[0].points.position[0]
         assert here is not None  # the client has waited for the first
@@ -102,13 +102,13 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
                     shutil.rmtree(bag, ignore_errors=True)
                 if not number and (friction := text_parameter(client, "rx90_sim", "friction")):
                     try:
-                        write_emulated(folder, load_friction(resolve_config(friction), names))
+                        write_emulated(folder, load_friction(resolve_config(friction), setup.friction.names))
                     except ConfigError as error:  # its files are on another machine
                         client.say(f"the simulation's friction is not kept beside the bags: {error}")
                 write_index(folder, plan[: number + 1])
 
 
-def _follow(
+def follow_trajectory(
     client: ClientNode, trajectory: TrajectoryClient, names: Sequence[str], set_points: NewestPositions,
     points: TrajectoryPoints, show: Callable[[float], object],
 ) -> float:  # fmt: skip

@@ -78,7 +78,7 @@ def test_all_that_a_kernel_reads_decides_on_the_cache() -> None:
         for path in (ROOT / package).rglob("*.py")
         if re.search(r"^@(kernel$|inlined$|c_function)", path.read_text(encoding="utf-8"), re.MULTILINE)
     }
-    assert {"rx90_sim/plant_step.py", "rx90_common/description/drives.py"} <= defining
+    assert {"rx90_sim/plant_step.py", "rx90_common/description/coupling.py"} <= defining
     assert defining <= files
     assert "rx90_common/friction/element.py" in files  # holds the type of a record, and no kernel
     assert "rx90_sim/node/simulation.py" not in files

@@ -141,6 +141,7 @@ WRITTEN = {
         "rx90_bag": ["record"],
         "rx90_config": ["friction", "nowhere"],
         "rx90_controller_check": [],
+        "rx90_correct": ["learn", "nowhere"],
         "rx90_demo": [],
         "rx90_experiment": ["run", "--engine", "--robot", "nowhere"],
         "rx90_export": ["urdf", "--robot", "nowhere"],

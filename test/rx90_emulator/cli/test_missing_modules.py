@@ -29,6 +29,7 @@ CALLS = {
     "rx90_compare_measured": (["bag"], "numba scipy"),
     "rx90_config": (["completion", "bash"], "shtab yaml"),
     "rx90_controller_check": (["true"], "numba scipy rclpy"),
+    "rx90_correct": (["learn", "robots/rx90b/task.yaml", "--output", "out.yaml"], "numba scipy"),
     "rx90_demo": ([], "numba bokeh"),
     "rx90_experiment": (["plan"], "numba rosbags"),
     "rx90_export": (["mujoco", "--output", "out"], "numba scipy mujoco"),

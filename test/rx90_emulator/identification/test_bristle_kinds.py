@@ -38,6 +38,7 @@ from rx90_emulator.identification.presliding.kinds import (
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.sliding.fit import SlidingFit
+from rx90_emulator.identification.sliding.quality import CurvePoints
 
 ELEMENT = FrictionElement(25.0, 25.0, 28.0, 28.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
 STEP, COUNT, MASS = 1e-3, 1600, np.array([[4.0, 1.0], [1.0, 3.0]])
@@ -47,6 +48,8 @@ ONE, WRIST = np.eye(1), np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 BLOCKS = MaxwellSlip((0.6, 0.4), (0.25, 0.75), 5000.0)
 Array = NDArray[np.float64]
 Kinds = tuple[BristlesPart | None, ...]
+
+NO_CURVE = CurvePoints(*[np.zeros(0)] * 5, np.zeros((3, 0)))
 
 
 def micro_motions(
@@ -165,7 +168,7 @@ def test_where_the_data_cannot_tell_the_file_has_lugre_and_says_so(
     assert len(left) > 1
     estimates = dict.fromkeys(PARAMETERS, ParameterEstimate(1.0, 0.1))
     one = IdentifiedElement(ELEMENT, estimates, dict.fromkeys(PARAMETERS, ()))
-    sliding = SlidingFit((), (), np.zeros(0), np.zeros((0, 0)), 0, quality=(None,))
+    sliding = SlidingFit((), (NO_CURVE,), np.zeros(0), np.zeros((0, 0)), 0, quality=(None,))
     result = FrictionIdentification(hinge, (one,), sliding, PreslidingFit(()), kinds=kinds)
     content = yaml.safe_load(friction_text(result))
     element, found = content["elements"]["joint_1"], content["identification"]["bristles"]["joint_1"]

@@ -79,7 +79,7 @@ def test_sweeps_hold_a_logarithmic_range_in_both_directions(shipped: Setup) -> N
 def test_no_sweep_beats_with_the_sampling(shipped: Setup) -> None:
     """No motor passes nearly a whole, half, third or quarter number of encoder steps in a millisecond of a sweep."""
     drives = shipped.drives
-    for name, direction in directions(shipped.robot.joint_names).items():
+    for name, direction in directions(shipped.robot.joint_names, drives.turning).items():
         speeds = sweep_speeds(direction, 0.004, 1.4, 56, drives)
         motors = drives.gear * direction
         motors[5] = drives.gear[5] * (direction[4] + direction[5])
@@ -92,7 +92,7 @@ def test_directions_of_the_wrist_tell_three_elements_apart(shipped: Setup) -> No
     """The rows of torque that the wrist's directions excite have full rank in the three elements 5, 6 and 5+6."""
     inputs = np.vstack([np.eye(6), [0, 0, 0, 0, 1, 1]])
     rows = []
-    for direction in directions(shipped.robot.joint_names).values():
+    for direction in directions(shipped.robot.joint_names, shipped.drives.turning).values():
         signs = np.sign(inputs @ direction)
         if not direction[:4].any():
             rows += [inputs[[4, 5, 6], joint] * signs[[4, 5, 6]] for joint in (4, 5)]

@@ -23,12 +23,14 @@ from rx90_emulator.identification.presliding.fit import PreslidingFit
 from rx90_emulator.identification.records import BagSource, JointRecord
 from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
 from rx90_emulator.identification.sliding.plateaus import find_blocks
-from rx90_emulator.identification.sliding.quality import FALSE_ALARMS, Residuals, drifts_of
+from rx90_emulator.identification.sliding.quality import FALSE_ALARMS, CurvePoints, Residuals, drifts_of
 
 Array = NDArray[np.float64]
 Friction = Callable[[Array], Array]
 SPEEDS = np.geomspace(0.004, 1.2, 12)
 SERIES = 500  # of plateaus without a drift
+
+NO_CURVE = CurvePoints(*[np.zeros(0)] * 5, np.zeros((3, 0)))
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +200,7 @@ def test_absurd_numbers_are_never_written(hinge: RigidArm, value: float) -> None
     element = IdentifiedElement(
         FrictionElement(1.0, 1.0, 1.0, 1.0, 0.1, 1.0, 1e4, 1.0, 1.0), estimates, dict.fromkeys(PARAMETERS, ())
     )
-    nothing = SlidingFit((), (), np.zeros(0), np.zeros((0, 0)), 0, quality=(None,))
+    nothing = SlidingFit((), (NO_CURVE,), np.zeros(0), np.zeros((0, 0)), 0, quality=(None,))
     result = FrictionIdentification(hinge, (element,), nothing, PreslidingFit(()))
     with pytest.raises(Rx90Error, match=r"hinge: c2 came out as 1 \+- (nan|inf)|hinge.c2.deviation is 1e\+48"):
         friction_text(result)

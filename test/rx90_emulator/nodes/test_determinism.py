@@ -112,12 +112,13 @@ def test_one_process_gives_the_closed_loops_bits(
     """With a parameter file for both, every recorded number equals the closed loop without ROS, to the last bit.
 
     So it does when the simulation is deactivated and activated in the middle of the motion, and its pace is changed,
-    with friction elements that have all parts, a seed of their scatter, and temperatures at a rate of their own.
+    with friction elements that have all parts, a seed of their scatter, and temperatures at a rate of their own. The
+    line is played with a correction, which fades out behind its end: the bag holds its offsets, too.
     """
     friction = write_with_parts(shipped.friction.file, tmp_path / "friction.yaml")
     setup = rx.load_setup(friction=friction, seed=11)
-    comparison = run_both_ways(processes, client, setup, tmp_path, composed=True, rests=2)
-    assert {topic.topic for topic in comparison.topics} == {*TOPICS, "/temperatures"}
+    comparison = run_both_ways(processes, client, setup, tmp_path, composed=True, rests=2, corrected=True)
+    assert {topic.topic for topic in comparison.topics} == {*TOPICS, "/temperatures", "/rx90_controller/correction"}
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     recorded, simulated = (_temperatures(tmp_path / name) for name in ("recorded", "closed_loop"))
     names, last = setup.friction.names, comparison.topics[0].range_ns[1]

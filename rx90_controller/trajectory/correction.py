@@ -1,0 +1,129 @@
+"""Corrections: offsets of the position set-points, beside the trajectory, played from its first set-point on.
+
+A correction is no trajectory. It goes into the position error alone: neither velocity and acceleration feed-forward nor
+the compensation of friction see it, because a small offset that turns back and forth would there switch the Coulomb
+torque. It is played once, tick by tick, faded in at the trajectory's begin and out behind its end. Whatever else the
+arm is told meanwhile, a stop, another trajectory, another speed, lets it fade out from there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import TrajectoryError
+from rx90_common.base.rates import NANOSECONDS
+
+FADE = 0.1
+"""How long a correction takes to come, and to go, s."""
+LARGEST = 0.01
+"""The largest offset, rad: beyond the sag of elastic gears, far below the supervised following error."""
+FASTEST = 0.5
+"""The fastest change of an offset, rad/s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Offsets of the position set-points along a trajectory.
+
+    Attributes:
+        offsets: of the joints on set-points 0, 1, ... of the trajectory, rad, shape (n, j).
+        period: of the set-points, s.
+
+    Raises:
+        TrajectoryError: for another shape, what is no number, and offsets beyond LARGEST or faster than FASTEST.
+    """
+
+    offsets: Array
+    period: float
+
+    def __post_init__(self) -> None:
+        offsets = self.offsets
+        if offsets.ndim != 2 or not offsets.size:
+            raise TrajectoryError(
+                f"a correction of shape {offsets.shape}; accepted: an offset for each joint and set-point"
+            )
+        rates = np.diff(offsets, axis=0, prepend=offsets[:1]) / self.period
+        for what, values, most, unit in (("offset", offsets, LARGEST, "rad"), ("change", rates, FASTEST, "rad/s")):
+            beyond = np.argwhere(~(np.abs(values) <= most))
+            if len(beyond):
+                row, joint = beyond[0].tolist()
+                raise TrajectoryError(
+                    f"the correction has the {what} {values[row, joint]:.4g} {unit} in joint {joint + 1} at "
+                    f"{row * self.period:.3f} s; accepted: up to {most:g} {unit}"
+                )
+
+    def later(self, time: float) -> Correction:
+        """Return it for its trajectory behind a move that takes `time`, s, a whole number of set-points."""
+        rest = np.zeros((round(time / self.period), self.offsets.shape[1]))
+        return replace(self, offsets=np.concatenate([rest, self.offsets]))
+
+
+def correction_content(joint_names: Sequence[str], correction: Correction) -> dict[str, Any]:
+    """Return offsets as the content of a trajectory_msgs/JointTrajectory, one point for each set-point."""
+    times = [divmod(round(k * correction.period * NANOSECONDS), NANOSECONDS) for k in range(len(correction.offsets))]
+    points = [
+        {"positions": row, "time_from_start": {"sec": sec, "nanosec": nanosec}}
+        for row, (sec, nanosec) in zip(correction.offsets.tolist(), times, strict=True)
+    ]
+    return {"joint_names": list(joint_names), "points": points}
+
+
+@dataclass(frozen=True, eq=False)
+class PlayedCorrection:
+    """A correction that is played from a position tick on.
+
+    Attributes:
+        correction: what is played.
+        begin: its first tick.
+        cut: the tick from which on it fades out.
+    """
+
+    correction: Correction
+    begin: int
+    cut: int
+
+    @classmethod
+    def started(cls, correction: Correction, begin: int) -> PlayedCorrection:
+        """Return a correction that begins at a tick and fades out behind its end."""
+        return cls(correction, begin, begin + len(correction.offsets))
+
+    @property
+    def fade(self) -> int:
+        """Return how many ticks it takes to come or go."""
+        return max(1, math.ceil(FADE / self.correction.period - 1e-6))
+
+    @property
+    def over(self) -> int:
+        """Return the tick from which on it gives nothing."""
+        return self.cut + self.fade
+
+    def at(self, ticks: NDArray[np.int64]) -> Array:
+        """Return the offsets at ticks, shape (n, 6), rad; 0 before and after.
+
+        Each row takes the same operations, whatever ticks are asked for with it: nodes and loop have the same bits.
+        """
+        row = np.clip(np.minimum(ticks, self.cut - 1) - self.begin, 0, len(self.correction.offsets) - 1)
+        share = np.clip((row + 1.0) / self.fade, 0.0, 1.0)
+        left = np.clip((self.over - ticks) / self.fade, 0.0, 1.0)
+        weight = share * share * (3.0 - 2.0 * share) * (left * left * (3.0 - 2.0 * left))
+        weight = np.where(ticks < self.begin, 0.0, weight)
+        return np.asarray(self.correction.offsets[row] * weight[:, None])
+
+
+def cut_at(played: list[PlayedCorrection], now: int, begin: int) -> list[PlayedCorrection]:
+    """Return what is left of corrections where another motion takes over at tick `begin`, known at tick `now`.
+
+    What had not begun by then is dropped; what fades out already goes on doing so.
+    """
+    left = [one for one in played if one.begin < now < one.over]
+    ends = [one.begin + len(one.correction.offsets) for one in left]
+    return [
+        replace(one, cut=one.cut if one.cut <= now else min(end, begin)) for one, end in zip(left, ends, strict=True)
+    ]

@@ -1,0 +1,286 @@
+"""Learn a correction of a path from trial to trial, and show what a correction file holds."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rx90_common.base.errors import VERDICT_NO, ConfigError, check_replaced
+from rx90_common.base.quoting import one_line, plain
+from rx90_emulator.cli.options import (
+    POSITIVE,
+    add_node_arguments,
+    add_robot_arguments,
+    add_verbs,
+    check_apart,
+    check_needs,
+    check_picture,
+    node_of,
+    place,
+    progress_bar,
+    whole_number,
+)
+
+if TYPE_CHECKING:
+    from rx90_emulator.correction.file import CorrectionFile
+    from rx90_emulator.correction.learning import Learner, TrialRecord
+    from rx90_emulator.correction.methods import Filtered, NormOptimal
+    from rx90_emulator.correction.path import CorrectablePath
+    from rx90_emulator.loop.setup import Setup
+
+_TIMEOUT = 30.0  # s
+_METHODS = ("norm-optimal", "filtered")
+_OPTIONS = ("effort", "joints", "cutoff", "gain", "lead")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verbs and their options."""
+    add_verbs(parser, _VERBS)
+
+
+def main(options: argparse.Namespace) -> int | None:
+    """Run the verb.
+
+    Raises:
+        Rx90Error: if it cannot be done.
+    """
+    code: int | None = options.run(options)
+    return code
+
+
+def _add_learn(learn: argparse.ArgumentParser) -> None:
+    learn.set_defaults(interrupted="nothing was written")
+    learn.add_argument("path", metavar="PATH", help="task file of a line, or a trajectory (YAML, as rx90_line --output "
+                       "writes it)")  # fmt: skip
+    learn.add_argument("--output", type=place, metavar="FILE", required=True, help="correction file to write, .yaml")
+    learn.add_argument("--force", action="store_true", help="replace a correction file that exists")
+    learn.add_argument("--trials", type=whole_number, metavar="N", help="after the first (4)")
+    learn.add_argument("--previous", type=Path, metavar="FILE", help="correction file to go on from")
+    method = learn.add_argument_group("method")
+    method.add_argument("--method", choices=_METHODS, default=_METHODS[0], help="(%(default)s)")
+    method.add_argument("--effort", type=POSITIVE, metavar="W", help="norm-optimal: weight of a change, m/rad (0.1)")
+    method.add_argument("--joints", type=POSITIVE, metavar="W", help="norm-optimal: weight of the joints' own errors, "
+                        "m/rad (0.005)")  # fmt: skip
+    method.add_argument("--cutoff", type=POSITIVE, metavar="HZ", help="of the zero-phase filter, Hz (filtered: 40; "
+                        "norm-optimal: none)")  # fmt: skip
+    method.add_argument("--gain", type=POSITIVE, metavar="G", help="filtered: share of an error that is corrected (1)")
+    method.add_argument("--lead", type=POSITIVE, metavar="S", help="filtered: s (1/kp)")
+    method.add_argument("--noise", type=POSITIVE, metavar="M", help="by how much the path error may grow from trial to "
+                        "trial, m (1e-6)")  # fmt: skip
+    where = learn.add_argument_group("where the trials run", "on the engine, unless one of these says otherwise")
+    where.add_argument("--on-nodes", action="store_true", help="on the running nodes, recorded")
+    where.add_argument("--from-bag", type=Path, metavar="BAG", help="one trial, played with the correction of "
+                       "--previous or without one: bag of an arm or of the nodes, or a table")  # fmt: skip
+    where.add_argument("--tip", type=Path, metavar="FILE", help="learn from the tip, measured in that trial: "
+                       "time [s], x [m], y [m], z [m] in the base frame")  # fmt: skip
+    where.add_argument("--tip-topic", metavar="TOPIC", help="the tip is in a bag: PointStamped, PoseStamped or "
+                       "TransformStamped")  # fmt: skip
+    where.add_argument("--topic", metavar="TOPIC", help="of the joints in the bag (joint_states)")
+    where.add_argument("--tip-on-engine", action="store_true", help="learn from the simulated arm's tip, not "
+                       "from its encoders, which do not see what gears do")  # fmt: skip
+    add_node_arguments(where, _TIMEOUT)
+    add_robot_arguments(learn)
+
+
+def _learn(options: argparse.Namespace) -> int:
+    """Learn a correction of a path, trial by trial.
+
+    The first trial is without correction, or with the one of --previous. With --from-bag or --tip one trial has been
+    run already, and what is written is for the next one. Exit code 1: the path got worse, trial after trial (the best
+    correction is written), or with the trial that was recorded (nothing is written).
+    """
+    check_apart(options, ("on_nodes", "trials", "tip_on_engine"), "from_bag", "one trial for each bag")
+    check_apart(options, ("on_nodes", "trials", "tip_on_engine"), "tip", "one trial for each file")
+    check_apart(options, ("tip_on_engine",), "on_nodes", "the encoders, or --tip")
+    check_needs(options, ("topic",), ("from_bag",))
+    check_needs(options, ("tip_topic",), ("tip",))
+    check_needs(options, ("node", "timeout"), ("on_nodes",))
+    if options.output.suffix != ".yaml":
+        raise ConfigError(f"--output {plain(options.output)}; accepted: a name with .yaml")
+    check_replaced(options.output, force=options.force)
+    # Here, because --help must not wait for them.
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_emulator.correction.file import load_correction, write_correction
+    from rx90_emulator.correction.learning import NOISE, Learner, learn, learn_correction, summary
+    from rx90_emulator.loop.setup import Setup
+
+    setup = Setup.load(RobotFiles.of_options(options))
+    path, method = _path(options.path, setup), _method(options)
+    earlier = None if options.previous is None else load_correction(options.previous)
+    previous = None if earlier is None else earlier.fitting(setup, path)
+    count, noise = 4 if options.trials is None else options.trials, options.noise or NOISE
+    if options.from_bag is not None or options.tip is not None:
+        before = None if previous is None else previous.offsets
+        learner = Learner(setup, path, method, tip=options.tip is not None, noise=noise, previous=before)
+        return _learn_from_records(learner, earlier, options)
+    with progress_bar("trials") as progress:
+        done: list[TrialRecord] = []
+
+        def told(trial: TrialRecord) -> None:
+            done.append(trial)
+            progress(len(done), count + 1)
+
+        if options.on_nodes:
+            from rx90_common.exchange.ros_start import prepare
+
+            prepare()
+            from rx90_emulator.correction.nodes import node_trials
+
+            before = None if previous is None else previous.offsets
+            learner = Learner(setup, path, method, noise=noise, previous=before)
+            with node_trials(setup, path, node_of(options), options.timeout or _TIMEOUT) as trials:
+                learned = learn(learner, trials.play, count, told)
+        else:
+            learned = learn_correction(
+                setup, path, count, method, tip=options.tip_on_engine, noise=noise, previous=previous, told=told
+            )
+    print(summary(learned.trials))
+    write_correction(learned, options.output, earlier)
+    print(one_line(f"written to {options.output}: worst {learned.best.worst * 1e3:.4f} mm"))
+    if learned.remark:
+        print(one_line(f"learning has failed: {learned.remark}"))
+        return VERDICT_NO
+    return 0
+
+
+def _learn_from_records(learner: Learner, earlier: CorrectionFile | None, options: argparse.Namespace) -> int:
+    """Learn from one trial that was recorded, and write the correction of the next one."""
+    from rx90_emulator.correction.file import write_correction
+    from rx90_emulator.correction.learning import LearnedCorrection, summary
+    from rx90_emulator.correction.recorded import measured
+
+    topic = options.topic or "joint_states"
+    found, said = measured(learner.setup, learner.nominal, options.from_bag, options.tip, topic, options.tip_topic)
+    print("\n".join(one_line(line) for line in said))
+    trial = learner.take(found)
+    print(summary([trial]))
+    best = min(earlier.worst) if earlier is not None and earlier.worst else None
+    if best is not None and trial.worst > best + learner.noise:
+        print(one_line(f"worse than {best * 1e3:.4f} mm before: not learned from, nothing written; accepted: the "
+                       "correction before, with a smaller gain or a larger effort"))  # fmt: skip
+        return VERDICT_NO
+    learned = LearnedCorrection(
+        learner.setup, learner.path, learner.method, learner.tip, learner.correction, tuple(learner.trials)
+    )
+    write_correction(learned, options.output, earlier)
+    print(one_line(f"written to {options.output}: for the next trial"))
+    return 0
+
+
+def _path(name: str, setup: Setup) -> CorrectablePath:
+    """Return the path of a file: a task of a line, or a trajectory."""
+    from rx90_common.base.config import load_yaml
+    from rx90_controller.lines.task import load_task
+    from rx90_emulator.correction.path import TrajectoryPath
+    from rx90_emulator.loop.line import plan_line
+    from rx90_emulator.loop.trajectory_file import load_trajectory
+
+    file = Path(name)
+    if file.is_file() and "joint_names" in load_yaml(file, first=True):
+        return TrajectoryPath.of(setup, load_trajectory(file, setup.robot.joint_names))
+    return plan_line(setup, load_task(name))
+
+
+def _method(options: argparse.Namespace) -> Filtered | NormOptimal:
+    from rx90_emulator.correction.methods import method_named
+
+    given: dict[str, Any] = {name: value for name in _OPTIONS if (value := getattr(options, name)) is not None}
+    return method_named(options.method, **given)
+
+
+def _add_show(show: argparse.ArgumentParser) -> None:
+    show.add_argument("file", type=Path, metavar="FILE", help="correction file")
+    show.add_argument("--plot", type=place, metavar="FILE", help="picture to write: trials, what is left, offsets "
+                      "and spectra; .png, .svg or .pdf")  # fmt: skip
+    show.set_defaults(interrupted="nothing was written")
+
+
+def _show(options: argparse.Namespace) -> None:
+    """Show what a correction file holds: for what it was learned, its trials, and its offsets."""
+    if options.plot is not None:
+        check_picture(options.plot)
+    from rx90_emulator.correction.file import described, load_correction
+
+    found = load_correction(options.file)
+    print(described(found))
+    if options.plot is not None:
+        from rx90_common.report.picture import write_picture
+
+        write_picture(_plot(found), options.plot)
+        print(one_line(f"picture: {options.plot}"))
+
+
+def _plot(found: CorrectionFile) -> Any:
+    """Return trials, what is left along the path, offsets and spectra."""
+    import numpy as np
+
+    from rx90_common.report.plot import COLOURS, GREY, Curve, Panel, Plot
+    from rx90_emulator.correction.file import spectrum
+
+    period, offsets = found.correction.period, found.correction.offsets
+    trials = np.arange(len(found.worst), dtype=np.float64)
+    times = np.arange(found.distance.shape[1], dtype=np.float64) * period
+    best = int(np.argmin(found.worst))
+    shown = [(0, GREY, "first"), (best, COLOURS[0], "best")]
+    left = [Curve(times, found.distance[k] * 1e3, name, colour) for k, colour, name in shown]
+    spectra = [
+        Curve(*(spectrum(found.distance[k] * 1e3, period)), f"error, {name}", colour) for k, colour, name in shown
+    ]
+    ticks = np.arange(len(offsets), dtype=np.float64) * period
+    return Plot(
+        (
+            Panel([Curve(trials, np.array(found.worst) * 1e3, dots=True)], "trials", "trial", "worst path error, mm",
+                  y_scale="log"),
+            Panel(left, "what is left", "time on the path, s", "path error, mm", from_zero=True),
+            Panel(
+                [Curve(ticks, row * 1e3, f"joint {k + 1}", COLOURS[k]) for k, row in enumerate(offsets.T)],
+                "offsets", "time from the trajectory's start, s", "mrad",
+            ),
+            Panel(spectra, "spectra of the path error", "frequency, Hz", "mm", x_scale="log", y_scale="log"),
+        )
+    )  # fmt: skip
+
+
+def _add_precompensate(precompensate: argparse.ArgumentParser) -> None:
+    precompensate.add_argument("file", type=Path, metavar="FILE", help="correction file")
+    precompensate.add_argument("path", metavar="PATH", help="task or trajectory that it is of")
+    precompensate.add_argument("--output", type=place, metavar="FILE", required=True, help="trajectory to write, .yaml")
+    precompensate.add_argument("--force", action="store_true", help="replace a trajectory that exists")
+    precompensate.add_argument(
+        "--cutoff", type=POSITIVE, metavar="HZ", help="of the filter that smooths the offsets (5)"
+    )
+    add_robot_arguments(precompensate)
+    precompensate.set_defaults(interrupted="nothing was written")
+
+
+def _precompensate(options: argparse.Namespace) -> None:
+    """Write the corrected path as a trajectory, for a controller without a channel, and say what is lost.
+
+    The path errors are those of the engine, with the arm of the files.
+    """
+    check_replaced(options.output, force=options.force)
+    from rx90_common.base.config import yaml_text
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_common.process.files import write_text
+    from rx90_controller.trajectory.points import message_content
+    from rx90_emulator.correction.file import load_correction
+    from rx90_emulator.correction.precompensation import CUTOFF, precompensate
+    from rx90_emulator.loop.setup import Setup
+
+    setup = Setup.load(RobotFiles.of_options(options))
+    path = _path(options.path, setup)
+    correction = load_correction(options.file).fitting(setup, path)
+    found = precompensate(setup, path, correction, options.cutoff or CUTOFF)
+    write_text(options.output, yaml_text(message_content(setup.robot.joint_names, found.points)))
+    told = {"without correction": found.plain, "as offsets": found.channel, "as this trajectory": found.path}
+    errors = [f"{name} {error * 1e3:.4f} mm" for name, error in told.items()]
+    print(one_line(f"written to {options.output}: {len(found.points.times)} points"))
+    print(f"worst path error on the engine: {', '.join(errors)}")
+
+
+_VERBS = (
+    (_add_learn, _learn, "learn a correction"),
+    (_add_show, _show, "show what a correction file holds"),
+    (_add_precompensate, _precompensate, "write the corrected path as a trajectory"),
+)

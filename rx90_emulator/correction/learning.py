@@ -1,0 +1,306 @@
+"""Learning from trial to trial: what is measured, what is kept, and when it stops; on the engine in one call.
+
+A trial plays a correction and measures the error. It is kept if the worst distance from the path is no larger than with
+the best correction before, but for noise; the next correction goes on from the best one. After a trial that made it
+worse it goes on with half the gain. Learning has failed where trial after trial makes it worse.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError, FailureError, check_type
+from rx90_common.description.kinematics import tip_position
+from rx90_controller.lines.task import LineTask
+from rx90_controller.trajectory.correction import Correction
+from rx90_emulator.correction.methods import Method, NormOptimal
+from rx90_emulator.correction.path import CorrectablePath, Nominal
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.line import plan_line
+from rx90_emulator.loop.result import RunResult
+from rx90_emulator.loop.setup import Setup
+
+NOISE = 1e-6
+"""By how much the worst distance may grow, m, unless another noise is given: of about encoder counts."""
+ENCODERS, TIP = "encoders", "tip"
+_MOST_WORSE: Final = 4  # trials in a row
+_HELD = 1.0  # s from the release of the brakes to where the path error counts
+
+
+class CorrectionError(FailureError):
+    """Learning did not make the path better, or made it worse and worse."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What a trial has left on set-points 0, 1, ... of its trajectory.
+
+    Attributes:
+        joints: set-points less the joints by the encoders, rad, shape (n, j).
+        tip: the tip where it should be less where it was measured, m, shape (n, 3); None where it was not.
+    """
+
+    joints: Array
+    tip: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class TrialRecord:
+    """One trial.
+
+    Attributes:
+        worst: largest distance from the path, by what was measured, m.
+        rms: root mean square distance, m.
+        kept: whether what was played is better than all before, but for noise.
+        gain: share of the method's gain with which it was made.
+        distance: from the path on the set-points that count, m, shape (k,).
+    """
+
+    worst: float
+    rms: float
+    kept: bool
+    gain: float
+    distance: Array = field(repr=False)
+
+
+class Learner:
+    """Learns a correction of one path on one arm, wherever the trials are run.
+
+    Args:
+        setup: robot and controller that the method takes the arm for; friction and payload need not be right.
+        path: what is corrected.
+        method: how.
+        tip: whether it learns from a measured tip in place of the encoders.
+        noise: by how much the worst distance may grow from trial to trial, m.
+        previous: offsets to go on from, rad, shape (n, j).
+
+    Attributes:
+        nominal: what the path asks for.
+        offsets: to play in the next trial, rad, shape (n, j).
+        best: those of the best trial; those given, or 0, before the first.
+        trials: so far.
+
+    Raises:
+        ConfigError: for a noise below 0, and offsets of another number of set-points.
+        TrajectoryError: if the controller would refuse the trajectory.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        path: CorrectablePath,
+        method: Method | None = None,
+        *,
+        tip: bool = False,
+        noise: float = NOISE,
+        previous: Array | None = None,
+    ) -> None:
+        if not 0.0 <= noise < math.inf:
+            raise ConfigError(f"noise is {noise:g} m; accepted: a number >= 0")
+        self.setup, self.path, self.method, self.tip, self.noise = setup, path, method or NormOptimal(), tip, noise
+        self.nominal = Nominal.of(setup, path.points, path.counted)
+        count = len(self.nominal.counts)
+        shape = count, len(setup.robot.joint_names)
+        self.offsets = np.zeros(shape) if previous is None else np.array(previous, dtype=np.float64)
+        if self.offsets.shape != shape:
+            raise ConfigError(f"offsets of shape {self.offsets.shape}; accepted: {shape}")
+        self.best, self.trials = self.offsets, list[TrialRecord]()
+        self._update = self.method.prepare(setup, self.nominal, tip=tip)
+        self._error, self._gain, self._worse = np.zeros(0), 1.0, 0
+
+    @property
+    def correction(self) -> Correction:
+        """Return what is to be played in the next trial.
+
+        Raises:
+            TrajectoryError: if it is larger or faster than a correction may be.
+        """
+        return Correction(self.offsets, self.nominal.period)
+
+    @property
+    def best_trial(self) -> TrialRecord | None:
+        """Return the trial of `best`; None before the first."""
+        return next((trial for trial in reversed(self.trials) if trial.kept), None)
+
+    def distance(self, measured: Measured) -> Array:
+        """Return the distance of the tip from the path on the set-points that count, m, by what was measured."""
+        counts = self.nominal.counts
+        if self.tip:
+            assert measured.tip is not None
+            return self.path.distance(self.nominal.tip[counts] - measured.tip[counts])
+        joints = self.nominal.setpoints[counts, 0] - measured.joints[counts]
+        return self.path.distance(tip_position(self.setup.robot.chain, joints))
+
+    def take(self, measured: Measured) -> TrialRecord:
+        """Judge what a trial with `offsets` has left, and make the next offsets.
+
+        Raises:
+            ConfigError: if the tip is to be learned from and was not measured, or a number is not finite.
+            CorrectionError: if trial after trial has made it worse.
+        """
+        error = measured.tip if self.tip else measured.joints
+        if error is None:
+            raise ConfigError("the tip was not measured; accepted: its path, or learning from the encoders")
+        if error.shape[0] != len(self.nominal.counts) or not np.isfinite(error).all():
+            raise ConfigError(
+                f"errors of shape {error.shape}, finite: {bool(np.isfinite(error).all())}; accepted: finite numbers on "
+                f"{len(self.nominal.counts)} set-points"
+            )
+        distance, before = self.distance(measured), self.best_trial
+        worst, rms = float(distance.max()), math.sqrt(float(np.mean(distance**2)))
+        kept = before is None or worst <= before.worst + self.noise
+        trial = TrialRecord(worst, rms, kept, self._gain, distance)
+        self.trials.append(trial)
+        if kept:
+            self.best, self._error, self._worse = self.offsets, error, 0
+            self._gain = min(1.0, 2.0 * self._gain) if len(self.trials) > 1 else 1.0
+        else:
+            assert before is not None
+            self._worse, self._gain = self._worse + 1, 0.5 * self._gain
+            if self._worse >= _MOST_WORSE:
+                raise CorrectionError(
+                    f"{self._worse} trials in a row have made the path worse, the last one {worst * 1e3:.4f} mm after "
+                    f"{before.worst * 1e3:.4f} mm; accepted: the correction of trial {self._best_number}, or another "
+                    "model, method or gain"
+                )
+        self.offsets = self._update(self.best, self._error, self._gain)
+        return trial
+
+    @property
+    def _best_number(self) -> int:
+        return max(k for k, trial in enumerate(self.trials) if trial.kept)
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedCorrection:
+    """What learning has given.
+
+    Attributes:
+        setup: what was learned with.
+        path: what is corrected.
+        method: how.
+        tip: whether from a measured tip.
+        correction: the best one.
+        trials: all of them; the first is without correction, or with the one that was gone on from.
+        remark: why it ended early; empty if it did not.
+    """
+
+    setup: Setup
+    path: CorrectablePath
+    method: Method
+    tip: bool
+    correction: Correction
+    trials: tuple[TrialRecord, ...]
+    remark: str = ""
+
+    @property
+    def best(self) -> TrialRecord:
+        """Return the trial of the correction."""
+        return next(trial for trial in reversed(self.trials) if trial.kept)
+
+
+def learn(
+    learner: Learner, play: Callable[[Correction], Measured], trials: int, told: Callable[[TrialRecord], None] | None
+) -> LearnedCorrection:
+    """Play and learn: one trial as it begins, then `trials` more, each with what the one before has taught.
+
+    Args:
+        learner: what learns.
+        play: runs one trial.
+        trials: how many after the first.
+        told: is told of each.
+
+    Raises:
+        ConfigError: for less than 0 trials.
+    """
+    if trials < 0:
+        raise ConfigError(f"{trials} trials; accepted: a whole number >= 0")
+    remark = ""
+    for _ in range(trials + 1):
+        try:
+            learner.take(play(learner.correction))
+        except CorrectionError as error:
+            remark = str(error)
+        if told is not None:
+            told(learner.trials[-1])
+        if remark:
+            break
+    best = Correction(learner.best, learner.nominal.period)
+    return LearnedCorrection(
+        learner.setup, learner.path, learner.method, learner.tip, best, tuple(learner.trials), remark
+    )
+
+
+def run_corrected(
+    setup: Setup, path: CorrectablePath, correction: Correction | None = None
+) -> tuple[RunResult, Measured]:
+    """Run a path through the closed loop, with a correction or without, and measure encoders and tip.
+
+    The arm stands held before, so that its weight is taken up when the path error begins to count.
+
+    Raises:
+        DivergenceError: naming joint and tick.
+        SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
+        TrajectoryError: if trajectory or correction is refused.
+    """
+    points, period = replace(path.points, correction=correction), setup.rates.position_period
+    held = math.ceil(max(0.0, _HELD - path.counted[0]) / period)
+    nominal = Nominal.of(setup, path.points, path.counted)
+    count = len(nominal.counts)
+    run = simulate(setup, points, start_time=held * period, duration=(held + count) * period)
+    rows = slice(held, held + count)
+    offsets = run.slow.correction[rows] if len(run.slow.correction) else 0.0
+    tip = tip_position(setup.robot.chain, run.slow.joint_states[rows, 0])
+    return run, Measured(run.slow.tracking_error[rows, 0] - offsets, nominal.tip - tip)
+
+
+def learn_correction(
+    setup: Setup,
+    path: CorrectablePath | LineTask,
+    trials: int = 4,
+    method: Method | None = None,
+    *,
+    model: Setup | None = None,
+    tip: bool = False,
+    noise: float = NOISE,
+    previous: Correction | None = None,
+    told: Callable[[TrialRecord], None] | None = None,
+) -> LearnedCorrection:
+    """Learn a correction on the engine.
+
+    Args:
+        setup: the arm that runs the trials.
+        path: what is corrected: a task, a planned line, or any trajectory as a TrajectoryPath.
+        trials: after the first one, which is without correction, or with `previous`.
+        method: NormOptimal() unless another is given.
+        model: what the method takes the arm for; `setup` itself if left out.
+        tip: learn from the tip's error, as a sensor at the tip sees it, in place of the encoders'.
+        noise: by how much the worst distance may grow from trial to trial, m.
+        previous: a correction to go on from.
+        told: is told of each trial.
+
+    Raises:
+        ConfigError: for values that are not accepted.
+        TrajectoryError: if the trajectory is refused, or a correction beyond the limits is asked for.
+        DivergenceError, SupervisionError: as `simulate`.
+    """
+    check_type(setup=(setup, Setup))
+    planned = plan_line(setup, path) if isinstance(path, LineTask) else path
+    before = None if previous is None else previous.offsets
+    learner = Learner(model or setup, planned, method, tip=tip, noise=noise, previous=before)
+    return learn(learner, lambda correction: run_corrected(setup, planned, correction)[1], trials, told)
+
+
+def summary(trials: Iterable[TrialRecord]) -> str:
+    """Return a line for each trial."""
+    return "\n".join(
+        f"trial {k}: worst {trial.worst * 1e3:.4f} mm, rms {trial.rms * 1e3:.4f} mm"
+        + ("" if trial.kept else f", worse: not kept, {0.5 * trial.gain:g} of the gain from here")
+        for k, trial in enumerate(trials)
+    )

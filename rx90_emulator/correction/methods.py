@@ -1,0 +1,178 @@
+"""Two methods of learning, by name: a filtered one that needs no model, and the norm-optimal one.
+
+The filtered method is iterative learning control in its simplest form,
+
+    c(t) <- Q [c(t) + gain e(t + lead)],
+
+with a zero-phase low-pass filter Q (Bristow, Tharayil and Alleyne 2006, "A survey of iterative learning control", IEEE
+Control Systems Magazine 26): the lead makes up for the lag of the position loop, and beyond the cut-off nothing is
+learned, because there the lead no longer does. The norm-optimal method is that of `response`.
+
+Both learn from the joints' errors by the encoders, or from the error of a measured tip. Between the joints and the tip
+lies the Jacobian of the path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final, Protocol, TypeAlias
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError
+from rx90_common.description.kinematics import jacobian
+from rx90_emulator.correction.path import Nominal
+from rx90_emulator.correction.response import best_change, gains, response
+from rx90_emulator.loop.setup import Setup
+
+LEAD_IN = 0.3
+"""Errors count from so long before the path on, s, gradually: what rests wrong there is put right by its begin."""
+_LEAST_SHARE = 0.05  # of the largest singular value: less well moved directions of the tip are hardly used
+_ORDER = 2  # of the Butterworth filter, which is run forwards and backwards
+
+Update: TypeAlias = Callable[[Array, Array, float], Array]
+"""From offsets, rad, (n, 6), the error with them, and a share of the gain: the next offsets. The error is that of the
+joints by the encoders, rad, (n, 6), or that of the tip, m, (n, 3)."""
+
+
+class Method(Protocol):
+    """A way to learn; frozen, checked."""
+
+    def prepare(self, setup: Setup, nominal: Nominal, *, tip: bool) -> Update:
+        """Return how it learns along a motion, from the error of the tip or from those of the encoders."""
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """The filtered method.
+
+    Attributes:
+        gain: how much of an error goes into the correction, 0 to 2.
+        lead: s; None for what the position loop lags by, as it were without velocity feed-forward: 1/kp.
+        cutoff: of the filter, Hz.
+
+    Raises:
+        ConfigError: naming the value and what is accepted.
+    """
+
+    gain: float = 1.0
+    lead: float | None = None
+    cutoff: float = 40.0
+
+    def __post_init__(self) -> None:
+        _check(self, gain=(0.0, 2.0, ""), lead=(0.0, 1.0, " s"), cutoff=(0.0, 1e6, " Hz"))
+
+    def prepare(self, setup: Setup, nominal: Nominal, *, tip: bool) -> Update:
+        """Return how it learns."""
+        lead = float(np.mean(1.0 / setup.controller.kp)) if self.lead is None else self.lead
+        rows = np.minimum(np.arange(len(nominal.counts)) + round(lead / nominal.period), len(nominal.counts) - 1)
+        counted, low_pass = lead_in(nominal)[:, None], zero_phase(self.cutoff, nominal.period)
+        inverse = _to_joints(setup, nominal) if tip else None
+
+        def update(offsets: Array, error: Array, share: float) -> Array:
+            joints = error if inverse is None else np.einsum("nij,nj->ni", inverse, error)
+            return low_pass(offsets + share * self.gain * (joints * counted)[rows])
+
+        return update
+
+
+@dataclass(frozen=True)
+class NormOptimal:
+    """The norm-optimal method; both weights say what counts as much as a metre of error at the tip.
+
+    Attributes:
+        effort: weight of a change of the correction, m/rad: the smaller, the faster and the higher in frequency it
+            learns, the more it trusts the model, and the more it takes over of noise.
+        joints: weight of each joint's own error beside that of the tip, m/rad, with encoders; it also keeps the tool's
+            orientation.
+        cutoff: of a zero-phase filter of the correction, Hz; None for none.
+
+    Raises:
+        ConfigError: naming the value and what is accepted.
+    """
+
+    effort: float = 0.1
+    joints: float = 0.005
+    cutoff: float | None = None
+
+    def __post_init__(self) -> None:
+        _check(self, effort=(0.0, 1e3, " m/rad"), joints=(0.0, 1e3, " m/rad"), cutoff=(0.0, 1e6, " Hz"))
+
+    def prepare(self, setup: Setup, nominal: Nominal, *, tip: bool) -> Update:
+        """Return how it learns."""
+        if not setup.drives.turning.size.wrist:
+            raise ConfigError("norm-optimal holds six joints with the RX family's wrist alone; accepted: filtered")
+        a, b, apart = response(setup, nominal.setpoints)
+        slopes = jacobian(setup.robot.chain, nominal.setpoints[::apart, 0])
+        by_tip = np.ascontiguousarray(np.swapaxes(slopes[:, :3], 1, 2))
+        weight = by_tip @ slopes[:, :3] + (0.0 if tip else self.joints**2) * np.eye(6)
+        counted, point = lead_in(nominal), np.arange(len(nominal.counts)) // apart
+        feedback, factors = gains(a, b, apart, weight, self.effort, counted)
+        towards = (by_tip if tip else weight)[point] * counted[:, None, None]
+        low_pass = None if self.cutoff is None else zero_phase(self.cutoff, nominal.period)
+
+        def update(offsets: Array, error: Array, share: float) -> Array:
+            weighted = np.einsum("nij,nj->ni", towards, error)
+            changed = offsets + share * best_change(a, b, apart, feedback, factors, weighted)
+            return changed if low_pass is None else low_pass(changed)
+
+        return update
+
+
+METHODS: Final = {"norm-optimal": NormOptimal, "filtered": Filtered}
+"""The methods by name, with the defaults of their options."""
+
+
+def method_named(name: str, **options: float | None) -> Filtered | NormOptimal:
+    """Return a method by its name, with options in place of the defaults.
+
+    Raises:
+        ConfigError: for an unknown name, an option of the other method, and a value that is not accepted.
+    """
+    if name not in METHODS:
+        raise ConfigError(f"the method is {name!r}; accepted: {', '.join(METHODS)}")
+    method = METHODS[name]()
+    for option in options:
+        if not hasattr(method, option):
+            accepted = ", ".join(vars(method))
+            raise ConfigError(f"the method {name} has no option {option!r}; accepted: {accepted}")
+    return replace(method, **options)  # type: ignore[type-var, return-value]
+
+
+def lead_in(nominal: Nominal) -> Array:
+    """Return by how much the errors of set-points count, 0 to 1, shape (n,)."""
+    counts = nominal.counts.astype(np.float64)
+    begin = int(np.argmax(nominal.counts))
+    rows = min(round(LEAD_IN / nominal.period), begin)
+    counts[begin - rows : begin] = np.arange(rows) / max(rows, 1)
+    return counts
+
+
+def zero_phase(cutoff: float, period: float) -> Callable[[Array], Array]:
+    """Return a low-pass filter of rows, run forwards and backwards; what it is given goes on as it ends.
+
+    Raises:
+        ConfigError: if the cut-off is not below half the rate.
+    """
+    if not cutoff < 0.5 / period:
+        raise ConfigError(f"cutoff is {cutoff:g} Hz; accepted: below {0.5 / period:g} Hz, half the rate of set-points")
+    sections = butter(_ORDER, cutoff, fs=1.0 / period, output="sos")
+    return lambda rows: np.ascontiguousarray(sosfiltfilt(sections, rows, axis=0, padtype="constant"))
+
+
+def _to_joints(setup: Setup, nominal: Nominal) -> Array:
+    """Return the damped pseudo-inverse of the tip's Jacobian along the motion, rad/m, shape (n, 6, 3)."""
+    slopes = jacobian(setup.robot.chain, nominal.setpoints[:, 0])[:, :3]
+    square = slopes @ np.swapaxes(slopes, 1, 2)
+    damping = (_LEAST_SHARE**2 * np.linalg.eigvalsh(square)[:, -1])[:, None, None] * np.eye(3)
+    return np.asarray(np.swapaxes(slopes, 1, 2) @ np.linalg.inv(square + damping))
+
+
+def _check(method: object, **ranges: tuple[float, float, str]) -> None:
+    for name, (low, high, unit) in ranges.items():
+        value = getattr(method, name)
+        if value is not None and not low < value <= high:
+            raise ConfigError(f"{name} is {value:g}{unit}; accepted: a number > {low:g}, up to {high:g}")

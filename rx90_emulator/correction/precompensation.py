@@ -1,0 +1,83 @@
+"""A correction without a channel: the corrected path as a joint trajectory, for controllers that take nothing else.
+
+Such a controller takes the offsets for a part of the motion. Their velocities and accelerations go into its
+feed-forward, where they ask for torques that the correction does not mean: above all, an offset that is faster than the
+joint turns the sign of the Coulomb compensation. The offsets are therefore smoothed before, and what that loses, and
+what the feed-forward does with the rest, is found by a run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rx90_common.description.kinematics import tip_position
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory.correction import Correction, PlayedCorrection
+from rx90_emulator.correction.learning import run_corrected
+from rx90_emulator.correction.methods import zero_phase
+from rx90_emulator.correction.path import CorrectablePath, Nominal, TrajectoryPath
+from rx90_emulator.loop.setup import Setup
+
+CUTOFF = 5.0
+"""Of the filter that smooths the offsets, Hz, where no other is given."""
+_APART = 2  # set-points from one point of the trajectory to the next
+
+
+@dataclass(frozen=True, eq=False)
+class Precompensation:
+    """A corrected path as a trajectory.
+
+    Attributes:
+        points: the trajectory.
+        plain: largest distance of the tip from the path without correction, m.
+        channel: the same with the correction played as offsets.
+        path: the same with the trajectory.
+    """
+
+    points: TrajectoryPoints
+    plain: float
+    channel: float
+    path: float
+
+
+def precompensate(
+    setup: Setup, path: CorrectablePath, correction: Correction, cutoff: float = CUTOFF
+) -> Precompensation:
+    """Return the corrected path as a trajectory, and what the engine makes of it.
+
+    Args:
+        setup: the arm.
+        path: what the correction is of.
+        correction: what was learned.
+        cutoff: of the filter that smooths the offsets, Hz.
+
+    Raises:
+        ConfigError: for a cut-off that is not below half the rate of set-points.
+        TrajectoryError: if the controller would refuse the trajectory; a lower cut-off makes it slower.
+    """
+    nominal = Nominal.of(setup, path.points, path.counted)
+    count, period = len(nominal.setpoints), nominal.period
+    played = PlayedCorrection.started(correction, 0).at(np.arange(count))
+    offsets = np.zeros_like(nominal.setpoints)
+    offsets[:, 0] = zero_phase(cutoff, period)(played)
+    offsets[:, 0] -= offsets[0, 0] * np.linspace(1.0, 0.0, count)[:, None]  # it begins where the path does
+    offsets[:, 1] = np.gradient(offsets[:, 0], period, axis=0)
+    offsets[:, 2] = np.gradient(offsets[:, 1], period, axis=0)
+    offsets[[0, -1], 1:] = 0.0
+    rows = np.unique(np.append(np.arange(0, count, _APART), count - 1))
+    motion = (nominal.setpoints + offsets)[rows]
+    motion[-1, 1:] = 0.0
+    names = setup.robot.joint_names
+    times = np.round(rows * period, 9).tolist()
+    points = TrajectoryPoints.create(names, names, times, *(motion[:, k].tolist() for k in range(3)))
+    begin, end = path.counted
+    travelled = TrajectoryPath(points, (begin, min(end, float(points.times[-1]))), nominal.tip[nominal.counts])
+    errors = []
+    for one, added in ((path, None), (path, correction), (travelled, None)):
+        run, _ = run_corrected(setup, one, added)
+        rows_of_path = len(run.slow.joint_states) - len(Nominal.of(setup, one.points, one.counted).counts)
+        tip = tip_position(setup.robot.chain, run.slow.joint_states[rows_of_path:, 0])
+        errors.append(float(path.distance(tip[: len(nominal.counts)][nominal.counts[: len(tip)]]).max()))
+    return Precompensation(points, *errors)

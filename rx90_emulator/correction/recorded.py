@@ -1,0 +1,221 @@
+"""What a trial has left, from the bag of an arm or of the nodes, and from a tip that something else has measured.
+
+When the trajectory began is found by the record itself: the nominal motion is laid over it where both are least apart.
+A bag of the nodes has their set-points, which tell it exactly. Measured joints lag behind the set-points; that lag then
+counts as none, and only the path remains, which is what a correction is for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from operator import attrgetter
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import fftconvolve
+
+from rx90_common.bags.reading import BagReader, read_joint_states
+from rx90_common.bags.topics import absolute
+from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.errors import BagError, ConfigError
+from rx90_common.base.quoting import plain
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import message_time_ns
+from rx90_emulator.correction.learning import Measured
+from rx90_emulator.correction.path import Nominal
+from rx90_emulator.loop.setup import Setup
+
+REFERENCE, TRACKING, CORRECTION = (f"rx90_controller/{name}" for name in ("reference", "tracking_error", "correction"))
+_MOST_APART = 0.02  # of the range of a motion, root mean square: what is further off is another motion
+_TIP_UNITS = {"m": 1.0, "mm": 1e-3}
+_MOST_ROWS = 10_000_000
+_POSITIONS = {
+    "geometry_msgs/msg/PointStamped": "point",
+    "geometry_msgs/msg/PoseStamped": "pose.position",
+    "geometry_msgs/msg/TransformStamped": "transform.translation",
+}
+"""Types of messages that carry a position, and where."""
+
+
+class Laid(NamedTuple):
+    """A record, laid under the nominal motion.
+
+    Attributes:
+        values: at the nominal motion's set-points, shape (n, d).
+        shift: when the motion begins in the record's time, s.
+        apart: root mean square of what is between them, as a share of the motion's range.
+    """
+
+    values: Array
+    shift: float
+    apart: float
+
+
+def laid_under(times: Array, values: Array, nominal: Array, period: float, counts: Mask, what: str) -> Laid:
+    """Find when a nominal motion runs in a record, and return the record on its set-points.
+
+    Args:
+        times: of the record, s, increasing, shape (m,).
+        values: shape (m, d).
+        nominal: motion, shape (n, d).
+        period: of its set-points, s.
+        counts: which of them have to be in the record, shape (n,).
+        what: the record is, for refusals.
+
+    Raises:
+        ConfigError: for a record without the motion, or with a part of it, with the numbers.
+    """
+    if len(times) < 2 or not (np.diff(times) > 0.0).all() or not np.isfinite(values).all():
+        raise ConfigError(f"{what}: {len(times)} rows; accepted: two or more, finite, with increasing times")
+    count = len(nominal)
+    # Beyond its ends the record is held, so that a rest before or after the motion may be missing.
+    grid = times[0] + np.arange(-count, round((times[-1] - times[0]) / period) + count) * period
+    if len(grid) > _MOST_ROWS:
+        raise ConfigError(f"{what}: {times[-1] - times[0]:.6g} s; accepted: up to {_MOST_ROWS * period:g} s")
+    record = np.column_stack([np.interp(grid, times, column) for column in values.T])
+    middle = nominal.mean(axis=0)
+    record, motion = record - middle, nominal - middle
+    together = sum(fftconvolve(record[:, k], motion[::-1, k], "valid") for k in range(record.shape[1]))
+    squares = np.concatenate([[0.0], np.cumsum((record**2).sum(axis=1))])
+    between = (motion**2).sum() + squares[count:] - squares[:-count] - 2.0 * together
+    best = int(np.argmin(between))
+    shift = grid[best]
+    if 0 < best < len(between) - 1:  # the parabola through three
+        before, here, after = between[best - 1 : best + 2]
+        bend = before - 2.0 * here + after
+        shift += 0.0 if bend <= 0.0 else 0.5 * period * (before - after) / bend
+    rows = shift + np.arange(count) * period
+    begin, end = rows[counts][[0, -1]]
+    if begin < times[0] - period or end > times[-1] + period:
+        raise ConfigError(
+            f"{what}: from {times[0]:.6g} to {times[-1]:.6g} s, the path takes from {begin:.6g} to {end:.6g} s of it; "
+            "accepted: a record of all of the path"
+        )
+    found = np.column_stack([np.interp(rows, times, column) for column in values.T])
+    apart = float(np.sqrt(np.mean((found - nominal)[counts] ** 2)) / max(np.ptp(nominal, axis=0).max(), 1e-12))
+    if apart > _MOST_APART:
+        raise ConfigError(
+            f"{what}: {apart:.1%} of the motion's range away from the path where they fit best, at {shift:.6g} s; "
+            f"accepted: up to {_MOST_APART:.0%}, a record of this path"
+        )
+    return Laid(found, float(shift), apart)
+
+
+def joints_of_bag(bag: Path | str, setup: Setup, nominal: Nominal, topic: str = "joint_states") -> tuple[Array, str]:
+    """Return set-points less joints by the encoders on a path's set-points, rad, shape (n, 6), and how they were found.
+
+    From a bag of the nodes they are the controller's own, with what the correction had added taken off.
+
+    Raises:
+        BagError: for a bag that cannot be read, or without these joints.
+        ConfigError: for a bag of another motion.
+    """
+    names, wanted = setup.robot.joint_names, nominal.setpoints[:, 0]
+    try:
+        reference, tracking = (read_joint_states(bag, each, names) for each in (REFERENCE, TRACKING))
+    except BagError:
+        series = read_joint_states(bag, topic, names)
+        if series.position is None:
+            raise BagError(f"{plain(bag)}: {topic} without positions; accepted: joint positions") from None
+        laid = laid_under(series.time, series.position, wanted, nominal.period, nominal.counts, plain(bag))
+        return wanted - laid.values, f"{topic}, begun at {laid.shift:.6f} s of its time, {laid.apart:.2%} apart"
+    assert reference.position is not None
+    assert tracking.position is not None
+    laid = laid_under(reference.time, reference.position, wanted, nominal.period, nominal.counts, plain(bag))
+    first = round(laid.shift / nominal.period)
+    ticks = np.round(tracking.time / nominal.period).astype(np.int64)
+    offsets = _offsets_of_bag(bag, names, ticks, nominal.period)
+    rows = np.clip(np.searchsorted(ticks, first + np.arange(len(wanted))), 0, len(ticks) - 1)
+    return (tracking.position - offsets)[rows], f"the controller's set-points, begun at {first * nominal.period:.6f} s"
+
+
+def _offsets_of_bag(bag: Path | str, names: Sequence[str], ticks: NDArray[np.int64], period: float) -> Array:
+    """Return what a correction had added on the ticks of a bag, rad; 0 where none was played."""
+    offsets = np.zeros((len(ticks), len(names)))
+    try:
+        played = read_joint_states(bag, CORRECTION, names)
+    except BagError:  # no such topic, or no message on it
+        return offsets
+    assert played.position is not None
+    at = np.round(played.time / period).astype(np.int64)
+    rows = np.searchsorted(ticks, at)
+    there = rows < len(ticks)
+    there[there] = ticks[rows[there]] == at[there]
+    offsets[rows[there]] = played.position[there]
+    return offsets
+
+
+def tip_of_file(file: Path | str, nominal: Nominal, topic: str | None = None) -> tuple[Array, str]:
+    """Return the tip where it should be less where it was measured on a path's set-points, m, shape (n, 3).
+
+    The file is a CSV table with a header: `time [s]`, and `x`, `y`, `z` of the tool centre point in the base frame,
+    each with `[m]` or `[mm]`. With a topic it is a bag with PointStamped, PoseStamped or TransformStamped.
+
+    Returns:
+        The error, and how it was found.
+
+    Raises:
+        BagError: for a bag that cannot be read, or without such a topic.
+        ConfigError: for a file that is none, or of another motion.
+    """
+    columns = _table(Path(file)) if topic is None else _topic(file, topic)
+    times, tip = columns[0], np.column_stack(columns[1:])
+    laid = laid_under(times, tip, nominal.tip, nominal.period, nominal.counts, plain(file))
+    return nominal.tip - laid.values, f"tip of {plain(file)}, begun at {laid.shift:.6f} s of its time"
+
+
+def _topic(bag: Path | str, name: str) -> list[Array]:
+    with BagReader(bag) as reader:
+        found = [one for one in reader.topics if one.name == absolute(name) and one.msgtype in _POSITIONS]
+        if not found:
+            raise BagError(f"{plain(bag)}: no topic {plain(name)} of {', '.join(_POSITIONS)}; accepted: one that is")
+        read = attrgetter(_POSITIONS[found[0].msgtype])
+        messages = [reader.deserialize(one, data) for one, _, data in reader.messages(found)]
+    rows = [(message_time_ns(each.header.stamp) / NANOSECONDS, read(each)) for each in messages]
+    table = np.array([(time, place.x, place.y, place.z) for time, place in rows], dtype=np.float64).reshape(-1, 4)
+    return list(table.T)
+
+
+def _table(file: Path) -> list[Array]:
+    accepted = "a CSV table with the columns time [s], x [m], y [m], z [m], or with [mm]"
+    try:
+        header = file.open(encoding="utf-8").readline().strip().split(",")
+        rows = np.loadtxt(file, delimiter=",", skiprows=1, ndmin=2)
+    except (OSError, ValueError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{plain(file)}: {error}; accepted: {accepted}") from error
+    names = [title.strip().replace("]", "").split("[") for title in header]
+    found = {name[0].strip(): (k, name[1].strip() if len(name) > 1 else "") for k, name in enumerate(names)}
+    columns = []
+    for name in ("time", "x", "y", "z"):
+        column, unit = found.get(name, (-1, ""))
+        scale = {"s": 1.0}.get(unit) if name == "time" else _TIP_UNITS.get(unit)
+        if column < 0 or scale is None or column >= rows.shape[1]:
+            raise ConfigError(f"{plain(file)}: columns {', '.join(header)}; accepted: {accepted}")
+        columns.append(scale * rows[:, column])
+    return columns
+
+
+def measured(
+    setup: Setup,
+    nominal: Nominal,
+    bag: Path | str | None,
+    tip: Path | str | None,
+    topic: str = "joint_states",
+    tip_topic: str | None = None,
+) -> tuple[Measured, list[str]]:
+    """Return what a trial has left, and a line on each record on how it was found; a bag, a tip, or both.
+
+    Raises:
+        Rx90Error: as `joints_of_bag` and `tip_of_file`.
+    """
+    joints, said = np.zeros((len(nominal.counts), len(setup.robot.joint_names))), []
+    if bag is not None:
+        joints, text = joints_of_bag(bag, setup, nominal, topic)
+        said.append(text)
+    error = None
+    if tip is not None:
+        error, text = tip_of_file(tip, nominal, tip_topic)
+        said.append(text)
+    return Measured(joints, error), said

@@ -1,0 +1,272 @@
+"""Corrections are learned as the theory says, are safe, and are refused where they do not belong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+import rx90_emulator as rx
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError, Rx90Warning
+from rx90_controller.lines.task import load_task
+from rx90_controller.trajectory.correction import Correction
+from rx90_emulator.cli.frame import run
+from rx90_emulator.correction.learning import CorrectionError, Learner, Measured, run_corrected
+from rx90_emulator.correction.methods import zero_phase
+from rx90_emulator.correction.path import TrajectoryPath
+from rx90_emulator.correction.recorded import joints_of_bag, laid_under, tip_of_file
+from rx90_emulator.correction.response import best_change, gains, response
+from rx90_emulator.loop.line import plan_line
+from rx90_emulator.loop.setup import Setup
+
+
+@pytest.fixture(scope="module")
+def task() -> rx.LineTask:
+    """Return a short line, across which joints reverse."""
+    return replace(load_task(), start=(0.6, -0.05, 0.2), end=(0.6, 0.05, 0.2), rest_before=0.4, rest_after=0.35)
+
+
+def lifted(a: Array, b: Array, apart: int, count: int) -> Array:
+    """Return the matrix from all offsets to all joints, shape (6 count, 6 count), by running the states."""
+    matrix = np.zeros((6 * count, 6 * count))
+    for j in range(count):
+        state = b[min(j // apart, len(b) - 1)]
+        for k in range(j + 1, count):
+            matrix[6 * k : 6 * k + 6, 6 * j : 6 * j + 6] = state[:6]
+            state = a[min(k // apart, len(a) - 1)] @ state
+    return matrix
+
+
+def test_the_recursion_is_the_lifted_solution() -> None:
+    """On a short horizon of a random time-varying system the change is that of the explicit least-squares problem."""
+    rng, apart, count, effort = np.random.default_rng(1), 7, 40, 0.7
+    a, b = 0.18 * rng.normal(size=(5, 24, 24)), rng.normal(size=(5, 24, 6))
+    root = rng.normal(size=(5, 6, 6))
+    weight, counted, error = root @ np.swapaxes(root, 1, 2), rng.uniform(0.0, 1.0, count), rng.normal(size=(count, 6))
+    at = np.minimum(np.arange(count) // apart, 4)
+    weighted = counted[:, None] * np.einsum("nij,nj->ni", weight[at], error)
+    change = best_change(a, b, apart, *gains(a, b, apart, weight, effort, counted), weighted)
+    matrix, wide = lifted(a, b, apart, count), np.zeros((6 * count, 6 * count))
+    for k in range(count):
+        wide[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = counted[k] * weight[at[k]]
+    expected = np.linalg.solve(matrix.T @ wide @ matrix + effort**2 * np.eye(6 * count), matrix.T @ weighted.ravel())
+    assert change.ravel() == pytest.approx(expected, abs=1e-10)
+
+
+def test_the_response_is_that_of_the_servo_loop(shipped: Setup) -> None:
+    """An offset that is held moves the joints as PI and D of second order do, and in the end all the way.
+
+    With the lag small against the loop the rise of a stiff joint is that of kp kv / (s^2 + kv s + kp kv), whose
+    response to a step is known; the integrator brings the rest.
+    """
+    still = np.zeros((2000, 3, 6))
+    still[:, 0] = plan_line(shipped, load_task()).start_pose
+    controller = replace(shipped.controller, ki=np.zeros(6))
+    a, b, apart = response(replace(shipped, controller=controller), still)
+    state, rows = np.zeros(24), []
+    step = np.array([1e-4, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for k in range(100):
+        rows.append(state[0] / 1e-4)
+        state = a[k // apart] @ state + b[k // apart] @ step
+    mass = np.linalg.inv(response_mass(shipped, still[0, 0]))[0, 0] * controller.inertia[0]
+    kp, kv, t = controller.kp[0], controller.kv[0] * mass, np.arange(100) * 1e-3
+    slow, fast = np.roots([1.0, kv, kp * kv]).real[::-1]
+    expected = 1.0 + (fast * np.exp(slow * t) - slow * np.exp(fast * t)) / (slow - fast)
+    assert rows == pytest.approx(expected, abs=0.06)
+    a, b, apart = response(shipped, still)
+    state = np.zeros(24)
+    for k in range(2000):
+        state = a[k // apart] @ state + b[k // apart] @ step
+    assert state[:6] == pytest.approx(step, abs=1e-7)
+
+
+def response_mass(setup: Setup, pose: Array) -> Array:
+    """Return the mass matrix, rotors included, kg m^2."""
+    import pinocchio as pin
+
+    upper = np.triu(pin.crba(setup.robot.model, setup.robot.model.createData(), pose))
+    return np.asarray(upper + np.triu(upper, 1).T + setup.drives.rotor_matrix)
+
+
+@pytest.mark.parametrize("method", [rx.NormOptimal(), rx.Filtered()])
+def test_trials_bring_the_true_tip_to_the_path(
+    shipped: Setup, task: rx.LineTask, method: rx.NormOptimal | rx.Filtered
+) -> None:
+    """Three trials leave less than a third of the path error; the run itself, measured apart from learning, says so."""
+    learned = rx.learn_correction(shipped, task, 3, method)
+    before = rx.run_line(shipped, task).path_accuracy.worst
+    after = rx.run_line(shipped, task, correction=learned.correction).path_accuracy.worst
+    assert after < before / 3.0
+    assert [trial.worst for trial in learned.trials] == sorted((trial.worst for trial in learned.trials), reverse=True)
+
+
+def test_encoders_do_not_see_what_gears_do(shipped: Setup, task: rx.LineTask) -> None:
+    """With elastic gears the tip's error stays where encoders are learned from, and goes where the tip is."""
+    stiffness = np.array([1.5e6, 1.5e6, 5e5, 1e5, 6e4, 2e4])
+    gears = replace(shipped.drives.elasticity, stiffness=stiffness, damping=2e-4 * stiffness)
+    arm, plan, left = replace(shipped, drives=replace(shipped.drives, elasticity=gears)), plan_line(shipped, task), []
+    for tip in (False, True):
+        correction = rx.learn_correction(arm, plan, 3, tip=tip).correction
+        measured = run_corrected(arm, plan, correction)[1]
+        counts = Learner(shipped, plan).nominal.counts
+        nominal = Learner(shipped, plan).nominal.tip
+        assert measured.tip is not None
+        left.append(plan.distance((nominal - measured.tip)[counts]).max())
+    assert left[1] < 0.02e-3
+    assert left[0] > 0.05e-3
+
+
+def test_what_makes_it_worse_is_not_kept_and_divergence_ends_it(shipped: Setup, task: rx.LineTask) -> None:
+    """Where each trial measures more error, the first correction stays the best, gains halve, and learning fails."""
+    plan = plan_line(shipped, task)
+    learner = Learner(shipped, plan, rx.Filtered())
+    error = 1e-4 * np.ones((len(learner.nominal.counts), 6))
+    assert learner.take(Measured(error)).kept
+    first = learner.offsets
+    assert not learner.take(Measured(2.0 * error)).kept
+    assert learner.offsets == pytest.approx(0.5 * first, abs=1e-12)
+    assert not learner.best.any()
+    for factor in (3.0, 4.0):
+        learner.take(Measured(factor * error))
+    with pytest.raises(CorrectionError, match=r"4 trials in a row have made the path worse, .*; accepted: the correct"):
+        learner.take(Measured(5.0 * error))
+    with pytest.raises(ConfigError, match="the tip was not measured"):
+        Learner(shipped, plan, tip=True).take(Measured(error))
+
+
+def test_a_bag_teaches_what_the_engine_does(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
+    """Bags of two trials, the second with a correction, give the errors that the engine gives, to the last bit.
+
+    From the joint states of the same bag alone, as an arm has them, the begin is found to less than the lag of the arm.
+    """
+    plan = plan_line(shipped, task)
+    learner = Learner(shipped, plan)
+    held = 0.6  # so that the arm is held as long as run_corrected does
+    for number in range(2):
+        run_, measured = run_corrected(shipped, plan, learner.correction)
+        bag = tmp_path / f"trial_{number}"
+        rx.write_bag(run_, bag)
+        joints, said = joints_of_bag(bag, shipped, learner.nominal)
+        counts = learner.nominal.counts
+        assert np.array_equal(joints[counts], measured.joints[counts])
+        assert f"begun at {held:.6f} s" in said
+        learner.take(Measured(joints))
+    series = rx.read_joint_states(tmp_path / "trial_0", "joint_states", shipped.robot.joint_names)
+    rx.write_joint_states(tmp_path / "arm", [series])
+    joints, said = joints_of_bag(tmp_path / "arm", shipped, learner.nominal)
+    assert abs(float(said.split("begun at ")[1].split(" s")[0]) - held) < 2e-3
+    other = replace(task, end=(0.65, 0.05, 0.25))
+    with pytest.raises(ConfigError, match="of the motion's range away from the path where they fit best"):
+        joints_of_bag(tmp_path / "arm", shipped, Learner(shipped, plan_line(shipped, other)).nominal)
+
+
+def test_a_tip_is_laid_under_the_path(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
+    """A tip in mm on a clock of its own, at another rate, is found to microseconds; half a path is refused."""
+    plan = plan_line(shipped, task)
+    nominal = Learner(shipped, plan).nominal
+    times = np.arange(-0.1, plan.duration + 0.1, 0.0017)
+    inside = np.clip(times, 0.0, plan.duration)
+    rows = np.column_stack([times + 41.2345, plan.tip(inside) * 1e3 + [0.0, 0.0, 0.05]])
+    file = tmp_path / "tip.csv"
+    np.savetxt(file, rows, delimiter=",", header="time [s],x [mm],y [mm],z [mm]", comments="", fmt="%.7f")
+    error, said = tip_of_file(file, nominal)
+    assert float(said.split("begun at ")[1].split(" s")[0]) == pytest.approx(41.2345, abs=2e-5)
+    assert error[nominal.counts] == pytest.approx(np.tile([0.0, 0.0, -5e-5], (nominal.counts.sum(), 1)), abs=5e-6)
+    bag = tmp_path / "tracker"
+    store = get_typestore(Stores.ROS2_JAZZY)
+    kinds = store.types
+    with Writer(bag, version=9) as writer:
+        connection = writer.add_connection("/tracker", "geometry_msgs/msg/PointStamped", typestore=store)
+        for time, *place in rows:
+            stamp = kinds["builtin_interfaces/msg/Time"](sec=int(time), nanosec=round(time % 1.0 * 1e9))
+            header = kinds["std_msgs/msg/Header"](stamp=stamp, frame_id="base_link")
+            point = kinds["geometry_msgs/msg/Point"](*(np.array(place) / 1e3).tolist())
+            sent = kinds["geometry_msgs/msg/PointStamped"](header=header, point=point)
+            writer.write(connection, round(time * 1e9), store.serialize_cdr(sent, "geometry_msgs/msg/PointStamped"))
+    same, _ = tip_of_file(bag, nominal, "tracker")
+    assert same == pytest.approx(error, abs=1e-8)
+    half = rows[: len(rows) // 2]
+    with pytest.raises(ConfigError, match="accepted: a record of all of the path"):
+        laid_under(half[:, 0], half[:, 1:] / 1e3, nominal.tip, 1e-3, nominal.counts, "half")
+    file.write_text("time [s],x [cm],y,z\n1,2,3,4\n2,3,4,5\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"accepted: a CSV table with the columns time \[s\], x \[m\]"):
+        tip_of_file(file, nominal)
+
+
+def test_any_trajectory_is_a_path(shipped: Setup, task: rx.LineTask) -> None:
+    """The distance from the path of a line's trajectory is that from the line, beside it and past its end."""
+    plan = plan_line(shipped, task)
+    path = TrajectoryPath.of(shipped, plan.points, plan.counted)
+    rng = np.random.default_rng(2)
+    tip = plan.tip(np.linspace(*plan.counted, 50)) + 1e-4 * rng.normal(size=(50, 3))
+    assert path.distance(tip) == pytest.approx(plan.distance(tip), abs=2e-9)
+
+
+def test_a_file_says_where_it_belongs(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
+    """It comes back to the bit; another speed, robot and damaged offsets are refused, another payload is warned of."""
+    learned, file = rx.learn_correction(shipped, task, 1), tmp_path / "line.yaml"
+    rx.write_correction(learned, file)
+    found = rx.load_correction(file)
+    plan = plan_line(shipped, task)
+    assert np.array_equal(found.fitting(shipped, plan).offsets, learned.correction.offsets)
+    assert found.worst == tuple(trial.worst for trial in learned.trials)
+    with pytest.raises(ConfigError, match="learned at 100 mm/s, the path is travelled at 150 mm/s; accepted: the same"):
+        found.fitting(shipped, plan_line(shipped, replace(task, speed=0.15)))
+    with pytest.raises(ConfigError, match="accepted: the same path"):
+        found.fitting(shipped, plan_line(shipped, replace(task, start=(0.61, -0.05, 0.2), end=(0.61, 0.05, 0.2))))
+    softer = replace(shipped, controller=replace(shipped.controller, kp=0.5 * shipped.controller.kp))
+    with pytest.raises(ConfigError, match="other links, gears or gains"):
+        found.fitting(softer, plan)
+    with pytest.warns(Rx90Warning, match=r"learned with 3\.7 kg on the last joint, there are 5 kg"):
+        found.fitting(rx.with_parameters(shipped, {"arm.link_6.mass": 5.0}), plan)
+    beside = file.with_suffix(".npz")
+    beside.write_bytes(beside.read_bytes()[:-1] + b"x")
+    with pytest.raises(ConfigError, match=r"other offsets than .*line\.yaml has"):
+        rx.load_correction(file)
+
+
+def test_precompensation_says_what_it_loses(shipped: Setup, task: rx.LineTask) -> None:
+    """The corrected path as a trajectory is better than none, and far worse than the same correction as offsets."""
+    plan = plan_line(shipped, task)
+    found = rx.precompensate(shipped, plan, rx.learn_correction(shipped, plan, 3).correction)
+    assert found.channel < 0.5 * found.path < 0.5 * found.plain
+    assert np.array_equal(found.points.position[0], plan.start_pose)
+    assert not found.points.velocity[-1].any()  # type: ignore[index]
+
+
+def test_the_filter_has_no_phase() -> None:
+    """A slow sine passes it without a shift, a fast one does not pass."""
+    t = np.arange(2000) * 1e-3
+    slow, fast = (np.sin(2.0 * np.pi * f * t)[:, None] for f in (5.0, 200.0))
+    low_pass = zero_phase(40.0, 1e-3)
+    assert low_pass(slow)[500:1500] == pytest.approx(slow[500:1500], abs=2e-3)
+    assert np.abs(low_pass(fast)[500:1500]).max() < 0.01
+
+
+def test_the_command_learns_shows_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`rx90_correct` learns, shows what it has learned, and refuses what does not go together with 2 and a line."""
+    output = tmp_path / "line.yaml"
+    words = ["learn", "robots/rx90b/task.yaml", "--trials", "1", "--output", str(output)]
+    assert run("rx90_correct", words) == 0
+    assert "trial 1: worst 0.02" in capsys.readouterr().out
+    assert run("rx90_correct", ["show", str(output), "--plot", str(tmp_path / "line.png")]) == 0
+    assert "path of 5.600 s, up to 100 mm/s" in capsys.readouterr().out
+    assert (tmp_path / "line.png").stat().st_size > 10_000
+    for more in (["--from-bag", "x", "--force"], ["--force", "--gain", "1"], [], ["--topic", "x", "--force"]):
+        assert run("rx90_correct", [*words, *more]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_offsets_beyond_the_limits_are_refused() -> None:
+    """The largest offset and the fastest change have limits, named with the value, the joint and the time."""
+    offsets = np.zeros((10, 6))
+    offsets[4, 2] = 0.02
+    with pytest.raises(rx.Rx90Error, match=r"offset 0\.02 rad in joint 3 at 0\.004 s; accepted: up to 0\.01 rad"):
+        Correction(offsets, 1e-3)
+    with pytest.raises(rx.Rx90Error, match=r"change 2 rad/s in joint 3 at 0\.004 s; accepted: up to 0\.5 rad/s"):
+        Correction(0.1 * offsets, 1e-3)
