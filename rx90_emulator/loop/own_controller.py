@@ -24,10 +24,8 @@ from rx90_sim.joint_interface import JointInterface
 from rx90_sim.plant_step import friction_states, plant_step
 
 EffortController = Callable[[Array, Array, float], ArrayLike | None]
-"""Takes measured joint positions rad, velocities rad/s, both of shape (6,), and time s; returns efforts at the joints,
-Nm, shape (6,), or None for no torque and closed brakes."""
-
-_NO_TORQUE = np.zeros(6)
+"""Takes measured joint positions rad, velocities rad/s, both of shape (n,), and time s; returns efforts at the joints,
+Nm, shape (n,), or None for no torque and closed brakes."""
 
 
 @kernel
@@ -47,13 +45,13 @@ def hold_torques(
     Args:
         plants: constants of the plant.
         plant_states: state of the plant, advanced in place.
-        torque: motor side, Nm, shape (6,).
+        torque: motor side, Nm, shape (n,).
         powered: whether there is torque; else the brakes are closed.
         first: number of the first tick.
         ticks: how many.
         ratio: base ticks in a row of the series.
-        joint_rows: written, shape (m, 3, 6).
-        friction_rows: written, shape (m, 3, 7).
+        joint_rows: written, shape (m, 3, n).
+        friction_rows: written, shape (m, 3, elements).
 
     Returns:
         How many ticks were run, and the joint that diverged in the last of them, or -1.
@@ -80,12 +78,12 @@ class ControllerRun:
     Attributes:
         setup: the arm; its controller took no part.
         command_rate: how often efforts were asked for, Hz.
-        joint_states: of the links, in each position tick: rad, rad/s, drive torque at the joint Nm, shape (m, 3, 6).
-        friction_states: bristle deflection rad, input velocity rad/s, friction torque Nm, shape (m, 3, 7).
-        measured: what the controller was given, and the efforts by the current sensors, shape (n, 3, 6).
-        efforts: what it returned, Nm, shape (n, 6); 0 where it returned None.
-        powered: whether it returned efforts, shape (n,).
-        saturated: ticks in which each amplifier was at its limit, shape (6,).
+        joint_states: of the links, in each position tick: rad, rad/s, drive torque at the joint Nm, shape (m, 3, n).
+        friction_states: bristle deflection rad, input velocity rad/s, friction torque Nm, shape (m, 3, elements).
+        measured: what the controller was given, and the efforts by the current sensors, shape (calls, 3, n).
+        efforts: what it returned, Nm, shape (calls, n); 0 where it returned None.
+        powered: whether it returned efforts, shape (calls,).
+        saturated: ticks in which each amplifier was at its limit, shape (n,).
     """
 
     setup: Setup
@@ -99,7 +97,7 @@ class ControllerRun:
 
     @property
     def command_times(self) -> Array:
-        """Return the times at which efforts were asked for, s, shape (n,)."""
+        """Return the times at which efforts were asked for, s, shape (calls,)."""
         return np.asarray(np.arange(len(self.efforts)) / self.command_rate)
 
     @cached_property
@@ -138,13 +136,13 @@ def run_controller(
         controller: called with joint positions, velocities and time at the beginning of each period; what it returns is
             held until the next call.
         duration: simulated time, s.
-        initial_position: joint positions at rest, rad, shape (6,); by default all zeros.
+        initial_position: joint positions at rest, rad, shape (n,); by default all zeros.
         command_rate: how often it is called, Hz; by default as often as the position loop, 1 kHz.
         substeps: plant steps in a tick; None for as many as the arm needs, usually 1.
 
     Raises:
         ConfigError: if the duration is shorter than a tick, the rate does not divide the base rate, or the controller
-            returns anything but six finite numbers or None.
+            returns anything but a finite number for each joint or None.
         DivergenceError: naming joint and tick.
     """
     check_type(setup=(setup, Setup))
@@ -152,23 +150,25 @@ def run_controller(
     rates = setup.rates
     ticks, command_hz = rates.ticks_of(duration), rates.position_hz if command_rate is None else command_rate
     plant = setup.plant(substeps)
-    plant.reset(np.zeros(6) if initial_position is None else initial_position)
+    count, rest = len(plant.joint_names), np.zeros(len(plant.joint_names))
+    plant.reset(rest if initial_position is None else initial_position)
     joints = JointInterface(plant, rates, command_hz)
     rows, calls = -(-ticks // rates.ratio), -(-ticks // joints.ticks)
     try:
-        joint_rows, friction_rows = np.empty((rows, 3, 6)), np.empty((rows, 3, 7))
-        measured, efforts, powered = np.empty((calls, 3, 6)), np.zeros((calls, 6)), np.zeros(calls, dtype=np.bool_)
+        joint_rows, friction_rows = np.empty((rows, 3, count)), np.empty((rows, 3, len(plant.friction_names)))
+        measured, efforts = np.empty((calls, 3, count)), np.zeros((calls, count))
+        powered = np.zeros(calls, dtype=np.bool_)
     except MemoryError as error:
         raise FailureError(f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one") from error
     for n in range(calls):
         measured[n] = joints.measure()
         position, velocity = measured[n, :2].copy()
-        stamp, torques = plant.tick * rates.period_ns, _NO_TORQUE
+        stamp, torques = plant.tick * rates.period_ns, rest
         # As a node computes it from header.stamp.
         time = stamp // NANOSECONDS + stamp % NANOSECONDS * 1e-9
         answer = controller(position, velocity, time)
         if answer is not None:
-            efforts[n], powered[n] = _six_efforts(answer, time), True
+            efforts[n], powered[n] = _efforts(answer, count, time), True
             torques = joints.motor_torques(efforts[n])
         done, diverged = hold_torques(
             plant.constants, plant.state, torques, powered[n], plant.tick, min(joints.ticks, ticks - plant.tick),
@@ -180,13 +180,13 @@ def run_controller(
     return ControllerRun(setup, command_hz, joint_rows, friction_rows, measured, efforts, powered, plant.saturated)
 
 
-def _six_efforts(answer: ArrayLike, time: float) -> Array:
+def _efforts(answer: ArrayLike, count: int, time: float) -> Array:
     """Return what a controller returned, checked."""
     try:
         effort = np.asarray(answer, dtype=np.float64)
     except (TypeError, ValueError):
         effort = np.empty(0)
-    if effort.shape != (6,) or not np.isfinite(effort).all():
+    if effort.shape != (count,) or not np.isfinite(effort).all():
         shown = f"{answer!r}"[:100]
-        raise ConfigError(f"the controller returned {shown} at {time:g} s; accepted: six finite efforts, Nm, or None")
+        raise ConfigError(f"the controller returned {shown} at {time:g} s; accepted: {count} finite efforts, Nm, or None")
     return effort

@@ -24,8 +24,8 @@ class EffortController:
 
     Args:
         node: owner of publisher and subscription.
-        controller: takes measured joint positions rad, velocities rad/s, both of shape (6,), and time s; returns
-            efforts at the joints, Nm, shape (6,), or None for no torque and closed brakes.
+        controller: takes measured joint positions rad, velocities rad/s, both of shape (n,), and time s; returns
+            efforts at the joints, Nm, shape (n,), or None for no torque and closed brakes.
         names: of the joints, in the order in which the controller has them.
 
     Attributes:
