@@ -188,5 +188,6 @@ def _efforts(answer: ArrayLike, count: int, time: float) -> Array:
         effort = np.empty(0)
     if effort.shape != (count,) or not np.isfinite(effort).all():
         shown = f"{answer!r}"[:100]
-        raise ConfigError(f"the controller returned {shown} at {time:g} s; accepted: {count} finite efforts, Nm, or None")
+        accepted = f"accepted: {count} finite efforts, Nm, or None"
+        raise ConfigError(f"the controller returned {shown} at {time:g} s; {accepted}")
     return effort
