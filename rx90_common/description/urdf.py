@@ -133,12 +133,13 @@ class _CheckedElements:
             return None
         if mass <= 0.0:
             self.refuse(f"{where} mass", mass, "a number > 0 kg")
-        fault = inertia_fault(values)
+        return LinkBody(name, mass, *origin, values)
+
+    def _check_inertia(self, body: LinkBody) -> None:
+        fault = inertia_fault(body.inertia)
         if fault is not None:
-            text = " ".join(f"{key}={value:g}" for key, value in zip(_INERTIA_KEYS, values, strict=True))
-            self.refuse(f"{where} inertia", text, fault)
-        ixx, iyy, izz, ixy, ixz, iyz = values
-        return LinkBody(name, mass, *origin, (ixx, iyy, izz, ixy, ixz, iyz))
+            text = " ".join(f"{key}={value:g}" for key, value in zip(_INERTIA_KEYS, body.inertia, strict=True))
+            self.refuse(f"link '{body.link}' inertial inertia", text, fault)
 
     def _axis(self, name: str, joint: ET.Element) -> tuple[float, ...]:
         return tuple(self._numbers(joint.find("axis"), f"joint '{name}' axis", "xyz", "1 0 0"))
@@ -276,8 +277,11 @@ class UrdfFile(_CheckedElements):
     def _check_masses(self, chain: list[str]) -> None:
         heavy = set()
         for name, link in self._links.items():
-            if self._body(name, link) is not None:
-                heavy.update([j for j in self._path(name, self._parent_joint) if j in chain][-1:])
+            body = self._body(name, link)
+            carried = [j for j in self._path(name, self._parent_joint) if j in chain][-1:]
+            if body is not None and carried:  # what stands still may have any inertia, and in many files has
+                self._check_inertia(body)
+                heavy.update(carried)
         for joint in chain:
             if joint not in heavy:
                 self.refuse(f"link '{self._end(joint, 'child')}' inertial", None, "mass and inertia")

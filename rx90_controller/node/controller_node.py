@@ -129,7 +129,7 @@ class Control:
             (topic("reference"), cs7b.reference, codec.encoder(*cs7b.reference())),
             (topic("tracking_error"), cs7b.tracking_error, codec.encoder(*cs7b.tracking_error())),
         ]
-        self._offset = np.zeros(6)
+        self._offset = np.zeros(len(cs7b.joint_names))
         self._correction = topic(CORRECTION), codec.encoder(position=self._offset)
         details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
         self._details = [(topic(each), names.encoder(effort=values)) for each, names, values in details]

@@ -29,7 +29,6 @@ _POSE_PERIOD = 1.0 / 30.0  # s
 _PLOT_PERIOD = 0.2
 _STATUS_PERIOD = 0.25
 _PACED = 1.05  # simulated s in one of the wall clock, of a simulation that keeps to it
-_NO_TRAJECTORY = Trajectory(0.0, np.empty(0), np.empty((0, 6)), np.empty(0, dtype=np.bool_))
 _MAGNIFIED = ("1", "10", "100")  # the first is what is drawn at first
 _FIRST_SHOWN = 3  # joints; all seven at once are hard to tell apart
 _GAPS = 5  # in 10 s; more are drawn across
@@ -179,8 +178,10 @@ class LiveView:
                 self._line.begin_again()
             if trajectory is not self._followed:  # which the line does not know yet
                 self._followed = trajectory
-                _, times, position, at_rest = trajectory or _NO_TRAJECTORY
-                self._line.follow(times, tip_position(self._chain, position), at_rest)
+                if trajectory is None:
+                    none = np.empty((0, len(newest.position)))
+                    trajectory = Trajectory(0.0, np.empty(0), none, np.empty(0, dtype=np.bool_))
+                self._line.follow(trajectory.times, tip_position(self._chain, trajectory.position), trajectory.at_rest)
             tips = tip_position(self._chain, np.array([state.position for state in states]))
             error = self._line.add(np.array([state.time for state in states]), tips)[-1]
         if before is None or newest.time != before.time:  # else it stands still

@@ -72,7 +72,7 @@ def test_links_of_which_no_pair_is_checked_never_touch(setup: Setup, semantic: E
     shapes, robot = Shapes(setup), setup.robot
     rng = np.random.default_rng(20)
     middle, reach = (robot.lower + robot.upper) / 2.0, (robot.upper - robot.lower) / 2.0
-    poses = np.clip(middle + 1.5 * reach * rng.uniform(-1.0, 1.0, (POSES, 6)), robot.lower, robot.upper)
+    poses = np.clip(middle + 1.5 * reach * rng.uniform(-1.0, 1.0, (POSES, len(middle))), robot.lower, robot.upper)
     touched = set().union(*map(shapes.touching, poses))
     never = disabled(semantic, "Never")
     assert never != set()

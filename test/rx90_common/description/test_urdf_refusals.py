@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from rx90_common.base.errors import ConfigError, Rx90Error
@@ -86,6 +87,23 @@ def test_a_link_without_any_mass_is_refused(shipped_files: RobotFiles, tmp_path:
     file.write_text(bare, encoding="utf-8")
     with pytest.raises(ConfigError, match=r"link 'link_3' inertial is None; accepted: mass and inertia"):
         load_robot(file)
+
+
+def test_what_does_not_move_may_have_any_inertia(shipped_files: RobotFiles, tmp_path: Path) -> None:
+    """A wrong inertia of a link that is fixed to the base, as a mobile robot's antenna has, changes nothing."""
+    text = shipped_files.urdf.read_text(encoding="utf-8")
+    antenna = (
+        '<link name="antenna"><inertial><mass value="0.001"/><inertia ixx="2e-8" iyy="3e-8" izz="4e-8" ixy="6e-8" '
+        'ixz="0" iyz="0"/></inertial></link><joint name="up" type="fixed"><parent link="{}"/><child link="antenna"/>'
+        "</joint></robot>"
+    )
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text(text.replace("</robot>", antenna.format("base_link")), encoding="utf-8")
+    for got, want in zip(load_robot(urdf).chain, load_robot(shipped_files.urdf).chain, strict=True):
+        assert np.array_equal(got, want)
+    urdf.write_text(text.replace("</robot>", antenna.format("link_2")), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"link 'antenna' inertial inertia is .*; accepted: a positive definite"):
+        load_robot(urdf)
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\xff\xfe\x00<", b"no xml at all"])

@@ -147,7 +147,7 @@ def test_the_rig_takes_a_line_of_a_friction_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["nowhere"], "friction 'nowhere': no such file; accepted: rx90b, rx90b/paper, tx40, erob80_100,"),
+        (["nowhere"], "friction 'nowhere': no such file; accepted: panda, rx90b, rx90b/paper, tx40, erob80_100,"),
         (["rx90b:joint_9"], "friction 'rx90b:joint_9': no such element; accepted: joint_1, joint_2"),
         (["rx90b", "--take", "erob80_50:m1", "-o", "x"], "'m1' is no element of rx90b; accepted: joint_1,"),
         (["rx90b", "--take", "joint_3=ur10", "-o", "x"], "ur10 has no element of that name; accepted: one of should"),

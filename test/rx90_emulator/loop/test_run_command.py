@@ -195,7 +195,7 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
     assert position[-1] == pytest.approx([0.05, 0.05, 0.1, 0.0, 0.05, 0.1], abs=1e-3)
     assert run("rx90_run", ["--robot", "tx50"]) == 2
     assert (
-        "rx90_run: robot 'tx50': no such folder; accepted: rx90b, rx90b/paper, tx40, or a robot"
+        "rx90_run: robot 'tx50': no such folder; accepted: panda, rx90b, rx90b/paper, tx40, or a robot"
         in capsys.readouterr().err
     )
 

@@ -63,7 +63,7 @@ def test_a_pair_goes_through_its_states(processes: Processes, client: Client) ->
     controller.wait_for("cannot configure: .*drives.yaml: servo is missing")
     assert client.state(CONTROLLER) == "unconfigured"
     (reason,) = client.set_parameters(CONTROLLER, robot="nowhere")
-    assert reason.startswith("robot 'nowhere': no such folder; accepted: rx90b, rx90b/paper, tx40")
+    assert reason.startswith("robot 'nowhere': no such folder; accepted: panda, rx90b, rx90b/paper, tx40")
     assert client.set_parameters(CONTROLLER, controller="robots/rx90b/controller.yaml") == [""]
 
     # Configured: time stands still, and no service but the lifecycle's lets it run.

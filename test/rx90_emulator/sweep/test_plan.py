@@ -203,7 +203,7 @@ def test_a_plan_names_a_robot_and_an_option_another(tmp_path: Path) -> None:
     own = load_sweep_plan(written(tmp_path, f"base: {{robot: my_arm}}\n{blocks}")).base.files
     assert own.urdf == tmp_path / "my_arm" / "robot.urdf"
     with pytest.raises(
-        ConfigError, match=r"base.robot: robot 'tx50': no such folder; accepted: rx90b, rx90b/paper, tx40"
+        ConfigError, match=r"base.robot: robot 'tx50': no such folder; accepted: panda, rx90b, rx90b/paper, tx40"
     ):
         load_sweep_plan(written(tmp_path, f"base: {{robot: tx50}}\n{blocks}"))
 
