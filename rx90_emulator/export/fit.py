@@ -17,7 +17,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay
 from rx90_common.friction.element import SIGNS, FrictionElement
 from rx90_emulator.export.targets import Target
-from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.setup import Arm
 
 POINTS = 400
 """Of the speeds at which curves are compared, evenly spaced in their logarithm."""
@@ -93,14 +93,14 @@ class FrictionFit:
         return self.largest + self.coupled
 
 
-def element_turns(setup: Setup) -> Array:
+def element_turns(arm: Arm) -> Array:
     """Return the velocity of each friction element for the joints' velocities, shape (elements, joints)."""
-    return setup.drives.turning.element_matrix
+    return arm.drives.turning.element_matrix
 
 
-def motor_turns(setup: Setup) -> Array:
+def motor_turns(arm: Arm) -> Array:
     """Return the turns of each motor for those of the joints without the gears, shape (joints, joints)."""
-    return setup.drives.turning.turns
+    return arm.drives.turning.turns
 
 
 def speeds_up_to(high: float, low: float = LINEAR_SPEED) -> Array:
