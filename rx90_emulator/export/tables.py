@@ -74,11 +74,21 @@ def write_bam(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> Files:  
 
 
 def bam_parameters(law: SimulatorLaw, armature: float) -> dict[str, float | str]:
-    """Return BAM's parameters of a law: model m1 without, m2 with a Stribeck part."""
-    rise = law.tau_s - law.tau_c
-    stribeck = {"friction_stribeck": rise, "dtheta_stribeck": law.omega_s, "alpha": law.delta} if rise else {}
-    base: dict[str, float | str] = {"model": "m2" if rise else "m1", "actuator": BAM_ACTUATOR, "armature": armature}
-    return base | {"friction_base": law.tau_c, **stribeck, "friction_viscous": law.viscous[0]}
+    """Return BAM's parameters of a law: model m1, m2 with a Stribeck part, m5 with one of the load.
+
+    BAM's load is |K_m tau_m - K_e tau_e| of motor and external torque. With K_m = 0 it is that of the transmitted torque
+    in both directions, and without load friction stays what it is.
+    """
+    rise, (sliding, rest) = law.tau_s - law.tau_c, law.load
+    loaded = sliding > 0.0 or rest > 0.0
+    content: dict[str, float | str] = {"model": "m5" if loaded else "m2" if rise else "m1", "actuator": BAM_ACTUATOR}
+    content |= {"armature": armature, "friction_base": law.tau_c, "friction_viscous": law.viscous[0]}
+    if rise or loaded:
+        content |= {"friction_stribeck": rise, "dtheta_stribeck": law.omega_s, "alpha": law.delta}
+    if loaded:
+        shares = {"motor": 0.0, "external": sliding, "motor_stribeck": 0.0, "external_stribeck": rest}
+        content |= {f"load_friction_{name}": value for name, value in shares.items()}
+    return content
 
 
 def write_modelica(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001
