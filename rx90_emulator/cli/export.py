@@ -47,13 +47,13 @@ def main(options: argparse.Namespace) -> int:
     from rx90_common.friction.friction_file import FrictionFile
     from rx90_common.report.picture import write_picture
     from rx90_emulator.export.export import export_plot, export_robot, write_export
-    from rx90_emulator.loop.setup import Setup
+    from rx90_emulator.loop.setup import load_arm
 
     if options.plot is not None:
         check_picture(options.plot)
     files = RobotFiles.of_options(options)
     speeds = None if options.speeds is None else tuple(options.speeds)
-    export = export_robot(Setup.load(files), options.target, speeds=speeds, bag=options.bag)
+    export = export_robot(load_arm(files), options.target, speeds=speeds, bag=options.bag)
     write_export(export, options.output)
     if options.plot is not None:
         write_picture(export_plot(export, FrictionFile.read(files.friction)), options.plot)

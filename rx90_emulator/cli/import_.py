@@ -9,7 +9,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_emulator.cli.options import new_folder
 
 _EPILOG = """\
-Only what is exact is taken: BAM's models m1 and m2, and <dcmotor lugre> or frictionloss of an MJCF. What a source does
+Only what is exact is taken: BAM's models m1, m2 and of m5 what depends on the external torque, and <dcmotor lugre> or frictionloss of an MJCF. What a source does
 not have, such as bristles, stands in the files as assumed. docs/howto/export.md says more.
 """
 
@@ -32,7 +32,6 @@ def main(options: argparse.Namespace) -> None:
     """
     # Here, because --help must not wait for them.
     from rx90_common.base.quoting import plain
-    from rx90_common.description.robot_files import FILES
     from rx90_common.process.files import write_text
     from rx90_emulator.export.export import write_folder
     from rx90_emulator.export.imports import import_arm, import_bam, import_mjcf_friction
@@ -49,8 +48,7 @@ def main(options: argparse.Namespace) -> None:
         raise ConfigError(f"{', '.join(map(plain, files))}; accepted: .json files of BAM, or one .xml file of MuJoCo")
     if whole:
         write_folder(output, texts)
-        missing = [name for role, name in FILES.items() if role in {"drives", "controller"} and name not in texts]
-        print(f"written: {', '.join(texts)} in {output}; a run also needs {' and '.join(missing)}")
+        print(f"written: {', '.join(texts)} in {output}; what they say is assumed is not in {plain(files[0])}")
     else:
         write_text(output, texts[output.name])
         print(f"written: {output}")

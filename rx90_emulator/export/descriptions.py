@@ -12,7 +12,7 @@ from rx90_common.friction.curves import LINEAR_SPEED
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_emulator.export.fit import FrictionFit, element_turns, motor_turns
 from rx90_emulator.export.targets import Target
-from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.setup import Arm
 
 Files = tuple[dict[str, str], list[str]]
 
@@ -20,29 +20,29 @@ _SDF_VERSION = "1.9"  # of Gazebo Garden and Harmonic; frames and relative poses
 _DRAKE = "http://drake.mit.edu"
 
 
-def write_urdf(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001 - as of every target
+def write_urdf(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001 - as of every target
     """Return the robot's URDF with its tool, and friction and damping of its joints."""
-    root = ET.fromstring(setup.robot.urdf)
+    root = ET.fromstring(arm.robot.urdf)
     for fit in fits:
         joint = _joint(root, fit.name)
         for old in joint.findall("dynamics"):
             joint.remove(old)
         viscous, coulomb = fit.law.viscous[0], fit.law.tau_c
         ET.SubElement(joint, "dynamics", damping=repr(viscous), friction=repr(coulomb))
-    largest = setup.drives.rotor_inertia.max()
-    return _named(setup, root, "urdf"), [
+    largest = arm.drives.rotor_inertia.max()
+    return _named(arm, root, "urdf"), [
         f"rotor inertias, which a URDF does not have: up to {largest:g} kg m^2 at a joint"
     ]
 
 
-def write_drake(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001
+def write_drake(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001
     """Return the URDF with Drake's rotors, and a module with the friction elements as a LeafSystem.
 
     Drake's reader takes the damping of a joint and leaves dry friction out, so the URDF has neither.
     """
-    root, drives = ET.fromstring(setup.robot.urdf), setup.drives
+    root, drives = ET.fromstring(arm.robot.urdf), arm.drives
     ET.register_namespace("drake", _DRAKE)
-    for i, name in enumerate(setup.robot.joint_names):
+    for i, name in enumerate(arm.robot.joint_names):
         for old in _joint(root, name).findall("dynamics"):
             _joint(root, name).remove(old)
         transmission = ET.SubElement(root, "transmission", name=f"transmission_{i + 1}")
@@ -50,23 +50,23 @@ def write_drake(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> Fi
         ET.SubElement(transmission, "joint", name=name)
         actuator, gear = ET.SubElement(transmission, "actuator", name=f"motor_{i + 1}"), float(drives.gear[i])
         # As large as Drake squares it with the gear; where a motor turns with two joints, it stands in both.
-        turning = drives.rotor_inertia @ (motor_turns(setup)[:, i] ** 2)
+        turning = drives.rotor_inertia @ (motor_turns(arm)[:, i] ** 2)
         ET.SubElement(actuator, f"{{{_DRAKE}}}gear_ratio", value=repr(gear))
         ET.SubElement(actuator, f"{{{_DRAKE}}}rotor_inertia", value=repr(float(turning) / gear**2))
     numbers = {fit.name: {name: _plain(getattr(fit.elements[0], name)) for name in FRICTION_UNITS} for fit in fits}
     template = (Path(__file__).parent / "templates" / "drake_friction.py.txt").read_text(encoding="utf-8")
     text = template.replace("@ELEMENTS@", json.dumps(numbers, indent=4).replace("null", "math.inf"))
-    text = text.replace("@INPUTS@", json.dumps(element_turns(setup).tolist())).replace("@LINEAR@", repr(LINEAR_SPEED))
-    return {**_named(setup, root, "urdf"), "friction.py": text}, []
+    text = text.replace("@INPUTS@", json.dumps(element_turns(arm).tolist())).replace("@LINEAR@", repr(LINEAR_SPEED))
+    return {**_named(arm, root, "urdf"), "friction.py": text}, []
 
 
 def _plain(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def write_sdf(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001
+def write_sdf(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001
     """Return the robot as SDF. Links without a mass, such as tool0, are frames; meshes and shapes are left out."""
-    urdf, robot = ET.fromstring(setup.robot.urdf), setup.robot
+    urdf, robot = ET.fromstring(arm.robot.urdf), arm.robot
     sdf = ET.Element("sdf", version=_SDF_VERSION)
     model = ET.SubElement(sdf, "model", name=str(robot.model.name))
     bodies = {one.get("name", ""): one.find("inertial") for one in urdf.findall("link")}
@@ -95,8 +95,8 @@ def write_sdf(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> File
             numbers = {name: repr(float(value)) for name, value in zip(names, limits, strict=True)}
             _texts(ET.SubElement(axis, "limit"), **numbers)
             _texts(ET.SubElement(axis, "dynamics"), damping=repr(law.viscous[0]), friction=repr(law.tau_c))
-    largest = setup.drives.rotor_inertia.max()
-    return _named(setup, sdf, "sdf"), [f"rotor inertias, which SDF does not have: up to {largest:g} kg m^2 at a joint"]
+    largest = arm.drives.rotor_inertia.max()
+    return _named(arm, sdf, "sdf"), [f"rotor inertias, which SDF does not have: up to {largest:g} kg m^2 at a joint"]
 
 
 def _add_link(model: ET.Element, name: str, inertial: ET.Element | None, joint: str | None) -> None:
@@ -124,7 +124,7 @@ def _joint(root: ET.Element, name: str) -> ET.Element:
     return next(one for one in root.findall("joint") if one.get("name") == name)
 
 
-def _named(setup: Setup, root: ET.Element, suffix: str) -> dict[str, str]:
+def _named(arm: Arm, root: ET.Element, suffix: str) -> dict[str, str]:
     ET.indent(root)
     text = ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
-    return {f"{setup.robot.model.name}.{suffix}": text}
+    return {f"{arm.robot.model.name}.{suffix}": text}

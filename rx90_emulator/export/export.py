@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -23,12 +24,12 @@ from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Panel, Plot
 from rx90_emulator.configuration.origins import aligned
 from rx90_emulator.export.fit import POINTS, FrictionFit, element_turns, fit_friction, speeds_up_to, sum_of
 from rx90_emulator.export.targets import TARGETS, Target
-from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.setup import Arm
 
 REPORT = "export.yaml"
 """The file beside those of the simulator that says what the export costs."""
 
-Writer = Callable[[Setup, Target, Sequence[FrictionFit]], tuple[Mapping[str, str], Sequence[str]]]
+Writer = Callable[[Arm, Target, Sequence[FrictionFit]], tuple[Mapping[str, str], Sequence[str]]]
 """Returns the texts of the files by their names, and what else is lost."""
 
 _WRITERS = {
@@ -125,12 +126,12 @@ def _both(values: Sequence[float]) -> str:
 
 
 def export_robot(
-    setup: Setup, target: str, *, speeds: tuple[float, float] | None = None, bag: Path | str | None = None
+    arm: Arm, target: str, *, speeds: tuple[float, float] | None = None, bag: Path | str | None = None
 ) -> Export:
     """Return a robot, or its friction alone, in the language of another simulator.
 
     Args:
-        setup: the robot and its friction.
+        arm: the robot and its friction.
         target: one of TARGETS.
         speeds: the range in use, rad/s; if neither this nor a bag is given it is that over which each element was
             identified, else that of each joint, from 1 mrad/s.
@@ -140,49 +141,51 @@ def export_robot(
         ConfigError: for an unknown target, a range that is none, or both a range and a bag.
         BagError: if the bag cannot be read, or no joint moves in it.
     """
-    check_type(setup=(setup, Setup))
+    check_type(arm=(arm, Arm))
     if target not in TARGETS:
         raise ConfigError(f"target {quoted(target)}; accepted: {listed(TARGETS)}")
     if speeds is not None and bag is not None:
         raise ConfigError("speeds from a range and from a bag; accepted: one of both")
-    one, turns, fits = TARGETS[target], element_turns(setup), []
-    used, words = _speeds_in_use(setup, turns if TARGETS[target].coupled else np.eye(turns.shape[1]), speeds, bag)
+    one, turns, fits = TARGETS[target], element_turns(arm), []
+    used, words = _speeds_in_use(arm, turns if TARGETS[target].coupled else np.eye(turns.shape[1]), speeds, bag)
     if one.coupled:
-        for name, element, speed in zip(setup.friction.names, setup.friction.elements, used, strict=True):
+        for name, element, speed in zip(arm.friction.names, arm.friction.elements, used, strict=True):
             fits.append(fit_friction(one, name, [element], speed))
     else:
-        for joint, (name, speed) in enumerate(zip(setup.robot.joint_names, used, strict=True)):
-            felt = [each for each, row in zip(setup.friction.elements, turns, strict=True) if row[joint]]
-            fits.append(_with_coupling(fit_friction(one, name, felt, speed), setup, joint))
+        for joint, (name, speed) in enumerate(zip(arm.robot.joint_names, used, strict=True)):
+            felt = [each for each, row in zip(arm.friction.elements, turns, strict=True) if row[joint]]
+            fits.append(_with_coupling(fit_friction(one, name, felt, speed), arm, joint))
     module, _, function = _WRITERS[target].partition(":")
     writer: Writer = getattr(import_module(f"rx90_emulator.export.{module}"), function)
-    files, remarks = writer(setup, one, fits)
-    return Export(one, tuple(fits), files, (*_arm_lost(setup, one), *remarks), words)
+    files, remarks = writer(arm, one, fits)
+    # Names of robots and joints may have slashes.
+    files = {re.sub(r"[/\\]", "_", name): text for name, text in files.items()}
+    return Export(one, tuple(fits), files, (*_arm_lost(arm, one), *remarks), words)
 
 
 def _speeds_in_use(
-    setup: Setup, turns: Array, speeds: tuple[float, float] | None, bag: Path | str | None
+    arm: Arm, turns: Array, speeds: tuple[float, float] | None, bag: Path | str | None
 ) -> tuple[list[Array], str]:
     """Return the speeds of each row of turns, shape (k, joints), and what they are in words."""
     if speeds is not None:
         return [speeds_up_to(speeds[1], speeds[0])] * len(turns), f"from {speeds[0]:g} to {speeds[1]:g} rad/s"
-    most = np.abs(turns) @ setup.robot.max_velocity
+    most = np.abs(turns) @ arm.robot.max_velocity
     whole, words = [speeds_up_to(high) for high in most], f"from {LINEAR_SPEED:g} rad/s to the largest of each joint"
-    identified = _identified_ranges(setup)
+    identified = _identified_ranges(arm)
     if identified:
-        names = setup.friction.names[: len(turns)]
+        names = arm.friction.names[: len(turns)]
         whole = [speeds_up_to(*identified.get(n, (each[-1],))) for n, each in zip(names, whole, strict=True)]
         words = "those over which each element was identified; of others " + words
     if bag is None:
         return whole, words
-    series = read_joint_states(bag, "joint_states", setup.robot.joint_names)
+    series = read_joint_states(bag, "joint_states", arm.robot.joint_names)
     if series.velocity is None:
         raise BagError(f"{plain(bag)}: joint_states has no velocities; accepted: a bag with them")
     found, resting = [], []
     for row, speed, every in zip(turns, np.abs(series.velocity @ turns.T).T, whole, strict=True):
         moving = speed[speed >= LINEAR_SPEED]
         if len(moving) < _FEWEST:
-            resting.append(" and ".join(np.array(setup.robot.joint_names)[row != 0.0]))
+            resting.append(" and ".join(np.array(arm.robot.joint_names)[row != 0.0]))
         found.append(every if len(moving) < _FEWEST else np.quantile(moving, np.linspace(0.0, 1.0, POINTS)))
     if len(resting) == len(turns):
         raise BagError(f"{plain(bag)}: no joint moves at {LINEAR_SPEED:g} rad/s or more; accepted: a bag of motions")
@@ -190,31 +193,33 @@ def _speeds_in_use(
     return found, f"those of {plain(bag)} from {LINEAR_SPEED:g} rad/s on, as often as they are there{rest}"
 
 
-def _identified_ranges(setup: Setup) -> dict[str, tuple[float, float]]:
+def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
     """Return the fastest and the slowest speed at which each element was identified, as its friction file says."""
-    file = setup.friction.file
-    fits = {} if file is None else (FrictionFile.read(file).identification or {}).get("fit") or {}
+    file = arm.friction.file
+    found = {} if file is None else FrictionFile.read(file).identification or {}
+    fits = found.get("fit") or {}
     bands = {name: one["residual_by_speed"] for name, one in fits.items() if one.get("residual_by_speed")}
-    return {name: (float(one[-1][1]), float(one[0][0])) for name, one in bands.items()}
+    ranges = {name: (float(one[-1][1]), float(one[0][0])) for name, one in bands.items()}
+    return ranges | {name: (float(high), float(low)) for name, (low, high) in (found.get("speeds") or {}).items()}
 
 
-def _with_coupling(fit: FrictionFit, setup: Setup, joint: int) -> FrictionFit:
+def _with_coupling(fit: FrictionFit, arm: Arm, joint: int) -> FrictionFit:
     """Return the fit of a joint with what is lost where its friction depends on another one's motion, too."""
     coupled, lost, speeds = 0.0, list(fit.lost), fit.speeds
-    for row, name, element in zip(element_turns(setup), setup.friction.names, setup.friction.elements, strict=True):
+    for row, name, element in zip(element_turns(arm), arm.friction.names, arm.friction.elements, strict=True):
         others = [other for other in np.flatnonzero(row) if other != joint]
         if row[joint] and others:
             both = np.add.outer(speeds, np.concatenate([-speeds, speeds]))
             most = float(np.abs(element.steady_torque(both) - element.steady_torque(speeds)[:, None]).max())
-            moves = " and ".join(setup.robot.joint_names[other] for other in others)
+            moves = " and ".join(arm.robot.joint_names[other] for other in others)
             lost.append(f"coupling: while {moves} moves, {name} differs by up to {most:.3g} Nm more")
             coupled += most
     return replace(fit, lost=tuple(lost), coupled=coupled)
 
 
-def _arm_lost(setup: Setup, target: Target) -> list[str]:
+def _arm_lost(arm: Arm, target: Target) -> list[str]:
     """Return what a target does not hold of the drives."""
-    drives, mujoco_arm = setup.drives, target.name.startswith("mujoco")
+    drives, mujoco_arm = arm.drives, target.name.startswith("mujoco")
     lost = []
     if target.name in {"bam", "modelica", "isaaclab"}:
         lost.append("arm: the friction alone is written" + ", with rotor inertias" * (target.name != "modelica"))

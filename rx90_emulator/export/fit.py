@@ -16,8 +16,9 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay
 from rx90_common.friction.element import SIGNS, FrictionElement
+from rx90_common.friction.parts.load import LoadPart
 from rx90_emulator.export.targets import Target
-from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.setup import Arm
 
 POINTS = 400
 """Of the speeds at which curves are compared, evenly spaced in their logarithm."""
@@ -38,6 +39,7 @@ class SimulatorLaw:
         viscous: a, b and c of a v + b v |v| + c v^3, Nm s/rad, Nm s²/rad², Nm s³/rad³.
         c0: bristle stiffness, Nm/rad; infinite without bristles.
         c1: bristle damping, Nm s/rad.
+        load: share of the load torque by which friction grows, and by how much more of it at rest.
         table: speeds and torques of a sampled curve, shape (n, 2), None for the law above.
     """
 
@@ -48,6 +50,7 @@ class SimulatorLaw:
     viscous: tuple[float, float, float] = (0.0, 0.0, 0.0)
     c0: float = math.inf
     c1: float = 0.0
+    load: tuple[float, float] = (0.0, 0.0)
     table: Array | None = None
 
     def torque(self, speed: Array) -> Array:
@@ -93,14 +96,14 @@ class FrictionFit:
         return self.largest + self.coupled
 
 
-def element_turns(setup: Setup) -> Array:
+def element_turns(arm: Arm) -> Array:
     """Return the velocity of each friction element for the joints' velocities, shape (elements, joints)."""
-    return setup.drives.turning.element_matrix
+    return arm.drives.turning.element_matrix
 
 
-def motor_turns(setup: Setup) -> Array:
+def motor_turns(arm: Arm) -> Array:
     """Return the turns of each motor for those of the joints without the gears, shape (joints, joints)."""
-    return setup.drives.turning.turns
+    return arm.drives.turning.turns
 
 
 def speeds_up_to(high: float, low: float = LINEAR_SPEED) -> Array:
@@ -166,10 +169,19 @@ def _law(target: Target, elements: Sequence[FrictionElement], speeds: Array, tor
         viscous=(float(sum(one.c2 * speeds.max() ** (one.alpha - 1.0) for one in elements)), 0.0, 0.0),
         c0=sum(one.c0 for one in elements) if target.bristles else math.inf,
         c1=sum(one.c1 for one in elements) if target.bristles else 0.0,
+        load=_load(first) if target.loaded else (0.0, 0.0),
     )
     if target.everything or _agrees(copied, speeds, torque):
         return copied
     return _fitted(copied, target, curved, speeds, torque)
+
+
+def _load(element: FrictionElement) -> tuple[float, float]:
+    """Return the means of both directions of the power flow."""
+    load = element.load
+    if load is None:
+        return 0.0, 0.0
+    return 0.5 * (load.driving + load.driven), 0.5 * (load.stribeck_driving + load.stribeck_driven)
 
 
 def _agrees(law: SimulatorLaw, speeds: Array, torque: Array) -> bool:
@@ -242,12 +254,34 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
     if element.bristles is not None:
         lost.append(f"bristles of the kind {type(element.bristles).__name__}: those of LuGre")
     if (load := element.load) is not None:
-        shares = f"{load.driving:.3g} (driving) and {load.driven:.3g} (driven)"
-        lost.append(f"load: friction grows by {shares} of the load torque")
+        lost += (
+            _load_lost(load)
+            if target.loaded
+            else [
+                f"load: friction grows by {load.driving:.3g} (driving) and {load.driven:.3g} (driven) of the load torque"
+            ]
+        )
     if (warmth := element.temperature) is not None:
         warm, cold = warmth.viscous_range
         lost.append(f"temperature: viscous torque is {warm:.2g} to {cold:.2g} times that at {warmth.reference:g} °C")
     for part in ("ripple", "scatter"):
         if getattr(element, part) is not None:
             lost.append(f"{part}: the mean is kept")
+    return lost
+
+
+def _load_lost(load: LoadPart) -> list[str]:
+    """Return what a target does not hold of a load part whose means of both directions it has."""
+    lost = []
+    for at, driving, driven in (
+        ("while sliding", load.driving, load.driven),
+        ("at rest, beyond that", load.stribeck_driving, load.stribeck_driven),
+    ):
+        if driving != driven:
+            off = 0.5 * abs(driving - driven)
+            lost.append(f"load {at}: driving and driven, {driving:.3g} and {driven:.3g}: their mean, {off:.2g} l off")
+    if quadratic := max(load.quadratic_driving, load.quadratic_driven):
+        lost.append(f"load at rest: growth by the square of the load torque l, up to {quadratic:.3g} l^2")
+    if load.omega_s:
+        lost.append(f"load: its Stribeck velocity of {load.omega_s:g} rad/s: that of the element")
     return lost

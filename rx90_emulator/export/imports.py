@@ -1,7 +1,7 @@
 """From other simulators: BAM's JSON and MuJoCo's LuGre to a friction file, an MJCF arm to a robot folder.
 
-Only what is exact is taken: BAM's models m1 and m2, which have friction by speed alone, and dcmotor actuators with
-lugre. What a source does not have stands in the files as assumed.
+Only what is exact is taken: BAM's models m1 and m2, whose friction depends on speed alone, m5 where it depends on the
+external torque alone, and dcmotor actuators with lugre. What a source does not have stands in the files as assumed.
 """
 
 from __future__ import annotations
@@ -11,28 +11,38 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.description.coupling import Coupling
+from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import FILES
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.friction_file import ALL_ELEMENTS, FrictionFile
+from rx90_common.friction.parts.load import LoadPart
+from rx90_emulator.identification.output.assumed_files import assumed_files
+from rx90_emulator.identification.output.robot_files import Identified, marked
 
 DEFLECTION = 2.5e-4
 """Assumed deflection at break-away, rad, that gives the c0 of elements without bristles."""
 
 _DAMPING_TIME = 1e-3  # s: c1 over c0, assumed
 _BAM = ("friction_base", "friction_stribeck", "dtheta_stribeck", "alpha", "friction_viscous")
-_EXACT = {"m1": (_BAM[0], _BAM[4]), "m2": _BAM}
+_BAM_LOAD = tuple(f"load_friction_{of}{at}" for of in ("external", "motor") for at in ("", "_stribeck"))
+_EXACT = {"m1": (_BAM[0], _BAM[4]), "m2": _BAM, "m5": _BAM + _BAM_LOAD}
 _BRISTLES = {
     "c0": f"tau_s over a guessed deflection at break-away, {DEFLECTION:g} rad",
     "c1": f"{_DAMPING_TIME:g} s c0",
     "omega_d": "1 rad/s, so that the element is passive (Olsson 1996)",
 }
+_NONE = 1e-6  # Nm: of a joint without friction, which no element can be
+_OF_MJCF = {"tau_c", "tau_s", "omega_s", "delta", "c2"}
 _PEAK_VELOCITY, _PEAK_EFFORT = math.pi, 1000.0  # rad/s and Nm, assumed: MJCF need not limit them
 
 
@@ -50,25 +60,36 @@ def import_bam(paths: Sequence[Path | str]) -> FrictionFile:
             raise ConfigError(f"{plain(path)}: no JSON ({error}); accepted: a file of BAM's parameters") from error
         model = found.get("model") if isinstance(found, dict) else None
         if model not in _EXACT:
-            accepted = "m1 or m2; the others' friction depends on the load in another way than here"
+            accepted = "m1, m2, or m5; the others' friction depends on the load in another way than here"
             raise ConfigError(f"{plain(path)}: model is {quoted(model)}; accepted: {accepted}")
         for name in _EXACT[model]:
             if not isinstance(found.get(name), int | float):
                 raise ConfigError(f"{plain(path)}: {name} is {quoted(found.get(name))}; accepted: a number")
+        by_motor = [name for name in _BAM_LOAD[2:] if found.get(name, 0.0) and model == "m5"]
+        if by_motor:
+            accepted = "0; friction that grows with the motor's torque, of which it is a part, is another law than here"
+            raise ConfigError(f"{plain(path)}: {by_motor[0]} is {found[by_motor[0]]:g}; accepted: {accepted}")
         if path.stem in elements:
             raise ConfigError(f"{plain(path)}: a second element {quoted(path.stem)}; accepted: each name once")
         base, rise = found["friction_base"], found.get("friction_stribeck", 0.0)
         speed, exponent = found.get("dtheta_stribeck", 1.0), found.get("alpha", 1.0)
-        elements[path.stem] = _rigid(path, base, base + rise, speed, exponent, found["friction_viscous"])
+        load = (found[_BAM_LOAD[0]], found[_BAM_LOAD[1]]) if model == "m5" else None
+        elements[path.stem] = _rigid(path, base, base + rise, speed, exponent, found["friction_viscous"], load)
     known = {"tau_c", "tau_s", "omega_s", "delta", "c2"}
     return _file(elements, known, listed(plain(path) for path in paths), dict.fromkeys(elements, False))
 
 
-def _rigid(path: Path, tau_c: float, tau_s: float, omega_s: float, delta: float, c2: float) -> FrictionElement:
-    """Return an element of a source that has no bristles."""
+def _rigid(
+    path: Path, tau_c: float, tau_s: float, omega_s: float, delta: float, c2: float,
+    load: tuple[float, float] | None = None,
+) -> FrictionElement:  # fmt: skip
+    """Return an element of a source that has no bristles; load: share of the load torque, and what comes to it at rest."""
     c0 = tau_s / DEFLECTION
     try:
-        return FrictionElement(tau_c, tau_c, tau_s, tau_s, omega_s, delta, c0, _DAMPING_TIME * c0, c2, omega_d=1.0)
+        part = None if load is None else LoadPart(load[0], load[0], load[1], load[1])
+        return FrictionElement(
+            tau_c, tau_c, tau_s, tau_s, omega_s, delta, c0, _DAMPING_TIME * c0, c2, omega_d=1.0, load=part
+        )
     except ConfigError as error:
         raise ConfigError(f"{plain(path)}: {error}") from error
 
@@ -89,43 +110,58 @@ def import_mjcf_friction(path: Path | str) -> FrictionFile:
     A joint without one that has frictionloss gets an element with tau_s = tau_c.
 
     Raises:
-        ConfigError: if MuJoCo cannot read it, there is no friction in it, or a damping is no linear one.
+        ConfigError: if MuJoCo cannot read it, there is no friction in it, or some that is no element: a damping that is
+            a polynomial, LuGre behind a site, two friction torques of one joint.
     """
-    path, model = Path(path), _model(Path(path))
+    path = Path(path)
+    elements, bristles = _friction(path, _model(path))
+    if not elements:
+        raise ConfigError(f"{plain(path)}: no dcmotor with lugre, no frictionloss; accepted: an MJCF with friction")
+    return _file(elements, _OF_MJCF, plain(path), bristles)
+
+
+def _friction(path: Path, model: Any) -> tuple[dict[str, FrictionElement], dict[str, bool]]:
+    """Return the elements by the names of their joints and tendons, and whether each has bristles."""
     import mujoco
 
     elements: dict[str, FrictionElement] = {}
-    bristles: dict[str, bool] = {}
     kinds = {mujoco.mjtTrn.mjTRN_JOINT: model.joint, mujoco.mjtTrn.mjTRN_TENDON: model.tendon}
-    for k in range(len(model.actuator_trntype)):
+    for k in range(model.nu):
         c0, c1 = model.actuator_dynprm[k, 5:7].tolist()
         if model.actuator_biastype[k] != mujoco.mjtBias.mjBIAS_DCMOTOR or c0 <= 0.0:
             continue
-        name = kinds[mujoco.mjtTrn(model.actuator_trntype[k])](model.actuator_trnid[k, 0]).name
+        kind = mujoco.mjtTrn(model.actuator_trntype[k])
+        name = kinds[kind](model.actuator_trnid[k, 0]).name if kind in kinds else ""
+        if not name or name in elements:
+            what = f"a second lugre on {name}" if name else f"lugre on {kind.name}"
+            raise ConfigError(f"{plain(path)}: {what}; accepted: one for a joint or a tendon")
         if np.any(model.actuator_dampingpoly[k]):
             raise ConfigError(f"{plain(path)}: the damping of {name} is a polynomial; accepted: a linear one")
         tau_c, tau_s, omega_s = model.actuator_biasprm[k, 3:6].tolist()
         n = abs(float(model.actuator_gear[k, 0]))
-        c2 = n * n * float(model.actuator_damping[k]) + _damping(model, name)
+        c2 = n * n * float(model.actuator_damping[k]) + _linear(path, model, name, "damping")
         elements[name] = FrictionElement(
             n * tau_c, n * tau_c, n * tau_s, n * tau_s, omega_s / n, 2.0, n * n * c0, n * n * c1, c2
         )
-        bristles[name] = True
-    for k in range(model.njnt):
-        name, loss = model.joint(k).name, float(model.dof_frictionloss[model.jnt_dofadr[k]])
-        if name not in elements and loss > 0.0:
-            elements[name], bristles[name] = _rigid(path, loss, loss, 1.0, 1.0, _damping(model, name)), False
-    if not elements:
-        raise ConfigError(f"{plain(path)}: no dcmotor with lugre, no frictionloss; accepted: an MJCF with friction")
-    return _file(elements, {"tau_c", "tau_s", "omega_s", "delta", "c2"}, plain(path), bristles)
+    bristles = dict.fromkeys(elements, True)
+    for name in [model.joint(k).name for k in range(model.njnt)] + [model.tendon(k).name for k in range(model.ntendon)]:
+        if (loss := _linear(path, model, name, "frictionloss")) > 0.0:
+            if name in elements:
+                raise ConfigError(f"{plain(path)}: lugre and frictionloss of {name}; accepted: one of both")
+            elements[name] = _rigid(path, loss, loss, 1.0, 1.0, _linear(path, model, name, "damping"))
+            bristles[name] = False
+    return elements, bristles
 
 
-def _damping(model: Any, name: str) -> float:
-    """Return the linear damping that a joint, or else a tendon, has itself."""
+def _linear(path: Path, model: Any, name: str, what: str) -> float:
+    """Return what a joint, or else a tendon, has itself of armature, damping, frictionloss or stiffness."""
     joints = {model.joint(k).name: k for k in range(model.njnt)}
-    if name in joints:
-        return float(model.dof_damping[model.jnt_dofadr[joints[name]]])
-    return float(model.tendon_damping[model.tendon(name).id])
+    kind, at = ("jnt" if what == "stiffness" else "dof", joints[name]) if name in joints else (
+        "tendon", model.tendon(name).id)  # fmt: skip
+    at = model.jnt_dofadr[at] if kind == "dof" else at
+    if np.any(getattr(model, f"{kind}_{what}poly", [[0.0]] * (at + 1))[at]):
+        raise ConfigError(f"{plain(path)}: the {what} of {name} is a polynomial; accepted: a linear one")
+    return float(getattr(model, f"{kind}_{what}")[at])
 
 
 def _model(path: Path) -> Any:
@@ -139,12 +175,15 @@ def _model(path: Path) -> Any:
 
 
 def import_arm(path: Path | str) -> dict[str, str]:
-    """Return the texts of a robot folder for an MJCF arm by the files' names: the URDF, and its friction if it has any.
+    """Return the texts of a robot folder for an MJCF arm, by the files' names: URDF, drives, friction and controller.
 
-    Hinges become joints; a slide, such as that of a finger, stays where it is at the start. Shapes are left out.
+    Hinges become joints; a slide, such as that of a finger, stays where it is at the start. Shapes are left out. A fixed
+    tendon with an actuator is a motor that turns with several joints. Armatures are rotors; the other values of drives
+    and controller are assumed in proportion to the arm. A joint without friction gets next to none.
 
     Raises:
-        ConfigError: if MuJoCo cannot read it, a body has several joints, or two of them have one name.
+        ConfigError: if MuJoCo cannot read it, it is no arm of 1 to 7 hinges in series, or has a spring or a tendon that
+            no robot folder holds.
     """
     import mujoco
 
@@ -154,9 +193,7 @@ def import_arm(path: Path | str) -> dict[str, str]:
     robot = ET.Element("robot", name=path.stem)
     remark = f" From {path.name}, read by MuJoCo. Velocities of {_PEAK_VELOCITY:.3f} rad/s are ASSUMED, and "
     remark += f"efforts of {_PEAK_EFFORT:g} Nm where nothing limits them. "
-    rotors = {model.joint(j).name: float(model.dof_armature[model.jnt_dofadr[j]]) for j in range(model.njnt)}
-    held = ", ".join(f"{name} {value:g}" for name, value in rotors.items() if value)
-    robot.append(ET.Comment(remark + f"Armatures, kg m^2, are no part of it: {held or 'none'}. "))
+    robot.append(ET.Comment(remark + f"Armatures are no part of it: they stand in {FILES['drives']}. "))
     names = ["base_link", *(model.body(b).name or f"body_{b}" for b in range(1, model.nbody))]
     origins, turns = np.zeros((model.nbody, 3)), np.zeros((model.nbody, 3, 3))
     turns[0] = np.eye(3)
@@ -187,13 +224,90 @@ def import_arm(path: Path | str) -> dict[str, str]:
             ET.SubElement(inertial, "inertia", {key: repr(float(tensor[at])) for key, at in upper.items()})
     ET.indent(robot)
     texts = {FILES["urdf"]: ET.tostring(robot, encoding="unicode") + "\n"}
+    return texts | _drives_and_friction(path, model, _robot_of(path, texts[FILES["urdf"]]))
+
+
+def _robot_of(path: Path, urdf: str) -> RobotModel:
+    """Return the arm of a URDF that was made of an MJCF."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / FILES["urdf"]
+        file.write_text(urdf, encoding="utf-8")
+        try:
+            return load_robot(file)
+        except ConfigError as error:
+            raise ConfigError(str(error).replace(str(file), plain(path))) from error
+
+
+def _drives_and_friction(path: Path, model: Any, robot: RobotModel) -> dict[str, str]:
+    """Return the texts of the other files by their names."""
+    names = robot.joint_names
+    for name in names:
+        if _linear(path, model, name, "stiffness"):
+            raise ConfigError(f"{plain(path)}: {name} has a spring; accepted: joints without stiffness")
+    turns, tendons = _turns(path, model, names)
     try:
-        friction = import_mjcf_friction(path)
-    except ConfigError:  # without friction: the arm alone
-        return texts
-    given = {name: {"rotor_inertia": rotors[name]} for name in friction.elements if rotors.get(name)}
-    whole = FrictionFile(friction.elements, friction.provenance, friction.source, about=friction.about, joints=given)
-    return texts | {FILES["friction"]: whole.text()}
+        turning = Coupling(turns)
+    except ConfigError as error:
+        raise ConfigError(f"{plain(path)}: its tendons: {error}") from error
+    motors = [tendons.get(i, name) for i, name in enumerate(names)]
+    lost = [name for i, name in enumerate(names) if i in tendons and _linear(path, model, name, "armature")]
+    if lost:
+        raise ConfigError(f"{plain(path)}: armature of {lost[0]}, whose motor turns with others, too; accepted: 0")
+    rotors = np.array([_linear(path, model, name, "armature") for name in motors])
+    elements, bristles = _friction(path, model)
+    sources = dict(zip(turning.element_names(names), (*names, *(motors[i] for i in turning.sums)), strict=True))
+    if left := sorted(elements.keys() - set(sources.values()) - _fixed(model)):
+        raise ConfigError(f"{plain(path)}: friction of {left[0]}; accepted: of {listed(sources.values())}")
+    for source in sources.values():
+        if source not in elements:
+            elements[source] = _rigid(path, _NONE, _NONE, 1.0, 1.0, _linear(path, model, source, "damping"))
+            bristles[source] = False
+    friction = _file({name: elements[source] for name, source in sources.items()}, _OF_MJCF, plain(path),
+                     {name: bristles[source] for name, source in sources.items()})  # fmt: skip
+    drives, controller = assumed_files(robot, robot.model, turning, rotors, {})
+    about = {key: Identified(drives["transmission"][key], "derived", f"armatures and tendons of {path.name}")
+             for key in ("rotor_inertia", "coupling")}  # fmt: skip
+    drives["transmission"] = marked(drives["transmission"], about)
+    return {
+        FILES["drives"]: _head("Drives", path) + yaml_text(drives),
+        FILES["friction"]: friction.text(),
+        FILES["controller"]: _head("Controller", path) + yaml_text(controller),
+    }
+
+
+def _head(what: str, path: Path) -> str:
+    return f"# {what} of the arm of {path.name}, of which that says next to nothing: ASSUMED where it is marked so. SI units.\n"
+
+
+def _fixed(model: Any) -> set[str]:
+    """Return the names of joints that stay where they are."""
+    import mujoco
+
+    return {model.joint(j).name for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE}
+
+
+def _turns(path: Path, model: Any, names: Sequence[str]) -> tuple[Array, dict[int, str]]:
+    """Return the turns of motors for those of joints, shape (n, n), and the tendons of motors that turn with several."""
+    import mujoco
+
+    turns, tendons = np.eye(len(names)), {}
+    driven = model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON, 0]
+    for t in dict.fromkeys(driven.tolist()):
+        name, row = model.tendon(t).name, np.zeros(len(names))
+        wraps = range(model.tendon_adr[t], model.tendon_adr[t] + model.tendon_num[t])
+        joints = [model.joint(model.wrap_objid[w]).name if model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT else None
+                  for w in wraps]  # fmt: skip
+        if set(joints) <= _fixed(model):  # of a gripper
+            continue
+        for w, joint in zip(wraps, joints, strict=True):
+            if joint in names:
+                row[names.index(joint)] = model.wrap_prm[w]
+        own = [i for i in np.flatnonzero(row)[::-1].tolist() if i not in tendons]
+        if not own or np.count_nonzero(row) != len(joints) or len(joints) < 2:
+            raise ConfigError(f"{plain(path)}: tendon {quoted(name)}; accepted: fixed, of several of {listed(names)}")
+        tendons[own[0]] = name
+        turns[own[0]] = row
+    return turns, tendons
 
 
 def _add_joint(

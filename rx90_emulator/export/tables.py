@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from rx90_emulator.export.fit import FrictionFit, SimulatorLaw, element_turns, motor_turns
 from rx90_emulator.export.targets import Target
-from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.setup import Arm
 
 Files = tuple[dict[str, str], list[str]]
 
@@ -40,31 +40,33 @@ from isaaclab.actuators import ImplicitActuatorCfg
 '''
 
 
-def write_isaaclab(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001 - as of every target
+def write_isaaclab(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001 - as of every target
     """Return a module with the configuration of one actuator model for all joints."""
-    robot, drives = setup.robot, setup.drives
-    rotors = drives.rotor_inertia @ motor_turns(setup) ** 2
-    efforts = abs(drives.gear * drives.peak_torque)
+    robot, drives = arm.robot, arm.drives
+    rotors = drives.rotor_inertia @ motor_turns(arm) ** 2
+    efforts = abs(motor_turns(arm)).T @ abs(drives.gear * drives.peak_torque)
+
+    patterns = [json.dumps(re.escape(name)) for name in robot.joint_names]
 
     def by_joint(values: ArrayLike) -> str:
-        numbers = zip(robot.joint_names, np.array(values).tolist(), strict=True)
-        return "{\n" + "".join(f'        "{name}": {value!r},\n' for name, value in numbers) + "    }"
+        numbers = zip(patterns, np.array(values).tolist(), strict=True)
+        return "{\n" + "".join(f"        {name}: {value!r},\n" for name, value in numbers) + "    }"
 
     name = str(robot.model.name)
     text = _ISAACLAB.format(
         name=name, constant=_word(name).upper() + "_ACTUATORS",
-        joints=json.dumps(list(robot.joint_names)), effort=by_joint(efforts), velocity=by_joint(robot.max_velocity),
+        joints=f"[{', '.join(patterns)}]", effort=by_joint(efforts), velocity=by_joint(robot.max_velocity),
         armature=by_joint(rotors), friction=by_joint([fit.law.tau_s for fit in fits]),
         dynamic=by_joint([fit.law.tau_c for fit in fits]), viscous=by_joint([fit.law.viscous[0] for fit in fits]),
     )  # fmt: skip
     return {"actuators.py": text}, []
 
 
-def write_bam(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001
+def write_bam(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001
     """Return a file for each element, as BAM's `load_model` reads it."""
-    rotors = dict.fromkeys(setup.friction.names, 0.0)
-    rows = {tuple(row): name for row, name in zip(element_turns(setup).tolist(), setup.friction.names, strict=True)}
-    for row, rotor in zip(motor_turns(setup).tolist(), setup.drives.rotor_inertia, strict=True):
+    rotors = dict.fromkeys(arm.friction.names, 0.0)
+    rows = {tuple(row): name for row, name in zip(element_turns(arm).tolist(), arm.friction.names, strict=True)}
+    for row, rotor in zip(motor_turns(arm).tolist(), arm.drives.rotor_inertia, strict=True):
         rotors[rows[tuple(row)]] = float(rotor)
     files = {fit.name: bam_parameters(fit.law, rotors[fit.name]) for fit in fits}
     remark = f"motor: BAM wants one that it knows, {BAM_ACTUATOR} stands there; its kt and R are not this robot's"
@@ -72,26 +74,42 @@ def write_bam(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> File
 
 
 def bam_parameters(law: SimulatorLaw, armature: float) -> dict[str, float | str]:
-    """Return BAM's parameters of a law: model m1 without, m2 with a Stribeck part."""
-    rise = law.tau_s - law.tau_c
-    stribeck = {"friction_stribeck": rise, "dtheta_stribeck": law.omega_s, "alpha": law.delta} if rise else {}
-    base: dict[str, float | str] = {"model": "m2" if rise else "m1", "actuator": BAM_ACTUATOR, "armature": armature}
-    return base | {"friction_base": law.tau_c, **stribeck, "friction_viscous": law.viscous[0]}
+    """Return BAM's parameters of a law: model m1, m2 with a Stribeck part, m5 with one of the load.
+
+    BAM's load is |K_m tau_m - K_e tau_e| of motor and external torque. With K_m = 0 it is that of the transmitted torque
+    in both directions, and without load friction stays what it is.
+    """
+    rise, (sliding, rest) = law.tau_s - law.tau_c, law.load
+    loaded = sliding > 0.0 or rest > 0.0
+    content: dict[str, float | str] = {"model": "m5" if loaded else "m2" if rise else "m1", "actuator": BAM_ACTUATOR}
+    content |= {"armature": armature, "friction_base": law.tau_c, "friction_viscous": law.viscous[0]}
+    if rise or loaded:
+        content |= {"friction_stribeck": rise, "dtheta_stribeck": law.omega_s, "alpha": law.delta}
+    if loaded:
+        shares = {"motor": 0.0, "external": sliding, "motor_stribeck": 0.0, "external_stribeck": rest}
+        content |= {f"load_friction_{name}": value for name, value in shares.items()}
+    return content
 
 
-def write_modelica(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001
+def write_modelica(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001
     """Return a package with tau_pos and peak of each element; the first row is the break-away torque, so peak is 1."""
-    name = _word(str(setup.robot.model.name)) + "_friction"
+    name = _word(str(arm.robot.model.name)) + "_friction"
     lines = [f'package {name} "Friction for Rotational.Components.BearingFriction, joint side, rad/s and Nm"']
     for fit in fits:
         assert fit.law.table is not None
-        element = _word(fit.name)
+        curve, peak = (_identifier(f"{fit.name}_{what}") for what in ("tau_pos", "peak"))
         rows = ";\n    ".join(f"{speed!r}, {torque!r}" for speed, torque in fit.law.table.tolist())
-        lines.append(f"  constant Real {element}_tau_pos[:, 2] = [\n    {rows}];")
-        lines.append(f"  constant Real {element}_peak = 1.0;")
+        lines.append(f"  constant Real {curve}[:, 2] = [\n    {rows}];")
+        lines.append(f"  constant Real {peak} = 1.0;")
     return {f"{name}.mo": "\n".join([*lines, f"end {name};", ""])}, []
 
 
+def _identifier(name: str) -> str:
+    """Return a name for Modelica, which takes any character between quotes, with a backslash for quotes and itself."""
+    return name if _word(name) == name else "'" + re.sub(r"([\\'])", r"\\\1", name) + "'"
+
+
 def _word(name: str) -> str:
-    """Return a name as an identifier."""
-    return re.sub(r"\W", "_", name)
+    """Return a name as an identifier of letters without accents, digits and underscores."""
+    word = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return f"_{word}" if word[:1].isdigit() else word

@@ -18,6 +18,7 @@ class Target:
         polynomial: whether its viscous torque is a v + b v |v| + c v^3 instead of a v.
         bristles: whether it has c0 and c1.
         coupled: whether an element may turn with two joints.
+        loaded: whether its friction grows with the load torque, as much where the motor moves the link as elsewhere.
         sampled: whether it holds any curve, as a table.
         everything: whether it holds the element's law itself.
     """
@@ -30,6 +31,7 @@ class Target:
     polynomial: bool = False
     bristles: bool = False
     coupled: bool = False
+    loaded: bool = False
     sampled: bool = False
     everything: bool = False
 
@@ -46,8 +48,8 @@ TARGETS = {
         Target("isaaclab", "Isaac Lab: ImplicitActuatorCfg", breaks_away=True),
         Target("drake", "Drake: a URDF, and a LeafSystem with the LuGre law itself",
                stribeck=True, breaks_away=True, polynomial=True, bristles=True, coupled=True, everything=True),
-        Target("bam", "BAM (Rhoban): parameters of its model m2, a file for each element",
-               stribeck=True, delta=None, breaks_away=True, coupled=True),
+        Target("bam", "BAM (Rhoban): parameters of its models m1, m2 and m5, a file for each element",
+               stribeck=True, delta=None, breaks_away=True, coupled=True, loaded=True),
         Target("modelica", "Modelica: tau_pos of Rotational.Components.BearingFriction",
                stribeck=True, breaks_away=True, coupled=True, sampled=True),
     )

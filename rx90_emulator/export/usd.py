@@ -7,20 +7,20 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics
 
 from rx90_emulator.export.fit import FrictionFit, motor_turns
 from rx90_emulator.export.targets import Target
-from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.setup import Arm
 
 
-def write_usd(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> tuple[dict[str, str], list[str]]:  # noqa: ARG001
+def write_usd(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> tuple[dict[str, str], list[str]]:  # noqa: ARG001
     """Return the stage as text. Angles of USD are degrees, and so are those in its damping."""
-    robot, name = setup.robot, str(setup.robot.model.name)
+    robot, name = arm.robot, Tf.MakeValidIdentifier(str(arm.robot.model.name))
     model = robot.model
     data = model.createData()
     pin.forwardKinematics(model, data, np.zeros(model.nq))
-    rotors = setup.drives.rotor_inertia @ motor_turns(setup) ** 2
+    rotors = arm.drives.rotor_inertia @ motor_turns(arm) ** 2
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -32,13 +32,17 @@ def write_usd(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> tupl
     UsdPhysics.RigidBodyAPI.Apply(base)
     fixed = UsdPhysics.FixedJoint.Define(stage, f"/{name}/world_fixed")
     fixed.CreateBody1Rel().SetTargets([base.GetPath()])
+    UsdGeom.Scope.Define(stage, f"/{name}/joints")
     before = base.GetPath()
     for k, (fit, joint_name) in enumerate(zip(fits, robot.joint_names, strict=True)):
         joint_id = model.getJointId(joint_name)
         link = UsdGeom.Xform.Define(stage, f"/{name}/link_{k + 1}")
         _place(link, data.oMi[joint_id])
         _add_body(link.GetPrim(), model.inertias[joint_id])
-        joint = UsdPhysics.RevoluteJoint.Define(stage, f"/{name}/{joint_name}")
+        # In a scope of their own, where no link has the name; numbered where USD takes two names for one.
+        path = f"/{name}/joints/{Tf.MakeValidIdentifier(joint_name)}"
+        joint = UsdPhysics.RevoluteJoint.Define(stage, f"{path}_{k + 1}" if stage.GetPrimAtPath(path) else path)
+        joint.GetPrim().SetDisplayName(joint_name)
         joint.CreateBody0Rel().SetTargets([before])
         joint.CreateBody1Rel().SetTargets([link.GetPath()])
         axis = data.oMi[joint_id].rotation.T @ robot.chain.axis[k]
@@ -53,7 +57,7 @@ def write_usd(setup: Setup, target: Target, fits: Sequence[FrictionFit]) -> tupl
         joint.CreateUpperLimitAttr(math.degrees(robot.upper[k]))
         _add_friction(joint.GetPrim(), fit, float(rotors[k]))
         before = link.GetPath()
-    return {f"{name}.usda": stage.GetRootLayer().ExportToString()}, []
+    return {f"{robot.model.name}.usda": stage.GetRootLayer().ExportToString()}, []
 
 
 def _add_friction(prim: Usd.Prim, fit: FrictionFit, armature: float) -> None:

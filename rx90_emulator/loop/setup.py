@@ -19,13 +19,36 @@ from rx90_sim.plant import Plant, beyond_law
 
 
 @dataclass(frozen=True)
-class Setup:
-    """The parameters of a run, checked.
+class Arm:
+    """An arm without its controller.
 
     Attributes:
         robot: the arm with its tool.
         drives: gears, motors, brakes, spring, end stops.
         friction: the elements.
+    """
+
+    robot: RobotModel
+    drives: DriveParameters
+    friction: FrictionSet
+
+
+def load_arm(files: RobotFiles) -> Arm:
+    """Read the files of an arm.
+
+    Raises:
+        ConfigError: naming file, key, value and accepted range.
+    """
+    robot, drives = load_robot(files.urdf, files.tool), load_drives(files.drives)
+    robot.check_count(files.drives, "gear", drives.gear)
+    return Arm(robot, drives, load_friction(files.friction, drives.turning.element_names(robot.joint_names)))
+
+
+@dataclass(frozen=True)
+class Setup(Arm):
+    """The parameters of a run, checked.
+
+    Attributes:
         controller: gains, limits and switches.
         rates: of the loops.
         files: where they were read from, and the robot's own task and poses; None if they were not read.
@@ -35,9 +58,6 @@ class Setup:
         ConfigError: for a seed that is no whole number from 0 to 2^53.
     """
 
-    robot: RobotModel
-    drives: DriveParameters
-    friction: FrictionSet
     controller: CS7BParameters
     rates: Rates
     files: RobotFiles | None = None
@@ -56,19 +76,9 @@ class Setup:
         check_seed(seed)  # before files are read
         files, rates = files or RobotFiles(), rates or Rates()
         check_type(rates=(rates, Rates))
-        robot, drives = load_robot(files.urdf, files.tool), load_drives(files.drives)
-        robot.check_count(files.drives, "gear", drives.gear)
-        controller = load_controller(files.controller)
-        robot.check_count(files.controller, "inertia", controller.inertia)
-        return cls(
-            robot,
-            drives,
-            load_friction(files.friction, drives.turning.element_names(robot.joint_names)),
-            controller,
-            rates,
-            files,
-            seed,
-        )
+        arm, controller = load_arm(files), load_controller(files.controller)
+        arm.robot.check_count(files.controller, "inertia", controller.inertia)
+        return cls(arm.robot, arm.drives, arm.friction, controller, rates, files, seed)
 
     def plant(self, substeps: int | None = None) -> Plant:
         """Return a new plant, at rest in the zero pose, with so many steps in a tick, or as many as the arm needs.
