@@ -74,8 +74,8 @@ def _add_learn(learn: argparse.ArgumentParser) -> None:
                        "--previous or without one: bag of an arm or of the nodes, or a table")  # fmt: skip
     where.add_argument("--tip", type=Path, metavar="FILE", help="learn from the tip, measured in that trial: "
                        "time [s], x [m], y [m], z [m] in the base frame")  # fmt: skip
-    where.add_argument("--tip-topic", metavar="TOPIC", help="the tip is in a bag: PointStamped, PoseStamped or "
-                       "TransformStamped")  # fmt: skip
+    where.add_argument("--tip-topic", metavar="TOPIC", help="the tip is in the bag of --tip, or comes while the trials "
+                       "run --on-nodes: PointStamped, PoseStamped or TransformStamped")  # fmt: skip
     where.add_argument("--topic", metavar="TOPIC", help="of the joints in the bag (joint_states)")
     where.add_argument("--tip-on-engine", action="store_true", help="learn from the simulated arm's tip, not "
                        "from its encoders, which do not see what gears do")  # fmt: skip
@@ -92,9 +92,9 @@ def _learn(options: argparse.Namespace) -> int:
     """
     check_apart(options, ("on_nodes", "trials", "tip_on_engine"), "from_bag", "one trial for each bag")
     check_apart(options, ("on_nodes", "trials", "tip_on_engine"), "tip", "one trial for each file")
-    check_apart(options, ("tip_on_engine",), "on_nodes", "the encoders, or --tip")
+    check_apart(options, ("tip_on_engine",), "on_nodes", "the encoders, or --tip-topic")
     check_needs(options, ("topic",), ("from_bag",))
-    check_needs(options, ("tip_topic",), ("tip",))
+    check_needs(options, ("tip_topic",), ("tip", "on_nodes"))
     check_needs(options, ("node", "timeout"), ("on_nodes",))
     if options.output.suffix != ".yaml":
         raise ConfigError(f"--output {plain(options.output)}; accepted: a name with .yaml")
@@ -109,7 +109,7 @@ def _learn(options: argparse.Namespace) -> int:
     path, method = _path(options.path, setup), _method(options)
     earlier = None if options.previous is None else load_correction(options.previous)
     previous = None if earlier is None else earlier.fitting(setup, path).offsets
-    tip = options.tip is not None or options.tip_on_engine
+    tip = options.tip is not None or options.tip_on_engine or options.tip_topic is not None
     learner = Learner(setup, path, method, tip=tip, noise=options.noise or NOISE, previous=previous)
     counted = int(learner.nominal.counts.sum())
     if earlier is not None and earlier.distance.shape[1] != counted:
@@ -131,7 +131,8 @@ def _learn(options: argparse.Namespace) -> int:
             prepare()
             from rx90_emulator.correction.nodes import node_trials
 
-            with node_trials(setup, path, node_of(options), options.timeout or _TIMEOUT) as trials:
+            timeout = options.timeout or _TIMEOUT
+            with node_trials(setup, path, node_of(options), timeout, options.tip_topic) as trials:
                 learned = learn(learner, trials.play, count, NODES, told)
         else:
             learned = learn(learner, lambda played: run_corrected(setup, path, played)[1], count, ENGINE, told)

@@ -35,10 +35,10 @@ class NodeTrials:
 
     def __init__(
         self, setup: Setup, path: CorrectablePath, set_points: NewestPositions, follow: partial[float],
-        recorders: ProcessGroup, folder: Path, timeout: float,
+        recorders: ProcessGroup, folder: Path, timeout: float, tip_topic: str | None,
     ) -> None:  # fmt: skip
         self._setup, self._path, self._set_points, self._follow = setup, path, set_points, follow
-        self._recorders, self._folder, self._timeout = recorders, folder, timeout
+        self._recorders, self._folder, self._timeout, self._tip_topic = recorders, folder, timeout, tip_topic
         self._nominal, self._number = Nominal.of(setup, path.points, path.counted), 0
 
     def play(self, correction: Correction) -> Measured:
@@ -46,6 +46,7 @@ class NodeTrials:
 
         Raises:
             ExchangeError: if a node does not answer, a trajectory is refused, or the recorder loses messages.
+            BagError, ConfigError: as `tip_of_file`, where the tip is measured.
         """
         names, points = self._setup.robot.joint_names, self._path.points
         motion = Motion(np.asarray(self._set_points.position))
@@ -55,14 +56,15 @@ class NodeTrials:
             self._run(motion.points(names))
         bag = self._folder / f"trial_{self._number}"
         self._number += 1
-        topics = ["joint_states", REFERENCE, TRACKING, CORRECTION]
+        topics = ["joint_states", REFERENCE, TRACKING, CORRECTION, *([self._tip_topic] if self._tip_topic else [])]
         recorder = self._recorders.start(bag.name, executable("rx90_bag", "record", "--output", bag, *topics))
         recorder.wait_for("ready: all", self._timeout)
         self._run(replace(points, correction=correction))
         recorder.signal(signal.SIGINT)
         if code := recorder.wait(self._timeout):
             raise ExchangeError(f"the recorder of {bag.name} ended with exit code {code} (see {recorder.log})")
-        found = measured(self._setup, self._nominal, bag, None)[0]
+        tip = None if self._tip_topic is None else bag
+        found = measured(self._setup, self._nominal, bag, tip, tip_topic=self._tip_topic)[0]
         shutil.rmtree(bag, ignore_errors=True)
         return found
 
@@ -71,7 +73,9 @@ class NodeTrials:
 
 
 @contextmanager
-def node_trials(setup: Setup, path: CorrectablePath, controller: str, timeout: float) -> Iterator[NodeTrials]:
+def node_trials(
+    setup: Setup, path: CorrectablePath, controller: str, timeout: float, tip_topic: str | None = None
+) -> Iterator[NodeTrials]:
     """Yield what plays trials on running nodes.
 
     Args:
@@ -79,6 +83,7 @@ def node_trials(setup: Setup, path: CorrectablePath, controller: str, timeout: f
         path: what is corrected.
         controller: name of the controller node.
         timeout: longest wait for a node, s.
+        tip_topic: of a sensor that measures the tip, as `tip_of_file` reads it; None for none.
 
     Raises:
         ConfigError: if that cannot be a node's name.
@@ -94,4 +99,4 @@ def node_trials(setup: Setup, path: CorrectablePath, controller: str, timeout: f
         names = setup.robot.joint_names
         set_points = trajectory.set_points(names)
         follow = partial(follow_trajectory, client, trajectory, names, set_points)
-        yield NodeTrials(setup, path, set_points, follow, recorders, Path(name), timeout)
+        yield NodeTrials(setup, path, set_points, follow, recorders, Path(name), timeout, tip_topic)
