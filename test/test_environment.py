@@ -57,6 +57,14 @@ def test_more_is_added_to_what_is_there(environment: Recorded) -> None:
     assert environment.updated("dev") == ["pip ROOT[dev,ros]"]
 
 
+def test_the_environment_of_another_tree_is_left_alone(environment: Recorded, tmp_path: Path) -> None:
+    """A link to one, as between two work trees, is refused before anything is cleared or installed."""
+    environment.folder.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UnsuitableError, match="/.venv is a link to .*/elsewhere; accepted: a folder of this tree"):
+        environment.updated("ros")
+    assert environment.commands == []
+
+
 @pytest.mark.parametrize("name", ["setup.py", "setup.cfg", "pyproject.toml", "new_room/__init__.py"])
 def test_a_changed_build_file_is_installed_again(name: str, environment: Recorded) -> None:
     """A change of a build file or a new room re-installs, once, without making the environment anew."""

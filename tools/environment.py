@@ -124,8 +124,12 @@ class Environment:
         """Create or complete the environment so that it holds `extras` beside what it held already.
 
         Raises:
-            UnsuitableError: if pip fails.
+            UnsuitableError: if pip fails, or the folder is a link: another tree's environment would be cleared.
         """
+        if self.folder.is_symlink():
+            raise UnsuitableError(
+                f"{self.folder} is a link to {self.folder.readlink()}; accepted: a folder of this tree, or none yet"
+            )
         self._log.parent.mkdir(exist_ok=True)
         with alone(self._log.with_suffix(".lock")):
             self._update(extras)

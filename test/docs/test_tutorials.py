@@ -20,6 +20,7 @@ MADE = {
     "own_identification": "run.csv",
 }
 """What pages leave in the reader's folder besides, by their names."""
+OF_NODES = {"own_motion", "own_controller", "another_arm"}
 PAGES = [
     pytest.param(
         page, id=page.stem, marks=[pytest.mark.ros] * (page.stem in {"own_motion", "own_controller", "another_arm"})
