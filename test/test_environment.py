@@ -60,7 +60,7 @@ def test_more_is_added_to_what_is_there(environment: Recorded) -> None:
 def test_the_environment_of_another_tree_is_left_alone(environment: Recorded, tmp_path: Path) -> None:
     """A link to one, as between two work trees, is refused before anything is cleared or installed."""
     environment.folder.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(UnsuitableError, match="/.venv is a link to .*/elsewhere; accepted: a folder of this tree"):
+    with pytest.raises(UnsuitableError, match=r"/\.venv is a link to .*/elsewhere; accepted: a folder of this tree"):
         environment.updated("ros")
     assert environment.commands == []
 

@@ -169,7 +169,7 @@ def test_a_fault_is_said_once() -> None:
 
 
 def test_the_arm_may_have_another_number_of_joints_and_another_coupling(tmp_path: Path) -> None:
-    """Seven joints, the last motor of which turns with two: power is the same on both sides, and drives give the efforts.
+    """Seven joints, the last motor of which turns with two: power is the same on both sides; drives give the efforts.
 
     Efforts that are no number for each joint are refused with their count.
     """
