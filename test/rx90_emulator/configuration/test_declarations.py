@@ -61,7 +61,7 @@ MUTATIONS = 25  # of each kind
 TOGETHER = re.compile(
     r"positive definite inertia|principal moments|from < to|counts_per_turn is missing|2 numbers, each|ends? at|"
     r"takes .* s at|one for each name|length is|>= tau_c|bounds are|of the normal|stands twice|count of values|"
-    r"geomspace|is not there"
+    r"geomspace|is not there|segment \d+ \(|zone is|the path"
 )
 """What is refused because of several values together, or of one in a list of unlike ones: no schema says that."""
 ELSEWHERE = {"rx90_common.bags.reading", "rx90_controller.node.parameters", "rx90_common.description.robot_files"}
