@@ -21,7 +21,9 @@ MADE = {
 }
 """What pages leave in the reader's folder besides, by their names."""
 PAGES = [
-    pytest.param(page, id=page.stem, marks=[pytest.mark.ros] * (page.stem in {"own_motion", "own_controller", "another_arm"}))
+    pytest.param(
+        page, id=page.stem, marks=[pytest.mark.ros] * (page.stem in {"own_motion", "own_controller", "another_arm"})
+    )
     for page in sorted(
         [*(DOCS / "tutorials").glob("*.md"), *(DOCS / "start").glob("*.md"), DOCS / "howto" / "own_controller.md"]
     )
