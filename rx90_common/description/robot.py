@@ -225,16 +225,16 @@ class RobotModel:
             raise ConfigError(f"{plain(file)}: {name} has {counted(len(values), 'number')}; {accepted}")
 
 
-def load_robot(urdf: Path, tool: Path | None = None, held: Collection[str] = ()) -> RobotModel:
+def load_robot(urdf: Path, tool: Path | None = None, held: Collection[str] = (), replaced: bool = False) -> RobotModel:
     """Read a URDF of a fixed-base serial arm with 1 to 7 revolute joints, and the tool it carries.
 
     Without a tool the tool centre point is link `tool0`, or the last link where there is none. Joints that are `held`
-    are fixed, where the URDF has all joints at 0.
+    are fixed, where the URDF has all joints at 0. Inertias that are to be `replaced` may be any.
 
     Raises:
         ConfigError: naming file, element, value and what is accepted.
     """
-    file = UrdfFile(urdf, held)
+    file = UrdfFile(urdf, held, replaced)
     if tool is not None:
         attach(file.root, load_tool(tool), urdf)
     text = ET.tostring(file.root, encoding="unicode")

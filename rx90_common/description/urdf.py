@@ -168,6 +168,7 @@ class UrdfFile(_CheckedElements):
     Args:
         file: where it is.
         held: joints that do not move, whatever the file says.
+        replaced: whether the inertias of the moving links are to be replaced, and are not checked.
 
     Attributes:
         file: where it came from.
@@ -178,8 +179,9 @@ class UrdfFile(_CheckedElements):
         ConfigError: naming file, element, value and what is accepted.
     """
 
-    def __init__(self, file: Path, held: Collection[str] = ()) -> None:
+    def __init__(self, file: Path, held: Collection[str] = (), replaced: bool = False) -> None:
         super().__init__(file)
+        self._replaced = replaced
         for joint in self.root.findall("joint"):
             if joint.get("name") in held:
                 joint.set("type", "fixed")
@@ -280,7 +282,8 @@ class UrdfFile(_CheckedElements):
             body = self._body(name, link)
             carried = [j for j in self._path(name, self._parent_joint) if j in chain][-1:]
             if body is not None and carried:  # what stands still may have any inertia, and in many files has
-                self._check_inertia(body)
+                if not self._replaced:
+                    self._check_inertia(body)
                 heavy.update(carried)
         for joint in chain:
             if joint not in heavy:

@@ -219,7 +219,7 @@ def folder_base(arm: RigidArm, urdf: Path) -> tuple[FolderBase | None, str]:
         return None, f"{alone}{followed} only followed the recording; the simulation needs friction of every joint"
     held = tuple(name for name in all_joints(urdf) if name not in arm.names)
     try:
-        robot, turning = load_robot(urdf, held=held), Coupling(arm.coupling)
+        robot, turning = load_robot(urdf, held=held, replaced=True), Coupling(arm.coupling)
     except ConfigError as error:
         return None, f"{alone}{error}"
     fixed = f"; {listed(held)} fixed at 0, as in the identification" if held else ""

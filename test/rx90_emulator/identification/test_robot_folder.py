@@ -273,6 +273,9 @@ def test_folder_of_an_arm_with_a_differential_runs(tmp_path: Path, source: BagSo
     base, why = folder_base(arm, file)
     assert base is not None, why
     assert why.endswith("; grip fixed at 0, as in the identification")
+    wrong = tmp_path / "wrong.urdf"  # bodies that cannot be, as some descriptions have, are replaced by identified ones
+    wrong.write_text(re.sub(r'izz="[^"]*"', 'izz="9.0"', file.read_text(), count=3))
+    assert folder_base(arm, wrong)[0] is not None
     folder = tmp_path / "written"
     folder.mkdir()
     for name, text in robot_texts(result, file, base).items():
