@@ -152,8 +152,9 @@ def test_dxf_without_its_package_is_one_line(
     tmp_path: File, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Where ezdxf is missing a command says in one line what to install."""
-    for name in ("ezdxf", "ezdxf.filemanagement"):
-        monkeypatch.setitem(sys.modules, name, None)
+    for name in [name for name in sys.modules if name.startswith("ezdxf.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "ezdxf", None)
     (tmp_path / "part.dxf").write_text("")
     (tmp_path / "path.yaml").write_text("path: {file: {name: part.dxf}, speed: 0.1, acceleration: 1.0, "
                                         "tool_rpy_degrees: [0, 180, 0]}\n")  # fmt: skip
