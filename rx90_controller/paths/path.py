@@ -106,11 +106,10 @@ class Path:
         check_rests(self)
         if self.length > LONGEST_LINE:
             raise LineError(f"the path's length is {self.length:g} m; accepted: up to {LONGEST_LINE:g} m")
-        slowest = self.length / min(one.speed for one in self._limits)
-        if not slowest < LONGEST_MOTION:
-            raise LineError(f"the path would take {slowest:g} s; accepted: up to {LONGEST_MOTION:g} s")
         if self.orientation == TANGENT:
             self._check_tangent()
+        if not self.profile().duration <= LONGEST_MOTION:
+            raise LineError(f"the path would take {self.profile().duration:g} s; accepted: up to {LONGEST_MOTION:g} s")
 
     @cached_property
     def curve(self) -> Curve:

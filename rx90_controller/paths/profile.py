@@ -59,11 +59,16 @@ class LimitedProfile:
         return self.stops[-1]
 
     @cached_property
+    def _steepest(self) -> float:
+        """Return the largest acceleration that is used: beyond it a limited jerk reaches no speed sooner."""
+        return min(self.acceleration, math.sqrt(max(one.speed for one in self.limits) * self.jerk))
+
+    @cached_property
     def _built(self) -> tuple[PPoly, float]:
         """Return the distance over the time before the mean, and the time of the mean, s."""
         steps = (1.0, 2.0) if math.isfinite(self.jerk) else (0.0,)
         for step in steps:  # ramps up and down within the mean's time have twice the jump of one
-            mean = step * self.acceleration / self.jerk
+            mean = step * self._steepest / self.jerk
             phases: list[tuple[float, float, float, float]] = []  # duration, distance, speed, acceleration
             for begin, end in pairwise(self.stops):
                 phases += self._between(begin, end, mean)
@@ -86,7 +91,7 @@ class LimitedProfile:
                 wide.append(one._replace(begin=max(begin, one.begin - way), end=min(end, one.end + way)))
         edges = np.unique([begin, end, *(place for one in wide for place in one[:2])])
         middles = 0.5 * (edges[1:] + edges[:-1])
-        most, most_acceleration = np.full(len(middles), np.inf), np.full(len(middles), self.acceleration)
+        most, most_acceleration = np.full(len(middles), np.inf), np.full(len(middles), self._steepest)
         for one in wide:
             rows = (middles > one.begin) & (middles < one.end)
             most[rows] = np.minimum(most[rows], one.speed**2)

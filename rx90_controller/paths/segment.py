@@ -9,6 +9,8 @@ import numpy as np
 from rx90_common.base.errors import LineError
 from rx90_controller.paths.curve import Piece, arc_about, arc_through, line, spline
 
+_FARTHEST = 1e3  # m
+
 
 @dataclass(frozen=True)
 class Segment:
@@ -40,8 +42,8 @@ class Segment:
             LineError: if there is none.
         """
         points = np.array([start, *self.points], dtype=np.float64)
-        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-            raise LineError(f"has the points {self.points}; accepted: three finite numbers for each")
+        if points.ndim != 2 or points.shape[1] != 3 or not np.abs(points).max() <= _FARTHEST:
+            raise LineError(f"has the points {self.points}; accepted: three numbers for each, up to {_FARTHEST:g} m")
         if self.kind == "line" and len(points) == 2:
             return line(*points)
         if self.kind == "spline":

@@ -192,11 +192,12 @@ class Drawing:
                 return
 
     def _dxf(self) -> tuple[str, Any, list[Segment]]:
-        import ezdxf  # here, because only drawings need it
+        from ezdxf.filemanagement import readfile  # here, because only drawings need it
+        from ezdxf.lldxf.const import DXFError
 
         try:
-            document = ezdxf.readfile(self.file)
-        except (OSError, UnicodeDecodeError, ezdxf.DXFError) as error:  # an OSError, too, for what is no DXF file
+            document = readfile(self.file)
+        except (OSError, UnicodeDecodeError, DXFError) as error:  # an OSError, too, for what is no DXF file
             raise ConfigError(f"{plain(self.file)}: cannot be read ({error}); accepted: a DXF file") from error
         named = _DXF_UNITS.get(document.header.get("$INSUNITS", 0))
         unit = self._unit(named)

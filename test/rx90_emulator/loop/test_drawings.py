@@ -148,11 +148,22 @@ def test_a_path_file_names_its_drawing(tmp_path: File) -> None:
         load_path(tmp_path / "both.yaml")
 
 
+class Missing:
+    """An importer that finds no ezdxf."""
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> None:  # noqa: ARG002
+        """Refuse it."""
+        if name == "ezdxf":
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
 def test_dxf_without_its_package_is_one_line(
     tmp_path: File, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Where ezdxf is missing a command says in one line what to install."""
-    monkeypatch.setitem(sys.modules, "ezdxf", None)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "ezdxf"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(sys, "meta_path", [Missing(), *sys.meta_path])
     (tmp_path / "part.dxf").write_text("")
     (tmp_path / "path.yaml").write_text("path: {file: {name: part.dxf}, speed: 0.1, acceleration: 1.0, "
                                         "tool_rpy_degrees: [0, 180, 0]}\n")  # fmt: skip
