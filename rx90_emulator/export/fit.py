@@ -258,7 +258,7 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
             _load_lost(load)
             if target.loaded
             else [
-                f"load: friction grows by {load.driving:.3g} (driving) and {load.driven:.3g} (driven) of the load torque"
+                f"load: friction grows by {load.driving:.3g} (driving), {load.driven:.3g} (driven) of the load torque"
             ]
         )
     if (warmth := element.temperature) is not None:

@@ -83,7 +83,7 @@ def _rigid(
     path: Path, tau_c: float, tau_s: float, omega_s: float, delta: float, c2: float,
     load: tuple[float, float] | None = None,
 ) -> FrictionElement:  # fmt: skip
-    """Return an element of a source that has no bristles; load: share of the load torque, and what comes to it at rest."""
+    """Return an element without bristles; load: share of the load torque, and what comes to it at rest."""
     c0 = tau_s / DEFLECTION
     try:
         part = None if load is None else LoadPart(load[0], load[0], load[1], load[1])
@@ -177,8 +177,8 @@ def _model(path: Path) -> Any:
 def import_arm(path: Path | str) -> dict[str, str]:
     """Return the texts of a robot folder for an MJCF arm, by the files' names: URDF, drives, friction and controller.
 
-    Hinges become joints; a slide, such as that of a finger, stays where it is at the start. Shapes are left out. A fixed
-    tendon with an actuator is a motor that turns with several joints. Armatures are rotors; the other values of drives
+    Hinges become joints; a slide, such as that of a finger, stays where it is at the start. Shapes are left out. A
+    fixed tendon with an actuator is a motor that turns with several joints. Armatures are rotors; the other values of drives
     and controller are assumed in proportion to the arm. A joint without friction gets next to none.
 
     Raises:
