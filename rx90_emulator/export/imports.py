@@ -126,7 +126,7 @@ def _friction(path: Path, model: Any) -> tuple[dict[str, FrictionElement], dict[
 
     elements: dict[str, FrictionElement] = {}
     kinds = {mujoco.mjtTrn.mjTRN_JOINT: model.joint, mujoco.mjtTrn.mjTRN_TENDON: model.tendon}
-    for k in range(model.nu):
+    for k in range(len(model.actuator_trntype)):  # more than nu where some have no input
         c0, c1 = model.actuator_dynprm[k, 5:7].tolist()
         if model.actuator_biastype[k] != mujoco.mjtBias.mjBIAS_DCMOTOR or c0 <= 0.0:
             continue
@@ -175,7 +175,7 @@ def _model(path: Path) -> Any:
 
 
 def import_arm(path: Path | str) -> dict[str, str]:
-    """Return the texts of a robot folder for an MJCF arm, by the files' names: URDF, drives, friction and controller.
+    """Return the texts of a robot folder for an MJCF arm by the files' names: URDF, drives, friction, controller.
 
     Hinges become joints; a slide, such as that of a finger, stays where it is at the start. Shapes are left out. A
     fixed tendon with an actuator is a motor that turns with several joints. Armatures are rotors; the other values of drives

@@ -125,6 +125,9 @@ def test_an_arm_out_to_mujoco_and_back_runs(tmp_path: Path) -> None:
     back = rx.load_setup(robot=tmp_path / "back")
     assert back.friction.names == setup.friction.names
     assert back.drives.turning.turns.tolist() == COUPLING
+    for name, fit in zip(back.friction.names, rx.export_robot(setup, "mujoco").fits, strict=True):
+        law, one = fit.law, back.friction[name]
+        assert (one.tau_c_positive, one.tau_s_negative, one.c0) == pytest.approx((law.tau_c, law.tau_s, law.c0))
     assert back.drives.rotor_inertia == pytest.approx(setup.drives.rotor_inertia, rel=1e-12)
     assert back.drives.spring_torque == pytest.approx(setup.drives.spring_torque, rel=1e-5)
     q = np.linspace(-0.8, 1.1, 7)
@@ -164,5 +167,5 @@ def test_bam_s_load_out_and_back(shipped: Setup, tmp_path: Path) -> None:
     assert (back.tau_c_positive, back.tau_s_positive) == pytest.approx((element.tau_c_positive, element.tau_s_positive))
     content = json.loads(file.read_text(encoding="utf-8")) | {"load_friction_motor": 0.1}
     file.write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(ConfigError, match="load_friction_motor is 0.1; accepted: 0"):
+    with pytest.raises(ConfigError, match=r"load_friction_motor is 0\.1; accepted: 0"):
         rx.import_bam([file])

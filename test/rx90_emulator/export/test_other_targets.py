@@ -8,6 +8,7 @@ import math
 import re
 import sys
 import xml.etree.ElementTree as ET
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -193,7 +194,7 @@ def test_modelica_s_table_interpolates_to_the_curve(shipped: Setup) -> None:
 
 
 def test_bam_s_load_is_that_of_steady_sliding(shipped: Setup) -> None:
-    """BAM's `compute_frictions` of model m5, from its source, solved for sliding under a load: the law of the load part."""
+    """BAM's `compute_frictions` of model m5, from its source, solved for sliding under a load: that of the load part."""
     load, element = LoadPart(0.12, 0.12, 0.05, 0.05), shipped.friction.elements[0]
     loaded = dataclasses.replace(element, load=load)
     friction = dataclasses.replace(shipped.friction, elements=(loaded, *shipped.friction.elements[1:]))
@@ -214,7 +215,7 @@ def test_bam_s_load_is_that_of_steady_sliding(shipped: Setup) -> None:
 
 
 def test_names_that_other_languages_refuse(tmp_path: Path) -> None:
-    """Elements of a coupling that differ by a sign alone, and a joint called like a link, come out as different things."""
+    """Elements that differ by a sign alone, and a joint that is called like a link, come out as different things."""
     coupling = [[1, 0, 0], [0, 0.5, -1], [0, 0.5, 1]]
     folder = write_arm(tmp_path / "arm", 3, coupling)
     for name in ("robot.urdf", "friction.yaml"):
