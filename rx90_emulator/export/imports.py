@@ -178,8 +178,8 @@ def import_arm(path: Path | str) -> dict[str, str]:
     """Return the texts of a robot folder for an MJCF arm by the files' names: URDF, drives, friction, controller.
 
     Hinges become joints; a slide, such as that of a finger, stays where it is at the start. Shapes are left out. A
-    fixed tendon with an actuator is a motor that turns with several joints. Armatures are rotors; the other values of drives
-    and controller are assumed in proportion to the arm. A joint without friction gets next to none.
+    fixed tendon with an actuator is a motor that turns with several joints. Armatures are rotors; what else drives and
+    controller need is assumed in proportion to the arm. A joint without friction gets next to none.
 
     Raises:
         ConfigError: if MuJoCo cannot read it, it is no arm of 1 to 7 hinges in series, or has a spring or a tendon that

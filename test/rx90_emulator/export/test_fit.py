@@ -57,6 +57,8 @@ def test_no_law_of_the_target_is_nearer() -> None:
     bounds = [(10, 40), (0, 20), (5e-3, 1.0), (0, 8), (-3, 3), (0, 10)]
     best = differential_evolution(rms, bounds, seed=1, maxiter=120, popsize=8, tol=1e-6)
     assert fit.rms <= 1.02 * best.fun
+    linear = fit_friction(TARGETS["mujoco"], "joint", [dataclasses.replace(LUGRE, delta=0.8)], SPEEDS)
+    assert linear.law.viscous[1:] == (0.0, 0.0)
     a, b, c = fit.law.viscous
     fast = np.geomspace(1e-3, 1e3, 200)
     assert (a + fast * (b + c * fast) >= -1e-12).all()  # takes power at every speed
@@ -121,7 +123,7 @@ def test_verdict_and_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 def test_no_controller_is_needed(tmp_path: Path) -> None:
-    """A folder without controller.yaml is exported, over the speeds at which excitation runs identified its friction."""
+    """A folder without controller.yaml is exported, over the speeds at which excitation runs identified friction."""
     folder = write_arm(tmp_path / "arm", 2)
     (folder / "controller.yaml").unlink()
     file = rx.FrictionFile.read(folder / "friction.yaml")

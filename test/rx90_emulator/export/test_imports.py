@@ -114,7 +114,7 @@ COUPLING = [*np.eye(7)[:6].tolist(), [0, 0, 0, 0, 1, -1, 1]]
 
 
 def test_an_arm_out_to_mujoco_and_back_runs(tmp_path: Path) -> None:
-    """Seven joints, a motor that turns with three of them: coupling, rotors, spring and friction come back, and it runs.
+    """Seven joints, a motor that turns with three: coupling, rotors, spring and friction come back, and it runs.
 
     What MJCF does not say is marked as assumed.
     """

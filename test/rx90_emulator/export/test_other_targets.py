@@ -194,7 +194,7 @@ def test_modelica_s_table_interpolates_to_the_curve(shipped: Setup) -> None:
 
 
 def test_bam_s_load_is_that_of_steady_sliding(shipped: Setup) -> None:
-    """BAM's `compute_frictions` of model m5, from its source, solved for sliding under a load: that of the load part."""
+    """BAM's `compute_frictions` of model m5, from its source, solved for sliding under a load: ours."""
     load, element = LoadPart(0.12, 0.12, 0.05, 0.05), shipped.friction.elements[0]
     loaded = dataclasses.replace(element, load=load)
     friction = dataclasses.replace(shipped.friction, elements=(loaded, *shipped.friction.elements[1:]))
