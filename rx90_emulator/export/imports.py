@@ -263,8 +263,10 @@ def _drives_and_friction(path: Path, model: Any, robot: RobotModel) -> dict[str,
     friction = _file({name: elements[source] for name, source in sources.items()}, _OF_MJCF, plain(path),
                      {name: bristles[source] for name, source in sources.items()})  # fmt: skip
     drives, controller = assumed_files(robot, robot.model, turning, rotors, {})
-    about = {key: Identified(drives["transmission"][key], "derived", f"armatures and tendons of {path.name}")
-             for key in ("rotor_inertia", "coupling")}  # fmt: skip
+    about = {
+        key: Identified(value, "derived", f"armatures and tendons of {path.name}")
+        for key, value in (("rotor_inertia", rotors.tolist()), ("coupling", turns.tolist()))
+    }
     drives["transmission"] = marked(drives["transmission"], about)
     drives["spring"] = marked(drives["spring"], {"torque": Identified(springs, "derived", f"springs of {path.name}")})
     return {
