@@ -2,8 +2,8 @@
 
     python -m benchmarks.exported_arm [--robot tx40] [--tune]
 
-The law is `benchmarks.closed_loop.PythonLaw`, tick by tick that of the compiled controller, with the same drives. With
---tune its gains are chosen in MuJoCo, for the least path error, and taken here.
+The law is the controller itself, called from Python in each tick, behind encoders like those of the engine. With --tune
+its gains are chosen in MuJoCo, for the least path error, and taken here.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from benchmarks.closed_loop import PythonDrives, PythonLaw
 from benchmarks.report import arguments, merge, print_table
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import FailureError
@@ -32,10 +31,31 @@ FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 
 
 class ExportedRun(NamedTuple):
-    """Joint positions on position ticks, rad, shape (m, 6), and s of processor time for a tick."""
+    """Joint positions on position ticks, rad, shape (m, n), and s of processor time for a tick."""
 
     position: Array
     seconds: float
+
+
+class Encoders:
+    """Resolvers with their converters, for any coupling: what the controller measures of joint positions, rad, (n,)."""
+
+    def __init__(self, setup: Setup, position: Array) -> None:
+        drives, self._period = setup.drives, setup.rates.period
+        self._turns = drives.gear[:, None] * drives.turning.turns
+        self._step = 2.0 * np.pi / drives.encoder_counts
+        pole = float(np.exp(-2.0 * np.pi * drives.velocity_bandwidth * self._period))
+        self._gains = 1.0 - pole**2, (1.0 - pole) ** 2 / self._period
+        self._observed, self.velocity = self._turns @ position, np.zeros(len(position))
+        self.position = np.round(self._observed / self._step) * self._step
+
+    def sample(self, position: Array) -> None:
+        """Sample the joint positions, and move the observer of the velocity on by a tick."""
+        angle = self._turns @ position
+        self.position = np.round(angle / self._step) * self._step
+        predicted = self._observed + self._period * self.velocity
+        self._observed = predicted + self._gains[0] * (angle - predicted)
+        self.velocity = self.velocity + self._gains[1] * (angle - predicted)
 
 
 def run_exported(setup: Setup, task: LineTask, target: str, steps: int = 1) -> ExportedRun:
@@ -46,20 +66,18 @@ def run_exported(setup: Setup, task: LineTask, target: str, steps: int = 1) -> E
     data = mujoco.MjData(model)
     plan, ratio = plan_line(setup, task), setup.rates.ratio
     data.qpos[:] = plan.start_pose
-    controller = setup.cs7b()
+    controller, encoders = setup.cs7b(), Encoders(setup, plan.start_pose)
+    controller.reset(encoders.position)
     controller.trajectory.reset(plan.start_pose)
     controller.trajectory.accept(plan.points, 0, 0)
-    rows = controller.trajectory.setpoints(0, round(plan.duration * setup.rates.position_hz)).tolist()
-    drives, law = PythonDrives(setup, plan.start_pose.tolist()), PythonLaw(setup)
-    position, began = np.empty((len(rows), 6)), time.process_time()
-    for k, row in enumerate(rows):
-        position[k] = data.qpos
-        law.position_loop(row, drives.position)
-        for _ in range(ratio):
-            data.ctrl[:] = law.velocity_loop(drives.velocity)
-            mujoco.mj_step(model, data, nstep=steps)
-            drives.sample(data.qpos.tolist())
-    return ExportedRun(position, (time.process_time() - began) / (len(rows) * ratio))
+    position, began = np.empty((round(plan.duration * setup.rates.position_hz), data.qpos.size)), time.process_time()
+    for k in range(len(position) * ratio):
+        if k % ratio == 0:
+            position[k // ratio] = data.qpos
+        data.ctrl[:] = controller.step(encoders.position, encoders.velocity)
+        mujoco.mj_step(model, data, nstep=steps)
+        encoders.sample(data.qpos)
+    return ExportedRun(position, (time.process_time() - began) / (len(position) * ratio))
 
 
 def compare(setup: Setup, task: LineTask) -> dict[str, tuple[float, float, float, float]]:

@@ -9,8 +9,8 @@ from rx90_common.base.errors import ConfigError
 from rx90_emulator.cli.options import new_folder
 
 _EPILOG = """\
-Only what is exact is taken: BAM's models m1, m2 and of m5 what depends on the external torque, and <dcmotor lugre> or frictionloss of an MJCF. What a source does
-not have, such as bristles, stands in the files as assumed. docs/howto/export.md says more.
+Only what is exact is taken: BAM's models m1, m2 and, without motor terms, m5; <dcmotor lugre> or frictionloss of an
+MJCF. What a source does not have, such as bristles, stands in the files as assumed. docs/howto/export.md says more.
 """
 
 

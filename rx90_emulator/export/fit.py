@@ -211,7 +211,7 @@ def _fitted(law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torq
                           math.log(factor * law.omega_s) if target.stribeck else 0.0, law.delta])  # fmt: skip
         if curved:
             start[3:5] = -0.1 * start[2] / speeds[-1], 1e-3 * start[2]
-        start = np.clip(start, least + 1e-9, most)
+        start = np.where(free, np.clip(start, least + 1e-9, most), start)
 
         def residuals(x: Array, start: Array = start) -> Array:
             whole = start.copy()
@@ -258,7 +258,7 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
             _load_lost(load)
             if target.loaded
             else [
-                f"load: friction grows by {load.driving:.3g} (driving) and {load.driven:.3g} (driven) of the load torque"
+                f"load: friction grows by {load.driving:.3g} (driving), {load.driven:.3g} (driven) of the load torque"
             ]
         )
     if (warmth := element.temperature) is not None:

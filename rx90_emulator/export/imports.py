@@ -83,7 +83,7 @@ def _rigid(
     path: Path, tau_c: float, tau_s: float, omega_s: float, delta: float, c2: float,
     load: tuple[float, float] | None = None,
 ) -> FrictionElement:  # fmt: skip
-    """Return an element of a source that has no bristles; load: share of the load torque, and what comes to it at rest."""
+    """Return an element without bristles; load: share of the load torque, and what comes to it at rest."""
     c0 = tau_s / DEFLECTION
     try:
         part = None if load is None else LoadPart(load[0], load[0], load[1], load[1])
@@ -126,7 +126,7 @@ def _friction(path: Path, model: Any) -> tuple[dict[str, FrictionElement], dict[
 
     elements: dict[str, FrictionElement] = {}
     kinds = {mujoco.mjtTrn.mjTRN_JOINT: model.joint, mujoco.mjtTrn.mjTRN_TENDON: model.tendon}
-    for k in range(model.nu):
+    for k in range(len(model.actuator_trntype)):  # more than nu where some have no input
         c0, c1 = model.actuator_dynprm[k, 5:7].tolist()
         if model.actuator_biastype[k] != mujoco.mjtBias.mjBIAS_DCMOTOR or c0 <= 0.0:
             continue
@@ -175,11 +175,11 @@ def _model(path: Path) -> Any:
 
 
 def import_arm(path: Path | str) -> dict[str, str]:
-    """Return the texts of a robot folder for an MJCF arm, by the files' names: URDF, drives, friction and controller.
+    """Return the texts of a robot folder for an MJCF arm by the files' names: URDF, drives, friction, controller.
 
-    Hinges become joints; a slide, such as that of a finger, stays where it is at the start. Shapes are left out. A fixed
-    tendon with an actuator is a motor that turns with several joints. Armatures are rotors; the other values of drives
-    and controller are assumed in proportion to the arm. A joint without friction gets next to none.
+    Hinges become joints; a slide, such as that of a finger, stays where it is at the start. Shapes are left out. A
+    fixed tendon with an actuator is a motor that turns with several joints. Armatures are rotors; what else drives and
+    controller need is assumed in proportion to the arm. A joint without friction gets next to none.
 
     Raises:
         ConfigError: if MuJoCo cannot read it, it is no arm of 1 to 7 hinges in series, or has a spring or a tendon that
@@ -241,9 +241,7 @@ def _robot_of(path: Path, urdf: str) -> RobotModel:
 def _drives_and_friction(path: Path, model: Any, robot: RobotModel) -> dict[str, str]:
     """Return the texts of the other files by their names."""
     names = robot.joint_names
-    for name in names:
-        if _linear(path, model, name, "stiffness"):
-            raise ConfigError(f"{plain(path)}: {name} has a spring; accepted: joints without stiffness")
+    springs = _springs(path, model, names)
     turns, tendons = _turns(path, model, names)
     try:
         turning = Coupling(turns)
@@ -265,9 +263,12 @@ def _drives_and_friction(path: Path, model: Any, robot: RobotModel) -> dict[str,
     friction = _file({name: elements[source] for name, source in sources.items()}, _OF_MJCF, plain(path),
                      {name: bristles[source] for name, source in sources.items()})  # fmt: skip
     drives, controller = assumed_files(robot, robot.model, turning, rotors, {})
-    about = {key: Identified(drives["transmission"][key], "derived", f"armatures and tendons of {path.name}")
-             for key in ("rotor_inertia", "coupling")}  # fmt: skip
+    about = {
+        key: Identified(value, "derived", f"armatures and tendons of {path.name}")
+        for key, value in (("rotor_inertia", rotors.tolist()), ("coupling", turns.tolist()))
+    }
     drives["transmission"] = marked(drives["transmission"], about)
+    drives["spring"] = marked(drives["spring"], {"torque": Identified(springs, "derived", f"springs of {path.name}")})
     return {
         FILES["drives"]: _head("Drives", path) + yaml_text(drives),
         FILES["friction"]: friction.text(),
@@ -275,8 +276,35 @@ def _drives_and_friction(path: Path, model: Any, robot: RobotModel) -> dict[str,
     }
 
 
+def _springs(path: Path, model: Any, names: Sequence[str]) -> list[float]:
+    """Return k of the torques -k sin(q) that all springs together are, Nm, by the joints."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    at = [model.joint(name).qposadr[0] for name in names]
+    dof = [model.joint(name).dofadr[0] for name in names]
+
+    def torque(q: Array) -> Array:
+        data.qpos[at] = q
+        mujoco.mj_forward(model, data)
+        return np.asarray(data.qfrc_spring[dof])
+
+    k = 0.0 - torque(np.full(len(names), 0.5 * math.pi))
+    k[np.abs(k) < 1e-9] = 0.0
+    for q in np.random.default_rng(0).uniform(-2.0, 2.0, (8, len(names))):
+        off = np.abs(torque(q) + k * np.sin(q))
+        if (off > 1e-4 * max(1.0, float(np.abs(k).max()))).any() or (k < 0.0).any():
+            worst = names[int(np.argmax(off))]
+            raise ConfigError(f"{plain(path)}: the springs of {worst}; accepted: torques of -k sin(q), k >= 0")
+    if model.body_gravcomp.any() or model.opt.gravity.tolist() != [0.0, 0.0, -9.81]:
+        raise ConfigError(
+            f"{plain(path)}: gravity {model.opt.gravity.tolist()}, or gravcomp; accepted: 0 0 -9.81, none"
+        )
+    return k.tolist()
+
+
 def _head(what: str, path: Path) -> str:
-    return f"# {what} of the arm of {path.name}, of which that says next to nothing: ASSUMED where it is marked so. SI units.\n"
+    return f"# {what} for the arm of {path.name}, which says little of it: ASSUMED where it is marked so. SI units.\n"
 
 
 def _fixed(model: Any) -> set[str]:
@@ -287,7 +315,7 @@ def _fixed(model: Any) -> set[str]:
 
 
 def _turns(path: Path, model: Any, names: Sequence[str]) -> tuple[Array, dict[int, str]]:
-    """Return the turns of motors for those of joints, shape (n, n), and the tendons of motors that turn with several."""
+    """Return turns of motors for those of joints, shape (n, n), and the tendons of those that turn with several."""
     import mujoco
 
     turns, tendons = np.eye(len(names)), {}

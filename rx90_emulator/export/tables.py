@@ -76,8 +76,8 @@ def write_bam(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> Files:  
 def bam_parameters(law: SimulatorLaw, armature: float) -> dict[str, float | str]:
     """Return BAM's parameters of a law: model m1, m2 with a Stribeck part, m5 with one of the load.
 
-    BAM's load is |K_m tau_m - K_e tau_e| of motor and external torque. With K_m = 0 it is that of the transmitted torque
-    in both directions, and without load friction stays what it is.
+    BAM's load is |K_m tau_m - K_e tau_e| of motor and external torque. With K_m = 0 that is the load here, in both
+    directions of the power flow.
     """
     rise, (sliding, rest) = law.tau_s - law.tau_c, law.load
     loaded = sliding > 0.0 or rest > 0.0

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from scipy.optimize import differential_evolution
 
 import rx90_emulator as rx
+from benchmarks.any_arm import write_arm
 from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO
 from rx90_common.friction import FrictionElement
 from rx90_emulator.cli.frame import run
@@ -55,6 +57,8 @@ def test_no_law_of_the_target_is_nearer() -> None:
     bounds = [(10, 40), (0, 20), (5e-3, 1.0), (0, 8), (-3, 3), (0, 10)]
     best = differential_evolution(rms, bounds, seed=1, maxiter=120, popsize=8, tol=1e-6)
     assert fit.rms <= 1.02 * best.fun
+    linear = fit_friction(TARGETS["mujoco"], "joint", [dataclasses.replace(LUGRE, delta=0.8)], SPEEDS)
+    assert linear.law.viscous[1:] == (0.0, 0.0)
     a, b, c = fit.law.viscous
     fast = np.geomspace(1e-3, 1e3, 200)
     assert (a + fast * (b + c * fast) >= -1e-12).all()  # takes power at every speed
@@ -116,3 +120,16 @@ def test_verdict_and_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert run("rx90_export", [*words, "--output", str(tmp_path / "c"), "--speeds", "2", "1"]) == REFUSED
     assert "speeds from 2 to 1 rad/s; accepted" in capsys.readouterr().err
     assert not (tmp_path / "c").exists()
+
+
+def test_no_controller_is_needed(tmp_path: Path) -> None:
+    """A folder without controller.yaml is exported, over the speeds at which excitation runs identified friction."""
+    folder = write_arm(tmp_path / "arm", 2)
+    (folder / "controller.yaml").unlink()
+    file = rx.FrictionFile.read(folder / "friction.yaml")
+    found = dataclasses.replace(file, identification={"speeds": {"arm_2": [0.02, 1.5]}})
+    (folder / "friction.yaml").write_text(found.text(), encoding="utf-8")
+    assert run("rx90_export", ["mujoco", "--robot", str(folder), "--output", str(tmp_path / "out")]) == DONE
+    fits = yaml.safe_load((tmp_path / "out" / "export.yaml").read_text(encoding="utf-8"))["friction"]
+    assert fits["arm_2"]["speeds"] == pytest.approx([0.02, 1.5])
+    assert fits["arm_1"]["speeds"] == pytest.approx([1e-3, 3.0])

@@ -13,9 +13,12 @@ import pinocchio as pin
 import pytest
 
 import rx90_emulator as rx
+from benchmarks.any_arm import write_arm
 from rx90_common.base.errors import DONE, ConfigError
 from rx90_common.base.share import config_path
+from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import load_robot
+from rx90_common.friction.parts.load import LoadPart
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.setup import Setup
 
@@ -56,7 +59,7 @@ def test_an_mjcf_arm_has_the_same_dynamics(tmp_path: Path) -> None:
         gravity = pin.computeGeneralizedGravity(ours, ours.createData(), q)
         assert gravity == pytest.approx(data.qfrc_bias, abs=1e-9)
     friction = rx.FrictionFile.read(tmp_path / "robot" / "friction.yaml")
-    assert friction.joints["joint_3"]["rotor_inertia"] == 0.2
+    assert load_drives(tmp_path / "robot" / "drives.yaml").rotor_inertia.tolist() == [0.2] * 6
     one = friction.elements["joint_3"]
     assert (one.tau_c_positive, one.tau_s_negative, one.omega_s) == (4.0, 6.0, 0.25)
     assert (one.c0, one.c1, one.c2, one.delta) == (4e3, 4.0, 12.0, 2.0)
@@ -103,5 +106,66 @@ def test_bam_s_file_of_the_erob80(tmp_path: Path) -> None:
     speeds = np.linspace(-3.0, 3.0, 40)
     assert found.steady_torque(speeds) == pytest.approx(ours.steady_torque(speeds), rel=1e-5)
     file.write_text('{"model": "m6"}', encoding="utf-8")
-    with pytest.raises(ConfigError, match="model is 'm6'; accepted: m1 or m2"):
+    with pytest.raises(ConfigError, match="model is 'm6'; accepted: m1, m2, or m5"):
+        rx.import_bam([file])
+
+
+COUPLING = [*np.eye(7)[:6].tolist(), [0, 0, 0, 0, 1, -1, 1]]
+
+
+def test_an_arm_out_to_mujoco_and_back_runs(tmp_path: Path) -> None:
+    """Seven joints, a motor that turns with three: coupling, rotors, spring and friction come back, and it runs.
+
+    What MJCF does not say is marked as assumed.
+    """
+    setup = rx.load_setup(robot=write_arm(tmp_path / "arm", 7, COUPLING))
+    rx.write_export(rx.export_robot(setup, "mujoco"), tmp_path / "out")
+    words = [str(tmp_path / "out" / "any_arm.xml"), "--output", str(tmp_path / "back")]
+    assert run("rx90_import", words) == DONE
+    back = rx.load_setup(robot=tmp_path / "back")
+    assert back.friction.names == setup.friction.names
+    assert back.drives.turning.turns.tolist() == COUPLING
+    for name, fit in zip(back.friction.names, rx.export_robot(setup, "mujoco").fits, strict=True):
+        law, one = fit.law, back.friction[name]
+        assert (one.tau_c_positive, one.tau_s_negative, one.c0) == pytest.approx((law.tau_c, law.tau_s, law.c0))
+    assert back.drives.rotor_inertia == pytest.approx(setup.drives.rotor_inertia, rel=1e-12)
+    assert back.drives.spring_torque == pytest.approx(setup.drives.spring_torque, rel=1e-5)
+    q = np.linspace(-0.8, 1.1, 7)
+    masses = [pin.crba(one.robot.model, one.robot.model.createData(), q) for one in (back, setup)]
+    assert masses[0] == pytest.approx(masses[1], abs=1e-9)
+    for name in ("drives.yaml", "controller.yaml"):
+        assert "provenance: assumed" in (tmp_path / "back" / name).read_text(encoding="utf-8")
+    points = rx.TrajectoryPoints(
+        np.array([0.0, 1.0]), np.array([0.0 * q, 0.2 + 0.0 * q]), np.zeros((2, 7)), np.zeros((2, 7))
+    )
+    assert np.abs(rx.simulate(back, points).slow.joint_states[-1, 0] - 0.2).max() < 2e-3
+
+
+@pytest.mark.parametrize(("old", "new", "reason"), [
+    ('armature="0.2"', 'armature="0.2" stiffness="3"', "the springs of"),
+    ('armature="0.2"', 'armature="0.2" damping="3 1"', "polynomial"),
+    ('armature="0.2"', 'armature="0.2" frictionloss="3"', "lugre and frictionloss of joint_1"),
+    ("<worldbody>", '<option gravity="0 0 -1.6"/><worldbody>', "gravity"),
+])  # fmt: skip
+def test_what_no_robot_folder_holds_is_refused(tmp_path: Path, old: str, new: str, reason: str) -> None:
+    """One line with the file and the reason, instead of an arm that moves in another way."""
+    file = tmp_path / "arm.xml"
+    file.write_text(arm_text().replace(old, new), encoding="utf-8")
+    with pytest.raises(ConfigError, match=reason):
+        rx.import_arm(file)
+
+
+def test_bam_s_load_out_and_back(shipped: Setup, tmp_path: Path) -> None:
+    """Model m5 without motor terms comes back as the load part that was written; with them it is refused."""
+    load = LoadPart(0.12, 0.12, 0.05, 0.05)
+    element = dataclasses.replace(shipped.friction.elements[0], load=load)
+    friction = dataclasses.replace(shipped.friction, elements=(element, *shipped.friction.elements[1:]))
+    rx.write_export(rx.export_robot(dataclasses.replace(shipped, friction=friction), "bam"), tmp_path / "out")
+    file = tmp_path / "out" / "joint_1.json"
+    back = rx.import_bam([file]).elements["joint_1"]
+    assert back.load == load
+    assert (back.tau_c_positive, back.tau_s_positive) == pytest.approx((element.tau_c_positive, element.tau_s_positive))
+    content = json.loads(file.read_text(encoding="utf-8")) | {"load_friction_motor": 0.1}
+    file.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"load_friction_motor is 0\.1; accepted: 0"):
         rx.import_bam([file])

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.any_arm import write_arm
 from benchmarks.exported_arm import compare
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import to_motor_torque
@@ -17,7 +19,7 @@ from rx90_common.description.drives import Cogging, Windings
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.export.export import export_robot
 from rx90_emulator.export.mjcf import arm_spec
-from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.setup import Setup, load_setup
 
 START = np.array([0.3, 0.5, 1.0, -0.4, 0.6, 0.2])
 TICKS = 2400
@@ -180,3 +182,35 @@ def test_cogging_and_windings_are_the_engine_s(shipped: Setup) -> None:
         mujoco.mj_step(model, data)
     heat = 0.4 * (0.5 / setup.drives.torque_constant) ** 2
     assert data.act[:6] == pytest.approx(heat * 2.0 * (1.0 - math.exp(-1.0)), rel=2e-3)
+
+
+def test_seven_joints_with_a_motor_that_turns_with_three(tmp_path: Path) -> None:
+    """Under the same motor torques, with reversals, an arm with another coupling moves in MuJoCo as in the engine."""
+    coupling = [*np.eye(7)[:6].tolist(), [0, 0, 0, 0, 1, -1, 1]]
+    setup = holdable(load_setup(robot=write_arm(tmp_path / "arm", 7, coupling)))
+    (text,) = export_robot(setup, "mujoco").files.values()
+    model, start = mujoco.MjModel.from_xml_string(text), np.linspace(-0.4, 0.5, 7)
+    still = mujoco.MjData(model)
+    still.qpos[:] = start
+    mujoco.mj_forward(model, still)
+    swing = 1.6 * np.array([e.tau_s_positive for e in setup.friction.elements[:7]])
+    time = np.arange(TICKS)[:, None] * setup.rates.period
+    joint = still.qfrc_bias - still.qfrc_spring + swing * np.sin(4.0 * np.pi * time)
+    commands = joint @ setup.drives.turning.joint_turns / setup.drives.gear
+    plant, off = setup.plant(), []
+    for steps in (1, _STEPS):
+        model.opt.timestep = setup.rates.period / steps
+        data = mujoco.MjData(model)
+        data.qpos[:], worst, moved = start, 0.0, 0.0
+        plant.reset(start)
+        for k, command in enumerate(commands):
+            plant.step(command)
+            data.ctrl[:] = command
+            mujoco.mj_step(model, data, nstep=steps)
+            if k >= _SETTLED:
+                worst = max(worst, float(np.abs(plant.joint_states()[0] - data.qpos).max()))
+            moved = max(moved, float(np.abs(data.qpos - start).max()))
+        off.append(worst)
+        assert moved > 0.01
+    assert off[0] < 1e-3
+    assert off[1] < off[0] / (0.6 * _STEPS)

@@ -8,6 +8,7 @@ import math
 import re
 import sys
 import xml.etree.ElementTree as ET
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -17,7 +18,9 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 import rx90_emulator as rx
+from benchmarks.any_arm import write_arm
 from rx90_common.base.arrays import Array
+from rx90_common.friction.parts.load import LoadPart
 from rx90_emulator.loop.setup import Setup
 
 SPEEDS = np.geomspace(1e-3, 4.0, 50)
@@ -188,3 +191,44 @@ def test_modelica_s_table_interpolates_to_the_curve(shipped: Setup) -> None:
         table = np.array([[float(x) for x in row.split(",")] for row in rows.split(";")])
         assert table[0].tolist() == [0.0, element.tau_s_positive]
         assert np.interp(SPEEDS[1:-1], *table.T) == pytest.approx(element.steady_torque(SPEEDS[1:-1]), rel=1e-4)
+
+
+def test_bam_s_load_is_that_of_steady_sliding(shipped: Setup) -> None:
+    """BAM's `compute_frictions` of model m5, from its source, solved for sliding under a load: ours."""
+    load, element = LoadPart(0.12, 0.12, 0.05, 0.05), shipped.friction.elements[0]
+    loaded = dataclasses.replace(element, load=load)
+    friction = dataclasses.replace(shipped.friction, elements=(loaded, *shipped.friction.elements[1:]))
+    p = json.loads(rx.export_robot(dataclasses.replace(shipped, friction=friction), "bam").files["joint_1.json"])
+    assert p["model"] == "m5"
+    stribeck = np.exp(-(np.abs(SPEEDS / p["dtheta_stribeck"]) ** p["alpha"]))
+    for torque in (-40.0, 0.0, 40.0):
+        found = np.zeros_like(SPEEDS)
+        for _ in range(50):  # the motor's torque holds load and friction
+            motor, external = torque + found, -torque
+            sliding = np.abs(external * p["load_friction_external"] - motor * p["load_friction_motor"])
+            rest = np.abs(external * p["load_friction_external_stribeck"] - motor * p["load_friction_motor_stribeck"])
+            found = p["friction_base"] + sliding + stribeck * (p["friction_stribeck"] + rest)
+            found += p["friction_viscous"] * SPEEDS
+        decay = np.exp(-((SPEEDS / element.omega_s) ** element.delta))
+        ours = element.steady_torque(SPEEDS) + (load.driving + load.stribeck_driving * decay) * abs(torque)
+        assert found == pytest.approx(ours, rel=1e-12)
+
+
+def test_names_that_other_languages_refuse(tmp_path: Path) -> None:
+    """Elements that differ by a sign alone, and a joint that is called like a link, come out as different things."""
+    coupling = [[1, 0, 0], [0, 0.5, -1], [0, 0.5, 1]]
+    folder = write_arm(tmp_path / "arm", 3, coupling)
+    for name in ("robot.urdf", "friction.yaml"):
+        file = folder / name
+        file.write_text(file.read_text().replace("arm_1", "base").replace("any_arm", "my/arm-3"))
+    setup = rx.load_setup(robot=folder)
+    export = rx.export_robot(setup, "usd")
+    assert [*export.files] == ["my_arm-3.usda"]
+    stage = Usd.Stage.CreateInMemory()
+    stage.GetRootLayer().ImportFromString(*export.files.values())
+    joints = [one.GetDisplayName() for one in stage.Traverse() if one.IsA(UsdPhysics.RevoluteJoint)]
+    assert joints == ["base", "arm_2", "arm_3"]
+    tables = re.findall(r"constant Real (\S+_tau_pos'?)\[", one_file(setup, "modelica"))
+    assert tables[3:] == ["'0.5*arm_2-arm_3_tau_pos'", "'0.5*arm_2+arm_3_tau_pos'"]
+    rx.write_export(rx.export_robot(setup, "bam"), tmp_path / "bam")
+    assert len(list((tmp_path / "bam").glob("*.json"))) == 5
