@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import signal
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -27,6 +28,7 @@ from rx90_emulator.loop.setup import Setup
 
 _APPROACH_SPEED, _APPROACH_ACCELERATION = 0.25, 2.0  # share of the joints' speeds; rad/s^2
 _HELD = 0.5  # s at the start of the path, until the arm stands
+_SENSOR = 0.5  # s for which a sensor of the tip may lag
 
 
 class NodeTrials:
@@ -57,9 +59,12 @@ class NodeTrials:
         bag = self._folder / f"trial_{self._number}"
         self._number += 1
         topics = ["joint_states", REFERENCE, TRACKING, CORRECTION, *([self._tip_topic] if self._tip_topic else [])]
-        recorder = self._recorders.start(f"recorder of {bag.name}", executable("rx90_bag", "record", "--output", bag, *topics))
+        command = executable("rx90_bag", "record", "--output", bag, *topics)
+        recorder = self._recorders.start(f"recorder of {bag.name}", command)
         recorder.wait_for("ready: all", self._timeout)
         self._run(replace(points, correction=correction))
+        if self._tip_topic is not None:
+            time.sleep(_SENSOR)
         recorder.signal(signal.SIGINT)
         recorder.expect_success(self._timeout)
         tip = None if self._tip_topic is None else bag
