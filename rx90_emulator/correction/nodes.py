@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import signal
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -13,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from rx90_common.base.errors import ExchangeError
 from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.node.trajectory_client import NewestPositions, TrajectoryClient
@@ -28,6 +28,7 @@ from rx90_emulator.loop.setup import Setup
 
 _APPROACH_SPEED, _APPROACH_ACCELERATION = 0.25, 2.0  # share of the joints' speeds; rad/s^2
 _HELD = 0.5  # s at the start of the path, until the arm stands
+_SENSOR = 0.5  # s for which a sensor of the tip may lag
 
 
 class NodeTrials:
@@ -45,7 +46,8 @@ class NodeTrials:
         """Run one trial.
 
         Raises:
-            ExchangeError: if a node does not answer, a trajectory is refused, or the recorder loses messages.
+            ExchangeError: if a node does not answer, or a trajectory is refused.
+            ProcessError: with what the recorder says, if it loses messages.
             BagError, ConfigError: as `tip_of_file`, where the tip is measured.
         """
         names, points = self._setup.robot.joint_names, self._path.points
@@ -57,12 +59,14 @@ class NodeTrials:
         bag = self._folder / f"trial_{self._number}"
         self._number += 1
         topics = ["joint_states", REFERENCE, TRACKING, CORRECTION, *([self._tip_topic] if self._tip_topic else [])]
-        recorder = self._recorders.start(bag.name, executable("rx90_bag", "record", "--output", bag, *topics))
+        command = executable("rx90_bag", "record", "--output", bag, *topics)
+        recorder = self._recorders.start(f"recorder of {bag.name}", command)
         recorder.wait_for("ready: all", self._timeout)
         self._run(replace(points, correction=correction))
+        if self._tip_topic is not None:
+            time.sleep(_SENSOR)
         recorder.signal(signal.SIGINT)
-        if code := recorder.wait(self._timeout):
-            raise ExchangeError(f"the recorder of {bag.name} ended with exit code {code} (see {recorder.log})")
+        recorder.expect_success(self._timeout)
         tip = None if self._tip_topic is None else bag
         found = measured(self._setup, self._nominal, bag, tip, tip_topic=self._tip_topic)[0]
         shutil.rmtree(bag, ignore_errors=True)
@@ -92,7 +96,7 @@ def node_trials(
     with (
         tempfile.TemporaryDirectory(prefix="rx90_correct_") as name,
         client_node("rx90_correct", timeout, partial(print, flush=True)) as client,
-        ProcessGroup(Path(name), grace=20.0) as recorders,
+        ProcessGroup(grace=20.0) as recorders,
     ):
         trajectory = TrajectoryClient(client, controller)
         trajectory.wait_for_controller()

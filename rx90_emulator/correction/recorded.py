@@ -7,6 +7,7 @@ counts as none, and only the path remains, which is what a correction is for.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from operator import attrgetter
@@ -83,9 +84,9 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
         raise ConfigError(f"{what}: {len(times)} rows; accepted: two or more, finite, with increasing times")
     count = len(nominal)
     # Beyond its ends the record is held, so that a rest before or after the motion may be missing.
-    grid = times[0] + np.arange(-count, round((times[-1] - times[0]) / period) + count) * period
-    if len(grid) > _MOST_ROWS:
+    if not times[-1] - times[0] <= _MOST_ROWS * period:
         raise ConfigError(f"{what}: {times[-1] - times[0]:.6g} s; accepted: up to {_MOST_ROWS * period:g} s")
+    grid = times[0] + np.arange(-count, round((times[-1] - times[0]) / period) + count) * period
     record = np.column_stack([np.interp(grid, times, column) for column in values.T])
     middle = nominal.mean(axis=0)
     record, motion = record - middle, nominal - middle
@@ -194,8 +195,10 @@ def _table(file: Path) -> list[Array]:
     accepted = "a CSV table with the columns time [s], x [m], y [m], z [m], or with [mm]"
     try:
         header = file.open(encoding="utf-8").readline().strip().split(",")
-        rows = np.loadtxt(file, delimiter=",", skiprows=1, ndmin=2)
-    except (OSError, ValueError, UnicodeDecodeError) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # without rows it only warns
+            rows = np.loadtxt(file, delimiter=",", skiprows=1, ndmin=2)
+    except (OSError, ValueError, UserWarning) as error:
         raise ConfigError(f"{plain(file)}: {error}; accepted: {accepted}") from error
     names = [title.strip().replace("]", "").split("[") for title in header]
     found = {name[0].strip(): (k, name[1].strip() if len(name) > 1 else "") for k, name in enumerate(names)}

@@ -28,6 +28,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.dynamics.manipulator import factorise, solve
@@ -80,7 +81,9 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
 
 
 @kernel
-def gains(a: Array, b: Array, apart: int, error: Array, change: float, counted: Array) -> tuple[Array, Array]:
+def gains(
+    a: Array, b: Array, apart: int, error: Array, change: float, counted: Array
+) -> tuple[Array, NDArray[np.void]]:
     """Return the feedback K, shape (n, 6, 24), and the FACTORS of R + B' P B, shape (n,): the Riccati recursion.
 
     Args:
@@ -126,7 +129,7 @@ def gains(a: Array, b: Array, apart: int, error: Array, change: float, counted: 
 
 
 @kernel
-def best_change(a: Array, b: Array, apart: int, feedback: Array, factors: Array, weighted: Array) -> Array:
+def best_change(a: Array, b: Array, apart: int, feedback: Array, factors: NDArray[np.void], weighted: Array) -> Array:
     """Return the change of the correction, rad, shape (n, 6).
 
     Args:

@@ -275,6 +275,14 @@ def test_a_tip_is_laid_under_the_path(shipped: Setup, task: rx.LineTask, tmp_pat
     half = rows[: len(rows) // 2]
     with pytest.raises(ConfigError, match="accepted: a record of all of the path"):
         laid_under(half[:, 0], half[:, 1:] / 1e3, nominal.tip, 1e-3, nominal.counts, "half")
+    titles = "time [s],x [m],y [m],z [m]\n"
+    for text, why in (
+        ("", "no data.*; accepted: a CSV table"),
+        ("0,0.6,0,0\n1e12,0.6,0,0\n", "1e.12 s; accepted: up to"),
+    ):
+        file.write_text(titles + text, encoding="utf-8")
+        with pytest.raises(ConfigError, match=why):
+            tip_of_file(file, nominal)
     file.write_text("time [s],x [cm],y,z\n1,2,3,4\n2,3,4,5\n", encoding="utf-8")
     with pytest.raises(ConfigError, match=r"accepted: a CSV table with the columns time \[s\], x \[m\]"):
         tip_of_file(file, nominal)
