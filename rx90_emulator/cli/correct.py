@@ -167,17 +167,17 @@ def _learn_from_records(learner: Learner, earlier: CorrectionFile | None, option
 
 
 def _path(name: str, setup: Setup) -> CorrectablePath:
-    """Return the path of a file: a task of a line, or a trajectory."""
+    """Return the path of a file: a path file, a task of a line, or a trajectory."""
     from rx90_common.base.config import load_yaml
-    from rx90_controller.lines.task import load_task
     from rx90_emulator.correction.path import TrajectoryPath
-    from rx90_emulator.loop.line import plan_line
+    from rx90_emulator.loop.line import plan_path
+    from rx90_emulator.loop.path_file import load_motion
     from rx90_emulator.loop.trajectory_file import load_trajectory
 
     file = Path(name)
     if file.is_file() and "joint_names" in load_yaml(file, first=True):
         return TrajectoryPath.of(setup, load_trajectory(file, setup.robot.joint_names))
-    return plan_line(setup, load_task(name))
+    return plan_path(setup, load_motion(name))
 
 
 def _method(options: argparse.Namespace) -> Filtered | NormOptimal:

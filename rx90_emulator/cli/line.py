@@ -79,7 +79,7 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
     send.add_argument("--approach", action="store_true", help="first move to the start, straight in the joints")
     send.add_argument("--approach-speed", type=FINITE, help="share of the joint speeds (0.25)")
     send.add_argument("--approach-acceleration", type=FINITE, help="rad/s^2 (2)")
-    send.add_argument("--correction", metavar="FILE", help="correction file of this line, as rx90_correct learns it")
+    send.add_argument("--correction", metavar="FILE", help="correction file of this path, as rx90_correct learns it")
     send.add_argument("--dry-run", action="store_true", help="plan and print, send nothing")
     send.add_argument("--output", type=place, metavar="FILE", help="write the trajectory as a YAML message")
 

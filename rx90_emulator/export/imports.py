@@ -300,7 +300,7 @@ def _springs(path: Path, model: Any, names: Sequence[str]) -> list[float]:
         raise ConfigError(
             f"{plain(path)}: gravity {model.opt.gravity.tolist()}, or gravcomp; accepted: 0 0 -9.81, none"
         )
-    return k.tolist()
+    return [float(each) for each in k]
 
 
 def _head(what: str, path: Path) -> str:
