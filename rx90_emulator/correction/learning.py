@@ -17,12 +17,13 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, check_type
 from rx90_common.description.kinematics import tip_position
-from rx90_controller.lines.task import LineTask
+from rx90_controller.lines.task import LineTask, TipTask
+from rx90_controller.paths.path import Path
 from rx90_controller.trajectory.correction import Correction
 from rx90_emulator.correction.methods import Method, NormOptimal
 from rx90_emulator.correction.path import CorrectablePath, Nominal
 from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.line import plan_line
+from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 
@@ -269,7 +270,7 @@ def run_corrected(
 
 def learn_correction(
     setup: Setup,
-    path: CorrectablePath | LineTask,
+    path: CorrectablePath | TipTask,
     trials: int = 4,
     method: Method | None = None,
     *,
@@ -283,7 +284,7 @@ def learn_correction(
 
     Args:
         setup: the arm that runs the trials.
-        path: what is corrected: a task, a planned line, or any trajectory as a TrajectoryPath.
+        path: what is corrected: a task or a path, a planned one, or any trajectory as a TrajectoryPath.
         trials: after the first one, which is without correction, or with `previous`.
         method: NormOptimal() unless another is given.
         model: what the method takes the arm for; `setup` itself if left out.
@@ -298,7 +299,7 @@ def learn_correction(
         DivergenceError, SupervisionError: as `simulate`.
     """
     check_type(setup=(setup, Setup))
-    planned = plan_line(setup, path) if isinstance(path, LineTask) else path
+    planned = plan_path(setup, path) if isinstance(path, (LineTask, Path)) else path
     before = None if previous is None else previous.offsets
     learner = Learner(model or setup, planned, method, tip=tip, noise=noise, previous=before)
     return learn(learner, lambda correction: run_corrected(setup, planned, correction)[1], trials, ENGINE, told)
