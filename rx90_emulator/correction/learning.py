@@ -17,7 +17,7 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, check_type
 from rx90_common.description.kinematics import tip_position
-from rx90_controller.lines.task import LineTask, TipTask
+from rx90_controller.lines.task import LineTask
 from rx90_controller.paths.path import Path
 from rx90_controller.trajectory.correction import Correction
 from rx90_emulator.correction.methods import Method, NormOptimal
@@ -270,7 +270,7 @@ def run_corrected(
 
 def learn_correction(
     setup: Setup,
-    path: CorrectablePath | TipTask,
+    path: CorrectablePath | LineTask | Path,
     trials: int = 4,
     method: Method | None = None,
     *,
