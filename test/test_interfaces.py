@@ -167,7 +167,8 @@ def test_a_changed_definition_is_built_again(tmp_path: Path, monkeypatch: pytest
             sys,
             "base_prefix",
             sys.prefix,
-            "belongs to no virtual environment; .* apt install ros-jazzy-control-msgs ros-jazzy-tf2-msgs$",
+            "belongs to no virtual environment; .* apt install ros-jazzy-control-msgs "
+            "ros-jazzy-controller-manager-msgs ros-jazzy-tf2-msgs$",
         ),
     ],
 )

@@ -74,7 +74,11 @@ def simulated_setup(files: RobotFiles) -> Setup:
         if not path.is_file():
             raise ConfigError(f"{path.parent}: no {path.name}; {_OTHER_ARMS}")
     with suppress(ConfigError):  # Setup.load names the fault
-        names = load_drives(files.drives).turning.element_names(tuple(UrdfFile(files.urdf).limits))
+        joints, turning = tuple(UrdfFile(files.urdf).limits), load_drives(files.drives).turning
+        if len(joints) != len(turning.turns):
+            counts = f"{len(joints)} movable joints, and {files.drives} is of {len(turning.turns)}"
+            raise IdentificationError(f"{files.urdf}: {counts}; {_OTHER_ARMS}")
+        names = turning.element_names(joints)
         there = FrictionFile.read(files.friction).elements
         if missing := [name for name in names if name not in there]:
             raise IdentificationError(f"{files.friction}: no friction element {listed(missing)}; {_OTHER_ARMS}")

@@ -181,8 +181,9 @@ def record_suite(start: Start, ros_domain: int, folder: Path, storage: str) -> P
         suite.publish(TICKS, 4000, listeners=len(SUITE_TOPICS))
         code, out, err = recorder.finish(signal.SIGINT)
     assert (code, err) == (0, "")
-    counted = f"recorded {TICKS * 2 + TICKS // 4 * 7 + 6} messages of {len(SUITE_TOPICS)} topics to {folder / 'bag'}"
-    assert f"{counted}; {TICKS // 500 * 7} repetitions" in out
+    count = TICKS * len(FAST) + TICKS // 4 * len(SLOW) + 6
+    counted = f"recorded {count} messages of {len(SUITE_TOPICS)} topics to {folder / 'bag'}"
+    assert f"{counted}; {TICKS // 500 * len(SLOW)} repetitions" in out
     return folder / "bag"
 
 

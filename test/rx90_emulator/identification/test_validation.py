@@ -280,8 +280,9 @@ def test_other_arms_are_told_where_to_go(
 ) -> None:
     """A folder without drives, other numbers or names of joints, and a bag of others are one line with the way out."""
     four, other = tmp_path / "four.urdf", tmp_path / "other.urdf"
-    four.write_text(urdf_text("abcd", ["0 0 1"] * 4, [1.0] * 4), encoding="utf-8")
-    other.write_text(urdf_text("abcdef", ["0 0 1"] * 6, [1.0] * 6), encoding="utf-8")
+    for path, names in ((four, "abcd"), (other, "abcdef")):
+        text = urdf_text(names, ["0 0 1"] * len(names), [1.0] * len(names))
+        path.write_text(text.replace('effort="0"', 'effort="10"'), encoding="utf-8")
     folder = tmp_path / "arm"
     folder.mkdir()
     shutil.copy(other, folder / "robot.urdf")

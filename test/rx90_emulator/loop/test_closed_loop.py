@@ -59,7 +59,7 @@ def step_by_step(setup: Setup, duration: float, start: int, substeps: int) -> di
             seen["temperatures"].append(plant.temperatures.now.copy())
             seen["windings"].append(plant.winding_temperatures())
         plant.step(command)
-    empty = {"temperatures": np.empty((0, 7)), "windings": np.empty((0, 6))}
+    empty = {"temperatures": np.empty((0, 7)), "windings": np.empty((0, 6)), "correction": np.empty((0, 6))}
     return empty | {name: np.array(rows) for name, rows in seen.items()}
 
 
@@ -111,7 +111,7 @@ def test_recording_the_fast_series_does_not_change_the_run(shipped: Setup) -> No
     assert lean.fast is None
     for name, values in lean.slow._asdict().items():
         assert values.tobytes() == getattr(full.slow, name).tobytes()
-        shapes = {"friction_states": (500, 3, 7), "temperatures": (0, 7), "windings": (0, 6)}
+        shapes = {"friction_states": (500, 3, 7), "temperatures": (0, 7), "windings": (0, 6), "correction": (0, 6)}
         assert values.shape == shapes.get(name, (500, 3, 6))
     assert full.fast is not None
     assert full.fast.motor_states.shape == (2000, 3, 6)

@@ -159,7 +159,7 @@ def test_wrong_values_of_the_task_are_refused(
         ("drives.elasticity", Elasticity, {"friction_side"}),
         ("controller", CS7BParameters, {"feed_forward", "model"}),
         ("controller.feed_forward", FeedForward, set()),
-        ("task", LineTask, {"branch"}),
+        ("task", LineTask, {"branch", "start_posture"}),
     ],
 )
 def test_every_number_has_a_path(catalogue: Catalogue, prefix: str, kind: type, without: set[str]) -> None:
