@@ -15,6 +15,7 @@ from rclpy.parameter import Parameter
 from ros_client import Client
 
 from rx90_common.base.errors import ConfigError
+from rx90_emulator.loop.setup import Setup
 from rx90_sim.node.parameters import SimulationParameters, read_parameters
 
 TASK = "robots/rx90b/task.yaml"
@@ -71,13 +72,16 @@ def _values() -> Iterator[tuple[str, Any, str]]:
 
 
 @pytest.mark.ros
-def test_what_a_declaration_does_not_accept_is_named(client: Client) -> None:
-    """A value of another type, an empty one and one out of the range are refused with parameter, value and range."""
+def test_what_a_declaration_does_not_accept_is_named(client: Client, shipped: Setup) -> None:
+    """A value of another type, an empty one and one out of the range are refused with parameter, value and range.
+
+    So is a list of another length than the arm's.
+    """
     for number, (name, value, accepted) in enumerate(_values()):
         given = [Parameter(name, value=value)]
         node = rclpy.create_node(f"node_{number}", context=client.node.context, parameter_overrides=given)
         with pytest.raises(ConfigError) as refused:
-            read_parameters(node)
+            read_parameters(node).start(shipped.robot)
         node.destroy_node()
         assert str(refused.value).startswith(f"parameter {name} ")
         assert accepted in str(refused.value)
