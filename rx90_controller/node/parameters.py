@@ -227,11 +227,15 @@ def declare_law(node: Node, path: Path) -> tuple[CS7BParameters, Callable[[Mappi
     root = load_yaml(path)
     model = read_controller(root).model  # whose files are read once
     of_file = CONTROLLER.read(root)
+    joints = len(of_file["servo"]["inertia"])
 
     def read(values: Mapping[str, Any]) -> CS7BParameters:
         content = copy.deepcopy(of_file)
         for name, value in values.items():
             section, _, key = name.partition(".")
+            if isinstance(LAW_ENTRIES[name], Numbers) and len(value) != joints:
+                accepted = f"{joints} numbers, as many as inertia has"
+                raise ConfigError(f"parameter: {name} is {quoted(list(value))}; accepted: {accepted}")
             content[section][key] = value if isinstance(value, bool | float) else list(value)
         return read_controller(Section(content, Path("parameter")), model)
 
@@ -242,7 +246,7 @@ def declare_law(node: Node, path: Path) -> tuple[CS7BParameters, Callable[[Mappi
         if not isinstance(value, bool):
             value = [float(each) for each in value] if isinstance(value, tuple) else float(value)
         if isinstance(value, list) and len(value) == 1:  # a default, for all motors
-            value *= len(of_file["servo"]["inertia"])
+            value *= joints
         about = f"{shape.about[:-1]}{unit}{_OF_JOINTS if isinstance(shape, Numbers) else ''}"
         given[name] = declare(node, name, value, about)
     return read(given), read

@@ -161,7 +161,7 @@ def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
             1.0,
             "^parameter servo_kp is unknown to rx90_controller; accepted: .*, servo.ki, servo.kp, [^\n]*$",
         ),
-        "servo.kp": ([1.0] * 5, r"controller: kp is .*; accepted: 6 numbers, as many as inertia has"),
+        "servo.kp": ([1.0] * 5, r"parameter: servo.kp is .*; accepted: 6 numbers, as many as inertia has"),
         "servo.kv": (
             [1, 2, 3, 4, 5, -6],
             r"parameter: servo.kv\[5\] is -6.0; accepted: 1 to 7 numbers, each a number in \[0, ",
