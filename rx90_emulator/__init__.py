@@ -33,7 +33,7 @@ Identification  plan_experiments, record_on_engine, identify_friction, identific
                 write_excitation, read_payloads, ExcitationIdentification, ExcitationTolerances, Payload; for one of
                 your own: regressor, excitation_problem, predict_torque, identify_friction_parts, RigidArm, Regressor,
                 ExcitationProblem, BaseParameter, Part
-Other simulators export_robot, write_export, export_plot, Export, FrictionFit; import_bam, import_mjcf_friction,
+Exports         export_robot, write_export, export_plot, Export, FrictionFit; import_bam, import_mjcf_friction,
                 import_arm
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted;
                 Rx90Warning, of a run that means less than it seems to
