@@ -246,11 +246,12 @@ def learn(
 
 
 def run_corrected(
-    setup: Setup, path: CorrectablePath, correction: Correction | None = None
+    setup: Setup, path: CorrectablePath, correction: Correction | None = None, nominal: Nominal | None = None
 ) -> tuple[RunResult, Measured]:
     """Run a path through the closed loop, with a correction or without, and measure encoders and tip.
 
-    The arm stands held before, so that its weight is taken up when the path error begins to count.
+    The arm stands held before, so that its weight is taken up when the path error begins to count. What the path asks
+    for is a third of a trial's work, so whoever runs several gives it as `nominal`.
 
     Raises:
         DivergenceError: naming joint and tick.
@@ -259,7 +260,8 @@ def run_corrected(
     """
     points, period = replace(path.points, correction=correction), setup.rates.position_period
     held = math.ceil(max(0.0, _HELD - path.counted[0]) / period)
-    nominal = Nominal.of(setup, path.points, path.counted)
+    if nominal is None:
+        nominal = Nominal.of(setup, path.points, path.counted)
     count = len(nominal.counts)
     run = simulate(setup, points, start_time=held * period, duration=(held + count) * period)
     rows = slice(held, held + count)
@@ -302,7 +304,8 @@ def learn_correction(
     planned = plan_path(setup, path) if isinstance(path, (LineTask, Path)) else path
     before = None if previous is None else previous.offsets
     learner = Learner(model or setup, planned, method, tip=tip, noise=noise, previous=before)
-    return learn(learner, lambda correction: run_corrected(setup, planned, correction)[1], trials, ENGINE, told)
+    nominal = learner.nominal if model is None else Nominal.of(setup, planned.points, planned.counted)
+    return learn(learner, lambda played: run_corrected(setup, planned, played, nominal)[1], trials, ENGINE, told)
 
 
 def summary(trials: Iterable[TrialRecord]) -> str:

@@ -75,9 +75,10 @@ def precompensate(
     begin, end = path.counted
     travelled = TrajectoryPath(points, (begin, min(end, float(points.times[-1]))), nominal.tip[nominal.counts])
     errors = []
-    for one, added in ((path, None), (path, correction), (travelled, None)):
-        run, _ = run_corrected(setup, one, added)
-        rows_of_path = len(run.slow.joint_states) - len(Nominal.of(setup, one.points, one.counted).counts)
+    of_travelled = Nominal.of(setup, travelled.points, travelled.counted)
+    for one, added, asked in ((path, None, nominal), (path, correction, nominal), (travelled, None, of_travelled)):
+        run, _ = run_corrected(setup, one, added, asked)
+        rows_of_path = len(run.slow.joint_states) - len(asked.counts)
         tip = tip_position(setup.robot.chain, run.slow.joint_states[rows_of_path:, 0])
         errors.append(float(path.distance(tip[: len(nominal.counts)][nominal.counts[: len(tip)]]).max()))
     return Precompensation(points, *errors)
