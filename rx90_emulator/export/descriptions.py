@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rx90_common.friction.curves import LINEAR_SPEED
 from rx90_common.friction.element import FRICTION_UNITS
-from rx90_emulator.export.fit import FrictionFit, element_turns, motor_turns
+from rx90_emulator.export.fit import FrictionFit
 from rx90_emulator.export.targets import Target
 from rx90_emulator.loop.setup import Arm
 
@@ -50,13 +50,15 @@ def write_drake(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> Files:
         ET.SubElement(transmission, "joint", name=name)
         actuator, gear = ET.SubElement(transmission, "actuator", name=f"motor_{i + 1}"), float(drives.gear[i])
         # As large as Drake squares it with the gear; where a motor turns with two joints, it stands in both.
-        turning = drives.rotor_inertia @ (motor_turns(arm)[:, i] ** 2)
+        turning = drives.rotor_inertia @ (arm.drives.turning.turns[:, i] ** 2)
         ET.SubElement(actuator, f"{{{_DRAKE}}}gear_ratio", value=repr(gear))
         ET.SubElement(actuator, f"{{{_DRAKE}}}rotor_inertia", value=repr(float(turning) / gear**2))
     numbers = {fit.name: {name: _plain(getattr(fit.elements[0], name)) for name in FRICTION_UNITS} for fit in fits}
     template = (Path(__file__).parent / "templates" / "drake_friction.py.txt").read_text(encoding="utf-8")
     text = template.replace("@ELEMENTS@", json.dumps(numbers, indent=4).replace("null", "math.inf"))
-    text = text.replace("@INPUTS@", json.dumps(element_turns(arm).tolist())).replace("@LINEAR@", repr(LINEAR_SPEED))
+    text = text.replace("@INPUTS@", json.dumps(arm.drives.turning.element_matrix.tolist())).replace(
+        "@LINEAR@", repr(LINEAR_SPEED)
+    )
     return {**_named(arm, root, "urdf"), "friction.py": text}, []
 
 

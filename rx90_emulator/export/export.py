@@ -22,7 +22,7 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.files import hidden_beside
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Panel, Plot
 from rx90_emulator.configuration.origins import aligned
-from rx90_emulator.export.fit import POINTS, FrictionFit, element_turns, fit_friction, speeds_up_to, sum_of
+from rx90_emulator.export.fit import POINTS, FrictionFit, fit_friction, speeds_up_to, sum_of
 from rx90_emulator.export.targets import TARGETS, Target
 from rx90_emulator.loop.setup import Arm
 
@@ -146,7 +146,7 @@ def export_robot(
         raise ConfigError(f"target {quoted(target)}; accepted: {listed(TARGETS)}")
     if speeds is not None and bag is not None:
         raise ConfigError("speeds from a range and from a bag; accepted: one of both")
-    one, turns, fits = TARGETS[target], element_turns(arm), []
+    one, turns, fits = TARGETS[target], arm.drives.turning.element_matrix, []
     used, words = _speeds_in_use(arm, turns if TARGETS[target].coupled else np.eye(turns.shape[1]), speeds, bag)
     if one.coupled:
         for name, element, speed in zip(arm.friction.names, arm.friction.elements, used, strict=True):
@@ -206,7 +206,9 @@ def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
 def _with_coupling(fit: FrictionFit, arm: Arm, joint: int) -> FrictionFit:
     """Return the fit of a joint with what is lost where its friction depends on another one's motion, too."""
     coupled, lost, speeds = 0.0, list(fit.lost), fit.speeds
-    for row, name, element in zip(element_turns(arm), arm.friction.names, arm.friction.elements, strict=True):
+    for row, name, element in zip(
+        arm.drives.turning.element_matrix, arm.friction.names, arm.friction.elements, strict=True
+    ):
         others = [other for other in np.flatnonzero(row) if other != joint]
         if row[joint] and others:
             both = np.add.outer(speeds, np.concatenate([-speeds, speeds]))

@@ -18,7 +18,6 @@ from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay
 from rx90_common.friction.element import SIGNS, FrictionElement
 from rx90_common.friction.parts.load import LoadPart
 from rx90_emulator.export.targets import Target
-from rx90_emulator.loop.setup import Arm
 
 POINTS = 400
 """Of the speeds at which curves are compared, evenly spaced in their logarithm."""
@@ -94,16 +93,6 @@ class FrictionFit:
     def worst(self) -> float:
         """Return the most that the torque can differ at these speeds, Nm."""
         return self.largest + self.coupled
-
-
-def element_turns(arm: Arm) -> Array:
-    """Return the velocity of each friction element for the joints' velocities, shape (elements, joints)."""
-    return arm.drives.turning.element_matrix
-
-
-def motor_turns(arm: Arm) -> Array:
-    """Return the turns of each motor for those of the joints without the gears, shape (joints, joints)."""
-    return arm.drives.turning.turns
 
 
 def speeds_up_to(high: float, low: float = LINEAR_SPEED) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.rates import Rates
-from rx90_emulator.export.fit import FrictionFit, element_turns, motor_turns
+from rx90_emulator.export.fit import FrictionFit
 from rx90_emulator.export.targets import Target
 from rx90_emulator.loop.setup import Arm, Setup
 
@@ -39,12 +39,12 @@ def arm_spec(arm: Arm) -> Any:
     for joint in joints.values():
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
     tendons = {}
-    for name, row in _transmissions(arm, element_turns(arm)):
+    for name, row in _transmissions(arm, arm.drives.turning.element_matrix):
         if name not in joints:
             tendons[name] = spec.add_tendon(name=name)
             for joint in np.flatnonzero(row):
                 tendons[name].wrap_joint(robot.joint_names[joint], row[joint])
-    for (name, _), rotor in zip(_transmissions(arm, motor_turns(arm)), drives.rotor_inertia, strict=True):
+    for (name, _), rotor in zip(_transmissions(arm, arm.drives.turning.turns), drives.rotor_inertia, strict=True):
         (joints | tendons)[name].armature = rotor
     for joint, torque in zip(joints.values(), drives.spring_torque, strict=True):
         if torque > 0.0:
@@ -72,7 +72,7 @@ def _add_tcp(spec: Any, arm: Arm) -> None:
 def _transmissions(arm: Arm, turns: Array) -> list[tuple[str, Array]]:
     """Return the joint, or the tendon, for each row of turns, shape (n, joints), and the row."""
     names, elements = arm.robot.joint_names, arm.friction.names
-    rows = {tuple(row): name for name, row in zip(elements, element_turns(arm).tolist(), strict=True)}
+    rows = {tuple(row): name for name, row in zip(elements, arm.drives.turning.element_matrix.tolist(), strict=True)}
     return [(names[int(np.argmax(row))] if np.count_nonzero(row) == 1 else rows[tuple(row)], row) for row in turns]
 
 
@@ -109,7 +109,7 @@ def mjcf_text(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> str:
     places = {one.get("name", ""): one for tag in ("joint", "fixed") for one in root.iter(tag)}
     actuators = ET.SubElement(root, "actuator")
     _add_motors(actuators, arm)
-    for fit, (name, _) in zip(fits, _transmissions(arm, element_turns(arm)), strict=True):
+    for fit, (name, _) in zip(fits, _transmissions(arm, arm.drives.turning.element_matrix), strict=True):
         law, viscous = fit.law, _text(*np.trim_zeros(fit.law.viscous, "b"))
         if target.bristles:
             ET.SubElement(
@@ -148,7 +148,7 @@ def _add_motors(actuators: ET.Element, arm: Arm) -> None:
     """Add a motor for each drive, one that feels its temperature where its windings get warm, and then the cogging."""
     drives, cogging = arm.drives, []
     warm, waves = drives.winding, drives.cogging
-    for i, (name, _) in enumerate(_transmissions(arm, motor_turns(arm))):
+    for i, (name, _) in enumerate(_transmissions(arm, arm.drives.turning.turns)):
         turned = {_kind(arm, name): name, "gear": _text(drives.gear[i])}
         peak = float(drives.peak_torque[i])
         motor = {"name": f"motor_{i + 1}", **turned, "ctrllimited": "true", "ctrlrange": _text(-peak, peak)}
@@ -181,7 +181,7 @@ def creep(text: str, arm: Arm, fits: Sequence[FrictionFit]) -> list[float]:
     model = mujoco.MjModel.from_xml_string(text)
     model.opt.gravity[:] = 0.0
     model.tendon_stiffness[:] = 0.0
-    coulomb = np.array([fit.law.tau_c for fit in fits]) @ np.abs(element_turns(arm))
+    coulomb = np.array([fit.law.tau_c for fit in fits]) @ np.abs(arm.drives.turning.element_matrix)
     speeds = []
     for i, name in enumerate(arm.robot.joint_names):
         data = mujoco.MjData(model)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rx90_emulator.export.fit import FrictionFit, SimulatorLaw, element_turns, motor_turns
+from rx90_emulator.export.fit import FrictionFit, SimulatorLaw
 from rx90_emulator.export.targets import Target
 from rx90_emulator.loop.setup import Arm
 
@@ -43,8 +43,8 @@ from isaaclab.actuators import ImplicitActuatorCfg
 def write_isaaclab(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001 - as of every target
     """Return a module with the configuration of one actuator model for all joints."""
     robot, drives = arm.robot, arm.drives
-    rotors = drives.rotor_inertia @ motor_turns(arm) ** 2
-    efforts = abs(motor_turns(arm)).T @ abs(drives.gear * drives.peak_torque)
+    rotors = drives.rotor_inertia @ arm.drives.turning.turns**2
+    efforts = abs(arm.drives.turning.turns).T @ abs(drives.gear * drives.peak_torque)
 
     patterns = [json.dumps(re.escape(name)) for name in robot.joint_names]
 
@@ -65,8 +65,11 @@ def write_isaaclab(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> Fil
 def write_bam(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> Files:  # noqa: ARG001
     """Return a file for each element, as BAM's `load_model` reads it."""
     rotors = dict.fromkeys(arm.friction.names, 0.0)
-    rows = {tuple(row): name for row, name in zip(element_turns(arm).tolist(), arm.friction.names, strict=True)}
-    for row, rotor in zip(motor_turns(arm).tolist(), arm.drives.rotor_inertia, strict=True):
+    rows = {
+        tuple(row): name
+        for row, name in zip(arm.drives.turning.element_matrix.tolist(), arm.friction.names, strict=True)
+    }
+    for row, rotor in zip(arm.drives.turning.turns.tolist(), arm.drives.rotor_inertia, strict=True):
         rotors[rows[tuple(row)]] = float(rotor)
     files = {fit.name: bam_parameters(fit.law, rotors[fit.name]) for fit in fits}
     remark = f"motor: BAM wants one that it knows, {BAM_ACTUATOR} stands there; its kt and R are not this robot's"

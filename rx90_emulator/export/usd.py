@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics
 
-from rx90_emulator.export.fit import FrictionFit, motor_turns
+from rx90_emulator.export.fit import FrictionFit
 from rx90_emulator.export.targets import Target
 from rx90_emulator.loop.setup import Arm
 
@@ -20,7 +20,7 @@ def write_usd(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> tuple[di
     model = robot.model
     data = model.createData()
     pin.forwardKinematics(model, data, np.zeros(model.nq))
-    rotors = arm.drives.rotor_inertia @ motor_turns(arm) ** 2
+    rotors = arm.drives.rotor_inertia @ arm.drives.turning.turns**2
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
