@@ -61,7 +61,7 @@ def cogging_dtype(motors: int) -> np.dtype[np.void]:
 
 def cogging_state_dtype(motors: int) -> np.dtype[np.void]:
     """Return the type of the workspace: of the motors; torques joint side, Nm."""
-    return np.dtype([(name, np.float64, motors) for name in ("angle", "speed", "torque")], align=True)
+    return np.dtype([(name, np.float64, (motors,)) for name in ("angle", "speed", "torque")], align=True)
 
 
 def fill_cogging(record: Any, cogging: Cogging, gear: Array) -> None:
@@ -116,10 +116,10 @@ def winding_dtype(motors: int) -> np.dtype[np.void]:
     return np.dtype(
         [
             ("used", np.int64),
-            ("heat", np.float64, motors),  # of the square of the torque at the reference temperature, K/s / Nm^2
+            ("heat", np.float64, (motors,)),  # of the square of the torque at the reference temperature, K/s / Nm^2
             ("coefficient", np.float64),
             ("reference", np.float64),
-            ("cooling", np.float64, motors),  # 1/s
+            ("cooling", np.float64, (motors,)),  # 1/s
             ("ambient", np.float64),
             ("initial", np.float64),
             ("limit", np.float64),
@@ -201,11 +201,11 @@ def sensor_dtype(motors: int) -> np.dtype[np.void]:
         [
             ("used", np.int64),
             ("seed", np.uint64),
-            ("offset", np.float64, motors),
-            ("noise", np.float64, motors),
-            ("resolution", np.float64, motors),
+            ("offset", np.float64, (motors,)),
+            ("noise", np.float64, (motors,)),
+            ("resolution", np.float64, (motors,)),
             ("gain", np.float64),  # of the current loop, for a tick
-            ("torque_constant", np.float64, motors),
+            ("torque_constant", np.float64, (motors,)),
         ],
         align=True,
     )
@@ -215,9 +215,9 @@ def sensor_state_dtype(motors: int) -> np.dtype[np.void]:
     """Return the type of the state."""
     return np.dtype(
         [
-            ("counter", np.uint64, motors),
-            ("error", np.float64, motors),  # by how much the current is less than without errors, A
-            ("torque", np.float64, motors),  # reported, motor side, Nm
+            ("counter", np.uint64, (motors,)),
+            ("error", np.float64, (motors,)),  # by how much the current is less than without errors, A
+            ("torque", np.float64, (motors,)),  # reported, motor side, Nm
         ],
         align=True,
     )

@@ -53,17 +53,17 @@ def plant_dtype(arm: ArmSize) -> np.dtype[np.void]:
             ("brake", elements_dtype(e)),  # a closed brake is a stiff bristle element on its motor
             ("parts", parts_dtype(e)),
             gear_field("gear", arm),
-            ("peak_torque", np.float64, n),
-            ("resolution", np.float64, n),  # of the encoder, motor side, rad
+            ("peak_torque", np.float64, (n,)),
+            ("resolution", np.float64, (n,)),  # of the encoder, motor side, rad
             ("observer_position", np.float64),  # gains of the velocity observer
             ("observer_velocity", np.float64),
-            ("lower", np.float64, n),
-            ("upper", np.float64, n),
-            ("stop_stiffness", np.float64, n),
-            ("stop_damping", np.float64, n),
+            ("lower", np.float64, (n,)),
+            ("upper", np.float64, (n,)),
+            ("stop_stiffness", np.float64, (n,)),
+            ("stop_damping", np.float64, (n,)),
             ("period", np.float64),
             ("substeps", np.int64),
-            ("speed_limit", np.float64, n),
+            ("speed_limit", np.float64, (n,)),
             ("transmission", transmission_dtype(n)),
             ("cogging", cogging_dtype(n)),
             ("winding", winding_dtype(n)),
@@ -79,33 +79,33 @@ def state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     n, e, _ = arm
     return np.dtype(
         [
-            ("q", np.float64, n),
-            ("v", np.float64, n),
-            ("z", np.float64, e),
-            ("brake_z", np.float64, e),
+            ("q", np.float64, (n,)),
+            ("v", np.float64, (n,)),
+            ("z", np.float64, (e,)),
+            ("brake_z", np.float64, (e,)),
             ("brakes_closed", np.int64),
-            ("acceleration", np.float64, n),  # mean over the last step
-            ("drive_torque", np.float64, n),  # joint side, Nm
-            ("motor_torque", np.float64, n),
-            ("motor_position", np.float64, n),  # what the encoder says
-            ("motor_velocity", np.float64, n),  # what the observer makes of it
-            ("observer", np.float64, n),  # the observer's position
-            ("saturated", np.int64, n),  # ticks in which a motor gave less than its command
+            ("acceleration", np.float64, (n,)),  # mean over the last step
+            ("drive_torque", np.float64, (n,)),  # joint side, Nm
+            ("motor_torque", np.float64, (n,)),
+            ("motor_position", np.float64, (n,)),  # what the encoder says
+            ("motor_velocity", np.float64, (n,)),  # what the observer makes of it
+            ("observer", np.float64, (n,)),  # the observer's position
+            ("saturated", np.int64, (n,)),  # ticks in which a motor gave less than its command
             # Workspace of a step; the factor of the mass matrix is also the next step's predictor.
             ("body", body_dtype(n)),
             ("mass_matrix", np.float64, (n, n)),
             ("factor", np.float64, (n, n)),
-            ("bias", np.float64, n),
-            ("q_mid", np.float64, n),
-            ("v_mid", np.float64, n),
-            ("rhs", np.float64, n),
+            ("bias", np.float64, (n,)),
+            ("q_mid", np.float64, (n,)),
+            ("v_mid", np.float64, (n,)),
+            ("rhs", np.float64, (n,)),
             ("transmission", transmission_state_dtype(n)),
             ("cogging", cogging_state_dtype(n)),
             ("sensor", sensor_state_dtype(n)),
-            ("temperature", np.float64, n),  # of the windings, degrees Celsius
+            ("temperature", np.float64, (n,)),  # of the windings, degrees Celsius
             # Of friction elements with parts alone.
             ("parts", parts_state_dtype(e)),
-            ("after_friction", np.float64, n),  # workspace: drive torque less friction, Nm
+            ("after_friction", np.float64, (n,)),  # workspace: drive torque less friction, Nm
         ],
         align=True,
     )

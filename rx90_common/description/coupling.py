@@ -189,7 +189,7 @@ def gear_field(name: str, arm: ArmSize) -> tuple[Any, ...]:
     if wrist:
         return name, np.float64, joints
     shapes: dict[str, Any] = {
-        "ratio": joints,
+        "ratio": (joints,),
         "motor": (joints, joints),  # turns of motors (row) for joints
         "motor_columns": (joints, joints),
         "joint": (joints, joints),  # turns of joints for motors
@@ -200,7 +200,7 @@ def gear_field(name: str, arm: ArmSize) -> tuple[Any, ...]:
         "passed": (joints, elements),  # columns: share of the joints' torques that goes through an element
     }
     numbers = [(key, np.float64, shape) for key, shape in shapes.items()]
-    return name, np.dtype([*numbers, ("element_of_motor", np.int64, joints)], align=True)
+    return name, np.dtype([*numbers, ("element_of_motor", np.int64, (joints,))], align=True)
 
 
 def has_matrices(gear: Any) -> bool:

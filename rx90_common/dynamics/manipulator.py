@@ -33,7 +33,7 @@ def manipulator_dtype(joints: int) -> np.dtype[np.void]:
             ("second_moment", np.float64, (4, joints)),  # xx, yy, xz, yz
             ("base_acceleration", np.float64, 3),  # upwards: it stands for gravity
             ("rotor", np.float64, (joints, joints)),
-            ("spring_torque", np.float64, joints),  # amplitude of the torque -k sin(q)
+            ("spring_torque", np.float64, (joints,)),  # amplitude of the torque -k sin(q)
         ],
         align=True,
     )

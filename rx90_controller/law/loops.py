@@ -36,17 +36,17 @@ def law_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     return np.dtype(
         [
             ("reference", np.float64, (3, n)),  # motor-side position, velocity, acceleration set-points
-            ("offset", np.float64, n),  # of the position set-point, motor side, rad; workspace
-            ("error", np.float64, n),  # position error at the last position tick
-            ("velocity_error", np.float64, n),
-            ("integrator", np.float64, n),
-            ("position_torque", np.float64, n),  # PI block, held between position ticks
-            ("feed_forward", np.float64, n),  # FF block, held between position ticks
-            ("commanded", np.float64, n),  # current that the amplifier is asked for, within its limit, A
-            ("current", np.float64, n),
-            ("command", np.float64, n),  # torque constant times current
-            ("limited", np.float64, n),  # sign of the amplifier's saturation in the last tick, 0 if none
-            ("saturated", np.float64, n),  # ticks in saturation
+            ("offset", np.float64, (n,)),  # of the position set-point, motor side, rad; workspace
+            ("error", np.float64, (n,)),  # position error at the last position tick
+            ("velocity_error", np.float64, (n,)),
+            ("integrator", np.float64, (n,)),
+            ("position_torque", np.float64, (n,)),  # PI block, held between position ticks
+            ("feed_forward", np.float64, (n,)),  # FF block, held between position ticks
+            ("commanded", np.float64, (n,)),  # current that the amplifier is asked for, within its limit, A
+            ("current", np.float64, (n,)),
+            ("command", np.float64, (n,)),  # torque constant times current
+            ("limited", np.float64, (n,)),  # sign of the amplifier's saturation in the last tick, 0 if none
+            ("saturated", np.float64, (n,)),  # ticks in saturation
             ("model", model_state_dtype(arm)),
         ],
         align=True,

@@ -80,25 +80,25 @@ def model_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     """Return the type of the state."""
     n, e, _ = arm
     friction = [
-        ("z", np.float64, e),  # deflections of the bristles, rad
+        ("z", np.float64, (e,)),  # deflections of the bristles, rad
         ("parts", parts_state_dtype(e)),
         ("warm", np.int64),  # whether the temperatures are those of what has been, not those of the start
         # Workspace.
-        ("joint", np.float64, n),
-        ("motor", np.float64, n),
+        ("joint", np.float64, (n,)),
+        ("motor", np.float64, (n,)),
     ]
     return np.dtype(
         [
             ("parts", np.int64),  # of the last position tick
             ("friction", np.dtype(friction, align=True)),
-            ("before", np.float64, n),  # motor side, Nm: what was fed forward before the parts changed
+            ("before", np.float64, (n,)),  # motor side, Nm: what was fed forward before the parts changed
             # Workspace.
             ("body", body_dtype(n)),
-            ("q", np.float64, n),
-            ("v", np.float64, n),
-            ("a", np.float64, n),
-            ("joint", np.float64, n),
-            ("motor", np.float64, n),
+            ("q", np.float64, (n,)),
+            ("v", np.float64, (n,)),
+            ("a", np.float64, (n,)),
+            ("joint", np.float64, (n,)),
+            ("motor", np.float64, (n,)),
         ],
         align=True,
     )
