@@ -53,7 +53,7 @@ def stribeck(element: FrictionElement, v: float) -> float:
 
 @pytest.mark.parametrize("delta", [0.5, 1.0, 2.0, 2.7])
 def test_steady_state_is_the_stribeck_curve_of_each_sign(record: Record, delta: float) -> None:
-    """After a long way at constant velocity the torque is the Stribeck curve of that sign to 1e-9 Nm."""
+    """After a long way at constant velocity torque and c0 z are the Stribeck curve of that sign to 1e-9 Nm."""
     element = FrictionElement(**{**vars(ELEMENT), "delta": delta})
     compiled = record(element)
     for v in SPEEDS:
@@ -63,6 +63,7 @@ def test_steady_state_is_the_stribeck_curve_of_each_sign(record: Record, delta: 
         for _ in range(400):
             z, torque = bristle_step(compiled, z, v, step)
         assert torque == pytest.approx(stribeck(element, v), abs=1e-9)
+        assert z * element.c0 == pytest.approx(stribeck(element, v) - element.c2 * v, abs=1e-9)
         assert friction_torque(compiled, z, v) == pytest.approx(stribeck(element, v), abs=1e-9)
         assert element.steady_torque(v) == pytest.approx(stribeck(element, v), abs=1e-9)
 
@@ -223,20 +224,6 @@ def test_every_parameter_set_gives_numbers(
     assert math.isfinite(torque)
 
 
-@given(
-    history=st.lists(st.tuples(st.floats(-5.0, 5.0), st.floats(1e-6, 1e-2)), min_size=1, max_size=60),
-    alpha=st.sampled_from([1.0, 0.6, 0.3, 2.0]),
-)
-@settings(max_examples=200)
-def test_fading_damping_never_gives_energy_back(history: list[tuple[float, float]], alpha: float) -> None:
-    """Over any velocity history, whatever the viscous exponent, the work done exceeds what the bristle stores."""
-    z = work = 0.0
-    for v, step in history:
-        z, torque = bristle_step(COMPILED._replace(alpha=alpha), z, v, step)
-        work += torque * v * step
-        assert work - STORE * z * z >= -1e-12 * (1.0 + work)
-
-
 def test_constant_damping_gives_energy_back_beyond_its_limit(record: Record) -> None:
     """A jump from stiction to sliding dissipates below the reported speed and creates energy above it.
 
@@ -266,23 +253,8 @@ def test_damping_fades_as_documented(record: Record) -> None:
     assert damping(constant, 1e6) == 100.0
 
 
-def test_a_cycle_dissipates_and_the_damping_s_limit_stays(record: Record) -> None:
-    """With alpha 0.6 cycles of any size cost what the viscous part takes; passivity's c1 is the linear element's."""
-    element = dataclasses.replace(ELEMENT, alpha=0.6)
-    compiled = record(element)
-    for amplitude in (1e-2, 1.0, 6.0):
-        z, works = 0.0, []
-        for _ in range(3):
-            work = 0.0
-            for phase in (np.arange(400) + 0.5) * (math.tau / 400):
-                v = amplitude * math.sin(phase)
-                z, torque = bristle_step(compiled, z, v, STEP)
-                work += torque * v * STEP
-            works.append(work)
-        # The viscous part alone: c2 A^(1 + alpha) times the mean of |sin|^(1 + alpha).
-        period, mean = 400 * STEP, math.gamma(1.3) / (math.sqrt(math.pi) * math.gamma(1.8))
-        assert min(works[1:]) >= 0.99 * 14.0 * amplitude**1.6 * mean * period > 0.0
-    constant = dataclasses.replace(ELEMENT, omega_d=math.inf)
-    bent = dataclasses.replace(constant, alpha=0.6)
-    assert bent.passivity_limit(6.0) == constant.passivity_limit(6.0) < 6.0
-    assert bent.passive_damping(6.0) == constant.passive_damping(6.0)
+def test_the_damping_s_limit_does_not_depend_on_the_exponent() -> None:
+    """The c1 that passivity accepts is the linear element's: the viscous part alone always takes power."""
+    bent = dataclasses.replace(CONSTANT_C1, alpha=0.6)
+    assert bent.passivity_limit(6.0) == CONSTANT_C1.passivity_limit(6.0) < 6.0
+    assert bent.passive_damping(6.0) == CONSTANT_C1.passive_damping(6.0)
