@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import load_robot
@@ -34,6 +36,17 @@ def test_masses_with_and_without_tool(shipped_files: RobotFiles) -> None:
         link.get("name") for link in ET.fromstring(tooled.urdf).findall("link")
     }
     np.testing.assert_array_equal(bare.chain.tcp_position, np.zeros(3))
+
+
+def test_the_tool_centre_point_is_as_the_file_says(shipped_files: RobotFiles, edited_yaml: Callable[..., Path]) -> None:
+    """Its position, m, and roll, pitch and yaw about fixed axes, degrees, are in the axes of link tool0."""
+    assert shipped_files.tool is not None
+    tool = edited_yaml(shipped_files.tool, ("tcp",), {"position": [0.01, -0.02, 0.2], "rpy_degrees": [10, -20, 130]})
+    q = np.array([0.1, 0.5, 1.2, -0.3, 0.9, 0.4])
+    mount, point = (forward(load_robot(shipped_files.urdf, file).chain, q) for file in (None, tool))
+    np.testing.assert_allclose(point.position, mount.position + mount.rotation @ [0.01, -0.02, 0.2], atol=1e-14)
+    turned = Rotation.from_euler("xyz", [10, -20, 130], degrees=True).as_matrix()
+    np.testing.assert_allclose(point.rotation, mount.rotation @ turned, atol=1e-14)
 
 
 def test_published_limits(shipped: Setup) -> None:
