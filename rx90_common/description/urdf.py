@@ -93,7 +93,6 @@ class UrdfFile:
                     joint.remove(mimic)
         self.links = self._named("link")
         self._joints = self._named("joint")
-        self.bodies()
         self._parent_joint = self._tree()
         self.base_link = next(name for name in self.links if name not in self._parent_joint)
         self.limits = {name: self._limits(name, self._joints[name]) for name in self._chain()}
