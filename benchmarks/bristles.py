@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, timed
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristles.step import bristles_dtype, bristles_step
+from rx90_common.friction.bristles.step import bristles_dtype, bristles_energy, bristles_step
 from rx90_common.friction.compiled_elements import element_arrays, load_elements
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
 from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE
@@ -104,12 +104,7 @@ def _lead(
     for k in range(velocity.size):
         z, mean = bristles_step(element, kinds, state, z, nothing + velocity[k], step, 1)
         torque[k] = lane(mean, 0)
-        square = lane(z, 0) ** 2
-        if kinds.blocks_used:
-            square = 0.0
-            for i in range(state.blocks.shape[2]):
-                square += kinds.blocks.stiffness[0, i] * state.blocks[0, 0, i] ** 2
-        stored[k] = 0.5 * elements[0].c0[0] * square
+        stored[k] = lane(bristles_energy(element.c0, kinds, state, z, 1), 0)
 
 
 ELEMENT = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)

@@ -37,10 +37,9 @@ from rx90_common.description.coupling import add_drive_torques, to_motor
 from rx90_common.description.drives import MOST_TERMS, Cogging, CurrentSensor, Windings
 from rx90_common.friction.bristle import decay
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.elementary import WHOLE, sine_cosine
+from rx90_common.kernels.elementary import GOLDEN, WHOLE, mixed, nearly_normal, sine_cosine
 from rx90_common.kernels.elementary_arrays import exponential_less_one_of, sines_cosines
 from rx90_common.kernels.lanes import Lanes, Number, absolute, fma, load, select, size, store
-from rx90_common.kernels.random_numbers import GOLDEN, mixed, nearly_normal
 
 _SMALL = 1e-2  # rad; below it the series of sin(x) / x is exact to rounding, and 0 is not divided by
 _STREAM = np.uint64(1 << 32)  # the sequences of the sensors begin away from those of the friction

@@ -4,7 +4,7 @@
     python -m tools.moveit_files ~/my_robot   # of a robot folder
 
 Needed again after a change of shapes, joints, limits, tool, poses or max_acceleration;
-test/rx90_common/description/test_moveit_files.py fails until then.
+test/rx90_common/description/test_shapes.py fails until then.
 """
 
 from __future__ import annotations

@@ -34,8 +34,7 @@ from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, Identificatio
 from rx90_common.base.quoting import one_line, quoted
 from rx90_common.base.share import SHIPPED_RIG, SOURCE_RIG, resolve_config
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.friction.friction_set import refuse_parts
+from rx90_common.friction.friction_file import FrictionFile, refuse_parts
 
 MIN_SLIDING_TIME = 1.5
 """Shortest time for which the shaft slides in the fastest ramp, s."""

@@ -7,7 +7,6 @@ from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -175,4 +174,4 @@ def _answer(job: Callable[[], None], done: str, _: Trigger.Request, response: Tr
 
 def spin(args: Sequence[str]) -> None:
     """Run the node until it is interrupted."""
-    spin_node(lambda: [BenchNode()], args, lambda: MultiThreadedExecutor(_THREADS))
+    spin_node(lambda: [BenchNode()], args, _THREADS)

@@ -17,8 +17,7 @@ from rx90_common.base.entries import LEFT_OUT, Integer, Number, Numbers, Switch,
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group, Variants
 from rx90_common.friction.element import ELEMENT, FrictionElement
-from rx90_common.friction.friction_file import read_element
-from rx90_common.friction.friction_set import refuse_parts
+from rx90_common.friction.friction_file import read_element, refuse_parts
 
 CODES = 255
 """Highest code of both converters."""

@@ -12,14 +12,13 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.base.stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN
-from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.base.stamps import ENCAPSULATION, HEAD
+from rx90_common.exchange.cdr import CdrBody, JointStateCodec
 
 Int64Array = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
-_TEMPERATURE_HEAD = struct.Struct("<4siII")  # encapsulation, stamp, bytes of the frame_id
-_TEMPERATURE_VALUES = struct.Struct("<dd")  # temperature, variance
+_STAMP, _VALUES = struct.Struct("<iI"), struct.Struct("<dd")  # the latter temperature, variance
 _END_NS = (1 << 31) * NANOSECONDS  # stamps are int32 seconds
 
 
@@ -137,7 +136,9 @@ def temperature_cdr(stamp_ns: int, name: str, temperature: float) -> bytes:
         raise ExchangeError(f"stamp is {stamp_ns} ns; accepted: 0 to {_END_NS - 1}")
     if "\0" in name:
         raise ExchangeError(f"name {quoted(name)}; accepted: text without NUL")
-    text = name.encode() + b"\0"
-    head = _TEMPERATURE_HEAD.pack(LITTLE_ENDIAN, *divmod(stamp_ns, NANOSECONDS), len(text)) + text
-    padding = -(len(head) - len(LITTLE_ENDIAN)) % 8
-    return head + bytes(padding) + _TEMPERATURE_VALUES.pack(temperature, 0.0)
+    body = CdrBody()
+    body.raw += _STAMP.pack(*divmod(stamp_ns, NANOSECONDS))
+    body.string(name)
+    body.align(8)
+    body.raw += _VALUES.pack(temperature, 0.0)
+    return bytes(body.message())

@@ -303,7 +303,6 @@ class JointBag:
             BagError: if there is none; or several sets of joints, without names, with the remedy.
         """
         found = self.series[topic]
-        where = f"{plain(self.path)}: {plain(topic)}"
         if not found:
             raise BagError(f"{plain(self.path)}: no messages in {plain(topic)}")
         if names is not None:
@@ -314,16 +313,13 @@ class JointBag:
                 raise BagError(f"{plain(self.path)}: {error}") from error
         if len(found) > 1:
             sets = "; ".join(", ".join(map(plain, series.names)) for series in found)
-            raise BagError(f"{where} carries several sets of joints: {sets}; {remedy}")
+            raise BagError(f"{plain(self.path)}: {plain(topic)} carries several sets of joints: {sets}; {remedy}")
         return found[0]
 
     def moved(self, shift_ns: int) -> JointBag:
         """Return the same with stamps that much later, ns."""
-        later = {
-            topic: [replace(one, stamp_ns=one.stamp_ns + shift_ns) for one in found]
-            for topic, found in (self.series if shift_ns else {}).items()
-        }
-        return replace(self, series=later or self.series)
+        later = {t: [replace(one, stamp_ns=one.stamp_ns + shift_ns) for one in s] for t, s in self.series.items()}
+        return replace(self, series=later)
 
 
 def read_joint_bag(

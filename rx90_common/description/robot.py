@@ -10,18 +10,18 @@ import xml.etree.ElementTree as ET
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
+from rx90_common.base.declared import Declared
 from rx90_common.base.entries import LEFT_OUT, Number, Numbers
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import counted, plain
-from rx90_common.base.section import Section
 from rx90_common.description.chain import RigidChain, rigid_chain
 from rx90_common.description.urdf import Placement, UrdfFile, inertia_fault
 
@@ -29,6 +29,7 @@ MOUNT_LINK = "tool0"
 TOOL_LINK = "tool"
 TCP_LINK = "tcp"
 _COLOR = "0.75 0.15 0.15 1"
+_Triple = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -40,60 +41,37 @@ class Cylinder:
     radius: float
 
 
-@dataclass(frozen=True)
-class Tool:
-    """A tool in the axes of link `tool0`.
-
-    Attributes:
-        mass: kg.
-        center_of_mass: m.
-        inertia: Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, kg m².
-        tcp_position: tool centre point, m.
-        tcp_rpy: its roll, pitch and yaw about fixed axes, rad.
-        visual: its shape, for display.
-        collision: its shape, for collision checks.
-    """
-
-    mass: float
-    center_of_mass: tuple[float, ...]
-    inertia: tuple[float, ...]
-    tcp_position: tuple[float, ...]
-    tcp_rpy: tuple[float, ...]
-    visual: tuple[Cylinder, ...]
-    collision: tuple[Cylinder, ...]
-
-
-def _shapes(about: str) -> Group:
+def _cylinders(about: str) -> Group:
     cylinder = Numbers("A cylinder along z of tool0: from, to, radius.", "m", count=3)
     return Group(about, keys={"cylinders": Entries("Cylinders, by names of your own.", of=cylinder)}, default=LEFT_OUT)
 
 
-TOOL = Group(
-    "A tool on the flange, in the axes of link tool0.",
-    keys={
-        "inertial": Group(
-            "The tool as a rigid body.",
-            keys={
-                "mass": Number("Mass.", "kg", low=0.0, above=True),
-                "center_of_mass": Numbers("Centre of mass.", "m", count=3),
-                "inertia": Numbers(
-                    "Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass; such as a body can have.", "kg m^2", count=6
-                ),
-            },
-        ),
-        "tcp": Group(
-            "The tool centre point.",
-            keys={
-                "position": Numbers("Where it is.", "m", count=3),
-                "rpy_degrees": Numbers(
-                    "Its roll, pitch and yaw about fixed axes.", "deg", count=3, low=-360.0, high=360.0
-                ),
-            },
-        ),
-        "visual": _shapes("The tool's shape, for display."),
-        "collision": _shapes("The tool's shape, for collision checks."),
-    },
-)
+@dataclass(frozen=True)
+class Tool(Declared):
+    """A tool in the axes of link `tool0`; its inertia, kg m², is Ixx, Iyy, Izz, Ixy, Ixz, Iyz about its mass centre."""
+
+    name = "tool"
+    about = "A tool on the flange, in the axes of link tool0."
+    blocks = {"inertial": "The tool as a rigid body.", "tcp": "The tool centre point."}  # noqa: RUF012 - of Declared
+
+    mass: Annotated[float, Number("Mass.", "kg", low=0.0, above=True), "inertial.mass"]
+    center_of_mass: Annotated[_Triple, Numbers("Centre of mass.", "m", count=3), "inertial.center_of_mass"]
+    inertia: Annotated[
+        tuple[float, ...],
+        Numbers("Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass; such as a body can have.", "kg m^2", count=6),
+        "inertial.inertia",
+    ]
+    tcp_position: Annotated[_Triple, Numbers("Where it is.", "m", count=3), "tcp.position"]
+    tcp_rpy_degrees: Annotated[
+        _Triple,
+        Numbers("Its roll, pitch and yaw about fixed axes.", "deg", count=3, low=-360.0, high=360.0),
+        "tcp.rpy_degrees",
+    ]
+    visual: Annotated[tuple[Cylinder, ...], _cylinders("The tool's shape, for display.")] = ()
+    collision: Annotated[tuple[Cylinder, ...], _cylinders("The tool's shape, for collision checks.")] = ()
+
+
+TOOL = Tool.group()
 """What a tool file holds."""
 
 
@@ -105,31 +83,18 @@ def load_tool(file: Path) -> Tool:
     """
     root = load_yaml(file)
     content = TOOL.read(root)
-    inertial, tcp = content["inertial"], content["tcp"]
-    tool = Tool(
-        mass=inertial["mass"],
-        center_of_mass=inertial["center_of_mass"],
-        inertia=inertial["inertia"],
-        tcp_position=tcp["position"],
-        tcp_rpy=tuple(math.radians(angle) for angle in tcp["rpy_degrees"]),
-        visual=_cylinders(root, content, "visual"),
-        collision=_cylinders(root, content, "collision"),
-    )
+    shapes: dict[str, list[Cylinder]] = {"visual": [], "collision": []}
+    for kind, found in shapes.items():
+        for name, values in content.get(kind, {"cylinders": {}})["cylinders"].items():
+            shape = Cylinder(*values)
+            if not (shape.start < shape.end and shape.radius > 0.0):
+                root.section(kind).section("cylinders").refuse(name, list(values), "from < to, and a radius > 0")
+            found.append(shape)
+    tool = Tool.of_file(content, **{kind: tuple(found) for kind, found in shapes.items()})
     fault = inertia_fault(tool.inertia)
     if fault is not None:
         root.section("inertial").refuse("inertia", list(tool.inertia), fault)
     return tool
-
-
-def _cylinders(root: Section, content: dict[str, Any], kind: str) -> tuple[Cylinder, ...]:
-    """Return the shapes in a block that may be left out."""
-    shapes = []
-    for name, values in content.get(kind, {"cylinders": {}})["cylinders"].items():
-        shape = Cylinder(*values)
-        if not (shape.start < shape.end and shape.radius > 0.0):
-            root.section(kind).section("cylinders").refuse(name, list(values), "from < to, and a radius > 0")
-        shapes.append(shape)
-    return tuple(shapes)
 
 
 def _text(values: tuple[float, ...]) -> str:
@@ -182,7 +147,7 @@ def attach(root: ET.Element, tool: Tool, urdf: Path) -> None:
         _shape(link, "collision", cylinder)
     _fixed_joint(root, TOOL_LINK, zero, zero)
     ET.SubElement(root, "link", name=TCP_LINK)
-    _fixed_joint(root, TCP_LINK, tool.tcp_position, tool.tcp_rpy)
+    _fixed_joint(root, TCP_LINK, tool.tcp_position, tuple(map(math.radians, tool.tcp_rpy_degrees)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +218,7 @@ def load_robot(urdf: Path, tool: Path | None = None, held: Collection[str] = (),
 def _tcp_frame(file: UrdfFile, model: Any, has_tool: bool) -> str:
     if has_tool:
         return TCP_LINK
-    if file.has_link(MOUNT_LINK):
+    if MOUNT_LINK in file.links:
         return MOUNT_LINK
     bodies = [frame for frame in model.frames if frame.type == pin.BODY]
     # Pinocchio 2 calls it `parent`.

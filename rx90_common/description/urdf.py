@@ -65,12 +65,37 @@ class LinkBody(NamedTuple):
     inertia: tuple[float, ...]
 
 
-class _CheckedElements:
-    """The elements of a URDF, each checked by itself; every refusal names file, element, value and what is accepted."""
+class UrdfFile:
+    """A checked URDF; every refusal names file, element, value and what is accepted.
 
-    def __init__(self, file: Path) -> None:
-        self.file = file
+    Args:
+        file: where it is.
+        held: joints that do not move, whatever the file says.
+        replaced: whether the inertias of the moving links are to be replaced, and are not checked.
+
+    Attributes:
+        file: where it came from.
+        root: the XML element `robot`.
+        links: the elements of the links by name.
+        limits: limits of the revolute joints by name, in chain order from the base.
+
+    Raises:
+        ConfigError: for a file that is no such URDF.
+    """
+
+    def __init__(self, file: Path, held: Collection[str] = (), replaced: bool = False) -> None:
+        self.file, self._replaced = file, replaced
         self.root = self._parse()
+        for joint in self.root.findall("joint"):
+            if joint.get("name") in held:
+                joint.set("type", "fixed")
+                for mimic in joint.findall("mimic"):
+                    joint.remove(mimic)
+        self.links = self._named("link")
+        self._joints = self._named("joint")
+        self._parent_joint = self._tree()
+        self.base_link = next(name for name in self.links if name not in self._parent_joint)
+        self.limits = {name: self._limits(name, self._joints[name]) for name in self._chain()}
 
     def refuse(self, element: str, value: object, accepted: str) -> NoReturn:
         """Raise a ConfigError that names file, element, value and what is accepted."""
@@ -135,12 +160,6 @@ class _CheckedElements:
             self.refuse(f"{where} mass", mass, "a number > 0 kg")
         return LinkBody(name, mass, *origin, values)
 
-    def _check_inertia(self, body: LinkBody) -> None:
-        fault = inertia_fault(body.inertia)
-        if fault is not None:
-            text = " ".join(f"{key}={value:g}" for key, value in zip(_INERTIA_KEYS, body.inertia, strict=True))
-            self.refuse(f"link '{body.link}' inertial inertia", text, fault)
-
     def _axis(self, name: str, joint: ET.Element) -> tuple[float, ...]:
         return tuple(self._numbers(joint.find("axis"), f"joint '{name}' axis", "xyz", "1 0 0"))
 
@@ -161,52 +180,13 @@ class _CheckedElements:
                 self.refuse(f"{where} limit {key}", value, f"a number > 0 {unit}")
         return Limits(lower, upper, velocity, effort)
 
-
-class UrdfFile(_CheckedElements):
-    """A checked URDF.
-
-    Args:
-        file: where it is.
-        held: joints that do not move, whatever the file says.
-        replaced: whether the inertias of the moving links are to be replaced, and are not checked.
-
-    Attributes:
-        file: where it came from.
-        root: the XML element `robot`.
-        limits: limits of the revolute joints by name, in chain order from the base.
-
-    Raises:
-        ConfigError: naming file, element, value and what is accepted.
-    """
-
-    def __init__(self, file: Path, held: Collection[str] = (), replaced: bool = False) -> None:
-        super().__init__(file)
-        self._replaced = replaced
-        for joint in self.root.findall("joint"):
-            if joint.get("name") in held:
-                joint.set("type", "fixed")
-                for mimic in joint.findall("mimic"):
-                    joint.remove(mimic)
-        self._links = self._named("link")
-        self._joints = self._named("joint")
-        for name, link in self._links.items():
-            self._body(name, link)
-        self._parent_joint = self._tree()
-        self.base_link = next(name for name in self._links if name not in self._parent_joint)
-        self.limits = {name: self._limits(name, self._joints[name]) for name in self._chain()}
-
-    def has_link(self, name: str) -> bool:
-        """Tell whether a link of that name exists."""
-        return name in self._links
-
     def placements(self) -> list[Placement]:
         """Return the frames of all joints, a tool's that was attached too, each after those before it in the tree."""
-        left = {name: (self._end_of(joint, "parent"), joint) for name, joint in self._named("joint").items()}
-        known, found = {self.base_link}, []
+        left, known, found = self._named("joint"), {self.base_link}, []
         while left:
-            for name, (parent, joint) in list(left.items()):
-                if parent in known:
-                    child = self._end_of(joint, "child")
+            for name, joint in list(left.items()):
+                if (parent := self._end(joint, "parent")) in known:
+                    child = self._end(joint, "child")
                     origin = self._origin(joint, f"joint '{name}'")
                     found.append(Placement(name, parent, child, *origin, self._axis(name, joint)))
                     known.add(child)
@@ -229,24 +209,22 @@ class UrdfFile(_CheckedElements):
                 self.refuse(f"joint '{name}'", "mimic", "joints that move by themselves")
             self._origin(joint, f"joint '{name}'")
             for end in ("parent", "child"):
-                if self._end(name, end) not in self._links:
-                    self.refuse(f"joint '{name}' {end} link", self._end(name, end), "a link of this file")
-            child = self._end(name, "child")
+                if self._end(joint, end) not in self.links:
+                    self.refuse(f"joint '{name}' {end} link", self._end(joint, end), "a link of this file")
+            child = self._end(joint, "child")
             if child in above:
                 self.refuse(f"joint '{name}' child link", child, f"a link not yet below '{above[child]}'")
             above[child] = name
-        roots = [name for name in self._links if name not in above]
+        roots = [name for name in self.links if name not in above]
         if len(roots) != 1:
             self.refuse("the set of root links", roots, "exactly one, fixed to the ground")
-        for name in self._links:
+        for name in self.links:
             self._path(name, above)
         return above
 
-    def _end(self, joint: str, end: str) -> str:
-        return self._end_of(self._joints[joint], end)
-
     @staticmethod
-    def _end_of(joint: ET.Element, end: str) -> str:
+    def _end(joint: ET.Element, end: str) -> str:
+        """Return the link at the "parent" or "child" end of a joint."""
         element = joint.find(end)
         return "" if element is None else element.get("link", "")
 
@@ -257,7 +235,7 @@ class UrdfFile(_CheckedElements):
             path.append(above[link])
             if len(path) > len(above):
                 self.refuse(f"the tree above link '{link}'", "a loop", "links in a tree")
-            link = self._end(above[link], "parent")
+            link = self._end(self._joints[above[link]], "parent")
         return path[::-1]
 
     def _chain(self) -> list[str]:
@@ -266,7 +244,7 @@ class UrdfFile(_CheckedElements):
         if not 1 <= len(moving) <= MOST_JOINTS:
             self.refuse("the number of revolute joints", len(moving), f"1 to {MOST_JOINTS}, in series")
         paths = {
-            name: [j for j in self._path(self._end(name, "child"), self._parent_joint) if j in moving]
+            name: [j for j in self._path(self._end(self._joints[name], "child"), self._parent_joint) if j in moving]
             for name in moving
         }
         last = max(paths, key=lambda name: len(paths[name]))
@@ -278,13 +256,17 @@ class UrdfFile(_CheckedElements):
 
     def _check_masses(self, chain: list[str]) -> None:
         heavy = set()
-        for name, link in self._links.items():
-            body = self._body(name, link)
+        bodies = {body.link: body for body in self.bodies()}
+        for name in self.links:
+            body = bodies.get(name)
             carried = [j for j in self._path(name, self._parent_joint) if j in chain][-1:]
             if body is not None and carried:  # what stands still may have any inertia, and in many files has
-                if not self._replaced:
-                    self._check_inertia(body)
+                fault = None if self._replaced else inertia_fault(body.inertia)
+                if fault is not None:
+                    text = " ".join(f"{key}={value:g}" for key, value in zip(_INERTIA_KEYS, body.inertia, strict=True))
+                    self.refuse(f"link '{name}' inertial inertia", text, fault)
                 heavy.update(carried)
         for joint in chain:
             if joint not in heavy:
-                self.refuse(f"link '{self._end(joint, 'child')}' inertial", None, "mass and inertia")
+                link = self._end(self._joints[joint], "child")
+                self.refuse(f"link '{link}' inertial", None, "mass and inertia")

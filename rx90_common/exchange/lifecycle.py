@@ -100,15 +100,11 @@ class TickingNode(Protocol):
         """End `tick_loop` soon; callable from every thread."""
 
 
-def spin(
-    make: Callable[[], Sequence[TickingNode]],
-    args: Sequence[str],
-    make_executor: Callable[[], Executor] | None = None,
-) -> None:
+def spin(make: Callable[[], Sequence[TickingNode]], args: Sequence[str], services: int = 1) -> None:
     """Run ticking nodes: ticks on threads of their own, everything slow on an executor in this one.
 
-    The first node that ends, ends all. A node whose services wait for something brings an executor with threads of its
-    own; several nodes have one for each, so that a service of one does not keep the others waiting.
+    The first node that ends, ends all. An executor of several nodes has a thread for each, and more where a node has
+    `services` that wait for something, so that one does not keep the others waiting.
 
     Raises:
         Rx90Error: what the nodes' constructors or their ticks raise.
@@ -117,7 +113,7 @@ def spin(
     cut_off.daemon = True
     start_ros(args)
     try:
-        _spin(make(), make_executor, cut_off)
+        _spin(make(), services, cut_off)
     finally:
         try_shutdown()
         cut_off.cancel()
@@ -128,9 +124,7 @@ def _cut_off() -> None:
     os._exit(FAILED)
 
 
-def _spin(
-    members: Sequence[TickingNode], make_executor: Callable[[], Executor] | None, cut_off: threading.Timer
-) -> None:
+def _spin(members: Sequence[TickingNode], services: int, cut_off: threading.Timer) -> None:
     nodes = [member.node for member in members]
     refuse_unknown_parameters(nodes)
     failures: list[BaseException] = []
@@ -142,10 +136,8 @@ def _spin(
             failures.append(error)
 
     threads = [threading.Thread(target=run, args=(one.tick_loop,), name="ticks", daemon=True) for one in members]
-    if make_executor is not None:
-        executor = make_executor()
-    else:
-        executor = SingleThreadedExecutor() if len(nodes) == 1 else MultiThreadedExecutor(len(nodes))
+    count = max(services, len(nodes))
+    executor = SingleThreadedExecutor() if count == 1 else MultiThreadedExecutor(count)
     for node in nodes:
         answer_all_requests(node)
         executor.add_node(node)

@@ -4,8 +4,7 @@ It lies on the ground because the robot's plant, the rig's and whoever compensat
 """
 
 from rx90_common.friction.element import FrictionElement
-from rx90_common.friction.friction_file import load_friction
-from rx90_common.friction.friction_set import FrictionSet
+from rx90_common.friction.friction_file import FrictionSet, load_friction
 
 __all__ = [
     "FrictionElement",
@@ -16,7 +15,6 @@ __all__ = [
     "curves",
     "element",
     "friction_file",
-    "friction_set",
     "held_out",
     "load_friction",
     "tracing",

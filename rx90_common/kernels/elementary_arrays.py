@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -21,17 +23,18 @@ def sines_cosines(angle: ArrayLike) -> tuple[_Array, _Array]:
 
 def angles_of(y: ArrayLike, x: ArrayLike) -> _Array:
     """Return the angles of points, rad, from -pi to pi; the shapes are broadcast."""
-    points = np.stack(np.broadcast_arrays(np.asarray(y, dtype=np.float64), np.asarray(x, dtype=np.float64)))
-    angle = np.empty(points[0].size)
-    _angles(points[0].ravel(), points[1].ravel(), angle)
-    return angle.reshape(points[0].shape)
+    return _of_pairs(_angles, y, x)
 
 
 def powers(base: ArrayLike, exponent: ArrayLike) -> _Array:
     """Return base^exponent for bases >= 0 and exponents > 0; the shapes are broadcast."""
-    pairs = np.stack(np.broadcast_arrays(np.asarray(base, dtype=np.float64), np.asarray(exponent, dtype=np.float64)))
+    return _of_pairs(_powers, base, exponent)
+
+
+def _of_pairs(compute: Callable[[_Array, _Array, _Array], None], *given: ArrayLike) -> _Array:
+    pairs = np.stack(np.broadcast_arrays(*(np.asarray(one, dtype=np.float64) for one in given)))
     result = np.empty(pairs[0].size)
-    _powers(pairs[0].ravel(), pairs[1].ravel(), result)
+    compute(pairs[0].ravel(), pairs[1].ravel(), result)
     return result.reshape(pairs[0].shape)
 
 

@@ -18,8 +18,7 @@ from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.element import SIGNS
-from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.friction.friction_set import refuse_parts
+from rx90_common.friction.friction_file import FrictionFile, refuse_parts
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
     NOT_IN_MODEL,

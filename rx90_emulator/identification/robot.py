@@ -25,8 +25,7 @@ from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES, motor_names
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.friction.friction_set import refuse_parts
+from rx90_common.friction.friction_file import FrictionFile, refuse_parts
 from rx90_emulator.identification.arm import RigidArm, movable_joints
 from rx90_emulator.identification.options import MeasuredLayout, RobotOptions
 from rx90_emulator.loop.setup import Setup

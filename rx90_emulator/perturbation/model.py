@@ -19,7 +19,7 @@ from rx90_common.description.kinematics import forward, jacobian
 from rx90_common.description.robot import RobotModel
 from rx90_common.dynamics.manipulator import mass_and_bias
 from rx90_common.friction import FrictionSet
-from rx90_common.friction.friction_set import refuse_parts
+from rx90_common.friction.friction_file import refuse_parts
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.law.parameters import MODEL_PARTS, CS7BParameters
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints

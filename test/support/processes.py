@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import itertools
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -77,6 +78,17 @@ def wait_until(condition: Callable[[], bool], what: str, timeout: float = TIMEOU
         if time.monotonic() > deadline:
             pytest.fail(f"waited {timeout:g} s in vain for {what}")
         time.sleep(0.01)
+
+
+@contextlib.contextmanager
+def files_up_to(size: int) -> Iterator[None]:
+    """Let no file grow beyond so many bytes, as on a disk that is full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def open_files(pid: int | str = "[0-9]*") -> Iterator[str]:

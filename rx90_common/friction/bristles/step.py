@@ -7,9 +7,14 @@ from typing import Any
 import numpy as np
 
 from rx90_common.friction.bristle import bristle_step, friction_torque
-from rx90_common.friction.bristles.blocks import MOST_BLOCKS, blocks_dtype, weighted_squares
 from rx90_common.friction.bristles.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
-from rx90_common.friction.bristles.maxwell_slip import maxwell_slip_step, maxwell_slip_torque
+from rx90_common.friction.bristles.maxwell_slip import (
+    MOST_BLOCKS,
+    blocks_dtype,
+    maxwell_slip_step,
+    maxwell_slip_torque,
+    weighted_squares,
+)
 from rx90_common.friction.compiled_elements import lane_of
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes, lane, load, select, store

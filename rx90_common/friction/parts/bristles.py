@@ -18,7 +18,7 @@ from rx90_common.base.entries import LEFT_OUT, ListOf, Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Variants
 from rx90_common.base.quoting import counted
-from rx90_common.friction.bristles.blocks import MOST_BLOCKS
+from rx90_common.friction.bristles.maxwell_slip import MOST_BLOCKS
 from rx90_common.friction.parts.part import FrictionPart
 
 LUGRE_PASSIVITY: Final = 4.0

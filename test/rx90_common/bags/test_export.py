@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import csv
-import resource
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.io
 from bag_making import joint_state, write_ros2
+from processes import files_up_to
 
 from rx90_common.bags import exporting, logs
 from rx90_common.bags.comparison import Verdict, compare_bags
@@ -149,13 +149,8 @@ def test_a_full_disk_leaves_nothing(bag: Path, tmp_path: Path, capsys: pytest.Ca
     """Where a table has no room, here by a limit of the size of files: 3, one line, nothing left, and no bus error."""
     if name.endswith("parquet"):
         pytest.importorskip("pyarrow", reason="pyarrow is not installed")
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
-    try:
-        code = run("rx90_bag", ["export", str(bag), "--output", str(tmp_path / name), "--topic", "joint_states"])
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert code == 3
+    with files_up_to(2000):
+        assert run("rx90_bag", ["export", str(bag), "--output", str(tmp_path / name), "--topic", "joint_states"]) == 3
     (line,) = capsys.readouterr().err.splitlines()
     assert f"{name}: cannot be written (" in line
     assert list(tmp_path.iterdir()) == []

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import resource
 from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import files_up_to
 from rosbags.highlevel import AnyReader
 
 from rx90_common.bags import logs as log_reading
@@ -225,12 +225,8 @@ def test_a_full_disk_leaves_no_part_of_a_bag(
     lines = (f"{k / 1000},{','.join(map(repr, row))}" for k, row in enumerate(numbers.tolist()))
     log = write(tmp_path / "log.csv", "\n".join(["t,a,b", *lines]))
     write(tmp_path / "log.yaml", PLAIN + "delimiter: ','\nheader: 1\nexact: true\n" * exact)
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limits[1]))
-    try:
+    with files_up_to(limit):
         assert run("rx90_bag", ["import", str(log), str(tmp_path / "new" / "bag")]) == 3
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     (line,) = capsys.readouterr().err.splitlines()
     assert line == f"rx90_bag: {tmp_path}/new/bag: cannot be written (File too large)"
     assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "log.yaml"]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import resource
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import files_up_to
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.plotting import TopicPlot, plot_bags
@@ -148,14 +148,9 @@ def test_a_full_disk_leaves_the_old_page_or_picture(
     old = {name: f"old {name}".encode() for name in ("a.html", "a.png", "a.pdf")}
     for name, content in old.items():
         (tmp_path / name).write_bytes(content)
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     for name in (*old, "new.html"):
-        words = ["plot", str(bags["first"]), "--output", str(tmp_path / name), "--force"]
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
-        try:
-            assert run("rx90_bag", words) == 3
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        with files_up_to(1000):
+            assert run("rx90_bag", ["plot", str(bags["first"]), "--output", str(tmp_path / name), "--force"]) == 3
         assert f"{name}: cannot be written (File too large)" in capsys.readouterr().err
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == old
 

@@ -7,12 +7,12 @@ import os
 import pty
 import re
 import select
-import selectors
 import signal
 import struct
 import subprocess
 import sys
 import termios
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -46,7 +46,6 @@ from rx90_common.exchange.ros_start import prepare
 from rx90_common.process.interrupts import StopRequest
 from rx90_emulator.cli.frame import run
 
-ROOT = Path(__file__).parents[3]
 TIMEOUT_S = 60.0
 TICKS = 4000
 EVENTS = ("rx90_controller/parameters", "rx90_sim/parameters")
@@ -60,37 +59,28 @@ NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 
 
 class Process:
-    """A child process whose lines can be waited for."""
+    """A child process whose lines can be waited for; one that stands still is killed."""
 
     def __init__(self, arguments: list[str], **options: Any) -> None:
         pipes: dict[str, Any] = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE) | options
-        environment = os.environ | {"PYTHONPATH": f"{ROOT}:{os.environ.get('PYTHONPATH', '')}"}
-        pipes["env"] = environment | pipes.pop("env", {})
-        self.child = subprocess.Popen([sys.executable, *arguments], cwd=ROOT, **pipes)
-        self._read = b""
+        self.child = subprocess.Popen([sys.executable, *arguments], text=True, **pipes)
+        self._limit = threading.Timer(5 * TIMEOUT_S, self.child.kill)
+        self._limit.start()
 
     def wait_for(self, beginning: str) -> str:
         """Return the next line of standard output that begins so."""
-        assert self.child.stdout is not None
-        deadline = time.monotonic() + TIMEOUT_S
-        with selectors.DefaultSelector() as selector:
-            selector.register(self.child.stdout, selectors.EVENT_READ)
-            while True:
-                while b"\n" in self._read:
-                    line, self._read = self._read.split(b"\n", 1)
-                    if line.startswith(beginning.encode()):
-                        return line.decode()
-                assert selector.select(deadline - time.monotonic()), f"no line {beginning!r} in time"
-                chunk = os.read(self.child.stdout.fileno(), 65536)
-                assert chunk, f"ended without a line {beginning!r}: {self.child.stderr and self.child.stderr.read()!r}"
-                self._read += chunk
+        for line in self.child.stdout or ():
+            if line.startswith(beginning):
+                return line
+        raise AssertionError(f"ended without a line {beginning!r}: {self.finish()}")
 
     def finish(self, number: signal.Signals | None = None) -> tuple[int, str, str]:
         """Send a signal, wait for the end; return exit code and what is left of standard output and error."""
         if number is not None:
             self.child.send_signal(number)
-        out, err = self.child.communicate(timeout=TIMEOUT_S)
-        return self.child.returncode, (self._read + (out or b"")).decode(), (err or b"").decode()
+        out, err = ("" if stream is None else stream.read() for stream in (self.child.stdout, self.child.stderr))
+        self._limit.cancel()
+        return self.child.wait(TIMEOUT_S), out, err
 
 
 Start = Callable[..., Process]
@@ -108,7 +98,7 @@ def start(ros_domain: int, warm: None) -> Iterator[Start]:  # noqa: ARG001 - wha
     yield run
     for process in processes:
         process.child.kill()
-        process.child.wait()
+        process.finish()
 
 
 def record(start: Start, output: Path, *arguments: str, ready: int = 0, **options: Any) -> Process:
@@ -222,11 +212,11 @@ def test_recording_is_complete_and_repeatable(tmp_path: Path, start: Start, ros_
 
 
 @pytest.mark.ros
-def test_a_loss_is_counted_and_fails(tmp_path: Path, start: Start, node: Node) -> None:
+def test_a_loss_is_counted_and_fails(tmp_path: Path, start: Start, node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     """Messages that a stopped recorder could not get are counted exactly, by topic, and make it fail."""
     suite = Suite(node, depth=1)
-    small = {"FASTRTPS_DEFAULT_PROFILES_FILE": ""}  # buffers of the sockets
-    recorder = record(start, tmp_path / "bag", "motor_states", ready=1, env=small)
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "")  # small buffers of the sockets
+    recorder = record(start, tmp_path / "bag", "motor_states", ready=1)
     suite.publish(1000, 4000)
     recorder.child.send_signal(signal.SIGSTOP)
     suite.publish(2000, 4000, acknowledged=False)  # far more than the recorder's socket and a depth of 1 can keep

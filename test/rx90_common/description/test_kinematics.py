@@ -1,4 +1,4 @@
-"""Jacobian, bias acceleration, inverse kinematics, singularity margins and path error."""
+"""Pose, Jacobian, bias acceleration, inverse kinematics, singularity margins and path error."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from rx90_common.description.inverse import (
 )
 from rx90_common.description.kinematics import bias_acceleration, decompose, forward, jacobian, path_error
 from rx90_common.description.robot import RobotModel, load_robot
+from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
 
 
@@ -33,22 +34,37 @@ def _arm(robot: RobotModel) -> SphericalWristArm:
     return arm
 
 
-def test_jacobian_and_bias_are_those_of_pinocchio(shipped: Setup, random_arm: Callable[[int], Path]) -> None:
-    """J and dJ/dt·dq equal Pinocchio's frame Jacobian and classical acceleration, on two arms."""
-    for robot in (shipped.robot, load_robot(random_arm(2))):
-        data = robot.model.createData()
-        frame = robot.model.getFrameId(robot.tcp_frame)
-        rng = np.random.default_rng(4)
-        q, v = _states(robot, 10), rng.normal(size=(10, 6))
-        ours, bias = jacobian(robot.chain, q), bias_acceleration(robot.chain, q, v)
-        for k in range(10):
-            pin.computeJointJacobians(robot.model, data, q[k])
-            oracle = pin.getFrameJacobian(robot.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-            np.testing.assert_allclose(ours[k], oracle, atol=1e-12)
-            pin.forwardKinematics(robot.model, data, q[k], v[k], np.zeros(6))
-            pin.updateFramePlacements(robot.model, data)
-            acceleration = pin.getFrameClassicalAcceleration(robot.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-            np.testing.assert_allclose(bias[k], acceleration.vector, atol=1e-11)
+def _check_against_pinocchio(robot: RobotModel) -> None:
+    """Check pose, Jacobian and classical acceleration of the tool centre point in ten states."""
+    data, frame = robot.model.createData(), robot.model.getFrameId(robot.tcp_frame)
+    q, v = _states(robot, 10), np.random.default_rng(4).normal(size=(10, 6))
+    pose, ours, bias = forward(robot.chain, q), jacobian(robot.chain, q), bias_acceleration(robot.chain, q, v)
+    for k in range(10):
+        pin.computeJointJacobians(robot.model, data, q[k])
+        oracle = pin.getFrameJacobian(robot.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        np.testing.assert_allclose(ours[k], oracle, atol=1e-12)
+        pin.forwardKinematics(robot.model, data, q[k], v[k], np.zeros(6))
+        pin.updateFramePlacements(robot.model, data)
+        np.testing.assert_allclose(pose.position[k], data.oMf[frame].translation, atol=1e-12)
+        np.testing.assert_allclose(pose.rotation[k], data.oMf[frame].rotation, atol=1e-12)
+        acceleration = pin.getFrameClassicalAcceleration(robot.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        np.testing.assert_allclose(bias[k], acceleration.vector, atol=1e-11)
+
+
+def test_pose_jacobian_and_bias_are_those_of_pinocchio(shipped: Setup) -> None:
+    """The tool centre point of the shipped arm is where Pinocchio has it, and moves so: J and dJ/dt·dq."""
+    _check_against_pinocchio(shipped.robot)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_any_serial_arm_is_the_urdf_seen_by_pinocchio(
+    random_arm: Callable[[int], Path], shipped_files: RobotFiles, seed: int
+) -> None:
+    """Arms with any frames, axes and a side branch, whose names tell no order, become the same mechanism."""
+    robot = load_robot(random_arm(seed), shipped_files.tool)
+    assert robot.joint_names == ("turn_9", "turn_8", "turn_7", "turn_6", "turn_5", "turn_4")
+    np.testing.assert_array_equal(robot.max_effort, np.arange(10.0, 16.0))
+    _check_against_pinocchio(robot)
 
 
 @pytest.mark.parametrize("branch", BRANCHES, ids=str)

@@ -118,11 +118,7 @@ def test_a_file_that_is_no_urdf_is_refused(content: bytes | None, tmp_path: Path
 
 
 TOOL_CASES: dict[str, tuple[tuple[str | int, ...], Any, str]] = {
-    "mass": (("inertial", "mass"), -3.5, r"inertial\.mass is -3\.5"),
     "inertia": (("inertial", "inertia"), [0.01, 0.01, 0.05, 0, 0, 0], r"inertial\.inertia is .*any two"),
-    "inertia short": (("inertial", "inertia"), [0.01, 0.01], r"inertial\.inertia is .*6 numbers"),
-    "tcp": (("tcp", "position"), [0, 0, "far"], r"tcp\.position\[2\] is 'far'"),
-    "misspelt": (("tcp", "rpy"), [0, 0, 0], r"tcp\.rpy is not a known key"),
     "looks": (("visual", "cylinders", "body"), [0.2, 0.1, 0.04], r"visual\.cylinders\.body is"),
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -44,40 +45,6 @@ def factorise_and_solve(mass: Array, work: Any, x: Array) -> None:
     solve(work[0].factor, x)
 
 
-def random_urdf(seed: int) -> str:
-    """Return a serial arm with random frames, axes, centres of mass and rotated inertia tensors."""
-    rng = np.random.default_rng(seed)
-
-    def triple(scale: float) -> str:
-        return " ".join(repr(float(x)) for x in rng.uniform(-scale, scale, 3))
-
-    def inertial() -> str:
-        points = rng.normal(size=(8, 3)) * 0.1
-        spread = (points - points.mean(axis=0)).T @ (points - points.mean(axis=0)) * rng.uniform(1.0, 5.0)
-        i = np.trace(spread) * np.eye(3) - spread
-        return (
-            f'<inertial><origin xyz="{triple(0.3)}" rpy="{triple(3.0)}"/>'
-            f'<mass value="{rng.uniform(0.2, 30.0)}"/>'
-            f'<inertia ixx="{i[0, 0]}" iyy="{i[1, 1]}" izz="{i[2, 2]}" ixy="{i[0, 1]}" ixz="{i[0, 2]}" '
-            f'iyz="{i[1, 2]}"/></inertial>'
-        )
-
-    parts = ['<robot name="random"><link name="l0"/>']
-    for k in range(1, 7):
-        parts.append(
-            f'<link name="l{k}">{inertial()}</link><joint name="joint_{k}" type="revolute">'
-            f'<origin xyz="{triple(0.5)}" rpy="{triple(3.0)}"/><parent link="l{k - 1}"/><child link="l{k}"/>'
-            f'<axis xyz="{triple(1.0)}"/><limit lower="-3" upper="3" velocity="5" effort="100"/></joint>'
-        )
-    # A load on a bracket: a fixed joint that must be merged into the last link.
-    parts.append(
-        f'<link name="load">{inertial()}</link><joint name="bracket" type="fixed">'
-        f'<origin xyz="{triple(0.2)}" rpy="{triple(3.0)}"/><parent link="l6"/><child link="load"/></joint>'
-        "</robot>"
-    )
-    return "".join(parts)
-
-
 def worst(setup: Setup, rng: np.random.Generator, states: int) -> float:
     """Return by how much M a + h and the inverse dynamics differ from rigid_torque, in parts of the largest torque."""
     low, high = setup.robot.lower, setup.robot.upper
@@ -100,15 +67,15 @@ def test_the_compiled_arm_gives_the_rigid_torque(shipped: Setup) -> None:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_the_compiled_arm_gives_the_rigid_torque_of_any_arm(shipped: Setup, tmp_path: Path, seed: int) -> None:
+def test_the_compiled_arm_gives_the_rigid_torque_of_any_arm(
+    shipped: Setup, random_arm: Callable[[int], Path], seed: int
+) -> None:
     """So does an arm with turned frames, skew axes, off-axis masses, a fixed load, other rotors and six springs."""
-    path = tmp_path / "random.urdf"
-    path.write_text(random_urdf(seed))
     rng = np.random.default_rng(seed)
     drives = dataclasses.replace(
         shipped.drives, rotor_inertia=rng.uniform(0.0, 20.0, 6), spring_torque=rng.uniform(0.0, 500.0, 6)
     )
-    assert worst(dataclasses.replace(shipped, robot=load_robot(path), drives=drives), rng, 60) < 1e-13
+    assert worst(dataclasses.replace(shipped, robot=load_robot(random_arm(seed)), drives=drives), rng, 60) < 1e-13
 
 
 def test_inertia_check_values_of_the_parameter_set(shipped: Setup) -> None:
@@ -141,14 +108,6 @@ def test_rotor_6_appears_in_four_entries(shipped: Setup) -> None:
     assert added == pytest.approx(want, abs=1e-13)
 
 
-def test_the_tool_is_part_of_the_last_link(shipped: Setup, shipped_files: Any) -> None:
-    """The tool of 3.5 kg adds its weight's moment about joint 2 at arm's length."""
-    bare = dataclasses.replace(shipped, robot=load_robot(shipped_files.urdf))
-    horizontal = np.array([0.0, math.pi / 2, 0.0, 0.0, 0.0, 0.0])
-    added = compiled(shipped, horizontal, np.zeros(6))[1] - compiled(bare, horizontal, np.zeros(6))[1]
-    assert added[1] == pytest.approx(-3.5 * 9.81 * (0.985 + 0.100), rel=1e-6)
-
-
 def test_factor_and_solve_equal_lapack() -> None:
     """The Cholesky solution equals LAPACK's for random symmetric positive definite matrices."""
     rng = np.random.default_rng(3)
@@ -158,12 +117,3 @@ def test_factor_and_solve_equal_lapack() -> None:
         work, x = np.zeros(1, [("factor", np.float64, (6, 6))]), b.copy()
         factorise_and_solve(mass, work, x)
         assert x == pytest.approx(np.linalg.solve(mass, b), rel=1e-10, abs=1e-12)
-
-
-def test_pinocchio_reads_the_same_robot(shipped: Setup) -> None:
-    """Pinocchio's model has the joints, limits and masses that the plant uses; 111 kg with the base."""
-    model = shipped.robot.model
-    assert list(model.names)[1:] == list(shipped.robot.joint_names)
-    assert np.array_equal(model.lowerPositionLimit, shipped.robot.lower)
-    assert np.array_equal(model.velocityLimit, shipped.robot.max_velocity)
-    assert sum(i.mass for i in model.inertias) == pytest.approx(111.0 + 3.5, abs=0.01)

@@ -1,16 +1,18 @@
-"""One step of the bristle: exact at constant velocity, second order otherwise, passive, never NaN."""
+"""The bristle: its sliding curve, exact steps at constant velocity, second order otherwise, passive, never NaN."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lugre_oracle import LuGreOracle
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
@@ -22,6 +24,8 @@ Record = Callable[[FrictionElement], Any]
 ELEMENT = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
 CONSTANT_C1 = dataclasses.replace(ELEMENT, omega_d=math.inf)
 COMPILED = one_element(element_arrays((ELEMENT,))[0], 0)
+SPEEDS = [sign * speed for speed in np.geomspace(1e-7, 20.0, 25) for sign in (1.0, -1.0)]
+STEP = 2.5e-4
 STORE = 0.5 * ELEMENT.c0
 
 
@@ -36,6 +40,59 @@ def closed_form(element: FrictionElement, z: float, v: float, step: float) -> tu
     c1 = wide(element.damping(v))
     torque = wide(element.c0) * mean + c1 * (end - wide(z)) / wide(step) + wide(element.c2) * wide(v)
     return float(end), float(torque)
+
+
+def stribeck(element: FrictionElement, v: float) -> float:
+    """Return equation 19 with its sign, plus the viscous part, from the paper's text."""
+    coulomb, static = (
+        (element.tau_c_positive, element.tau_s_positive) if v > 0 else (element.tau_c_negative, element.tau_s_negative)
+    )
+    curve = coulomb + (static - coulomb) * math.exp(-((abs(v) / element.omega_s) ** element.delta))
+    return math.copysign(curve, v) + element.c2 * v
+
+
+@pytest.mark.parametrize("delta", [0.5, 1.0, 2.0, 2.7])
+def test_steady_state_is_the_stribeck_curve_of_each_sign(record: Record, delta: float) -> None:
+    """After a long way at constant velocity torque and c0 z are the Stribeck curve of that sign to 1e-9 Nm."""
+    element = FrictionElement(**{**vars(ELEMENT), "delta": delta})
+    compiled = record(element)
+    for v in SPEEDS:
+        # Forty times the bristle's own deflection, in 400 steps.
+        step = 40 * 47.0 / element.c0 / abs(v) / 400
+        z, torque = -math.copysign(1e-4, v), 0.0
+        for _ in range(400):
+            z, torque = bristle_step(compiled, z, v, step)
+        assert torque == pytest.approx(stribeck(element, v), abs=1e-9)
+        assert z * element.c0 == pytest.approx(stribeck(element, v) - element.c2 * v, abs=1e-9)
+        assert friction_torque(compiled, z, v) == pytest.approx(stribeck(element, v), abs=1e-9)
+        assert element.steady_torque(v) == pytest.approx(stribeck(element, v), abs=1e-9)
+
+
+@pytest.mark.parametrize("alpha", [1.0, 0.3, 0.6, 2.0])
+def test_torque_at_rest_is_the_bristle_s_alone(record: Record, alpha: float) -> None:
+    """At zero velocity the torque is c0 z and the deflection keeps every bit, for either sign and any exponent."""
+    compiled = record(dataclasses.replace(ELEMENT, alpha=alpha))
+    for z in (0.0, 1.234e-5, -2.5e-4, 5e-324):
+        for v in (0.0, -0.0):
+            assert bristle_step(compiled, z, v, STEP) == (z, ELEMENT.c0 * z)
+            assert friction_torque(compiled, z, v) == ELEMENT.c0 * z
+    assert ELEMENT.steady_torque(0.0) == 0.0
+
+
+@pytest.mark.parametrize("alpha", [0.3, 0.6, 0.9, 2.0])
+def test_the_exponent_changes_the_viscous_part_alone(record: Record, alpha: float) -> None:
+    """Deflections keep their bits; torques differ by c2 (|v|^alpha - |v|) sign(v), below 1 mrad/s by its chord."""
+    element = dataclasses.replace(ELEMENT, alpha=alpha)
+    linear, bent = record(ELEMENT), record(element)
+    for v in (sign * speed for speed in (1e-12, 1e-4, 1e-3, 0.3, 1.0, 7.0) for sign in (1, -1)):
+        power = abs(v) ** alpha if abs(v) > 1e-3 else abs(v) / 1e-3 * 1e-3**alpha
+        difference = math.copysign(14.0, v) * (power - abs(v))
+        (z, torque), (z_bent, torque_bent) = (bristle_step(each, 1e-4, v, STEP) for each in (linear, bent))
+        assert z_bent == z
+        assert torque_bent - torque == pytest.approx(difference, abs=1e-12)
+        instant = friction_torque(bent, 1e-4, v) - friction_torque(linear, 1e-4, v)
+        assert instant == pytest.approx(difference, abs=1e-12)
+        assert element.steady_torque(v) - ELEMENT.steady_torque(v) == pytest.approx(difference, abs=1e-12)
 
 
 @pytest.mark.parametrize("v", [s * v for v in (1e-12, 1e-6, 1e-3, 0.0199, 0.3, 4.0, 100.0) for s in (1, -1)])
@@ -61,49 +118,74 @@ def test_the_series_joins_the_exponential() -> None:
         assert got[1] == pytest.approx(want[1], rel=1e-12)
 
 
-def test_many_small_steps_make_one_large_step() -> None:
-    """At constant velocity the result does not depend on the step size."""
-    z, total, parts = -1e-4, 0.0, 64
-    for _ in range(parts):
-        z, torque = bristle_step(COMPILED, z, 0.02, 0.05 / parts)
-        total += torque / parts
-    assert (z, total) == pytest.approx(bristle_step(COMPILED, -1e-4, 0.02, 0.05), rel=1e-12)
+def steps_errors(
+    element: FrictionElement, velocity: Callable[[float], float], turn: Sequence[float], counts: Sequence[int]
+) -> NDArray[np.float64]:
+    """Return by how much c0 z, Nm, and the torque's impulse, Nm s, miss a stiff solver's in 0.2 s, shape (counts, 2).
 
-
-@pytest.mark.parametrize("element", [ELEMENT, CONSTANT_C1], ids=["fading c1", "constant c1"])
-@pytest.mark.parametrize("shape", ["sine", "ramp"])
-def test_second_order_for_a_changing_velocity(record: Record, element: FrictionElement, shape: str) -> None:
-    """Against a stiff solver the error falls fourfold per halving, through reversals of both signs."""
-
-    def velocity(t: float) -> float:
-        return 0.4 * math.sin(40.0 * t + 0.3) if shape == "sine" else 0.2 - 3.0 * t
+    Args:
+        element: its parameters.
+        velocity: rad/s at a time in s.
+        turn: where it reverses: kinks of |v|, at which the solver is stopped and started.
+        counts: of steps.
+    """
+    oracle, compiled, end = LuGreOracle((element,)), one_element(element_arrays((element,))[0], 0), 0.2
 
     def rhs(t: float, y: NDArray[np.float64]) -> list[float]:
-        v = velocity(t)
-        z_dot = v - abs(v) * element.c0 / float(element.sliding_torque(v)) * y[0]
-        torque = element.c0 * y[0] + float(element.damping(v)) * z_dot + element.c2 * v
-        return [z_dot, torque]
+        z_dot, torque = oracle.rates(y[:1], np.array([velocity(t)]))
+        return [z_dot[0], torque[0]]
 
-    end = 0.2
-    # Reversals are kinks of |v|: the solver is stopped and started there.
-    kinks = [t for t in (math.pi * k / 40 - 0.3 / 40 for k in range(1, 4)) if t < end] if shape == "sine" else [0.2 / 3]
-    y = np.array([0.0, 0.0])
-    for start, stop in zip([0.0, *kinks], [*kinks, end], strict=True):
-        y = solve_ivp(rhs, (start, stop), y, "Radau", rtol=1e-10, atol=[1e-16, 1e-11]).y[:, -1]
-    compiled = record(element)
-    errors, counts = [], np.array([200, 400, 800, 1600, 3200])
+    exact = np.zeros(2)
+    for start, stop in pairwise([0.0, *turn, end]):
+        exact = solve_ivp(rhs, (start, stop), exact, "Radau", rtol=1e-11, atol=[1e-16, 1e-12]).y[:, -1]
+    errors = []
     for steps in counts:
-        h = end / steps
-        z = impulse = 0.0
+        h, z, impulse = end / steps, 0.0, 0.0
         for k in range(steps):
             z, torque = bristle_step(compiled, z, velocity((k + 0.5) * h), h)
             impulse += torque * h
-        errors.append((abs(z - y[0]) * element.c0, abs(impulse - y[1])))
-    deflection, total = -np.polyfit(np.log(counts), np.log(np.array(errors)), 1)[0]
+        errors.append([abs(z - exact[0]) * element.c0, abs(impulse - exact[1])])
+    return np.array(errors)
+
+
+@pytest.mark.parametrize("element", [ELEMENT, CONSTANT_C1], ids=["fading c1", "constant c1"])
+@pytest.mark.parametrize(
+    ("velocity", "turn"),
+    [
+        (lambda t: 0.4 * math.sin(40.0 * t + 0.3), [math.pi * k / 40 - 0.3 / 40 for k in (1, 2)]),
+        (lambda t: 0.2 - 3.0 * t, [0.2 / 3]),
+    ],
+    ids=["sine", "ramp"],
+)
+def test_second_order_for_a_changing_velocity(
+    element: FrictionElement, velocity: Callable[[float], float], turn: list[float]
+) -> None:
+    """Against a stiff solver the error falls fourfold per halving, through reversals of both signs."""
+    counts = [200, 400, 800, 1600, 3200]
+    errors = steps_errors(element, velocity, turn, counts)
+    deflection, total = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
     assert deflection == pytest.approx(2.0, abs=0.1)
     # Where in a step the reversal falls changes the constant of the impulse's error, not its order.
     assert total == pytest.approx(2.0, abs=0.5)
     assert errors[1][0] < 1e-3  # Nm of 30
+
+
+@pytest.mark.parametrize(
+    ("alpha", "through_zero", "least"), [(0.6, False, 1.9), (0.6, True, 1.5), (0.3, True, 1.2), (1.5, True, 1.9)]
+)
+def test_the_order_is_two_and_one_and_alpha_where_the_joint_reverses(
+    alpha: float, through_zero: bool, least: float
+) -> None:
+    """With another exponent the torque's impulse converges with order two, in coarse reversals 1 + alpha at least."""
+    # The bristle's own error would cover that of the viscous part.
+    element = FrictionElement(1e-6, 1e-6, 1e-6, 1e-6, 0.05, 1.0, 1e5, 0.0, 14.0, 1.0, alpha=alpha)
+
+    def velocity(t: float) -> float:
+        return 3.0 * (0.2 / 3 - t) * (1.0 + t) if through_zero else 0.2 + 3.0 * t * (1.0 + t)
+
+    counts = [100, 200, 400, 800]
+    errors = steps_errors(element, velocity, [0.2 / 3], counts)[:, 1]
+    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] > least
 
 
 @given(
@@ -142,20 +224,6 @@ def test_every_parameter_set_gives_numbers(
     assert math.isfinite(torque)
 
 
-@given(
-    history=st.lists(st.tuples(st.floats(-5.0, 5.0), st.floats(1e-6, 1e-2)), min_size=1, max_size=60),
-    alpha=st.sampled_from([1.0, 0.6, 0.3, 2.0]),
-)
-@settings(max_examples=200)
-def test_fading_damping_never_gives_energy_back(history: list[tuple[float, float]], alpha: float) -> None:
-    """Over any velocity history, whatever the viscous exponent, the work done exceeds what the bristle stores."""
-    z = work = 0.0
-    for v, step in history:
-        z, torque = bristle_step(COMPILED._replace(alpha=alpha), z, v, step)
-        work += torque * v * step
-        assert work - STORE * z * z >= -1e-12 * (1.0 + work)
-
-
 def test_constant_damping_gives_energy_back_beyond_its_limit(record: Record) -> None:
     """A jump from stiction to sliding dissipates below the reported speed and creates energy above it.
 
@@ -183,3 +251,10 @@ def test_damping_fades_as_documented(record: Record) -> None:
     assert damping(fading, 0.0) == 100.0
     assert damping(fading, -1.0) == pytest.approx(100.0 / math.e, rel=1e-15)
     assert damping(constant, 1e6) == 100.0
+
+
+def test_the_damping_s_limit_does_not_depend_on_the_exponent() -> None:
+    """The c1 that passivity accepts is the linear element's: the viscous part alone always takes power."""
+    bent = dataclasses.replace(CONSTANT_C1, alpha=0.6)
+    assert bent.passivity_limit(6.0) == CONSTANT_C1.passivity_limit(6.0) < 6.0
+    assert bent.passive_damping(6.0) == CONSTANT_C1.passive_damping(6.0)

@@ -1,35 +1,39 @@
-"""Seven friction elements in lanes are seven single elements."""
+"""Seven friction elements in lanes are seven single elements, with LuGre's bristles and elasto-plastic ones."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import numba
 import numpy as np
 import pytest
+from bristle_oracles import random_element
 from numpy.typing import NDArray
 
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step, friction_torque
-from rx90_common.friction.compiled_elements import element_arrays, load_elements
+from rx90_common.friction.bristles.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
+from rx90_common.friction.compiled_elements import element_arrays, load_elements, one_element
 from rx90_common.kernels.lanes import load, store
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 STEP = 2.5e-4
-Record = Callable[[FrictionElement], Any]
 
 
 @numba.njit(error_model="numpy")
-def together(arrays: Any, z: Array, velocity: Array, out: Array) -> None:
-    """Write new deflections, mean torques and torques of now, shape (3, 7)."""
-    elements, deflection, speed = load_elements(arrays[0], 7), load(z, 7), load(velocity, 7)
+def together(arrays: Any, break_away: Array, z: Array, velocity: Array, out: Array) -> None:
+    """Write new deflections, mean torques and torques of now of LuGre's bristles and of elasto-plastic ones, (6, 7)."""
+    elements, away, deflection, speed = load_elements(arrays[0], 7), load(break_away, 7), load(z, 7), load(velocity, 7)
     new, torque = bristle_step(elements, deflection, speed, STEP)
     store(out[0], new)
     store(out[1], torque)
     store(out[2], friction_torque(elements, deflection, speed))
+    new, torque = elasto_plastic_step(elements, away, deflection, speed, STEP)
+    store(out[3], new)
+    store(out[4], torque)
+    store(out[5], elasto_plastic_torque(elements, away, deflection, speed))
 
 
 @pytest.mark.parametrize(
@@ -40,23 +44,23 @@ def together(arrays: Any, z: Array, velocity: Array, out: Array) -> None:
         ([1.0, 2.0, 0.5, 1.0, 2.7, 2.0, 1.0], [1.0, 0.7, 1.0, 2.0, 0.3, 1.0, 1.5]),
     ],
 )
-def test_the_set_equals_its_elements(shipped: Setup, record: Record, deltas: list[float], alphas: list[float]) -> None:
-    """Stuck, creeping and sliding either way, each lane gives the bits that its element gives by itself."""
-    shaped = [
-        dataclasses.replace(
-            element, delta=delta, alpha=alpha, tau_c_negative=1.1 * element.tau_c_positive, tau_s_negative=60.0
-        )
-        for element, delta, alpha in zip(shipped.friction.elements, deltas, alphas, strict=True)
-    ]
-    arrays = element_arrays(shaped)
+def test_the_set_equals_its_elements(deltas: list[float], alphas: list[float]) -> None:
+    """Stuck, creeping, in transition and sliding either way, a lane gives the bits that its element gives by itself."""
     rng = np.random.default_rng(11)
+    elements = [
+        dataclasses.replace(random_element(rng), delta=delta, alpha=alpha)
+        for delta, alpha in zip(deltas, alphas, strict=True)
+    ]
+    arrays, out = element_arrays(elements), np.empty((6, 7))
     for _ in range(200):
         velocity = rng.choice([-1, 0, 1], 7) * 10.0 ** rng.uniform(-9, 1.5, 7)
-        z = rng.uniform(-1e-4, 1e-4, 7)
-        out = np.empty((3, 7))
-        together(arrays, z, velocity, out)
-        for i, element in enumerate(map(record, shaped)):
-            single = [*bristle_step(element, z[i], velocity[i], STEP), friction_torque(element, z[i], velocity[i])]
+        z = rng.uniform(-1.0, 1.0, 7) * [e.tau_c_positive / e.c0 for e in elements]
+        away = rng.uniform(0.0, 0.9, 7)
+        together(arrays, away, z, velocity, out)
+        for i in range(7):
+            one, at = one_element(arrays[0], i), (z[i], velocity[i])
+            single = [*bristle_step(one, *at, STEP), friction_torque(one, *at)]
+            single += [*elasto_plastic_step(one, away[i], *at, STEP), elasto_plastic_torque(one, away[i], *at)]
             assert out[:, i].tolist() == single
 
 

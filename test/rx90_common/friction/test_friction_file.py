@@ -230,16 +230,9 @@ WAVE = {"motor_harmonic": [2], "motor_amplitude": [0.1]}
     ("part", "block", "words"),
     [
         ("load", {**LOAD, "driving": -0.1}, "load.driving is -0.1; accepted: a number in [0, 0.95]"),
-        ("load", {**LOAD, "driven": 1.0}, "load.driven is 1.0; accepted: a number in [0, 0.95]"),
-        ("load", {"driving": 0.1}, "load.driven is missing"),
-        ("load", {**LOAD, "relax_time": 0.0}, "load.relax_time is 0.0; accepted: a number in (0, 1]"),
-        ("load", {**LOAD, "quadratic_driven": math.inf}, "load.quadratic_driven is inf"),
-        ("load", {**LOAD, "drivn": 1.0}, "load.drivn is not a known key; accepted: driven, driving"),
-        ("load", 0.1, "load is 0.1; accepted: a mapping"),
         ("ripple", {}, "ripple: no harmonic; accepted: one or more in joint_harmonic or motor_harmonic"),
         ("ripple", {**WAVE, "motor_phase": [1, 2]}, "ripple: motor_phase has 2 numbers; accepted: 1, as motor_"),
         ("ripple", {**WAVE, "joint_amplitude": [0.1]}, "ripple: joint_amplitude has 1 number; accepted: 0, as joint_"),
-        ("ripple", {**WAVE, "motor_amplitude": [-0.1]}, "ripple.motor_amplitude[0] is -0.1; accepted: a number"),
         (
             "ripple",
             {"joint_harmonic": [1, 2], "joint_amplitude": [0.5, 0.5]},
@@ -250,31 +243,23 @@ WAVE = {"motor_harmonic": [2], "motor_amplitude": [0.1]}
             {"joint_harmonic": [1] * 9, "joint_amplitude": [0.01] * 9},
             "ripple: joint_harmonic has 9 numbers; accepted: up to 8",
         ),
-        ("scatter", {"deviation": 0.3, "correlation_time": 1.0}, "scatter.deviation is 0.3; accepted: a number"),
-        ("scatter", {"deviation": 0.1, "correlation_time": 0}, "scatter.correlation_time is 0; accepted: "),
-        ("bristles", {"kind": "elasto_plastic", "break_away": 0.95}, "bristles.break_away is 0.95; accepted: a "),
         ("bristles", {"kind": "brush"}, "bristles.kind is 'brush'; accepted: one of elasto_plastic, maxwell_slip"),
-        ("bristles", {**SLIP, "stiffness": []}, "bristles.stiffness is []; accepted: a list of 1 to 10 numbers"),
         ("bristles", {**SLIP, "stiffness": [0.5, 0.4]}, "bristles: stiffness sums to 0.9; accepted: 1, as parts of c0"),
         ("bristles", {**SLIP, "stiffness": [0.5, 0.4999]}, "bristles: stiffness sums to 0.9999; accepted: 1, as"),
         ("bristles", {**SLIP, "share": [0.5, 0.6]}, "bristles: share sums to 1.1; accepted: 1, as parts of the "),
         ("bristles", {**SLIP, "share": [1.0]}, "bristles: share has 1 number; accepted: 2, as stiffness has"),
         ("bristles", {**SLIP, "stiffness": [0.1] * 11}, "bristles: stiffness has 11 numbers; accepted: 1 to 10, "),
-        ("bristles", {**SLIP, "share": [1.0, 0.0]}, "bristles.share[1] is 0.0; accepted: a number in (0, 1]"),
-        ("bristles", {**SLIP, "attraction": 0.0}, "bristles.attraction is 0.0; accepted: a number > 0"),
     ],
 )
 def test_what_is_wrong_in_a_part_is_refused(
-    shipped_files: RobotFiles, edited_yaml: Edit, part: str, block: Any, words: str
+    shipped_files: RobotFiles, edited_yaml: Edit, part: str, block: dict[str, Any], words: str
 ) -> None:
     """A block is refused by file, element, key, value and what is accepted; alone in Python by block, key and value."""
     text = refusal(edited_yaml(shipped_files.friction, ("elements", "joint_2", part), block))
     assert "elements.joint_2" in text
     assert words in text
-    if isinstance(block, dict) and "known key" not in words and "missing" not in words:
+    if block.get("kind") != "brush":
         values = {key: tuple(map(float, v)) if isinstance(v, list) else v for key, v in block.items()}
-        if values.get("kind") == "brush":
-            return
         with pytest.raises(ConfigError) as caught:
             PARTS[part].read(values)
         assert words.removeprefix(f"{part}.").removeprefix(f"{part}: ") in str(caught.value)
@@ -295,14 +280,6 @@ def test_parts_leave_less_to_the_passivity_limit(shipped: Setup) -> None:
     assert dataclasses.replace(element, load=LoadPart(0.1, 0.2)).passive_damping(speed) == whole
     parted = dataclasses.replace(element, ripple=ripple, scatter=scatter)
     assert parted.passive_damping(speed) == pytest.approx(0.7 * 0.8 * whole, rel=1e-12)
-    tight = dataclasses.replace(element, c1=0.99 * whole)
-    assert math.isinf(tight.passivity_limit(speed))
-    warned = FrictionSet(
-        shipped.friction.names, (dataclasses.replace(tight, ripple=ripple), *shipped.friction.elements[1:])
-    )
-    (line,) = warned.passivity_warnings(shipped.drives.turning.reach(shipped.robot.max_velocity))
-    assert "elements.joint_1.c1" in line
-    assert "ripple" in line
 
 
 @pytest.mark.parametrize(

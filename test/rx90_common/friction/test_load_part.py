@@ -35,34 +35,32 @@ def expected(element: FrictionElement, load: float, velocity: float) -> tuple[fl
 
 
 def test_steady_sliding_under_constant_load() -> None:
-    """Lifting and lowering, in both directions of motion, the torque is that of the closed form (50 sets of values)."""
-    rng = np.random.default_rng(1)
-    for _ in range(-(-SETS // 7)):
-        elements = [any_element(rng, load=any_load(rng)) for _ in range(7)]
+    """Lifting and lowering, both ways, from break-away on, the torque is that of the closed form (50 sets of values).
+
+    The load's share of the static torque fades with its own velocity, or with the element's where it has none.
+    """
+    rng = np.random.default_rng(5)
+    for _ in range(-(-SETS // 5)):
+        own = 10.0 ** rng.uniform(-2, 0, 7) * [1, 1, 0, 1, 1, 0, 1]
+        parts = [replace(any_load(rng), omega_s=float(speed)) for speed in own]
+        elements = [any_element(rng, load=part) for part in parts]
         loads = rng.uniform(-200.0, 200.0, 7)
-        for velocity in (0.3, -0.3, 0.004, -0.004):
+        for velocity in (0.3, -0.3, 0.004, -0.004, 1e-9, -1e-9):
             seven = Seven.of(elements)
             begin(seven.parts, seven.states, loads)
             motion = np.broadcast_to(np.array([np.zeros(7), np.full(7, velocity), loads]), (4, 3, 7))
-            torque, _ = along(seven, motion, 1e6)  # a step of the bristle is exact however long it is
+            torque, _ = along(seven, motion, 1e4 / abs(velocity))  # a step is exact however long it is
             for i, element in enumerate(elements):
+                bare = expected(element, 0.0, velocity)
                 coulomb, static = expected(element, loads[i], velocity)
-                fading = np.exp(-((abs(velocity) / element.omega_s) ** element.delta))
-                viscous = element.c2 * abs(velocity) ** element.alpha
-                want = np.sign(velocity) * (coulomb + (static - coulomb) * fading + viscous)
-                assert torque[-1, i] == pytest.approx(want, rel=1e-12)
-
-
-def test_the_motor_needs_more_to_lift_than_to_lower() -> None:
-    """A winch that lifts needs (1 + k_driving) of the weight beside Coulomb friction, and lowering (1 - k_driven)."""
-    element = FrictionElement(2.0, 2.0, 2.0, 2.0, 0.05, 1.0, 1e4, 0.0, 0.0, load=LoadPart(0.1, 0.3))
-    weight, seven = np.full(7, 40.0), Seven.of([element] * 7)
-    begin(seven.parts, seven.states, weight)
-    velocity = np.array([0.2, -0.2])
-    motion = np.stack([np.array([np.zeros(7), np.full(7, v), weight]) for v in np.repeat(velocity, 3)])
-    torque, _ = along(seven, motion, 1e3)
-    drive = 40.0 + torque[[2, 5], 0]
-    assert drive == pytest.approx([40.0 * 1.1 + 2.0, 40.0 * 0.7 - 2.0], rel=1e-12)
+                of_load = static - coulomb - (bare[1] - bare[0])
+                element_fades, load_fades = (
+                    np.exp(-((abs(velocity) / speed) ** element.delta))
+                    for speed in (element.omega_s, own[i] or element.omega_s)
+                )
+                viscous = float(element.viscous_torque(abs(velocity)))
+                want = coulomb + (bare[1] - bare[0]) * element_fades + of_load * load_fades + viscous
+                assert torque[-1, i] == pytest.approx(np.sign(velocity) * want, rel=1e-12)
 
 
 def test_a_held_joint_keeps_every_bit_under_load() -> None:
@@ -92,48 +90,3 @@ def test_the_load_follows_exactly() -> None:
             along(seven, np.broadcast_to(np.array([0.0 * held, 0.0 * held, held]), (parts, 3, 7)), duration / parts)
             want = held + (start - held) * np.exp(-duration / relax)
             assert seven.states["load"][0] == pytest.approx(want, rel=1e-12, abs=1e-12)
-
-
-def test_break_away_grows_with_the_load() -> None:
-    """A joint that is pushed slowly under a load holds tau_s + (k + s) |l| + m l^2 at most (50 sets of values)."""
-    rng = np.random.default_rng(4)
-    for _ in range(-(-SETS // 7)):
-        elements = [any_element(rng, load=any_load(rng)) for _ in range(7)]
-        loads = rng.uniform(-100.0, 100.0, 7)
-        seven = Seven.of(elements)
-        begin(seven.parts, seven.states, loads)
-        direction = rng.choice([-1.0, 1.0], 7)
-        motion = np.broadcast_to(np.array([0.0 * loads, 1e-9 * direction, loads]), (3, 3, 7))
-        torque, _ = along(seven, motion, 1e13)
-        static = [expected(e, load, way)[1] for e, load, way in zip(elements, loads, direction, strict=True)]
-        # So slow that the Stribeck part is still whole, but for 1e-9 / omega_s to the power of 0.7.
-        assert torque[-1] == pytest.approx(direction * static, rel=2e-5)
-
-
-def test_a_stribeck_velocity_of_the_load_s_own() -> None:
-    """The load's share of the static torque fades with its own velocity, the element's with the element's (50 sets).
-
-    Beside them are elements whose load has no velocity of its own: it fades with the element's.
-    """
-    rng = np.random.default_rng(5)
-    for _ in range(-(-SETS // 5)):
-        own = 10.0 ** rng.uniform(-2, 0, 7) * [1, 1, 0, 1, 1, 0, 1]
-        parts = [replace(any_load(rng), omega_s=float(speed)) for speed in own]
-        elements = [any_element(rng, load=part) for part in parts]
-        loads = rng.uniform(-200.0, 200.0, 7)
-        for velocity in (0.05, -0.05):
-            seven = Seven.of(elements)
-            begin(seven.parts, seven.states, loads)
-            motion = np.broadcast_to(np.array([np.zeros(7), np.full(7, velocity), loads]), (4, 3, 7))
-            torque, _ = along(seven, motion, 1e6)
-            for i, element in enumerate(elements):
-                bare = expected(element, 0.0, velocity)
-                coulomb, static = expected(element, loads[i], velocity)
-                of_load = static - coulomb - (bare[1] - bare[0])
-                element_fades, load_fades = (
-                    np.exp(-((abs(velocity) / speed) ** element.delta))
-                    for speed in (element.omega_s, own[i] or element.omega_s)
-                )
-                viscous = element.c2 * abs(velocity) ** element.alpha
-                want = coulomb + (bare[1] - bare[0]) * element_fades + of_load * load_fades + viscous
-                assert torque[-1, i] == pytest.approx(np.sign(velocity) * want, rel=1e-12)

@@ -53,16 +53,3 @@ def test_sliding_torque_along_the_angles() -> None:
             dry = sign * (1 + series) * walk[i] * element.sliding_torque(velocity[i])
             want = dry + element.viscous_torque(velocity[i])
             assert torque[2::3, i] == pytest.approx(want[2::3], rel=1e-9)
-
-
-def test_angles_are_those_of_the_joint_and_of_its_motor() -> None:
-    """One wave of the motor is a turn of the joint divided by the gear ratio."""
-    rng = np.random.default_rng(6)
-    element = any_element(rng, ripple=RipplePart(motor_harmonic=(1.0,), motor_amplitude=(0.5,)))
-    seven = Seven.of([element] * 7)
-    turn = 2.0 * np.pi / GEAR
-    angle = np.repeat(np.outer([0.0, 0.5, 1.0], turn), 3, axis=0)
-    motion = np.stack([angle, np.full(angle.shape, 2.0), 0.0 * angle], axis=1)
-    torque = along(seven, motion, 1e3)[0][2::3] - element.viscous_torque(2.0)
-    ratio = torque / float(element.sliding_torque(2.0))
-    assert ratio == pytest.approx(np.broadcast_to([[1.5], [0.5], [1.5]], (3, 7)), rel=1e-9)

@@ -185,8 +185,6 @@ def test_passive_at_every_temperature(speed_slope: float, static_slope: float) -
         ({"lowest": 190.0, "start": 190.0}, "lowest is 190 °C; accepted: below highest = 190"),
         ({"static_slope": -0.01, "reference": 40.0}, "static less Coulomb torque at highest = 190 °C is -0.5 times"),
         ({"speed_slope": 0.06, "reference": 40.0}, "Stribeck velocity at lowest = 20 °C is -0.2 times"),
-        ({"capacity": 0.0}, "capacity is 0"),
-        ({"motor_share": 1.5}, "motor_share is 1.5"),
     ],
 )
 def test_a_law_that_does_not_hold_is_refused(values: dict[str, float], said: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import resource
 import shutil
 import subprocess
 import sys
@@ -14,7 +13,7 @@ from typing import Any
 
 import numba
 import pytest
-from processes import TIMEOUT, wait_until
+from processes import TIMEOUT, files_up_to, wait_until
 
 from rx90_common.base.sources import PACKAGES, ROOT, importers_of, with_imports
 from rx90_common.kernels import code_cache
@@ -54,19 +53,19 @@ def compiled():
 FOUR_WEEKS = 28 * 24 * 3600.0
 
 
-def run(program: str, folder: Path, **variables: str) -> subprocess.CompletedProcess[str]:
-    """Run a program that finds modules in the folder, and has its cache beside it."""
+def start(program: str, folder: Path, **variables: str) -> subprocess.Popen[str]:
+    """Start a program that finds modules in the folder, and has its cache beside it."""
     path = os.pathsep.join([str(folder), str(ROOT)])
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder.parent / "cache"), "PYTHONPATH": path, **variables}
-    return subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT,
-        check=True,
-    )
+    words, pipe = [sys.executable, "-c", program], subprocess.PIPE
+    return subprocess.Popen(words, cwd=folder, env=environment, stdout=pipe, stderr=pipe, text=True)
+
+
+def said(running: subprocess.Popen[str]) -> tuple[str, str]:
+    """Return standard output and error of a program once it has ended well."""
+    out, err = running.communicate(timeout=TIMEOUT)
+    assert running.returncode == 0, err
+    return out, err
 
 
 def test_all_that_a_kernel_reads_decides_on_the_cache() -> None:
@@ -101,24 +100,26 @@ def copy_sources(folder: Path) -> Path:
 def test_copies_of_the_same_sources_share_compiled_code(tmp_path: Path) -> None:
     """A second clone compiles nothing; another processor, and a change in a function that a kernel calls, do.
 
-    That holds for kernels and for the codec, whose functions are compiled, and announced, when it is imported.
+    That holds for kernels and for the codec, whose functions are compiled when it is imported. A program says once that
+    it compiles, whatever else is in the cache; with its kernels there, nothing.
     """
-    kernels = "from rx90_common.kernels.elementary_arrays import exponential_of\nprint(exponential_of(0.0))\n"
+    kernels = "from rx90_common.kernels.elementary_arrays import {0}\nprint({0}(0.0))\n"
+    exponential, other = kernels.format("exponential_of"), kernels.format("exponential_less_one_of")
     codec = "from rx90_common.exchange import arrivals, cdr\nprint('imported', file=sys.stderr)\n"
     one, two = copy_sources(tmp_path / "one"), copy_sources(tmp_path / "two")
-    first = run(f"import sys\n{ANNOUNCE}{codec}{kernels}", one)
-    assert re.fullmatch(f"{ANNOUNCED}imported\n", first.stderr)
-    again = run(f"import sys\n{ANNOUNCE}{codec}{kernels}", two)
-    assert (again.stdout, again.stderr) == (first.stdout, "imported\n") == ("1.0\n", "imported\n")
-    program = ANNOUNCE + kernels
-    assert re.fullmatch(ANNOUNCED, run(program, two, NUMBA_CPU_NAME="generic").stderr)
+    out, err = said(start(f"import sys\n{ANNOUNCE}{codec}{exponential}", one))
+    assert out == "1.0\n"
+    assert re.fullmatch(f"{ANNOUNCED}imported\n", err)
+    assert said(start(f"import sys\n{ANNOUNCE}{codec}{exponential}", two)) == ("1.0\n", "imported\n")
+    assert re.fullmatch(f"imported\n{ANNOUNCED}", said(start(f"import sys\n{ANNOUNCE}{codec}{other}", two))[1])
+    assert re.fullmatch(ANNOUNCED, said(start(ANNOUNCE + exponential, two, NUMBA_CPU_NAME="generic"))[1])
     called = two / "rx90_common/kernels/elementary.py"
     text = called.read_text(encoding="utf-8")
     assert "1.0 + _grown(r)" in text
     called.write_text(text.replace("1.0 + _grown(r)", "2.0 + _grown(r)"), encoding="utf-8")
-    changed = run(program, two)
-    assert changed.stdout == "2.0\n"
-    assert re.fullmatch(ANNOUNCED, changed.stderr)
+    out, err = said(start(ANNOUNCE + exponential, two))
+    assert out == "2.0\n"
+    assert re.fullmatch(ANNOUNCED, err)
 
 
 def test_code_of_two_processes_at_once_is_not_mixed_up(tmp_path: Path) -> None:
@@ -147,60 +148,46 @@ def test_of_two_processes_one_compiles_and_the_other_waits(tmp_path: Path) -> No
     folder.mkdir()
     (folder / "slow_kernel.py").write_text(SLOW_KERNEL, encoding="utf-8")
     program = (
-        "import slow_kernel, pathlib\nif not os.environ['THEN']:\n    pathlib.Path('there').touch()\n"
+        "import os, slow_kernel, pathlib\nif not os.environ['THEN']:\n    pathlib.Path('there').touch()\n"
         "print(slow_kernel.one_more(1.0), slow_kernel.compiled())"
     )
-    environment = {
-        **os.environ,
-        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-        "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)]),
-        "BEGUN": str(tmp_path / "begun"),
-    }
-
-    def start(then: str) -> subprocess.Popen[str]:
-        words = [sys.executable, "-c", f"import os\nos.environ['THEN'] = {then!r}\n{program}"]
-        return subprocess.Popen(words, env=environment, cwd=folder, stdout=subprocess.PIPE, text=True)
-
-    killed = start("hang")
-    wait_until((tmp_path / "begun").exists, "a compilation")
+    begun = tmp_path / "begun"
+    killed = start(program, folder, BEGUN=str(begun), THEN="hang")
+    wait_until(begun.exists, "a compilation")
     killed.kill()
     killed.communicate()
-    (tmp_path / "begun").unlink()
-    first = start("slow")
-    wait_until((tmp_path / "begun").exists, "the next one")
-    second = start("")
-    assert [one.communicate(timeout=TIMEOUT)[0] for one in (first, second)] == ["2.0 1\n", "2.0 0\n"]
+    begun.unlink()
+    first = start(program, folder, BEGUN=str(begun), THEN="slow")
+    wait_until(begun.exists, "the next one")
+    second = start(program, folder, BEGUN=str(begun), THEN="")
+    assert [said(one)[0] for one in (first, second)] == ["2.0 1\n", "2.0 0\n"]
     assert not list((tmp_path / "cache").rglob("*.lock"))
 
 
-def test_a_compilation_that_fails_leaves_its_turn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A kernel that cannot be compiled for its arguments leaves no lock, and is compiled for others."""
+@pytest.fixture
+def one_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return a kernel that is compiled into a cache of its own."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
 
     @kernel
     def one_more(x: float) -> float:
         return x + 1.0
 
+    return one_more
+
+
+def test_a_compilation_that_fails_leaves_its_turn(tmp_path: Path, one_more: Any) -> None:
+    """A kernel that cannot be compiled for its arguments leaves no lock, and is compiled for others."""
     with pytest.raises(numba.TypingError):
-        one_more("one")  # type: ignore[arg-type]
+        one_more("one")
     assert not list((tmp_path / "cache").rglob("*.lock"))
     assert one_more(1.0) == 2.0
 
 
-def test_kernels_run_where_nothing_can_be_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernels_run_where_nothing_can_be_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, one_more: Any) -> None:
     """On a full disk a kernel is compiled and runs; a folder that cannot be made leaves it to numba to find another."""
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
-
-    @kernel
-    def one_more(x: float) -> float:
-        return x + 1.0
-
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
-    try:
+    with files_up_to(0):
         assert one_more(1.0) == 2.0
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert not [file for file in (tmp_path / "cache").rglob("*") if file.is_file()]
 
     ours: Any = exponential_of
@@ -220,27 +207,3 @@ def test_code_of_sources_long_gone_is_removed(tmp_path: Path) -> None:
     code_cache.prepare(tmp_path / "3123456789abcdef")
     left = {"1123456789abcdef", "2123456789abcdef", "3123456789abcdef", "others"}
     assert {folder.name for folder in tmp_path.iterdir()} == left
-
-
-def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path: Path) -> None:
-    """A program says once that it compiles, whatever else is in the cache; with its kernels there, nothing."""
-    kernels = "from rx90_common.kernels.compiled import kernel\n\n" + "".join(
-        f"@kernel\ndef {name}(x):\n    return x + 1.0\n\n\n" for name in ("first", "second")
-    )
-    folder = tmp_path / "modules"
-    folder.mkdir()
-    (folder / "their_kernels.py").write_text(kernels)
-    # The codec's own functions are compiled, and in the cache, when it is imported.
-    program = (
-        "import rx90_common.exchange.cdr\n"
-        f"{ANNOUNCE}"
-        "import their_kernels\n"
-        "print(their_kernels.first(1.0), their_kernels.second(1.0))\n"
-    )
-    said = []
-    for _ in range(2):
-        done = run(program, folder)
-        assert done.stdout == "2.0 2.0\n"
-        said.append(done.stderr)
-    assert re.fullmatch(ANNOUNCED, said[0])
-    assert said[1] == ""

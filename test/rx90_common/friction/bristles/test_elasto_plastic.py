@@ -1,11 +1,9 @@
-"""The elasto-plastic step: exact at constant velocity, its instant torque, lanes, and what is refused."""
+"""The elasto-plastic step: exact at constant velocity, its instant torque, and numbers for every velocity."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from bristle_oracles import ElastoPlasticOracle, random_element
@@ -17,8 +15,7 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.bristles import elasto_plastic
 from rx90_common.friction.bristles.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
-from rx90_common.friction.compiled_elements import element_arrays, load_elements, one_element
-from rx90_common.kernels.lanes import load, store
+from rx90_common.friction.compiled_elements import element_arrays, one_element
 
 Array = NDArray[np.float64]
 ELEMENT = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
@@ -87,34 +84,3 @@ def test_every_velocity_gives_numbers_within_the_bristle_s_range(
     z, torque = elasto_plastic_step(COMPILED, break_away, part * high if part > 0 else -part * low, velocity, step)
     assert math.isfinite(torque)
     assert low * (1 + 1e-12) <= z <= high * (1 + 1e-12)
-
-
-@numba.njit(error_model="numpy")
-def together(arrays: Any, break_away: Array, z: Array, velocity: Array, out: Array) -> None:
-    """Write new deflections, mean torques and torques of now, shape (3, 7)."""
-    elements, away, deflection, speed = (
-        load_elements(arrays[0], 7), load(break_away, 7), load(z, 7), load(velocity, 7),
-    )  # fmt: skip
-    new, torque = elasto_plastic_step(elements, away, deflection, speed, 2.5e-4)
-    store(out[0], new)
-    store(out[1], torque)
-    store(out[2], elasto_plastic_torque(elements, away, deflection, speed))
-
-
-def test_lanes_are_single_elements() -> None:
-    """Stuck, in transition and sliding either way, each lane gives the bits that its element gives by itself."""
-    rng = np.random.default_rng(12)
-    elements = [random_element(rng) for _ in range(7)]
-    arrays, out = element_arrays(elements), np.empty((3, 7))
-    for _ in range(50):
-        velocity = rng.choice([-1, 0, 1], 7) * 10.0 ** rng.uniform(-7, 1, 7)
-        z = rng.uniform(-1.0, 1.0, 7) * [e.tau_c_positive / e.c0 for e in elements]
-        away = rng.uniform(0.0, 0.9, 7)
-        together(arrays, away, z, velocity, out)
-        for i in range(7):
-            single = one_element(arrays[0], i)
-            alone = (
-                *elasto_plastic_step(single, away[i], z[i], velocity[i], 2.5e-4),
-                elasto_plastic_torque(single, away[i], z[i], velocity[i]),
-            )
-            assert out[:, i].tolist() == list(alone)

@@ -1,8 +1,9 @@
-"""What MoveIt is given of each shipped robot, held against its other files and, by Pinocchio, against its shapes."""
+"""Shapes and collision geometry of the shipped robots by Pinocchio's checker, and what MoveIt is given of them."""
 
 from __future__ import annotations
 
 import itertools
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,9 @@ import pytest
 import yaml
 
 from rx90_common.base.share import config_path
+from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles, shipped_robots
+from rx90_common.description.shapes import drawn_shapes
 from rx90_emulator.identification.experiments.plan import Poses
 from rx90_emulator.loop.setup import Setup
 from tools import moveit_files
@@ -48,15 +51,23 @@ def disabled(semantic: ET.Element, reason: str) -> set[frozenset[str]]:
 
 
 class Shapes:
-    """The collision geometry as Pinocchio has it; `srdf` leaves out the pairs that are not checked."""
+    """The collision geometry, or what is seen, as Pinocchio has it; `srdf` leaves out the pairs that are not checked.
 
-    def __init__(self, setup: Setup, srdf: str | None = None) -> None:
+    Attributes:
+        owners: link of each shape.
+        joints: number of the moving joint that carries each of these links, 0 for the base.
+    """
+
+    def __init__(self, setup: Setup, srdf: str | None = None, kind: Any = pin.COLLISION) -> None:
         self.model = model = setup.robot.model
-        self.shapes = pin.buildGeomFromUrdfString(model, setup.robot.urdf, pin.COLLISION)
+        self.shapes = pin.buildGeomFromUrdfString(model, setup.robot.urdf, kind)
         self.shapes.addAllCollisionPairs()
         if srdf is not None:
             pin.removeCollisionPairsFromXML(model, self.shapes, srdf)
-        self.owners = [model.frames[shape.parentFrame].name for shape in self.shapes.geometryObjects]
+        frames = [model.frames[shape.parentFrame] for shape in self.shapes.geometryObjects]
+        self.owners = [frame.name for frame in frames]
+        # Pinocchio 2 calls it `parent`.
+        self.joints = {f.name: int(f.parentJoint if hasattr(f, "parentJoint") else f.parent) for f in frames}
         self.data, self.placed = model.createData(), self.shapes.createData()
 
     def touching(self, position: Any) -> set[frozenset[str]]:
@@ -65,6 +76,87 @@ class Shapes:
         found = zip(self.shapes.collisionPairs, self.placed.collisionResults, strict=True)
         pairs = {frozenset((self.owners[p.first], self.owners[p.second])) for p, r in found if r.isCollision()}
         return {pair for pair in pairs if len(pair) == 2}
+
+    def overlapping(self, position: Any) -> set[frozenset[str]]:
+        """Return those pairs of touching links that are no neighbours."""
+        return {pair for pair in self.touching(position) if np.ptp([self.joints[link] for link in pair]) > 1}
+
+
+POSES_OF = {
+    "rx90b": {
+        "straight up": [0.0] * 6,
+        "start of the reference task": [-0.464, 0.75, 1.449, 0.0, 0.943, -0.464],
+        "elbow down": [0.5, 1.2, 1.2, 0.7, -0.6, 1.0],
+        "wrist bent as far as it goes": [0.0, 0.3, 0.9, 0.0, 2.0943, 0.0],
+        "wrist bent the other way": [0.0, 0.3, 0.9, 0.0, -1.8325, 0.0],
+    },
+    "tx40": {
+        "straight up": [0.0] * 6,
+        "start of the reference task": [-0.493, 0.87, 1.157, 0.0, 1.114, -0.493],
+        "wrist bent as far as it goes": [0.0, 0.3, 0.9, 0.0, 2.33, 0.0],
+        "wrist bent the other way": [0.5, 1.2, 1.2, 0.7, -2.094, 1.0],
+    },
+}
+
+
+@pytest.mark.parametrize(("robot", "pose"), [(robot, pose) for robot, poses in POSES_OF.items() for pose in poses])
+def test_links_that_are_no_neighbours_do_not_overlap(robot: str, pose: str, request: pytest.FixtureRequest) -> None:
+    """Neither shapes nor collision geometry of two links that no joint connects touch, the tool's included."""
+    setup = request.getfixturevalue("shipped" if robot == "rx90b" else robot)
+    for kind in (pin.COLLISION, pin.VISUAL):
+        assert Shapes(setup, kind=kind).overlapping(POSES_OF[robot][pose]) == set()
+
+
+@pytest.mark.parametrize("robot", ["shipped", "tx40"])
+def test_what_is_seen_is_what_collides(robot: str, request: pytest.FixtureRequest) -> None:
+    """Of each link every visual shape lies within 13 mm of the collision geometry, and that within 13 mm of those."""
+    setup: Setup = request.getfixturevalue(robot)
+    model = setup.robot.model
+    kinds = [pin.buildGeomFromUrdfString(model, setup.robot.urdf, kind) for kind in (pin.VISUAL, pin.COLLISION)]
+    seen, hit = ([shape for shape in shapes.geometryObjects if "tool" not in shape.name] for shapes in kinds)
+    assert {shape.parentFrame for shape in seen} == {shape.parentFrame for shape in hit}
+    for shapes, others in ((seen, hit), (hit, seen)):
+        for shape in shapes:
+            near = [other for other in others if other.parentFrame == shape.parentFrame]
+            points = surface(shape)
+            gap = np.min([outside(other, points) for other in near], axis=0)
+            assert gap.max() < 0.013, shape.name
+
+
+def surface(shape: Any) -> np.ndarray:
+    """Return points on the edges of a box or cylinder, or on a sphere, in the frame of its link."""
+    geometry, place = shape.geometry, shape.placement
+    angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(24)])
+    if type(geometry).__name__ == "Box":
+        points = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3))) * geometry.halfSide
+    elif type(geometry).__name__ == "Cylinder":
+        points = np.vstack([ring * geometry.radius + [0.0, 0.0, z * geometry.halfLength] for z in (-1.0, 0.0, 1.0)])
+    else:
+        points = np.vstack([ring, ring[:, [0, 2, 1]], ring[:, [2, 0, 1]]]) * geometry.radius
+    return points @ place.rotation.T + place.translation
+
+
+def outside(shape: Any, points: np.ndarray) -> np.ndarray:
+    """Return how far points lie outside a shape of the same link, m."""
+    geometry, place = shape.geometry, shape.placement
+    x, y, z = ((points - place.translation) @ place.rotation).T
+    if type(geometry).__name__ == "Box":
+        beyond = np.maximum(np.abs([x, y, z]) - geometry.halfSide[:, None], 0.0)
+    elif type(geometry).__name__ == "Cylinder":
+        beyond = np.maximum([np.hypot(x, y) - geometry.radius, np.abs(z) - geometry.halfLength], 0.0)
+    else:
+        beyond = np.maximum([np.sqrt(x**2 + y**2 + z**2) - geometry.radius], 0.0)
+    return np.asarray(np.sqrt((beyond**2).sum(axis=0)))
+
+
+def test_the_tool_can_be_hit(shipped: Setup) -> None:
+    """The tool has collision geometry: with the wrist bent back and the elbow folded it meets the arm."""
+    shapes = Shapes(shipped)
+    of_tool = [s for s in shapes.shapes.geometryObjects if s.name.startswith("tool_")]
+    assert [2.0 * s.geometry.halfLength for s in of_tool] == pytest.approx([0.13, 0.04])
+    assert [s.geometry.radius for s in of_tool] == [0.04, 0.016]
+    assert shapes.overlapping([0.0, 0.0, 2.4, 0.0, 1.7, 0.0])
 
 
 def test_links_of_which_no_pair_is_checked_never_touch(setup: Setup, semantic: ET.Element) -> None:
@@ -82,11 +174,7 @@ def test_links_of_which_no_pair_is_checked_never_touch(setup: Setup, semantic: E
 
 def test_adjacent_links_are_joined(setup: Setup, semantic: ET.Element) -> None:
     """The pairs that are "Adjacent" are those of links that follow each other in Pinocchio's tree of moving joints."""
-    model = setup.robot.model
-    links = {name: model.frames[model.getFrameId(name, pin.BODY)] for name in set(Shapes(setup).owners)}
-    joints = {
-        name: int(frame.parentJoint if hasattr(frame, "parentJoint") else frame.parent) for name, frame in links.items()
-    }
+    joints = Shapes(setup).joints
     joined = {
         frozenset((a, b))
         for a, b in itertools.combinations(joints, 2)
@@ -167,3 +255,27 @@ def test_names_agree_in_all_files(setup: Setup, semantic: ET.Element) -> None:
     assert f"{name}/{controller['action_ns']}" == "rx90_controller/follow_joint_trajectory"
     execution = files["moveit_controllers"]["trajectory_execution"]
     assert execution["allowed_start_tolerance"] == setup.controller.start_tolerance
+
+
+MESH = '<visual><geometry><mesh filename="package://nowhere/link.stl"/></geometry></visual>'
+
+
+@pytest.mark.parametrize("visual", ["", MESH])
+def test_rods_lead_from_joint_to_joint(tmp_path: Path, visual: str) -> None:
+    """Without shapes, or with meshes that are not there, rods in any pose reach from each joint to the next."""
+    text = re.sub(r"<visual.*?</visual>", "", RobotFiles().urdf.read_text(encoding="utf-8"), flags=re.DOTALL)
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text(text.replace("</inertial>", f"</inertial>{visual}", 3), encoding="utf-8")
+    robot = load_robot(urdf)
+    model, data = robot.model, robot.model.createData()
+    pin.framesForwardKinematics(model, data, np.linspace(-0.5, 1.0, 6))
+    stops = [np.zeros(3), *(data.oMi[k + 1].translation for k in range(6))]
+    stops.append(data.oMf[model.getFrameId(robot.tcp_frame)].translation)
+    ways = [(a, b) for a, b in itertools.pairwise(stops) if np.linalg.norm(b - a) > 0.06]
+    rods = [shape for shape in drawn_shapes(robot) if shape.kind == "Cylinder"]
+    assert len(rods) == len(ways) > 2
+    for rod, way in zip(rods, ways, strict=True):
+        place = data.oMi[rod.joint + 1]
+        half = place.rotation @ rod.rotation[:, 2] * rod.half[2]
+        center = place.act(rod.position)
+        np.testing.assert_allclose([center - half, center + half], way, atol=1e-9)

@@ -1,7 +1,8 @@
-"""The blocks of a drives file about its motors: cogging, windings, current sensors; read, refused, off by default."""
+"""The blocks of a drives file: cogging, windings, current sensors, elasticity; read, refused, off by default."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 from refusals import refusal_by
 
-from rx90_common.description.drives import Cogging, CurrentSensor, load_drives
+from rx90_common.base.errors import ConfigError
+from rx90_common.description.drives import LINK, MOTOR, Cogging, CurrentSensor, Elasticity, load_drives
 from rx90_common.description.robot_files import RobotFiles
 
 Edit = Callable[..., Path]
@@ -22,6 +24,14 @@ WINDING = {
     "ambient": 25.0,
     "derating": 120.0,
     "limit": 140.0,
+}
+STIFFNESS = [1e5, math.inf, 5e4, 1e4, 6e3, 2e3]
+ELASTICITY = {
+    "provenance": "assumed",
+    "stiffness": STIFFNESS,
+    "damping": [20.0, 0.0, 5.0, 1.0, 0.6, 0.2],
+    "backlash": [0.0, 0.0, 0.0, 1e-4, 2e-4, 3e-4],
+    "friction": LINK,
 }
 SENSOR = {"offset": [0.02] * 6, "noise": [0.01] * 6, "resolution": [0.005] * 6, "bandwidth": 800.0}
 
@@ -59,13 +69,14 @@ def test_each_error_of_a_sensor_counts_alone(name: str) -> None:
     assert not CurrentSensor(**{name: np.zeros(6)}).used
 
 
-def test_shipped_motors_are_ideal() -> None:
-    """Without the blocks there is neither cogging nor heat nor an error of a sensor, as in all shipped robots."""
+def test_shipped_drives_are_ideal() -> None:
+    """Without the blocks drives are rigid, without cogging, heat and errors of sensors, as in all shipped robots."""
     for robot in ("rx90b", "tx40"):
         drives = load_drives(RobotFiles.named(robot).drives)
         assert not drives.cogging.harmonic.size
         assert not drives.winding.used
         assert not drives.current_sensor.used
+        assert not drives.elasticity.elastic.any()
 
 
 @pytest.mark.parametrize(
@@ -88,3 +99,28 @@ def test_values_that_do_not_fit_each_other_are_refused(
     line = refusal_by(load_drives, path)
     assert f"{path}: {said}" in line
     assert Cogging(np.ones(8), np.ones((8, 6)), np.zeros((8, 6))).used
+
+
+def test_a_file_gives_elasticity_and_play(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
+    """Stiffness, damping, play and side are read; a block with a stiffness alone has neither damping nor play."""
+    found = load_drives(edited_yaml(shipped_files.drives, ("elasticity",), ELASTICITY)).elasticity
+    for name in ("stiffness", "damping", "backlash"):
+        assert getattr(found, name).tolist() == ELASTICITY[name]
+    assert found.friction_side == LINK
+    assert found.elastic.tolist() == [True, False, True, True, True, True]
+    short = load_drives(edited_yaml(shipped_files.drives, ("elasticity",), {"stiffness": STIFFNESS})).elasticity
+    assert not short.damping.any()
+    assert not short.backlash.any()
+    assert short.friction_side == MOTOR
+
+
+@pytest.mark.parametrize("key", ["damping", "backlash"])
+def test_a_rigid_drive_has_neither_damping_nor_play(shipped_files: RobotFiles, edited_yaml: Edit, key: str) -> None:
+    """Damping or play beside an infinite stiffness is refused, not ignored: from a file and from Python."""
+    values = [0.0, 1e-4, 0.0, 0.0, 0.0, 0.0]
+    path = edited_yaml(shipped_files.drives, ("elasticity",), {**ELASTICITY, key: values})
+    assert f"{path}: elasticity: {key}[1] is 0.0001, stiffness[1] infinite; accepted: 0" in refusal_by(
+        load_drives, path
+    )
+    with pytest.raises(ConfigError, match=rf"{key}\[1\] is 0.0001, stiffness\[1\] infinite; accepted: 0"):
+        Elasticity(np.array(STIFFNESS), **{key: np.array(values)})

@@ -1,4 +1,4 @@
-"""Arms for the tests of the description."""
+"""Arms for the tests of this package."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import pytest
 
 
 def _inertial(rng: np.random.Generator) -> str:
-    # Principal moments of a box always keep the triangle inequality.
-    a, b, c = rng.uniform(0.05, 0.4, 3) ** 2
-    mass = float(rng.uniform(0.5, 20.0))
-    xyz, rpy = rng.normal(size=3) * 0.1, rng.uniform(-3, 3, 3)
-    ixx, iyy, izz = (mass * float(sides) / 12 for sides in (b + c, a + c, a + b))
+    # Eight point masses: the moments keep the triangle inequality, and the products are not 0.
+    points = rng.normal(size=(8, 3)) * 0.1
+    spread = (points - points.mean(axis=0)).T @ (points - points.mean(axis=0)) * rng.uniform(1.0, 5.0)
+    inertia = np.trace(spread) * np.eye(3) - spread
+    tensor = " ".join(f'i{"xyz"[i]}{"xyz"[j]}="{inertia[i, j]}"' for i in range(3) for j in range(i, 3))
     return (
-        f'<inertial><origin xyz="{_t(xyz)}" rpy="{_t(rpy)}"/><mass value="{mass!r}"/>'
-        f'<inertia ixx="{ixx!r}" iyy="{iyy!r}" izz="{izz!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
+        f'<inertial><origin xyz="{_t(rng.normal(size=3) * 0.1)}" rpy="{_t(rng.uniform(-3, 3, 3))}"/>'
+        f'<mass value="{rng.uniform(0.2, 30.0)}"/><inertia {tensor}/></inertial>'
     )
 
 
