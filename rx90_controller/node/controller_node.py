@@ -60,7 +60,6 @@ from rx90_controller.node.parameters import (
     declare_joints,
     declare_law,
     declare_own,
-    declare_stream,
     forget_robot,
 )
 from rx90_controller.node.serving import Serving
@@ -108,7 +107,10 @@ class Control:
         name, tick_ns = plain(robot.model.name), rates.period_ns * rates.ratio
         channel = node.make_channel(MOTOR_COMMANDS, MOTOR_STATES)
         horizon, decimation = declare_own(node)
-        goals = declare_goal_parameters(node, cs7b.joint_names, rates)
+        goals = declare_goal_parameters(node, cs7b.joint_names)
+        monitor_ticks, state_ticks = (
+            max(1, round(rates.position_hz / hertz)) for hertz in (goals.action_monitor_rate, goals.state_publish_rate)
+        )
         declare_joints(node, cs7b.joint_names)
         if goals.without_use:
             self._log.warning(
@@ -135,12 +137,12 @@ class Control:
         self._details = [(topic(each), names.encoder(effort=values)) for each, names, values in details]
         self._detail_ns = tick_ns * decimation
         self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS)
-        self.loop = loop = ServoLoop(cs7b, self, horizon, goals.monitor_ticks)
+        self.loop = loop = ServoLoop(cs7b, self, horizon, monitor_ticks)
         loop.active = loop.enabled = False
         node.changes.allow(
             tuple(LAW_ENTRIES), lambda values: read_law(values).record(robot, drives, rates), loop.change_law
         )
-        loop.options, loop.tolerances, loop.streaming = goals.options, goals.tolerances, declare_stream(node)
+        loop.options, loop.tolerances, loop.streaming = goals.options, goals.tolerances, goals.streaming
         cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
         self._report = node.create_guard_condition(loop.report)
         self._pacer = pacer = Pacer(rates.period, 1.0)
@@ -151,12 +153,11 @@ class Control:
         interfaces = import_client_interfaces(node)
         self.clients: ClientInterfaces | None = None
         if interfaces is not None:
-            self.clients = interfaces.ClientInterfaces(node, loop, cs7b, goals.state_ticks, channel)
-        services = import_manager_services(node) if goals.manager else None
+            self.clients = interfaces.ClientInterfaces(node, loop, cs7b, state_ticks, channel)
+        manager = goals.controller_manager
+        services = import_manager_services(node) if manager else None
         if services is not None:
-            services.ManagerServices(
-                node, goals.manager, loop, cs7b.joint_names, name, (rates.position_hz, rates.base_hz)
-            )
+            services.ManagerServices(node, manager, loop, cs7b.joint_names, name, (rates.position_hz, rates.base_hz))
         self.publishers: tuple[Publisher, ...] = (
             *(row[0] for row in self._every_tick),
             *(row[0] for row in self._details),

@@ -19,7 +19,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array, Mask
-from rx90_common.base.errors import TrajectoryError
+from rx90_common.base.declared import option
+from rx90_common.base.errors import ConfigError, TrajectoryError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.kernels.compiled import inlined, kernel
@@ -39,17 +41,36 @@ _AT_REST, _SLOW = 1e-9, 1e-6  # rad, rad/s: what the end of a motion may round a
 class StreamOptions:
     """How set-points become a stream; each a parameter of the node, `stream.` before its name.
 
-    Attributes:
-        delay: from the stamp of a set-point, or its arrival where it has none, until it is due, s.
-        timeout: after which a stream without set-points has ended, and velocities are no longer held, s.
-        window: a trajectory of the topic whose last point is no further ahead than this belongs to a stream, s.
-        commands: what the numbers on `~/commands` are, one of INTERFACES.
+    Raises:
+        ConfigError: if `commands` is none of INTERFACES.
     """
 
-    delay: float = 0.03
-    timeout: float = 0.1
-    window: float = 0.1
-    commands: str = POSITION
+    delay: float = option(
+        0.03,
+        "from the stamp of a streamed set-point, or its arrival where it has none, until it is due, s; two periods of "
+        "the sender or more",
+        1e-3,
+        1.0,
+    )
+    timeout: float = option(
+        0.1,
+        "time without set-points after which a stream has ended, and velocities are no longer held, s",
+        1e-3,
+        60.0,
+    )
+    window: float = option(
+        0.1,
+        "trajectories on ~/joint_trajectory that end no further ahead are set-points of a stream, s; 0: none are",
+        0.0,
+        10.0,
+    )
+    commands: str = option(POSITION, f"what ~/commands are: {', '.join(INTERFACES)}")
+
+    def __post_init__(self) -> None:
+        if self.commands not in INTERFACES:
+            raise ConfigError(
+                f"parameter stream.commands is {quoted(self.commands)}; accepted: {', '.join(INTERFACES)}"
+            )
 
 
 class SetPoints(NamedTuple):
