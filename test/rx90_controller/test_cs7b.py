@@ -95,30 +95,6 @@ def test_ramp_response(servo: MakeServo, damped: str) -> None:
     assert np.abs(error).max() < 1e-3 * 0.5 / 40  # without the integrator of the loop: dq_r / kp
 
 
-def test_the_integrator_takes_a_constant_load(servo: MakeServo) -> None:
-    """Under a constant load torque the position error dies out and the integrator gives the load."""
-    loop = servo(inertia=INERTIA)
-    positions, torques = loop.run(8000, load=-7.0)
-    assert np.abs(positions).max() > 1e-5
-    assert np.abs(positions[-1]).max() < 1e-9
-    assert torques[-1] == pytest.approx(np.full(6, 7.0), rel=1e-6)
-    assert loop.controller.state["integrator"][0] == pytest.approx(np.full(6, 7.0), rel=1e-6)
-
-
-def test_the_current_loop_is_a_sampled_lag_of_its_bandwidth(servo: MakeServo) -> None:
-    """A step of the asked current is answered as a lag of first order, 1 - exp(-2 pi f t), sampled."""
-    loop = servo(kv=np.zeros(6), ki=np.full(6, 1e-9), inertia=1e9, current_bandwidth=150.0)
-    controller = loop.controller
-    controller.state["feed_forward"][0] = 3.0
-    controller.tick = 1  # no position tick before the fourth
-    got = [controller.step(np.zeros(6), np.zeros(6)).copy() for _ in range(3)]
-    controller.tick = 1
-    got += [controller.step(np.zeros(6), np.zeros(6)).copy() for _ in range(3)]
-    times = (np.arange(6) + 1) / 4000
-    want = 3.0 * (1 - np.exp(-2 * math.pi * 150.0 * times))
-    assert np.array(got) == pytest.approx(np.repeat(want[:, None], 6, axis=1), rel=1e-12)
-
-
 def test_the_amplifier_slews_no_faster_than_it_can(servo: MakeServo) -> None:
     """A large change of current runs at the slew rate, then settles by the lag; the torque is k_t i."""
     loop = servo(current_slew=np.full(6, 8000.0))

@@ -182,28 +182,6 @@ def test_random_requests_give_what_the_rules_say(data: st.DataObject) -> None:
             reference.begin(hold)
 
 
-@given(
-    blocks=st.lists(st.integers(1, 400), min_size=1, max_size=12),
-    start=st.integers(0, 900),
-    seconds=st.floats(0.3, 1.2),
-)
-@settings(max_examples=60)
-def test_a_block_equals_the_same_ticks_one_by_one(blocks: list[int], start: int, seconds: float) -> None:
-    """However the ticks are grouped, the set-points are the same to the last bit."""
-
-    def fresh() -> TrajectoryGenerator:
-        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-        generator.accept(points([seconds / 2, seconds], [HOME + 0.2, HOME + 0.1], [ZERO + 0.1, ZERO]), 0, start)
-        return generator
-
-    single, grouped, tick = fresh(), fresh(), 0
-    for count in blocks:
-        block = grouped.setpoints(tick, count)
-        assert block.shape == (count, 3, 6)
-        assert np.array_equal(block, np.concatenate([single.setpoints(tick + k) for k in range(count)]))
-        tick += count
-
-
 def other(joint: int, value: float, base: Array = HOME) -> Array:
     """Return a pose with one joint elsewhere."""
     return np.where(np.arange(6) == joint, value, base)
