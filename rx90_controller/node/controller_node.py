@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
+from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -150,13 +151,16 @@ class Control:
         self._complaints = ThrottledLog(self.error)
         self._subscribe(loop, local=local)
         node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS)
-        interfaces = import_client_interfaces(node)
+        interfaces = import_optional(
+            node, "client_interfaces", "the action follow_joint_trajectory is", missing_control_msgs()
+        )
         self.clients: ClientInterfaces | None = None
         if interfaces is not None:
             self.clients = interfaces.ClientInterfaces(node, loop, cs7b, state_ticks, channel)
         manager = goals.controller_manager
-        services = import_manager_services(node) if manager else None
-        if services is not None:
+        if manager and (services := import_optional(
+            node, "manager_services", "the services of a controller_manager are", missing_controller_manager_msgs()
+        )):  # fmt: skip
             services.ManagerServices(node, manager, loop, cs7b.joint_names, name, (rates.position_hz, rates.base_hz))
         self.publishers: tuple[Publisher, ...] = (
             *(row[0] for row in self._every_tick),
@@ -300,26 +304,12 @@ class Control:
         return DiagnosticStatus.OK, doing, values
 
 
-def import_client_interfaces(node: ManagedNode) -> ModuleType | None:
-    """Return the module of what needs control_msgs; where that is missing say once how to get it, and return None."""
-    missing = missing_control_msgs()
-    if missing is not None:
-        node.get_logger().info(f"the action follow_joint_trajectory is off: {missing}")
-        return None
-    from rx90_controller.node import client_interfaces
-
-    return client_interfaces
-
-
-def import_manager_services(node: ManagedNode) -> ModuleType | None:
-    """Return the module of what needs controller_manager_msgs; where that is missing say so once, and return None."""
-    missing = missing_controller_manager_msgs()
-    if missing is not None:
-        node.get_logger().info(f"the services of a controller_manager are off: {missing}")
-        return None
-    from rx90_controller.node import manager_services
-
-    return manager_services
+def import_optional(node: ManagedNode, name: str, what: str, missing: str | None) -> ModuleType | None:
+    """Return a module of this folder; where what it needs is missing say once how to get it, and return None."""
+    if missing is None:
+        return import_module(f"rx90_controller.node.{name}")
+    node.get_logger().info(f"{what} off: {missing}")
+    return None
 
 
 class ControllerNode:

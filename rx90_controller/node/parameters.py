@@ -151,7 +151,7 @@ def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:
 
     def setter(attribute: str) -> Callable[[Any, Effective], None]:
         def apply(value: Any, effective: Effective) -> None:
-            with loop.between_ticks():
+            with loop.between_ticks:
                 setattr(loop, attribute, value)
                 tick = cs7b.position_tick
             effective(tick * cs7b.rates.ratio * cs7b.rates.period_ns)

@@ -26,7 +26,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_controller.trajectory.paths import JointLimits
-from rx90_controller.trajectory.points import TrajectoryPoints, check_joints
+from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, joint_table
 from rx90_controller.trajectory.spline import Spline, resting
 
 POSITION, VELOCITY = "position", "velocity"
@@ -108,25 +108,12 @@ def from_joint_state(names: Sequence[str], message: Any, options: StreamOptions,
     given = list(message.name)
     check_joints(names, given, partial=partial)
     columns = [list(names).index(name) for name in given]
-    rows: list[Array | None] = []
-    for field in (POSITION, VELOCITY, "effort"):
-        values = np.array(getattr(message, field), dtype=np.float64)
-        if len(values) not in (0, len(given)):
-            raise TrajectoryError(
-                f"{len(values)} {field} values of {len(given)} joints; accepted: {len(given)} or none"
-            )
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            raise TrajectoryError(f"{field} of {given[bad[0]]} is {values[bad[0]]}; accepted: a finite number")
-        row = np.zeros(len(names))
-        row[columns] = values if len(values) else 0.0
-        rows.append(row if len(values) else None)
-    position, velocity, effort = rows
+    fields = (("positions", message.position), ("velocities", message.velocity), ("efforts", message.effort))
+    position, velocity, effort = (joint_table(what, [row], columns, names, "") for what, row in fields)
     if effort is not None:
         raise TrajectoryError("carries effort; accepted: position, with velocity or without, or velocity alone")
-    return _one(
-        position, velocity, message_time_ns(message.header.stamp), options, np.isin(np.arange(len(names)), columns)
-    )
+    named = np.isin(np.arange(len(names)), columns)
+    return _one(position, velocity, message_time_ns(message.header.stamp), options, named)
 
 
 def from_array(names: Sequence[str], message: Any, options: StreamOptions) -> SetPoints:
@@ -135,12 +122,10 @@ def from_array(names: Sequence[str], message: Any, options: StreamOptions) -> Se
     Raises:
         TrajectoryError: for another count, or a number that is not finite.
     """
-    values = np.array(message.data, dtype=np.float64)
-    if len(values) != len(names):
-        raise TrajectoryError(f"{len(values)} numbers; accepted: {len(names)}, of {', '.join(names)}")
-    bad = np.flatnonzero(~np.isfinite(values))
-    if len(bad):
-        raise TrajectoryError(f"{options.commands} of {names[bad[0]]} is {values[bad[0]]}; accepted: a finite number")
+    if len(message.data) != len(names):
+        raise TrajectoryError(f"{len(message.data)} numbers; accepted: {len(names)}, of {', '.join(names)}")
+    what = "positions" if options.commands == POSITION else "velocities"
+    values = joint_table(what, [message.data], range(len(names)), names, "")
     position, velocity = (values, None) if options.commands == POSITION else (None, values)
     return _one(position, velocity, 0, options, np.ones(len(names), dtype=np.bool_))
 
@@ -150,10 +135,10 @@ def _one(
 ) -> SetPoints:
     if position is None and velocity is None:
         raise TrajectoryError("neither position nor velocity; accepted: one of them, or both")
-    interface, values = (VELOCITY, velocity) if position is None else (POSITION, position)
-    slopes = np.full(len(named), np.nan) if position is None or velocity is None else velocity
-    times = np.array([options.delay])
-    return SetPoints(interface, stamp_ns or None, times, np.array([values]), np.array([slopes]), named)
+    interface, values = (POSITION, position) if velocity is None or position is not None else (VELOCITY, velocity)
+    assert values is not None
+    slopes = np.full((1, len(named)), np.nan) if position is None or velocity is None else velocity
+    return SetPoints(interface, stamp_ns or None, np.array([options.delay]), values, slopes, named)
 
 
 def from_trajectory(points: TrajectoryPoints, stamp_ns: int | None) -> SetPoints:

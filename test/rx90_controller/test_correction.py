@@ -18,9 +18,14 @@ from rx90_controller.trajectory.correction import (
     FADE,
     FASTEST,
     Correction,
-    correction_content,
 )
-from rx90_controller.trajectory.points import correction_from_points, points_from_message, trajectory_identity
+from rx90_controller.trajectory.points import (
+    correction_from_points,
+    correction_points,
+    message_content,
+    points_from_message,
+    trajectory_identity,
+)
 from rx90_emulator.loop.setup import Setup
 
 SIZE, COUNT = 1e-3, 1000
@@ -130,10 +135,10 @@ def test_a_message_carries_it_to_its_trajectory() -> None:
     """Points of a message come back as the same offsets; times off the set-points are refused; identities differ."""
     rng = np.random.default_rng(4)
     correction = Correction(np.cumsum(rng.uniform(-0.1, 0.1, (50, 6)), axis=0) * FASTEST * PERIOD, PERIOD)
-    content = correction_content(NAMES, correction)
-    rows = [point["positions"] for point in content["points"]]
-    times = [point["time_from_start"]["sec"] + point["time_from_start"]["nanosec"] / 1e9 for point in content["points"]]
-    sent = TrajectoryPoints.create(NAMES, content["joint_names"], times, rows, [], [])
+    message = message_content(NAMES, correction_points(correction))["points"]
+    rows = [point["positions"] for point in message]
+    times = [point["time_from_start"]["sec"] + point["time_from_start"]["nanosec"] / 1e9 for point in message]
+    sent = TrajectoryPoints.create(NAMES, NAMES, times, rows, [], [])
     assert np.array_equal(correction_from_points(sent, PERIOD).offsets, correction.offsets)
     with pytest.raises(TrajectoryError, match="accepted: a point every"):
         correction_from_points(replace(sent, times=sent.times * 1.01), PERIOD)

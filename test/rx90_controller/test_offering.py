@@ -44,7 +44,7 @@ class Ways:
         original = getattr(TrajectoryGenerator, name)
 
         def entered(generator: TrajectoryGenerator, *args: Any, **kwargs: Any) -> Any:
-            free = not self.rig.loop._lock.locked()
+            free = not self.rig.loop.between_ticks.locked()
             self.beside.append(free)
             result = original(generator, *args, **kwargs)
             if free:
@@ -94,8 +94,8 @@ def test_what_may_take_long_is_checked_while_ticks_run(
     What is told of them says which were goals.
     """
     rig = ways.rig
-    with mock.patch.object(points, "_table", wraps=points._table) as table:
-        table.side_effect = lambda *_: ways.beside.append(not rig.loop._lock.locked()) or mock.DEFAULT
+    with mock.patch.object(points, "joint_table", wraps=points.joint_table) as table:
+        table.side_effect = lambda *_: ways.beside.append(not rig.loop.between_ticks.locked()) or mock.DEFAULT
         for _ in range(3):
             given = message(rig, count, last)
             rig.loop.receive(given) if offered == "topic" else goal(rig, given)
