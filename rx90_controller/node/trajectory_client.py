@@ -125,7 +125,7 @@ class TrajectoryClient:
             ExchangeError: if no joint states come within the client's timeout.
         """
         # The arm is in the controller's namespace, which need not be ours.
-        self._arm = self._newest(self.topic.rsplit("/", 2)[0] + "/joint_states", names, "position of the six joints")
+        self._arm = self._newest(self.topic.rsplit("/", 2)[0] + "/joint_states", names, "position of the joints")
         assert self._arm.position is not None
         return self._arm.position
 

@@ -10,28 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from joint_moves import HOME, LIMITS, NAMES, PERIOD, ZERO, move, points
-from scipy.interpolate import BPoly, CubicHermiteSpline
+from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, TrajectoryError
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.points import message_content
-
-
-def test_a_first_point_later_than_the_start_is_reached_from_the_held_position(
-    generator: TrajectoryGenerator,
-) -> None:
-    """A single point with velocity is a cubic from the held set-point, then its position is held."""
-    assert generator.accept(move(0.4, 0.5), now=10, start=None) == (10, 510, 0.0)
-    assert generator.moving(10)
-    got = generator.setpoints(10, 800)
-    times = np.arange(800) * PERIOD
-    want = CubicHermiteSpline([0, 0.5], [HOME, HOME + 0.4], [ZERO, ZERO])
-    assert got[:500, 0] == pytest.approx(want(times[:500]), abs=1e-13)
-    assert got[:500, 1] == pytest.approx(want(times[:500], 1), abs=1e-12)
-    assert np.all(got[501:, 0] == HOME + 0.4)
-    assert np.all(got[501:, 1:] == 0.0)
-    assert not generator.moving(520)
 
 
 def test_a_stop_brakes_each_joint_within_its_limit_and_holds(generator: TrajectoryGenerator) -> None:

@@ -21,7 +21,6 @@ from rx90_common.description.kinematics import forward, path_error
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.plan import Approach, LinePlan, plan_line
 from rx90_controller.lines.task import LineTask, TrapezoidalProfile, load_task
-from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 
 TURNING = LineTask(
@@ -78,18 +77,6 @@ def test_interpolated_tip_is_on_the_line_at_the_right_time(shipped: Setup, task:
     assert plan.tip_error <= 1e-7
 
 
-def test_tool_turns_evenly_from_start_to_end(shipped: Setup) -> None:
-    """A line with two orientations turns from one to the other about one axis, in step with the distance."""
-    plan = plan_line(shipped.robot, TURNING)
-    first, last = (Rotation.from_euler("xyz", rpy) for rpy in (TURNING.start_rpy, TURNING.end_rpy))
-    rotation = Rotation.from_matrix(forward(shipped.robot.chain, plan.position).rotation)
-    assert (rotation[0] * first.inv()).magnitude() < 1e-12
-    assert (rotation[-1] * last.inv()).magnitude() < 1e-12
-    share = _integrated(TURNING, plan.times) / TURNING.length
-    whole = (last * first.inv()).as_rotvec()
-    np.testing.assert_allclose((rotation * first.inv()).as_rotvec(), share[:, None] * whole, atol=1e-8)
-
-
 def test_rest_is_exactly_still(plan: LinePlan) -> None:
     """Velocities and accelerations are exactly zero at rest, and those of joint 4 all the way."""
     rest = (plan.times < 1.0) | (plan.times > 5.1)
@@ -142,24 +129,6 @@ def test_short_lines_and_short_rests(shipped: Setup, task: LineTask, length: flo
     assert error.perpendicular.max() < 1e-7
     assert error.beyond.max() < 1e-7
     np.testing.assert_allclose(forward(shipped.robot.chain, plan.position[-1]).position, end, atol=1e-12)
-
-
-def test_the_controller_takes_the_plan_and_its_set_points_stay_on_the_line(shipped: Setup, plan: LinePlan) -> None:
-    """The set-point generator accepts the plan; each 1 kHz set-point is within 0.1 um of its place."""
-    robot = shipped.robot
-    generator = TrajectoryGenerator(shipped.controller.limits(robot), 1e-3, plan.start_pose)
-    points = TrajectoryPoints.create(
-        robot.joint_names,
-        plan.joint_names,
-        plan.times.tolist(),
-        plan.position.tolist(),
-        plan.velocity.tolist(),
-        plan.acceleration.tolist(),
-    )
-    start = generator.accept(points, now=7, start=None).begin
-    setpoints = generator.setpoints(start, 5601)[:, 0]
-    tip = forward(robot.chain, setpoints).position
-    assert np.linalg.norm(tip - plan.tip(np.arange(5601) * 1e-3), axis=1).max() < 1e-7
 
 
 @pytest.mark.parametrize("acceleration", [1e9, 0.5])

@@ -183,21 +183,6 @@ def _refusal(robot: RobotModel, task: LineTask) -> tuple[str, float]:
     return message, float(place[1])
 
 
-def test_a_joint_limit_names_joint_value_and_place(seven: RobotModel, plan: LinePlan) -> None:
-    """A limit laid across the known path is named there, with the joint and its angle."""
-    path = plan.path
-    joint = int(np.argmax(np.ptp(path.position, axis=0)))
-    middle = len(path.distance) // 2
-    before, at = path.position[middle - 1 : middle + 1, joint]
-    rising, limit = at > before, 0.5 * (before + at)
-    narrow = replace(seven, **{name: getattr(seven, name).copy() for name in ("lower", "upper")})
-    (narrow.upper if rising else narrow.lower)[joint] = limit
-    message, place = _refusal(narrow, plan.task)
-    assert f"{JOINTS[joint]} at {at:.4f} rad" in message
-    assert f"{limit:.4f}" in message
-    assert place == pytest.approx(path.distance[middle], abs=6e-4)
-
-
 def test_a_line_into_the_singularity_or_beyond_the_reach_is_refused(seven: RobotModel) -> None:
     """Straight away from the shoulder the smallest singular value, by NumPy on Pinocchio's Jacobian, falls below 0.05.
 
