@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from elastic_arms import WRIST
 from scipy import signal
 
 from rx90_common.base.errors import ConfigError
@@ -53,15 +54,13 @@ def test_the_encoder_gives_whole_counts_next_to_the_truth(shipped: Setup) -> Non
     """Measured motor positions are whole counts, at most half a count from gear times joint position."""
     plant = shipped.plant()
     rng = np.random.default_rng(4)
-    coupling = np.eye(6)
-    coupling[5, 4] = 1.0
     count = 2 * math.pi / shipped.drives.encoder_counts
     for _ in range(100):
         plant.reset(rng.uniform(shipped.robot.lower, shipped.robot.upper))
         for _ in range(3):
             plant.step(rng.uniform(-0.2, 0.2, 6))
             position, _, _ = plant.motor_states()
-            exact = shipped.drives.gear * (coupling @ plant.joint_states()[0])
+            exact = shipped.drives.gear * (WRIST @ plant.joint_states()[0])
             counts = position / count
             assert np.abs(counts - np.rint(counts)).max() < 1e-6
             assert np.abs(position - exact).max() <= count[0] * 0.5000001
@@ -82,14 +81,12 @@ def test_the_velocity_is_the_tracking_loop_s_answer_to_the_motor_s_angle(shipped
     """Measured velocity equals the tracking loop's transfer function applied to the angle before it is rounded."""
     coarse = dataclasses.replace(shipped.drives, encoder_counts=np.full(6, 4096))
     plant = dataclasses.replace(shipped, drives=coarse).plant()
-    coupling = np.eye(6)
-    coupling[5, 4] = 1.0
     plant.reset(np.array([0.2, 0.5, 1.0, 0.1, 0.4, 0.3]))
     start = plant.joint_states()[0].copy()
     angles, velocities = [], []
     for k in range(1500):
         plant.step(0.3 * shipped.drives.peak_torque * math.sin(k / 150))
-        angles.append(shipped.drives.gear * (coupling @ (plant.joint_states()[0] - start)))
+        angles.append(shipped.drives.gear * (WRIST @ (plant.joint_states()[0] - start)))
         velocities.append(plant.motor_states()[1].copy())
     b, a = observer_filter(shipped.drives.velocity_bandwidth, shipped.rates.period)
     want = signal.lfilter(b, a, np.array(angles), axis=0)
