@@ -35,7 +35,8 @@ def points(
     times: Sequence[float], position: Sequence[Array], velocity: Sequence[Array] | None = None
 ) -> TrajectoryPoints:
     """Return checked points in the robot's joint order."""
-    return TrajectoryPoints.create(NAMES, NAMES, times, position, velocity or [[]] * len(times), [[]] * len(times))
+    none: list[list[float]] = [[]] * len(times)
+    return TrajectoryPoints.create(NAMES, NAMES, times, position, none if velocity is None else velocity, none)
 
 
 def move(to: float, seconds: float) -> TrajectoryPoints:
