@@ -111,29 +111,10 @@ def state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     )
 
 
-def plant_record(
-    robot: RobotModel,
-    drives: DriveParameters,
-    friction: FrictionSet,
-    rates: Rates,
-    substeps: int | None = None,
-    seed: int = 0,
+def _plant_record(
+    robot: RobotModel, drives: DriveParameters, friction: FrictionSet, rates: Rates, substeps: int | None, seed: int
 ) -> np.ndarray[Any, Any]:
-    """Return the plant's constants, shape (1,), of `plant_dtype`.
-
-    Args:
-        robot: the arm.
-        drives: gears, motors, brakes, spring, end stops.
-        friction: the elements.
-        rates: of the loops.
-        substeps: plant steps in a tick; None for as many as the arm needs (rx90_sim.plant_steps).
-        seed: of all that is random in the plant.
-
-    Raises:
-        ConfigError: if `substeps` is not at least 1 or less than the arm needs, the observer is faster than the tick
-            allows, the friction follows the load faster than the step, or the seed is not a whole number from 0 to
-            LARGEST_SEED.
-    """
+    """Return the constants of a `Plant`, shape (1,), of `plant_dtype`."""
     _check(drives, rates, substeps, seed)
     arm = manipulator_record(robot.chain, drives)
     substeps = plant_steps(robot, drives, friction, arm, rates.period, substeps)
@@ -219,6 +200,19 @@ def _brake_elements(data: bytes) -> Record:
 class Plant:
     """The arm with its drives and friction, advanced tick by tick.
 
+    Args:
+        robot: the arm.
+        drives: gears, motors, brakes, spring, end stops.
+        friction: the elements.
+        rates: of the loops.
+        substeps: plant steps in a tick; None for as many as the arm needs (rx90_sim.plant_steps).
+        seed: of all that is random in the plant.
+
+    Raises:
+        ConfigError: if `substeps` is not at least 1 or less than the arm needs, the observer is faster than the tick
+            allows, the friction follows the load faster than the step, or the seed is not a whole number from 0 to
+            LARGEST_SEED.
+
     Attributes:
         joint_names: names of the joints.
         friction_names: names of the friction elements.
@@ -239,7 +233,7 @@ class Plant:
     ) -> None:
         self.joint_names = robot.joint_names
         self.friction_names = friction.names
-        self.constants = plant_record(robot, drives, friction, rates, substeps, seed)
+        self.constants = _plant_record(robot, drives, friction, rates, substeps, seed)
         self.state: np.ndarray[Any, Any] = (state := np.zeros(1, state_dtype(drives.turning.size)))
         self.tick = 0
         self._lower, self._upper = robot.lower, robot.upper

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import MISSING, Field, dataclass, fields, replace
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -162,8 +162,8 @@ def declarations(owner: type[Any]) -> dict[str, Declaration]:
 
 def _declared_by(owner: type[Any]) -> dict[str, Declaration]:
     hints, found = get_type_hints(owner, include_extras=True), {}
-    for field in fields(owner):
-        hint = hints[field.name]
+    for own_field in fields(owner):
+        hint = hints[own_field.name]
         kind, *said = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         kind = get_origin(kind) or kind
         entries = [each for each in said if isinstance(each, Entry)]
@@ -171,11 +171,11 @@ def _declared_by(owner: type[Any]) -> dict[str, Declaration]:
         own = isinstance(kind, type) and issubclass(kind, Declared)
         if entry is None and not own:
             continue
-        keys = tuple(next((each for each in said if isinstance(each, str)), field.name).split("."))
-        one = Declaration(field.name, keys, entry, in_python, kind, field)
+        keys = tuple(next((each for each in said if isinstance(each, str)), own_field.name).split("."))
+        one = Declaration(own_field.name, keys, entry, in_python, kind, own_field)
         if entry is not None and entry.default is REQUIRED and REQUIRED not in said and one.default is not MISSING:
             one = replace(one, entry=replace(entry, default=_as_read(one.default)))
-        found[field.name] = one
+        found[own_field.name] = one
     return found
 
 
@@ -212,6 +212,19 @@ def _values(owner: type[Declared], content: Mapping[str, Any]) -> dict[str, Any]
             value = (inner[last],) if one.spread else inner[last]
             values[one.name] = np.array(value, dtype=np.float64) if one.kind is _ARRAY else value
     return values
+
+
+def option(default: Any, description: str, low: float | None = None, high: float | None = None) -> Any:
+    """Return a field of a dataclass that is a parameter of a node, for `rx90_common.exchange.parameters`.
+
+    Args:
+        default: its value where none is given.
+        description: what it means, with its unit.
+        low: the least that is accepted.
+        high: the most.
+    """
+    said = {"default": default, "description": description, "low": low, "high": high}
+    return field(default_factory=lambda: copy(default), metadata=said)
 
 
 def in_file(value: Any) -> Any:

@@ -6,6 +6,7 @@ import re
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import fields
 from functools import partial
 from typing import Any, TypeVar
 
@@ -91,6 +92,15 @@ def declare(
     if isinstance(value, array):  # as rclpy has lists that were set
         value = value.tolist()
     return value  # type: ignore[no-any-return]
+
+
+def declare_options(node: Node, owner: type[Any], prefix: str = "") -> dict[str, Any]:
+    """Declare each field of a dataclass that is made by `option`, unless it is declared; return the values by field.
+
+    Raises:
+        ConfigError: naming parameter, value and accepted range.
+    """
+    return {one.name: declare(node, f"{prefix}{one.name}", **one.metadata) for one in fields(owner) if one.metadata}
 
 
 def declare_rates(node: Node) -> Rates:

@@ -59,10 +59,10 @@ def controller_dtype(arm: ArmSize) -> np.dtype[np.void]:
 MODEL_PARTS: Final = {"inverse_dynamics": INVERSE_DYNAMICS, "friction_model": FRICTION}
 """Switches of the feed-forward by a model of arm and friction, and their bits in `parts` of `model_dtype`."""
 
-_six = partial(Numbers, count=PER_JOINT, low=0.0)
-_positive_six = partial(_six, above=True)
+_each = partial(Numbers, count=PER_JOINT, low=0.0)
+_positive_each = partial(_each, above=True)
 _positive = partial(Number, low=0.0, above=True)
-_any_six, _any_positive_six, _any_positive = _six(""), _positive_six(""), _positive("")
+_any_each, _any_positive_each, _any_positive = _each(""), _positive_each(""), _positive("")
 
 
 @dataclass(frozen=True)
@@ -122,19 +122,19 @@ class CS7BParameters(Declared):
 
     inertia: Annotated[
         Array,
-        _positive_six("Nominal inertia, rotors included.", "kg m^2", high=1e5),
-        _any_positive_six,
+        _positive_each("Nominal inertia, rotors included.", "kg m^2", high=1e5),
+        _any_positive_each,
         "servo.inertia",
     ]
-    kp: Annotated[Array, _six("Proportional gain of the position loop.", "1/s", high=1e4), _any_six, "servo.kp"]
-    kv: Annotated[Array, _six("Gain of the velocity loop.", "1/s", high=1e5), _any_six, "servo.kv"]
-    ki: Annotated[Array, _six("Integral gain.", "1/s^3", high=1e9), _any_six, "servo.ki"]
+    kp: Annotated[Array, _each("Proportional gain of the position loop.", "1/s", high=1e4), _any_each, "servo.kp"]
+    kv: Annotated[Array, _each("Gain of the velocity loop.", "1/s", high=1e5), _any_each, "servo.kv"]
+    ki: Annotated[Array, _each("Integral gain.", "1/s^3", high=1e9), _any_each, "servo.ki"]
     integrator_limit: Annotated[
-        Array, _six("The most that the integrator gives.", "Nm", high=1e6), _any_six, "servo.integrator_limit"
+        Array, _each("The most that the integrator gives.", "Nm", high=1e6), _any_each, "servo.integrator_limit"
     ]
     feed_forward: FeedForward
     coulomb: Annotated[
-        Array, _six("Coulomb friction to compensate.", "Nm", high=1e6), _any_six, "feed_forward.coulomb_torque"
+        Array, _each("Coulomb friction to compensate.", "Nm", high=1e6), _any_each, "feed_forward.coulomb_torque"
     ]
     coulomb_velocity: Annotated[
         float,
@@ -144,8 +144,8 @@ class CS7BParameters(Declared):
     ]
     viscous: Annotated[
         Array,
-        _six("Viscous friction to compensate.", "Nm (s/rad)^viscous_exponent", high=1e6),
-        _any_six,
+        _each("Viscous friction to compensate.", "Nm (s/rad)^viscous_exponent", high=1e6),
+        _any_each,
         "feed_forward.viscous_friction",
     ]
     viscous_exponent: Annotated[
@@ -159,12 +159,12 @@ class CS7BParameters(Declared):
     model: Annotated[ModelFiles | None, MODEL] = None
     current_bandwidth: Annotated[float, _positive("Bandwidth of the current loop.", "Hz"), "current_loop.bandwidth"]
     current_slew: Annotated[
-        Array, _positive_six("The amplifier's fastest change of current.", "A/s"), "current_loop.slew_rate"
+        Array, _positive_each("The amplifier's fastest change of current.", "A/s"), "current_loop.slew_rate"
     ]
     following_error: Annotated[
         Array,
-        _positive_six("Position error at which the power is cut.", "rad", high=1.0),
-        _any_positive_six,
+        _positive_each("Position error at which the power is cut.", "rad", high=1.0),
+        _any_positive_each,
         "supervision.following_error",
     ]
     over_speed: Annotated[
@@ -180,7 +180,7 @@ class CS7BParameters(Declared):
     ]
     max_acceleration: Annotated[
         Array,
-        _positive_six("The most that a set-point may ask of each joint.", "rad/s^2"),
+        _positive_each("The most that a set-point may ask of each joint.", "rad/s^2"),
         "trajectory.max_acceleration",
     ]
 

@@ -22,9 +22,7 @@ import numpy as np
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import LineError, TrajectoryError
 from rx90_common.description.inverse import nearest_turn, singularity_margins
-from rx90_common.description.kinematics import (
-    forward,
-)
+from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import length
 from rx90_controller.lines.postures import Postures
@@ -308,7 +306,7 @@ def check_plan(plan: LinePlan, limits: JointLimits, period: float, start: Array,
         plan: the line.
         limits: the controller's.
         period: of its set-points, s.
-        start: where the arm stands, rad, shape (6,).
+        start: where the arm stands, rad, shape (n,).
         delay: time of the move to the start of the line, s.
 
     Raises:
@@ -343,7 +341,7 @@ class Approach:
             raise LineError(f"the approach acceleration is {self.acceleration:g} rad/s^2; accepted: a number > 0")
 
     def duration(self, robot: RobotModel, start: Array, end: Array) -> float:
-        """Return how long a quintic move between two poses, rad, shape (6,), takes, s: up to 15/8 dq/T, 10/√3 dq/T²."""
+        """Return how long a quintic move between two poses, rad, shape (n,), takes, s: up to 15/8 dq/T, 10/√3 dq/T²."""
         way = np.abs(end - start)
         by_speed = 15.0 / 8.0 * way / (self.speed * robot.max_velocity)
         by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / self.acceleration)
@@ -375,7 +373,7 @@ def approached(
 
     Args:
         plan: the line.
-        here: where the arm stands, rad, shape (6,).
+        here: where the arm stands, rad, shape (n,).
         limits: the controller's.
         period: of its set-points, s.
         approach: the move, None where the arm has to stand there already.

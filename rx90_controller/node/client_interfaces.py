@@ -183,7 +183,7 @@ class ClientInterfaces:
     def _on_scaling(self, message: SpeedScalingFactor) -> None:
         """Follow trajectories at the share of their speed that is asked for, also while one runs."""
         try:
-            with self._loop.between_ticks():
+            with self._loop.between_ticks:
                 self._cs7b.trajectory.set_speed_scaling(message.factor, self._cs7b.position_tick)
         except TrajectoryError as error:
             self._complaints.say("factor", f"{error}; ignored")
@@ -198,7 +198,7 @@ class ClientInterfaces:
         """Answer what the set-point was, or will be, at a time of the running trajectory."""
         trajectory, tick = self._cs7b.trajectory, message_time_ns(request.time) / self._tick_ns
         response.name = self._names
-        with self._loop.between_ticks():
+        with self._loop.between_ticks:
             reason = self._loop.inactive or ("" if self._loop.running else "no states have come yet")
             try:
                 state, moving = trajectory.state(tick), trajectory.moving(math.ceil(tick) - 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
+from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -60,7 +61,6 @@ from rx90_controller.node.parameters import (
     declare_joints,
     declare_law,
     declare_own,
-    declare_stream,
     forget_robot,
 )
 from rx90_controller.node.serving import Serving
@@ -108,7 +108,10 @@ class Control:
         name, tick_ns = plain(robot.model.name), rates.period_ns * rates.ratio
         channel = node.make_channel(MOTOR_COMMANDS, MOTOR_STATES)
         horizon, decimation = declare_own(node)
-        goals = declare_goal_parameters(node, cs7b.joint_names, rates)
+        goals = declare_goal_parameters(node, cs7b.joint_names)
+        monitor_ticks, state_ticks = (
+            max(1, round(rates.position_hz / hertz)) for hertz in (goals.action_monitor_rate, goals.state_publish_rate)
+        )
         declare_joints(node, cs7b.joint_names)
         if goals.without_use:
             self._log.warning(
@@ -135,12 +138,12 @@ class Control:
         self._details = [(topic(each), names.encoder(effort=values)) for each, names, values in details]
         self._detail_ns = tick_ns * decimation
         self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS)
-        self.loop = loop = ServoLoop(cs7b, self, horizon, goals.monitor_ticks)
+        self.loop = loop = ServoLoop(cs7b, self, horizon, monitor_ticks)
         loop.active = loop.enabled = False
         node.changes.allow(
             tuple(LAW_ENTRIES), lambda values: read_law(values).record(robot, drives, rates), loop.change_law
         )
-        loop.options, loop.tolerances, loop.streaming = goals.options, goals.tolerances, declare_stream(node)
+        loop.options, loop.tolerances, loop.streaming = goals.options, goals.tolerances, goals.streaming
         cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
         self._report = node.create_guard_condition(loop.report)
         self._pacer = pacer = Pacer(rates.period, 1.0)
@@ -148,15 +151,17 @@ class Control:
         self._complaints = ThrottledLog(self.error)
         self._subscribe(loop, local=local)
         node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS)
-        interfaces = import_client_interfaces(node)
+        interfaces = import_optional(
+            node, "client_interfaces", "the action follow_joint_trajectory is", missing_control_msgs()
+        )
         self.clients: ClientInterfaces | None = None
         if interfaces is not None:
-            self.clients = interfaces.ClientInterfaces(node, loop, cs7b, goals.state_ticks, channel)
-        services = import_manager_services(node) if goals.manager else None
-        if services is not None:
-            services.ManagerServices(
-                node, goals.manager, loop, cs7b.joint_names, name, (rates.position_hz, rates.base_hz)
-            )
+            self.clients = interfaces.ClientInterfaces(node, loop, cs7b, state_ticks, channel)
+        manager = goals.controller_manager
+        if manager and (services := import_optional(
+            node, "manager_services", "the services of a controller_manager are", missing_controller_manager_msgs()
+        )):  # fmt: skip
+            services.ManagerServices(node, manager, loop, cs7b.joint_names, name, (rates.position_hz, rates.base_hz))
         self.publishers: tuple[Publisher, ...] = (
             *(row[0] for row in self._every_tick),
             *(row[0] for row in self._details),
@@ -299,26 +304,12 @@ class Control:
         return DiagnosticStatus.OK, doing, values
 
 
-def import_client_interfaces(node: ManagedNode) -> ModuleType | None:
-    """Return the module of what needs control_msgs; where that is missing say once how to get it, and return None."""
-    missing = missing_control_msgs()
-    if missing is not None:
-        node.get_logger().info(f"the action follow_joint_trajectory is off: {missing}")
-        return None
-    from rx90_controller.node import client_interfaces
-
-    return client_interfaces
-
-
-def import_manager_services(node: ManagedNode) -> ModuleType | None:
-    """Return the module of what needs controller_manager_msgs; where that is missing say so once, and return None."""
-    missing = missing_controller_manager_msgs()
-    if missing is not None:
-        node.get_logger().info(f"the services of a controller_manager are off: {missing}")
-        return None
-    from rx90_controller.node import manager_services
-
-    return manager_services
+def import_optional(node: ManagedNode, name: str, what: str, missing: str | None) -> ModuleType | None:
+    """Return a module of this folder; where what it needs is missing say once how to get it, and return None."""
+    if missing is None:
+        return import_module(f"rx90_controller.node.{name}")
+    node.get_logger().info(f"{what} off: {missing}")
+    return None
 
 
 class ControllerNode:

@@ -14,20 +14,20 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
 from rx90_common.base.config import load_yaml
+from rx90_common.base.declared import option
 from rx90_common.base.entries import Numbers
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
 from rx90_common.base.quoting import quoted
-from rx90_common.base.rates import Rates
 from rx90_common.base.section import Section
 from rx90_common.exchange.lifecycle import ManagedNode
-from rx90_common.exchange.parameters import Effective, declare
+from rx90_common.exchange.parameters import Effective, declare, declare_options
 from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CONTROLLER, CS7BParameters, read_controller
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, constraint_parameters
-from rx90_controller.trajectory.stream import INTERFACES, StreamOptions
+from rx90_controller.trajectory.stream import StreamOptions
 
 FILE_PARAMETERS: Final = ("urdf", "drives", "controller")
 """Files of the robot that the node can be given."""
@@ -38,6 +38,7 @@ _WITHOUT_USE = re.compile(
     r"|set_last_command_interface_value_as_state_on_activation|gains\..+"
     r"|constraints\.(decelerate_on_cancel|[^.]+\.max_deceleration_on_cancel))"
 )
+_SIMULATED_RATE: Final = "in simulated time, Hz; every whole number of position ticks"
 _OF_JOINTS: Final = "; one value for each motor, seen from its joint"
 _CHANGEABLE: Final = ("servo", "feed_forward", "supervision")
 
@@ -50,27 +51,6 @@ def declare_own(node: Node) -> tuple[float, int]:
     return horizon, declare(node, "detail_decimation", DETAIL_DECIMATION, about, low=1, high=1_000_000)
 
 
-def declare_stream(node: Node) -> StreamOptions:
-    """Declare how set-points become a stream, and return it.
-
-    Raises:
-        ConfigError: naming parameter, value and what is accepted.
-    """
-    usual = StreamOptions()
-    about = "from the stamp of a streamed set-point, or its arrival where it has none, until it is due, s"
-    delay = declare(
-        node, "stream.delay", usual.delay, f"{about}; two periods of the sender or more", low=1e-3, high=1.0
-    )
-    about = "time without set-points after which a stream has ended, and velocities are no longer held, s"
-    timeout = declare(node, "stream.timeout", usual.timeout, about, low=1e-3, high=60.0)
-    about = "trajectories on ~/joint_trajectory that end no further ahead are set-points of a stream, s; 0: none are"
-    window = declare(node, "stream.window", usual.window, about, low=0.0, high=10.0)
-    commands = declare(node, "stream.commands", usual.commands, f"what ~/commands are: {', '.join(INTERFACES)}")
-    if commands not in INTERFACES:
-        raise ConfigError(f"parameter stream.commands is {quoted(commands)}; accepted: {', '.join(INTERFACES)}")
-    return StreamOptions(delay, timeout, window, commands)
-
-
 @dataclass(frozen=True)
 class GoalParameters:
     """What trajectories and goals are held to, and how often it is published how they go.
@@ -78,20 +58,22 @@ class GoalParameters:
     Attributes:
         options: what else is accepted.
         tolerances: of trajectories, and of goals that have none of their own.
-        monitor_ticks: position ticks from one feedback to the next.
-        state_ticks: position ticks from one state of the controller to the next.
-        scaling: share of a trajectory's own speed at which it is followed, until another one is asked for.
-        manager: name of the controller_manager whose services are served; empty for none.
+        streaming: how set-points become a stream.
         without_use: parameters of joint_trajectory_controller that were given and have no counterpart here.
+        scaling: `speed_scaling.initial_scaling_factor`.
     """
 
     options: GoalOptions
     tolerances: GoalTolerances
-    monitor_ticks: int
-    state_ticks: int
-    scaling: float
-    manager: str
+    streaming: StreamOptions
     without_use: tuple[str, ...]
+    scaling: float
+    action_monitor_rate: float = option(20.0, f"rate of the action's feedback, {_SIMULATED_RATE}", 0.1, 20000.0)
+    state_publish_rate: float = option(50.0, f"rate of ~/controller_state, {_SIMULATED_RATE}", 0.1, 20000.0)
+    controller_manager: str = option(
+        "controller_manager",
+        "name of the controller_manager whose services this node answers; empty: none, where another one runs",
+    )
 
 
 COMMAND_INTERFACES: Final = ("position",)
@@ -141,7 +123,7 @@ def _difference(value: Any, own: Sequence[str]) -> str:
     return "; ".join(parts)
 
 
-def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> GoalParameters:
+def declare_goal_parameters(node: Node, names: Sequence[str]) -> GoalParameters:
     """Declare the parameters and return them; `names` are those of the joints.
 
     Files for joint_trajectory_controller serve, too: what has no counterpart here is taken out of what was given.
@@ -149,34 +131,19 @@ def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> G
     Raises:
         ConfigError: naming parameter, value and what is accepted.
     """
-
-    def ticks(name: str, default: float, about: str) -> int:
-        about = f"{about}, in simulated time, Hz; every whole number of position ticks"
-        return max(1, round(rates.position_hz / declare(node, name, default, about, low=0.1, high=20000.0)))
-
     tolerances = {
         name: declare(node, name, default, about, low=0.0, high=_LARGEST)
         for name, (default, about) in constraint_parameters(names).items()
     }
-    options = {
-        option.name: declare(node, option.name, False, option.metadata["about"]) for option in fields(GoalOptions)
-    }
+    about = "share of their own speed at which trajectories are followed, until ~/speed_scaling_input says otherwise"
     return GoalParameters(
-        GoalOptions(**options),
+        GoalOptions(**declare_options(node, GoalOptions)),
         GoalTolerances.of_parameters(names, tolerances),
-        ticks("action_monitor_rate", 20.0, "rate of the action's feedback"),
-        ticks("state_publish_rate", 50.0, "rate of ~/controller_state"),
-        declare(
-            node, "speed_scaling.initial_scaling_factor", 1.0,
-            "share of their own speed at which trajectories are followed, until ~/speed_scaling_input says otherwise",
-            low=0.0, high=1.0,
-        ),
-        declare(
-            node, "controller_manager", "controller_manager",
-            "name of the controller_manager whose services this node answers; empty: none, where another one runs",
-        ),
+        StreamOptions(**declare_options(node, StreamOptions, "stream.")),
         _take_out(node, names),
-    )  # fmt: skip
+        declare(node, "speed_scaling.initial_scaling_factor", 1.0, about, low=0.0, high=1.0),
+        **declare_options(node, GoalParameters),
+    )
 
 
 def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:
@@ -184,7 +151,7 @@ def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:
 
     def setter(attribute: str) -> Callable[[Any, Effective], None]:
         def apply(value: Any, effective: Effective) -> None:
-            with loop.between_ticks():
+            with loop.between_ticks:
                 setattr(loop, attribute, value)
                 tick = cs7b.position_tick
             effective(tick * cs7b.rates.ratio * cs7b.rates.period_ns)

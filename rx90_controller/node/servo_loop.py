@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, Final, NamedTuple, Protocol
@@ -98,6 +97,7 @@ class ServoLoop:
         monitor_ticks: position ticks from one feedback of a goal to the next.
 
     Attributes:
+        between_ticks: held by who wants no tick to run; no method of this class may be called then.
         command: see `CS7B`.
         active, enabled: whether the node is active, and whether the motors get torque.
         fault: why the supervision has cut the power, until it is switched on again.
@@ -111,7 +111,7 @@ class ServoLoop:
 
     def __init__(self, cs7b: CS7B, outputs: Outputs, horizon: float, monitor_ticks: int = 50) -> None:
         self._cs7b, self._outputs, self._horizon, self._monitor_ticks = cs7b, outputs, horizon, monitor_ticks
-        self._period, self._lock = cs7b.rates.position_period, threading.Lock()
+        self._period, self.between_ticks = cs7b.rates.position_period, threading.Lock()
         self.command = cs7b.command
         self.active = self.enabled = True
         self.fault: DriveFault | None = None
@@ -129,12 +129,6 @@ class ServoLoop:
         self.rejected, self.last_rejection = 0, ""
         self._reports: deque[Callable[[], None]] = deque()
 
-    @contextmanager
-    def between_ticks(self) -> Iterator[None]:
-        """Run no tick until the block is left; no method of this class may be called in it."""
-        with self._lock:
-            yield
-
     # The ticking thread.
 
     def begin(self) -> None:
@@ -143,7 +137,7 @@ class ServoLoop:
 
     def hold(self, states: MotorStates) -> None:
         """Hold the arm where it is; a request that waited for the first states begins."""
-        with self._lock:
+        with self.between_ticks:
             if self.running:
                 reason = f"the states go on from {states.stamp_ns / NANOSECONDS:.6g} s; holding"
                 self._note_dropped(reason)
@@ -159,7 +153,7 @@ class ServoLoop:
     def step(self, stamp_ns: int, states: MotorStates) -> bool:
         """Run the loops that are due; return whether the motors get torque."""
         cs7b = self._cs7b
-        with self._lock:
+        with self.between_ticks:
             slow = cs7b.on_position_tick
             while self._law_changes and slow:
                 cs7b.law[:], effective = self._law_changes.popleft()
@@ -194,12 +188,12 @@ class ServoLoop:
 
     def after_command(self, stamp_ns: int) -> None:
         """Publish what the last step has left: after its command, for which the simulation waits."""
-        with self._lock:
+        with self.between_ticks:
             self._publish(stamp_ns)
 
     def skip(self, count: int) -> None:
         """Let `count` ticks of the position loop pass without set-points: a running trajectory comes later."""
-        with self._lock:
+        with self.between_ticks:
             self._cs7b.skip(count)
 
     def _publish(self, stamp_ns: int) -> None:
@@ -228,7 +222,7 @@ class ServoLoop:
 
     def enable(self, on: bool, why: str = "the torque is off") -> None:
         """Switch the torque on or off; off, the brakes hold the arm, and the goal ends with `why`."""
-        with self._lock:
+        with self.between_ticks:
             self.enabled = on
             if on:
                 self.fault = None
@@ -280,14 +274,14 @@ class ServoLoop:
         try:
             request = check_request(message, self.tolerances, self.options, self._cs7b.rates.position_hz, goal)
             self._correct(request)
-            with self._lock:
+            with self.between_ticks:
                 if (self.running or goal is not None) and (self.inactive or missing):
                     raise TrajectoryError(self.inactive or missing)
                 if goal is not None:
                     assert request.points is not None
                     points_left(request.points, self._cs7b.position_tick, request.start, self._period)
         except TrajectoryError as error:
-            with self._lock:
+            with self.between_ticks:
                 self._refused(kind, error)
             return None
         if goal is None:
@@ -305,7 +299,7 @@ class ServoLoop:
             correction = correction_from_points(points, self._period)
         except TrajectoryError as error:
             self._correction = None
-            with self._lock:
+            with self.between_ticks:
                 self._refused("correction", error)
             return
         self._correction = message.header.frame_id, correction
@@ -326,7 +320,7 @@ class ServoLoop:
         elif asked:
             raise TrajectoryError("its correction has not come; accepted: after it on ~/commanded_correction")
         else:
-            with self._lock:
+            with self.between_ticks:
                 self._note("the correction that waited belongs to another trajectory; dropped")
 
     def offer(self, request: TrajectoryRequest) -> None:
@@ -336,16 +330,16 @@ class ServoLoop:
         short, once more with more time. A short one, and one that was never in time, is joined between two ticks.
         """
         for attempt in range(_ATTEMPTS if request.long else 0):
-            with self._lock:
+            with self.between_ticks:
                 if not self.running or self.inactive:
                     break
                 joined = JoinedAhead(request, self._cs7b.trajectory, self._cs7b.position_tick, attempt)
             joined.compute()
-            with self._lock:
+            with self.between_ticks:
                 if joined.fits(self._cs7b.position_tick):
                     self._follow(request, joined)
                     return
-        with self._lock:
+        with self.between_ticks:
             if self.running:
                 self._follow(request)
                 return
@@ -364,12 +358,12 @@ class ServoLoop:
         """
         try:
             points = read()
-            with self._lock:
+            with self.between_ticks:
                 if reason := self.inactive or ("" if self.running else "no states have come yet; accepted: after them"):
                     raise TrajectoryError(reason)
                 self._follow_stream(points, source)
         except TrajectoryError as error:
-            with self._lock:
+            with self.between_ticks:
                 self._refused("set-point", error, quiet=True)
                 self._complaints.say(source, f"set-point from {source} ignored: {error}")
 
@@ -402,7 +396,7 @@ class ServoLoop:
 
     def cancel(self, request: TrajectoryRequest) -> None:
         """Cancel a goal: the arm stops along the path. One that has ended meanwhile keeps its end."""
-        with self._lock:
+        with self.between_ticks:
             if self._waiting is request:
                 self._waiting, text = None, "cancelled before the simulation's first tick"
             elif self._followed is request:
@@ -416,7 +410,7 @@ class ServoLoop:
 
     def drop(self, reason: str, *, halt: bool = False) -> None:
         """End the goal, if there is one, with -1 and a reason: `halt` on its path."""
-        with self._lock:
+        with self.between_ticks:
             goal = self._followed is not None and self._followed.is_goal
             self._drop(reason)
             if halt and goal:

@@ -27,8 +27,8 @@ from rx90_common.exchange.ros_start import controller_topic
 from rx90_common.exchange.topics import COMMANDED_CORRECTION, COMMANDED_TRAJECTORY, CORRECTED
 from rx90_controller.lines.plan import Approach, LinePlan, approached
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
-from rx90_controller.trajectory.correction import Correction, correction_content
-from rx90_controller.trajectory.points import message_content, trajectory_identity
+from rx90_controller.trajectory.correction import Correction
+from rx90_controller.trajectory.points import correction_points, message_content, trajectory_identity
 
 _SETTLED = 1.2  # s without a change among those that listen; each participant announces itself every second, config/dds
 _NEXT_SAMPLE = 1.5  # s; at the slowest real_time_factor the samples of a simulation that runs come every second
@@ -125,7 +125,7 @@ class TrajectoryClient:
             ExchangeError: if no joint states come within the client's timeout.
         """
         # The arm is in the controller's namespace, which need not be ours.
-        self._arm = self._newest(self.topic.rsplit("/", 2)[0] + "/joint_states", names, "position of the six joints")
+        self._arm = self._newest(self.topic.rsplit("/", 2)[0] + "/joint_states", names, "position of the joints")
         assert self._arm.position is not None
         return self._arm.position
 
@@ -170,7 +170,9 @@ class TrajectoryClient:
         if points.correction is not None:
             there = self._corrections.get_subscription_count
             self._client.wait(lambda: there() > 0, f"a controller on {self._corrections.topic_name}")
-            self._corrections.publish(correction_message(names, points, points.correction))
+            offsets = trajectory_message(names, correction_points(points.correction))
+            offsets.header.frame_id = trajectory_identity(points)
+            self._corrections.publish(offsets)
             self._confirm(self._corrections, "correction")
         self._publisher.publish(trajectory_message(names, points, start_time))
         self._confirm(self._publisher, "trajectory")
@@ -210,17 +212,6 @@ def trajectory_message(names: Sequence[str], points: TrajectoryPoints, start_tim
     message.points = [
         JointTrajectoryPoint(**(point | {"time_from_start": Duration(**point["time_from_start"])}))
         for point in message_content(names, points)["points"]
-    ]
-    return message
-
-
-def correction_message(names: Sequence[str], points: TrajectoryPoints, correction: Correction) -> JointTrajectory:
-    """Return the offsets for a trajectory as a message, which goes before that."""
-    message = JointTrajectory(joint_names=list(names))
-    message.header.frame_id = trajectory_identity(points)
-    message.points = [
-        JointTrajectoryPoint(positions=point["positions"], time_from_start=Duration(**point["time_from_start"]))
-        for point in correction_content(names, correction)["points"]
     ]
     return message
 

@@ -9,16 +9,13 @@ arm is told meanwhile, a stop, another trajectory, another speed, lets it fade o
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
-from rx90_common.base.rates import NANOSECONDS
 
 FADE = 0.1
 """How long a correction takes to come, and to go, s."""
@@ -65,16 +62,6 @@ class Correction:
         return replace(self, offsets=np.concatenate([rest, self.offsets]))
 
 
-def correction_content(joint_names: Sequence[str], correction: Correction) -> dict[str, Any]:
-    """Return offsets as the content of a trajectory_msgs/JointTrajectory, one point for each set-point."""
-    times = [divmod(round(k * correction.period * NANOSECONDS), NANOSECONDS) for k in range(len(correction.offsets))]
-    points = [
-        {"positions": row, "time_from_start": {"sec": sec, "nanosec": nanosec}}
-        for row, (sec, nanosec) in zip(correction.offsets.tolist(), times, strict=True)
-    ]
-    return {"joint_names": list(joint_names), "points": points}
-
-
 @dataclass(frozen=True, eq=False)
 class PlayedCorrection:
     """A correction that is played from a position tick on.
@@ -104,8 +91,12 @@ class PlayedCorrection:
         """Return the tick from which on it gives nothing."""
         return self.cut + self.fade
 
+    def shifted(self, count: int) -> PlayedCorrection:
+        """Return it so many ticks later."""
+        return replace(self, begin=self.begin + count, cut=self.cut + count)
+
     def at(self, ticks: NDArray[np.int64]) -> Array:
-        """Return the offsets at ticks, shape (n, 6), rad; 0 before and after.
+        """Return the offsets at ticks, shape (n, j), rad; 0 before and after.
 
         Each row takes the same operations, whatever ticks are asked for with it: nodes and loop have the same bits.
         """
@@ -122,8 +113,8 @@ def cut_at(played: list[PlayedCorrection], now: int, begin: int) -> list[PlayedC
 
     What had not begun by then is dropped; what fades out already goes on doing so.
     """
-    left = [one for one in played if one.begin < now < one.over]
-    ends = [one.begin + len(one.correction.offsets) for one in left]
     return [
-        replace(one, cut=one.cut if one.cut <= now else min(end, begin)) for one, end in zip(left, ends, strict=True)
+        replace(one, cut=one.cut if one.cut <= now else min(one.begin + len(one.correction.offsets), begin))
+        for one in played
+        if one.begin < now < one.over
     ]

@@ -97,11 +97,7 @@ class TrajectoryGenerator:
         later = max(now - self._next.start, 0) if at_rest and self._next is not None else count
         if self._next is not None:
             self._next.delay(later)
-        self._played = [
-            replace(one, begin=one.begin + by, cut=one.cut + by)
-            for one in self._played
-            for by in (count if one.begin < now - count else later,)
-        ]
+        self._played = [one.shifted(count if one.begin < now - count else later) for one in self._played]
         self.revision += 1
 
     # What the set-points are.
@@ -330,10 +326,7 @@ class TrajectoryGenerator:
         if fork._next is not None:
             begin = fork._next.start
             fork._next.delay(late)
-            fork._played = [
-                replace(one, begin=begin + late, cut=one.cut + late) if one.begin == begin else one
-                for one in fork._played
-            ]
+            fork._played = [one.shifted(late) if one.begin == begin else one for one in fork._played]
         fork._current.announced = self._current.announced
         self._current, self._next, self._played = fork._current, fork._next, fork._played
         self.revision += 1

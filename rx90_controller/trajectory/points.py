@@ -106,10 +106,12 @@ class TrajectoryPoints:
             )
         _check_times(times)
         columns = [list(robot_joints).index(name) for name in names]
-        q, v, a = (
-            _table(what, rows, (len(times), len(robot_joints)), columns, names)
-            for what, rows in (("positions", position), ("velocities", velocity), ("accelerations", acceleration))
-        )
+        given = (("positions", position), ("velocities", velocity), ("accelerations", acceleration))
+        for what, rows in given:
+            if len(rows) not in (0, len(times)):
+                accepted = f"of {len(times)}, as many as there are times"
+                raise TrajectoryError(f"{what} of {len(rows)} points; accepted: {accepted}")
+        q, v, a = (joint_table(what, rows, columns, robot_joints, whole=what == "positions") for what, rows in given)
         if q is None:
             raise TrajectoryError("point 0: no positions; accepted: positions of all named joints in every point")
         degrees = _degrees(*(rows if len(rows) else [[]] * len(times) for rows in (velocity, acceleration)))
@@ -196,26 +198,39 @@ def _check_times(times: Sequence[float]) -> None:
         raise TrajectoryError(f"point 0: time_from_start {times[0]:g} s; accepted: 0, or a nanosecond and more")
 
 
-def _table(
-    what: str, rows: Sequence[Sequence[float]], shape: tuple[int, int], columns: list[int], names: list[str]
+def joint_table(
+    what: str,
+    rows: Sequence[Sequence[float]],
+    columns: Sequence[int],
+    robot_joints: Sequence[str],
+    where: str = "point {}: ",
+    whole: bool = False,
 ) -> Array | None:
-    """Return the vectors of all points with their values in the columns of their joints, shape (n, j)."""
-    points, _ = shape
-    if len(rows) not in (0, points):
-        raise TrajectoryError(f"{what} of {len(rows)} points; accepted: of {points}, as many as there are times")
+    """Return rows of values in the columns of their joints, shape (n, j), 0 elsewhere; None if all rows are empty.
+
+    Args:
+        what: the values are, for messages.
+        rows: values, or none.
+        columns: of the joints in the robot's order, one for each value.
+        robot_joints: names of the joints.
+        where: a row is, for messages, by its number.
+        whole: whether no row may be empty where others are not.
+
+    Raises:
+        TrajectoryError: naming row, joint, value and what is accepted.
+    """
     if not any(len(row) for row in rows):
         return None
     for i, row in enumerate(rows):
-        if len(row) != len(columns) and (len(row) or what == "positions"):
-            raise TrajectoryError(
-                f"point {i}: {len(row)} {what}; accepted: {len(columns)}{'' if what == 'positions' else ', or none'}"
-            )
-    values = np.array([row if len(row) else [0.0] * len(columns) for row in rows], dtype=np.float64)
-    if not np.isfinite(values).all():
-        i, k = np.argwhere(~np.isfinite(values))[0]
-        raise TrajectoryError(f"point {i}: {what} of {names[k]} is {values[i, k]}; accepted: a finite number")
-    table = np.zeros(shape)
-    table[:, columns] = values
+        if len(row) != len(columns) and (len(row) or whole):
+            accepted = f"{len(columns)}{'' if whole else ', or none'}"
+            raise TrajectoryError(f"{where.format(i)}{len(row)} {what}; accepted: {accepted}")
+    table = np.zeros((len(rows), len(robot_joints)))
+    table[:, columns] = [row if len(row) else [0.0] * len(columns) for row in rows]
+    if not np.isfinite(table).all():
+        i, k = np.argwhere(~np.isfinite(table[:, columns]))[0]
+        value, name = table[i, columns[k]], robot_joints[columns[k]]
+        raise TrajectoryError(f"{where.format(i)}{what} of {name} is {value}; accepted: a finite number")
     return table
 
 
@@ -316,6 +331,12 @@ def message_content(joint_names: Sequence[str], points: TrajectoryPoints) -> dic
 
 
 # Corrections.
+
+
+def correction_points(correction: Correction) -> TrajectoryPoints:
+    """Return offsets as the points of a message, one for each set-point."""
+    times = np.arange(len(correction.offsets), dtype=np.float64) * correction.period
+    return TrajectoryPoints(times, correction.offsets, None, None)
 
 
 def correction_from_points(points: TrajectoryPoints, period: float) -> Correction:

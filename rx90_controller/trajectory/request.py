@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.declared import option
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
@@ -41,11 +42,6 @@ class ResultCode(IntEnum):
     GOAL_TOLERANCE_VIOLATED = -5
 
 
-def _option(about: str) -> bool:
-    option: bool = field(default=False, metadata={"about": about})
-    return option
-
-
 @dataclass(frozen=True)
 class GoalOptions:
     """What else is accepted, each option a parameter of the node; the first three are joint_trajectory_controller's.
@@ -54,16 +50,18 @@ class GoalOptions:
     their trajectory. Behind a last point with a velocity each joint brakes, unless another trajectory follows.
     """
 
-    allow_partial_joints_goal: bool = _option("whether a trajectory may name some of the joints; the others hold")
-    allow_nonzero_velocity_at_trajectory_end: bool = _option(
-        "whether the last point may have a velocity; then the arm brakes"
+    allow_partial_joints_goal: bool = option(False, "whether a trajectory may name some of the joints; the others hold")
+    allow_nonzero_velocity_at_trajectory_end: bool = option(
+        False, "whether the last point may have a velocity; then the arm brakes"
     )
-    allow_trajectory_replacement: bool = _option(
-        "whether points may be left out that are not later than the start, which leads on from where the path is then"
+    allow_trajectory_replacement: bool = option(
+        False,
+        "whether points may be left out that are not later than the start, which leads on from where the path is then",
     )
-    velocities_from_positions: bool = _option(
+    velocities_from_positions: bool = option(
+        False,
         "whether velocities between the first and the last point are computed from the positions; for points whose "
-        "velocities do not belong to these"
+        "velocities do not belong to these",
     )
 
 

@@ -19,12 +19,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array, Mask
-from rx90_common.base.errors import TrajectoryError
+from rx90_common.base.declared import option
+from rx90_common.base.errors import ConfigError, TrajectoryError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_controller.trajectory.paths import JointLimits
-from rx90_controller.trajectory.points import TrajectoryPoints, check_joints
+from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, joint_table
 from rx90_controller.trajectory.spline import Spline, resting
 
 POSITION, VELOCITY = "position", "velocity"
@@ -39,17 +41,36 @@ _AT_REST, _SLOW = 1e-9, 1e-6  # rad, rad/s: what the end of a motion may round a
 class StreamOptions:
     """How set-points become a stream; each a parameter of the node, `stream.` before its name.
 
-    Attributes:
-        delay: from the stamp of a set-point, or its arrival where it has none, until it is due, s.
-        timeout: after which a stream without set-points has ended, and velocities are no longer held, s.
-        window: a trajectory of the topic whose last point is no further ahead than this belongs to a stream, s.
-        commands: what the numbers on `~/commands` are, one of INTERFACES.
+    Raises:
+        ConfigError: if `commands` is none of INTERFACES.
     """
 
-    delay: float = 0.03
-    timeout: float = 0.1
-    window: float = 0.1
-    commands: str = POSITION
+    delay: float = option(
+        0.03,
+        "from the stamp of a streamed set-point, or its arrival where it has none, until it is due, s; two periods of "
+        "the sender or more",
+        1e-3,
+        1.0,
+    )
+    timeout: float = option(
+        0.1,
+        "time without set-points after which a stream has ended, and velocities are no longer held, s",
+        1e-3,
+        60.0,
+    )
+    window: float = option(
+        0.1,
+        "trajectories on ~/joint_trajectory that end no further ahead are set-points of a stream, s; 0: none are",
+        0.0,
+        10.0,
+    )
+    commands: str = option(POSITION, f"what ~/commands are: {', '.join(INTERFACES)}")
+
+    def __post_init__(self) -> None:
+        if self.commands not in INTERFACES:
+            raise ConfigError(
+                f"parameter stream.commands is {quoted(self.commands)}; accepted: {', '.join(INTERFACES)}"
+            )
 
 
 class SetPoints(NamedTuple):
@@ -87,25 +108,12 @@ def from_joint_state(names: Sequence[str], message: Any, options: StreamOptions,
     given = list(message.name)
     check_joints(names, given, partial=partial)
     columns = [list(names).index(name) for name in given]
-    rows: list[Array | None] = []
-    for field in (POSITION, VELOCITY, "effort"):
-        values = np.array(getattr(message, field), dtype=np.float64)
-        if len(values) not in (0, len(given)):
-            raise TrajectoryError(
-                f"{len(values)} {field} values of {len(given)} joints; accepted: {len(given)} or none"
-            )
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            raise TrajectoryError(f"{field} of {given[bad[0]]} is {values[bad[0]]}; accepted: a finite number")
-        row = np.zeros(len(names))
-        row[columns] = values if len(values) else 0.0
-        rows.append(row if len(values) else None)
-    position, velocity, effort = rows
+    fields = (("positions", message.position), ("velocities", message.velocity), ("efforts", message.effort))
+    position, velocity, effort = (joint_table(what, [row], columns, names, "") for what, row in fields)
     if effort is not None:
         raise TrajectoryError("carries effort; accepted: position, with velocity or without, or velocity alone")
-    return _one(
-        position, velocity, message_time_ns(message.header.stamp), options, np.isin(np.arange(len(names)), columns)
-    )
+    named = np.isin(np.arange(len(names)), columns)
+    return _one(position, velocity, message_time_ns(message.header.stamp), options, named)
 
 
 def from_array(names: Sequence[str], message: Any, options: StreamOptions) -> SetPoints:
@@ -114,12 +122,10 @@ def from_array(names: Sequence[str], message: Any, options: StreamOptions) -> Se
     Raises:
         TrajectoryError: for another count, or a number that is not finite.
     """
-    values = np.array(message.data, dtype=np.float64)
-    if len(values) != len(names):
-        raise TrajectoryError(f"{len(values)} numbers; accepted: {len(names)}, of {', '.join(names)}")
-    bad = np.flatnonzero(~np.isfinite(values))
-    if len(bad):
-        raise TrajectoryError(f"{options.commands} of {names[bad[0]]} is {values[bad[0]]}; accepted: a finite number")
+    if len(message.data) != len(names):
+        raise TrajectoryError(f"{len(message.data)} numbers; accepted: {len(names)}, of {', '.join(names)}")
+    what = "positions" if options.commands == POSITION else "velocities"
+    values = joint_table(what, [message.data], range(len(names)), names, "")
     position, velocity = (values, None) if options.commands == POSITION else (None, values)
     return _one(position, velocity, 0, options, np.ones(len(names), dtype=np.bool_))
 
@@ -129,10 +135,10 @@ def _one(
 ) -> SetPoints:
     if position is None and velocity is None:
         raise TrajectoryError("neither position nor velocity; accepted: one of them, or both")
-    interface, values = (VELOCITY, velocity) if position is None else (POSITION, position)
-    slopes = np.full(len(named), np.nan) if position is None or velocity is None else velocity
-    times = np.array([options.delay])
-    return SetPoints(interface, stamp_ns or None, times, np.array([values]), np.array([slopes]), named)
+    interface, values = (POSITION, position) if velocity is None or position is not None else (VELOCITY, velocity)
+    assert values is not None
+    slopes = np.full((1, len(named)), np.nan) if position is None or velocity is None else velocity
+    return SetPoints(interface, stamp_ns or None, np.array([options.delay]), values, slopes, named)
 
 
 def from_trajectory(points: TrajectoryPoints, stamp_ns: int | None) -> SetPoints:

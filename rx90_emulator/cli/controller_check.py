@@ -82,7 +82,6 @@ def main(options: argparse.Namespace) -> int:
     from rx90_common.process.files import write_text
     from rx90_emulator.conformance.battery import CASES
     from rx90_emulator.conformance.quantities import CheckLimits
-    from rx90_emulator.conformance.runs import Interface
     from rx90_emulator.loop.setup import Setup
 
     prepare()
@@ -100,9 +99,8 @@ def main(options: argparse.Namespace) -> int:
         print("the arm carries no tool: the cases with another payload are left out")
     at_joints, rates = options.command_interface == "joint", setup.rates
     rate = (options.command_rate or rates.position_hz) if at_joints else rates.base_hz
-    interface = Interface(at_joints, ticks_per("command_rate", rates.base_hz, rate))
-    timeout = _TIMEOUT if options.timeout is None else options.timeout
-    candidate = Candidate(command, node_of(options), options.set_points, interface, timeout)
+    ticks, timeout = ticks_per("command_rate", rates.base_hz, rate), options.timeout or _TIMEOUT
+    candidate = Candidate(command, node_of(options), options.set_points, at_joints, ticks, timeout)
     output = Path(options.output)
     output.mkdir(parents=True)
     options.interrupted += "; {output} has the logs of the controller"

@@ -31,7 +31,6 @@ from rx90_controller.node.parameters import (
     declare_goal_parameters,
     declare_law,
     declare_own,
-    declare_stream,
     has_no_use,
 )
 from rx90_emulator.configuration.kinds import NODE_PARAMETERS, FileKind
@@ -113,14 +112,13 @@ def _declare_simulation(node: Any) -> None:
 
 def _declare_controller(node: Any) -> None:
     declare_autostart(node)
-    rates = declare_rates(node)
+    declare_rates(node)
     files = declare_robot_files(node, *CONTROLLER_FILES)
     declare_own(node)
     declare_law(node, files.controller)
     for name, entry in LAW_ENTRIES.items():  # which say more than a descriptor: the range of each number
         node.entries[name] = replace(entry, default=node.entries[name].default)
-    declare_goal_parameters(node, load_robot(files.urdf).joint_names, rates)
-    declare_stream(node)
+    declare_goal_parameters(node, load_robot(files.urdf).joint_names)
 
 
 NODES: dict[str, Callable[[Any], object]] = {

@@ -1,4 +1,7 @@
-"""The battery: what the arm is in each case, what is asked of the controller, and what happens to its commands."""
+"""The battery: what the arm is in each case, what is asked of the controller, what happens to its commands, and runs.
+
+A run keeps what goes over the wire; that of the CS7B is on the compiled loop.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.config import load_yaml, yaml_text
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, DivergenceError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.files import write_text
 from rx90_controller.lines.task import LineTask, load_task
@@ -64,7 +67,7 @@ class TorqueSines(NamedTuple):
         return self.begin + _SWEEP_PERIOD, self.begin + _SWEEP_PERIODS * _SWEEP_PERIOD
 
     def torques(self, times: Array) -> Array:
-        """Return the torques at `times`, s, shape (n,): Nm, shape (n, 6); faded in over a tenth of a period."""
+        """Return the torques at `times`, s, shape (t,): Nm, shape (t, n); faded in over a tenth of a period."""
         since = times - self.begin
         inside = (since >= 0.0) & (since < _SWEEP_PERIODS * _SWEEP_PERIOD)
         fade = inside * np.clip(since / (0.1 * _SWEEP_PERIOD), 0.0, 1.0)
@@ -79,8 +82,7 @@ class Case:
     Attributes:
         name: of the case.
         about: in words.
-        files: of the arm that is driven; the controller knows the nominal one.
-        setup: what the files hold.
+        setup: the arm that is driven, read from its files; the controller knows the nominal one.
         points: the trajectory, which starts at START.
         duration: of the run, s.
         task: the line that the tool follows, if it does.
@@ -91,7 +93,6 @@ class Case:
 
     name: str
     about: str
-    files: RobotFiles
     setup: Setup
     points: TrajectoryPoints
     duration: float
@@ -132,23 +133,25 @@ class Nominal(NamedTuple):
     @property
     def task(self) -> LineTask:
         """Return the robot's reference line, with short rests."""
-        files = self.setup.files
-        assert files is not None
-        return replace(load_task(files.required("task")), rest_before=_LINE_REST, rest_after=_LINE_REST)
+        return replace(load_task(files_of(self.setup).required("task")), rest_before=_LINE_REST, rest_after=_LINE_REST)
 
     @property
     def pose(self) -> Array:
         """Return where the line begins, rad, shape (n,)."""
         return np.array(plan_line(self.setup, self.task).points.position[0])
 
-    def scaled(self, role: str, keys: Sequence[str], factor: float | Array) -> tuple[RobotFiles, Setup]:
-        """Return the arm with all values of these keys in one of its files times a factor, or times six of them."""
-        files = self.setup.files
-        assert files is not None
+    def scaled(self, role: str, keys: Sequence[str], factor: float | Array) -> Setup:
+        """Return the arm with all values of these keys in one of its files times a factor, or one for each motor."""
+        files = files_of(self.setup)
         target = self.folder / f"{role}_{len(list(self.folder.iterdir()))}.yaml"
         write_text(target, yaml_text(_times(load_yaml(files.required(role)).content, keys, factor)))
-        changed = replace(files, **{role: target})
-        return changed, Setup.load(changed, self.setup.rates, self.setup.seed)
+        return Setup.load(replace(files, **{role: target}), self.setup.rates, self.setup.seed)
+
+
+def files_of(setup: Setup) -> RobotFiles:
+    """Return the files that a setup was read from."""
+    assert setup.files is not None
+    return setup.files
 
 
 def _times(value: Any, keys: Sequence[str], factor: float | Array, here: bool = False) -> Any:
@@ -162,10 +165,8 @@ def _times(value: Any, keys: Sequence[str], factor: float | Array, here: bool = 
 
 
 def _of_motion(nominal: Nominal, name: str, about: str, motion: Motion, watched: float = SETTLED) -> Case:
-    setup, files = nominal.setup, nominal.setup.files
-    assert files is not None
-    points = motion.points(setup.robot.joint_names)
-    return Case(name, about, files, setup, points, START + motion.duration + watched)
+    points = motion.points(nominal.setup.robot.joint_names)
+    return Case(name, about, nominal.setup, points, START + motion.duration + watched)
 
 
 def _inward(pose: Array, setup: Setup) -> Array:
@@ -205,16 +206,15 @@ def _sweep(nominal: Nominal, name: str) -> Case:
 
 
 def _line(nominal: Nominal, name: str, about: str = "the nominal arm") -> Case:
-    setup, files, task = nominal.setup, nominal.setup.files, nominal.task
-    assert files is not None
-    points = plan_line(setup, task).points
+    task = nominal.task
+    points = plan_line(nominal.setup, task).points
     about = f"the robot's reference line, in which joints reverse: {about}"
-    return Case(name, about, files, setup, points, START + float(points.times[-1]) + 0.2, task)
+    return Case(name, about, nominal.setup, points, START + float(points.times[-1]) + 0.2, task)
 
 
 def _other_arm(nominal: Nominal, name: str, role: str, keys: Sequence[str], factor: float, what: str) -> Case:
-    files, setup = nominal.scaled(role, keys, factor)
-    return replace(_line(nominal, name, f"{what} times {factor:g}"), files=files, setup=setup)
+    setup = nominal.scaled(role, keys, factor)
+    return replace(_line(nominal, name, f"{what} times {factor:g}"), setup=setup)
 
 
 def _rest(nominal: Nominal, name: str) -> Case:
@@ -228,9 +228,8 @@ def _rest(nominal: Nominal, name: str) -> Case:
 def _saturation(nominal: Nominal, name: str) -> Case:
     case = _step(nominal, name)
     share = np.minimum(1.0, _DERATED * nominal.needed(case) / nominal.setup.drives.peak_torque)
-    files, setup = nominal.scaled("drives", ("peak_current",), share)
     about = f"the step with drives that give {_DERATED:g} of the torques that the CS7B needs for it"
-    return replace(case, about=about, files=files, setup=setup)
+    return replace(case, about=about, setup=nominal.scaled("drives", ("peak_current",), share))
 
 
 def _dropped(nominal: Nominal, name: str) -> Case:
@@ -264,7 +263,104 @@ def make_case(name: str, nominal: Nominal) -> Case:
     Raises:
         ConfigError: for a payload of an arm without a tool, and a robot without a reference line.
     """
-    assert nominal.setup.files is not None
-    if name.startswith("payload") and nominal.setup.files.tool is None:
+    if name.startswith("payload") and files_of(nominal.setup).tool is None:
         raise ConfigError(f"case {name}: the arm carries no tool; accepted: with a tool file, or other cases")
     return _MAKERS[name](nominal, name)
+
+
+class Record:
+    """A run of a case, command by command, as far as it came: what the drives get of the commands, and what is kept.
+
+    Args:
+        case: what is run.
+        at_joints: whether efforts at the joints are commanded (`joint_commands`), not torques of the motors
+            (`motor_commands`).
+        ticks: base ticks from one command to the next.
+
+    Attributes:
+        added: torques that are added to the commands, Nm, shape (t, n).
+        fault: why the run ended early, if it did.
+    """
+
+    def __init__(self, case: Case, at_joints: bool = False, ticks: int = 1) -> None:
+        self.case, self.at_joints, self.ticks = case, at_joints, ticks
+        rows, joints = -(-case.ticks // ticks), len(case.setup.robot.joint_names)
+        self.added = np.zeros((rows, joints))
+        if case.sines is not None:
+            scale = np.abs(case.setup.drives.gear) if at_joints else 1.0
+            times = case.setup.rates.period * ticks * np.arange(rows, dtype=np.float64)
+            self.added = case.sines.torques(times) * scale
+        self._states, self._sent = np.full((rows, joints), np.nan), np.full((rows, joints), np.nan)
+        self._held: Array | None = None
+        self._done = 0
+        self.fault: str | None = None
+
+    def note_states(self, tick: int, position: Array) -> None:
+        """Keep the measured positions of a tick, rad, shape (n,), on the controller's side."""
+        self._states[tick // self.ticks] = position
+
+    def carry(self, tick: int, command: Array | None) -> Array | None:
+        """Return what the drives get of a command, Nm, shape (n,), None for no torque; the same when it comes again."""
+        row, case = tick // self.ticks, self.case
+        if command is not None:
+            self._sent[row] = command
+        self._done = row + 1
+        if case.lost is not None and case.lost[tick]:
+            return self._held
+        self._held = None if command is None else command + self.added[row]
+        return self._held
+
+    @property
+    def period(self) -> float:
+        """Return the time from one command to the next, s."""
+        return self.ticks * self.case.setup.rates.period
+
+    @property
+    def times(self) -> Array:
+        """Return the times of the commands, s, shape (t,)."""
+        return np.asarray(np.arange(self._done) * self.period)
+
+    @property
+    def sent(self) -> Array:
+        """Return what the controller commanded, at motors or joints, Nm, shape (t, n); NaN for no torque."""
+        return self._sent[: self._done]
+
+    @property
+    def torque(self) -> Array:
+        """Return the same at the joints."""
+        drives = self.case.setup.drives
+        return self.sent if self.at_joints else self.sent * drives.gear @ drives.turning.turns
+
+    @property
+    def position(self) -> Array:
+        """Return positions of the joints by the encoders, rad, shape (t, n)."""
+        states, drives = self._states[: self._done], self.case.setup.drives
+        return states if self.at_joints else states / drives.gear @ drives.turning.joint_turns.T
+
+
+def run_cs7b(case: Case, nominal: Setup) -> Record:
+    """Run a case with the CS7B of the nominal arm, without ROS: the numbers that its node gives, bit for bit."""
+    plant, law, record = case.setup.plant(), nominal.cs7b(), Record(case)
+    plant.reset(case.points.position[0])
+    states = plant.motor_states()
+    law.reset(states[0])
+    law.trajectory.accept(case.points, 0, case.setup.rates.start_tick(START))
+    try:
+        for tick in range(case.ticks):
+            record.note_states(tick, states[0])
+            command = law.step(*states)
+            plant.step(record.carry(tick, None if law.fault else command))
+    except DivergenceError as error:
+        record.fault = str(error)
+    return record
+
+
+def set_points(case: Case, nominal: Setup) -> Array:
+    """Return position, velocity and acceleration of the set-points, one in each tick of the position loop, (m, 3, n).
+
+    Before the trajectory the arm is to stay where it is, after it at its end.
+    """
+    law, rates = nominal.cs7b(), case.setup.rates
+    law.trajectory.reset(np.array(case.points.position[0]))
+    law.trajectory.accept(case.points, 0, rates.start_tick(START))
+    return law.trajectory.setpoints(0, -(-case.ticks // rates.ratio))

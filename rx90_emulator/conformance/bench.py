@@ -30,8 +30,7 @@ from rx90_common.process.children import ChildProcess, ProcessGroup
 from rx90_common.process.files import write_text
 from rx90_common.process.interrupts import interrupts_later
 from rx90_controller.node.trajectory_client import trajectory_message
-from rx90_emulator.conformance.battery import START, Case
-from rx90_emulator.conformance.runs import Interface, Record, Wire
+from rx90_emulator.conformance.battery import START, Case, Record, files_of
 from rx90_sim.node.simulation import Simulation
 
 LEAD = 0.02
@@ -50,14 +49,15 @@ class Candidate:
         node: its name.
         reference: topic on which it gets set-points as JointState, one in each tick of the position loop; None where it
             takes a trajectory on `<node>/joint_trajectory`.
-        interface: what it commands.
+        at_joints, ticks: what it commands, and how often, as `Record` has them.
         timeout: longest wait for it, s of the wall clock.
     """
 
     command: Sequence[str]
     node: str
     reference: str | None
-    interface: Interface
+    at_joints: bool
+    ticks: int
     timeout: float
 
 
@@ -79,7 +79,7 @@ class _Run:
         progress: Callable[[int], None],
     ) -> None:  # fmt: skip
         self.case, self.candidate, self._child, self._progress = case, candidate, child, progress
-        self.wire = Wire(case, candidate.interface)
+        self.record = Record(case, candidate.at_joints, candidate.ticks)
         self._set_points, self._sent = set_points, 0
         self._gate = case.setup.rates.ticks_of(START / 2.0)
         self._stopped = self._told = self._accepted = False
@@ -199,7 +199,7 @@ class _CheckedChannel(Channel):
         self._run, case = run, run.case
         run.channel_made(self)
         joints = case.setup.robot.joint_names
-        names = joints if run.candidate.interface.at_joints else motor_names(len(joints))
+        names = joints if run.candidate.at_joints else motor_names(len(joints))
         self._states, self._commands = JointStateCodec(names), JointStateCodec(names)
         self._period_ns, self._stamp, self._before = case.setup.rates.period_ns, -1, -1
 
@@ -210,7 +210,7 @@ class _CheckedChannel(Channel):
         if stamp != self._stamp:
             self._before, self._stamp = self._stamp, stamp
             assert position is not None
-            self._run.wire.note_states(tick, position)
+            self._run.record.note_states(tick, position)
             self._run.before(tick)
         super().publish(raw)
         if self._run.case.twice is not None and self._run.case.twice[tick]:
@@ -229,7 +229,7 @@ class _CheckedChannel(Channel):
                 effort = self._commands.decode(raw)[3]
             except ExchangeError:  # the simulation says what is wrong with it
                 return raw
-            carried = self._run.wire.carry(self._stamp // self._period_ns, effort)
+            carried = self._run.record.carry(self._stamp // self._period_ns, effort)
             return self._commands.encode(self._stamp, effort=carried)
         return raw
 
@@ -255,7 +255,6 @@ def run_on_topics(
     arguments = ["--ros-args", "--log-level", "rx90_sim:=warn", "--params-file", str(parameters)]
     if "/" in candidate.node.strip("/"):
         arguments += ["-r", f"__ns:=/{candidate.node.strip('/').rpartition('/')[0]}"]
-    fault = None
     with ProcessGroup(folder, _GRACE) as group:
         child = group.start(case.name, candidate.command) if candidate.command else None
         run = _Run(case, set_points, candidate, child, progress)
@@ -263,18 +262,17 @@ def run_on_topics(
             with interrupts_later() as run.check_interrupt:  # which puts back the handlers that the nodes set
                 lifecycle.spin(run.make, arguments)
         except DivergenceError as error:
-            fault = str(error)
+            run.record.fault = str(error)
         finally:
             run.close()
-    record = run.wire.record(fault)
-    if fault is None and len(record.position) < -(-case.ticks // candidate.interface.ticks):
+    if run.record.fault is None and len(run.record.times) < -(-case.ticks // candidate.ticks):
         raise KeyboardInterrupt
-    return record
+    return run.record
 
 
 def _parameters(case: Case, candidate: Candidate) -> dict[str, Any]:
     """Return the simulation's parameters."""
-    files, rates = case.files, case.setup.rates
+    files, rates = files_of(case.setup), case.setup.rates
     parameters = {
         **{role: files.text(role) for role in ("urdf", "tool", "drives", "friction")},
         "base_rate": rates.base_hz,
@@ -284,6 +282,6 @@ def _parameters(case: Case, candidate: Candidate) -> dict[str, Any]:
         "real_time_factor": 0.0,
         "seed": case.setup.seed,
     }
-    if candidate.interface.at_joints:
-        parameters |= {"command_interface": "joint", "command_rate": rates.base_hz // candidate.interface.ticks}
+    if candidate.at_joints:
+        parameters |= {"command_interface": "joint", "command_rate": rates.base_hz // candidate.ticks}
     return parameters

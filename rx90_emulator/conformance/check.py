@@ -15,7 +15,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.description.robot_files import provenance_of
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, Curve, Level, Panel, Plot
-from rx90_emulator.conformance.battery import Case, Nominal, make_case
+from rx90_emulator.conformance.battery import Case, Nominal, Record, make_case, run_cs7b, set_points
 from rx90_emulator.conformance.bench import Candidate, run_on_topics
 from rx90_emulator.conformance.quantities import (
     QUANTITIES,
@@ -26,7 +26,6 @@ from rx90_emulator.conformance.quantities import (
     measure,
     tracking_error,
 )
-from rx90_emulator.conformance.runs import Record, run_cs7b, set_points
 from rx90_emulator.loop.setup import Setup
 
 _MRAD = 1e3
@@ -71,21 +70,18 @@ class CaseResult:
         names, panels = [one.joint for one in self.findings if one.quantity == "gain_margin"], []
         if self.case.sines is not None and names:
             opened = [(loops(record), label, colour) for record, label, colour in runs]
-            for j, name in enumerate(names):
-                marks = [Curve(own[j].frequency, 20.0 * np.log10(np.abs(own[j].gain)), label, colour, dots=True)
-                         for own, label, colour in opened]  # fmt: skip
-                panels.append(Panel([Level(0.0, "", GREY), *marks], name, "", "gain, dB", "log"))
-            for j in range(len(names)):
-                marks = [Curve(own[j].frequency, np.degrees(np.unwrap(np.angle(own[j].gain))), label, colour, dots=True)
-                         for own, label, colour in opened]  # fmt: skip
-                panels.append(Panel([Level(-180.0, "", GREY), *marks], "", "frequency, Hz", "phase, deg", "log"))
+            for level, y_label in ((0.0, "gain, dB"), (-180.0, "phase, deg")):
+                for j, name in enumerate(names):
+                    marks = [Curve(own[j].frequency, own[j].bode[y_label], label, colour, dots=True)
+                             for own, label, colour in opened]  # fmt: skip
+                    title, x_label = (name, "") if level == 0.0 else ("", "frequency, Hz")
+                    panels.append(Panel([Level(level, "", GREY), *marks], title, x_label, y_label, "log"))
             return Plot(panels, columns=3, height=1.8)
+        rows = [slice(None, None, max(1, self.case.setup.rates.ratio // record.ticks)) for record, *_ in runs]
+        errors = [_MRAD * tracking_error(record, self.set_points) for record, *_ in runs]
         for j, name in enumerate(self.case.setup.robot.joint_names):
-            marks = []
-            for record, label, colour in runs:
-                step = max(1, self.case.setup.rates.ratio // record.interface.ticks)
-                error = tracking_error(record, self.set_points)[::step, j]
-                marks.append(Curve(record.times[::step], _MRAD * error, label, colour))
+            marks = [Curve(record.times[every], error[every, j], label, colour)
+                     for (record, label, colour), error, every in zip(runs, errors, rows, strict=True)]  # fmt: skip
             panels.append(Panel(marks, name, "time, s", "error, mrad"))
         return Plot(panels, columns=3, height=1.8)
 
@@ -218,7 +214,7 @@ def check_controller(
                     progress(before + tick, total)
 
             record = run_on_topics(case, points, candidate, folder, tell)
-            values, of_other = (measure(one, points, candidate.interface.at_joints) for one in (record, other))
+            values, of_other = (measure(one, points, candidate.at_joints) for one in (record, other))
             found = judge(case, values, of_other, limits)
             yield CaseResult(record, other, points, tuple(found))
             before += case.ticks

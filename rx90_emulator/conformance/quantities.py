@@ -19,8 +19,7 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.declared import Declared
 from rx90_common.base.entries import Number
 from rx90_common.exchange.topics import motor_names
-from rx90_emulator.conformance.battery import START, Case, TorqueSines
-from rx90_emulator.conformance.runs import Record
+from rx90_emulator.conformance.battery import START, Case, Record
 from rx90_emulator.loop.line import path_accuracy
 
 _SETTLED_SHARE = 0.02  # of the way of a step
@@ -176,24 +175,24 @@ def measure(record: Record, set_points: Array, at_joints: bool | None = None) ->
         at_joints: whether loops have the names of joints, not of motors; as they were commanded for None.
     """
     case, joints = record.case, record.case.setup.robot.joint_names
-    at_joints = record.interface.at_joints if at_joints is None else at_joints
+    at_joints = record.at_joints if at_joints is None else at_joints
     commanded = joints if at_joints else motor_names(len(joints))
-    done = len(record.position) * record.interface.ticks
-    off = np.isnan(record.torque).any(axis=1)
+    position, torque, times = record.position, record.torque, record.times
+    done = len(position) * record.ticks
+    off = np.isnan(torque).any(axis=1)
     values: Values = {("time_run", "all"): min(done, case.ticks) * case.setup.rates.period,
                       ("torque_off", "all"): float(off.sum()) * record.period}  # fmt: skip
     if done < case.ticks:
         return values
     error = tracking_error(record, set_points)
-    moving = record.times >= START
+    moving = times >= START
     if case.sines is not None:
         for name, loop in zip(commanded, loops(record), strict=True):
             values |= {(quantity, name): value for quantity, value in loop.margins().items()}
         return values
     for j, name in enumerate(joints):
-        own, torque = error[moving, j], np.nan_to_num(record.torque[moving, j])
-        size = max(1, round(_RIPPLE_WINDOW / record.period))
-        ripple = torque - uniform_filter1d(torque, size)
+        own, asked = error[moving, j], np.nan_to_num(torque[moving, j])
+        ripple = asked - uniform_filter1d(asked, max(1, round(_RIPPLE_WINDOW / record.period)))
         values |= {
             ("tracking_error_peak", name): float(np.abs(own).max()),
             ("tracking_error_rms", name): _rms(own),
@@ -202,34 +201,34 @@ def measure(record: Record, set_points: Array, at_joints: bool | None = None) ->
         rest = round(_AT_REST / record.period)
         if case.name in ("step", "saturation"):
             way = float(case.points.position[-1, j] - case.points.position[0, j])
-            beyond = (record.position[:, j] - case.points.position[-1, j]) / way
+            beyond = (position[:, j] - case.points.position[-1, j]) / way
             late = np.flatnonzero(np.abs(error[:, j]) > _SETTLED_SHARE * abs(way))
-            settled = max(0.0, record.times[late[-1]] + record.period - case.end) if len(late) else 0.0
+            settled = max(0.0, times[late[-1]] + record.period - case.end) if len(late) else 0.0
             values["overshoot", name] = max(0.0, float(beyond.max()))
             values["settling_time" if case.name == "step" else "recovery_time", name] = settled
         if case.name in ("step", "saturation", "rest"):
             values["rest_error", name] = abs(float(error[-rest:, j].mean()))
         if case.name == "rest":
             counts = case.setup.drives.encoder_counts * np.abs(case.setup.drives.gear) / (2.0 * math.pi)  # in a rad
-            tail = record.position[record.times >= case.duration - _HUNTED, j]
+            tail = position[times >= case.duration - _HUNTED, j]
             amplitude, period = oscillation(tail, record.period, _COUNTS / float(counts[j]))
             values |= {("hunting", name): amplitude, ("hunting_period", name): period}
     if case.task is not None:
-        accuracy = path_accuracy(case.setup.robot, case.task, record.times, record.position, START)
+        accuracy = path_accuracy(case.setup.robot, case.task, times, position, START)
         values["path_error", "tool"] = accuracy.worst
     return values
 
 
 def tracking_error(record: Record, set_points: Array) -> Array:
-    """Return set-points less positions, rad, shape (n, 6); a set-point holds until the next one."""
-    ratio = record.case.setup.rates.ratio
-    rows = np.arange(len(record.position)) * record.interface.ticks // ratio
+    """Return set-points less positions, rad, shape (t, n); a set-point holds until the next one."""
+    ratio, position = record.case.setup.rates.ratio, record.position
+    ticks = np.arange(len(position)) * record.ticks
+    rows = ticks // ratio
     held: Array = set_points[rows, 0]
-    if record.interface.ticks < ratio:  # between two of them the set-point goes on
+    if record.ticks < ratio:  # between two of them the set-point goes on
         after = set_points[np.minimum(rows + 1, len(set_points) - 1), 0]
-        share = (np.arange(len(rows)) * record.interface.ticks % ratio / ratio)[:, None]
-        held = held + share * (after - held)
-    return held - record.position
+        held = held + (ticks % ratio / ratio)[:, None] * (after - held)
+    return held - position
 
 
 def _rms(values: Array) -> float:
@@ -264,14 +263,19 @@ class Loop(NamedTuple):
     frequency: Array
     gain: NDArray[np.complex128]
 
+    @property
+    def bode(self) -> dict[str, Array]:
+        """Return gain and phase as they are drawn, by the labels of their axes."""
+        phase = np.degrees(np.unwrap(np.angle(self.gain)))
+        return {"gain, dB": 20.0 * np.log10(np.abs(self.gain)), "phase, deg": phase}
+
     def margins(self) -> dict[str, float]:
         """Return gain margin, dB, phase margin, deg, modulus margin, and crossover, Hz; NaN where it is not crossed.
 
         Between two frequencies magnitude, dB, and phase are linear in the frequency's logarithm. Of several crossings
         the margin that is least counts; a loop that must not lose gain has a gain margin, too.
         """
-        octave, level = np.log(self.frequency), 20.0 * np.log10(np.abs(self.gain))
-        phase = np.degrees(np.unwrap(np.angle(self.gain)))
+        octave, (level, phase) = np.log(self.frequency), self.bode.values()
         crossed = _crossings(octave, level, 0.0)
         phases = [(np.interp(at, octave, phase) + 180.0) % 360.0 for at in crossed]
         levels = [abs(float(np.interp(at, octave, level)))
@@ -296,7 +300,7 @@ def loops(record: Record) -> list[Loop]:
     Over whole periods of the sines, with a Hann window: L = -U / (U + D), of the spectra of the controller's commands U
     and of the sines D. That holds whatever set-points and feed-forward add, because these are no sines.
     """
-    sines: TorqueSines | None = record.case.sines
+    sines = record.case.sines
     assert sines is not None
     begin, end = (round(time / record.period) for time in sines.measured)
     count, window = end - begin, hann(end - begin, sym=False)[:, None]

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from rclpy.node import Node
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.declared import option
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import counted, one_line, quoted
 from rx90_common.base.rates import Rates, ticks_per
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.parameters import declare, declare_rates
+from rx90_common.exchange.parameters import declare, declare_options, declare_rates
 from rx90_common.exchange.topics import (
     COMMAND_INTERFACES,
     FREE_RUNNING,
@@ -34,11 +34,6 @@ FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
 """Files of the robot that the node can be given."""
 
 
-def _as(default: Any, description: str, low: float | None = None, high: float | None = None) -> dict[str, Any]:
-    """Return how a field is declared, as a parameter of its name."""
-    return {"default": default, "description": description, "low": low, "high": high}
-
-
 @dataclass(frozen=True)
 class SimulationParameters:
     """What the node was asked for; fields other than the rates are declared here.
@@ -48,48 +43,38 @@ class SimulationParameters:
     """
 
     rates: Rates
-    joint_state_rate: int = field(metadata=_as(1000, "rate of joint_states and friction_states, Hz", 1, 20000))
-    clock_rate: int = field(metadata=_as(50, "rate of /clock, Hz", 1, 20000))
-    tf_rate: int = field(
-        metadata=_as(0, "rate of /tf, Hz; 0: neither /tf nor /tf_static, for robot_state_publisher has them", 0, 20000)
+    joint_state_rate: int = option(1000, "rate of joint_states and friction_states, Hz", 1, 20000)
+    clock_rate: int = option(50, "rate of /clock, Hz", 1, 20000)
+    tf_rate: int = option(
+        0, "rate of /tf, Hz; 0: neither /tf nor /tf_static, for robot_state_publisher has them", 0, 20000
     )
-    time_mode: str = field(
-        metadata=_as(LOCK_STEP, "lock_step: wait for the controller in every tick; free_running: wall clock")
+    time_mode: str = option(LOCK_STEP, "lock_step: wait for the controller in every tick; free_running: wall clock")
+    real_time_factor: float = option(1.0, "pace in lock_step, 0 for as fast as it goes", 0.0, 1000.0)
+    command_timeout: float = option(
+        0.5, "free_running: wait for a late motor command before the brakes close, s", 0.0, 10.0
     )
-    real_time_factor: float = field(metadata=_as(1.0, "pace in lock_step, 0 for as fast as it goes", 0.0, 1000.0))
-    command_timeout: float = field(
-        metadata=_as(0.5, "free_running: wait for a late motor command before the brakes close, s", 0.0, 10.0)
+    command_interface: str = option(
+        MOTOR_INTERFACE, "motor: motor_commands answer motor_states; joint: joint_commands, efforts, drive the arm"
     )
-    command_interface: str = field(
-        metadata=_as(
-            MOTOR_INTERFACE, "motor: motor_commands answer motor_states; joint: joint_commands, efforts, drive the arm"
-        )
+    command_rate: int = option(0, "rate of joint_commands, which are held in between, Hz; 0: position_rate", 0, 20000)
+    command_age_limit: float = option(
+        0.1, "free_running: age of the newest joint command at which the brakes close, s", 0.001, 10.0
     )
-    command_rate: int = field(
-        metadata=_as(0, "rate of joint_commands, which are held in between, Hz; 0: position_rate", 0, 20000)
+    initial_position: list[float] = option(  # noqa: RUF009 - it gives each a list of its own
+        [0.0],
+        "joint positions at the start and after a reset, rad; a single number is for all joints, or the end of a "
+        "joint's range that is nearest to it",
     )
-    command_age_limit: float = field(
-        metadata=_as(0.1, "free_running: age of the newest joint command at which the brakes close, s", 0.001, 10.0)
+    duration: float = option(0.0, "simulated time after which the node ends, s; 0: never", 0.0, 1e9)
+    paused: bool = option(False, "begin with time standing still")
+    substeps: int = option(
+        0, "steps of the plant in a tick; 0: as many as friction, mass and gears need", 0, MOST_STEPS
     )
-    initial_position: list[float] = field(
-        metadata=_as(
-            [0.0],
-            "joint positions at the start and after a reset, rad; a single number is for all joints, or the end of a "
-            "joint's range that is nearest to it",
-        )
-    )
-    duration: float = field(metadata=_as(0.0, "simulated time after which the node ends, s; 0: never", 0.0, 1e9))
-    paused: bool = field(metadata=_as(False, "begin with time standing still"))
-    substeps: int = field(
-        metadata=_as(0, "steps of the plant in a tick; 0: as many as friction, mass and gears need", 0, MOST_STEPS)
-    )
-    seed: int = field(
-        metadata=_as(
-            0,
-            "of all that is random in the arm, such as the scatter of its friction; a reset begins with it again",
-            0,
-            LARGEST_SEED,
-        )
+    seed: int = option(
+        0,
+        "of all that is random in the arm, such as the scatter of its friction; a reset begins with it again",
+        0,
+        LARGEST_SEED,
     )
 
     def __post_init__(self) -> None:
@@ -158,8 +143,7 @@ def read_parameters(node: Node) -> SimulationParameters:
     about = "rate of temperatures, of joints and windings that get warm, Hz"
     rates = declare_rates(node)
     rates = replace(rates, temperature_hz=declare(node, TEMPERATURE_RATE, 1, about, low=1, high=20000))
-    own: Any = {one.name: declare(node, one.name, **one.metadata) for one in fields(SimulationParameters)[1:]}
-    return SimulationParameters(rates, **own)
+    return SimulationParameters(rates, **declare_options(node, SimulationParameters))
 
 
 def declare_step_ticks(node: Node) -> int:

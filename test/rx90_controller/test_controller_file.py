@@ -99,12 +99,13 @@ def test_without_a_model_its_parts_stay_off(shipped: Setup, switch: str) -> None
         dataclasses.replace(shipped.controller, feed_forward=on, model=None)
 
 
-def test_one_line_says_that_the_action_is_off_and_how_to_turn_it_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_line_says_that_the_action_is_off_and_how_to_turn_it_on() -> None:
     """Without control_msgs nothing is served beyond what there was, and the log has one line of information."""
-    monkeypatch.setattr(controller_node, "missing_control_msgs", lambda: "needs control_msgs; accepted: make action")
     said: list[str] = []
     node: Any = SimpleNamespace(get_logger=lambda: SimpleNamespace(info=said.append))
-    assert controller_node.import_client_interfaces(node) is None
+    missing = "needs control_msgs; accepted: make action"
+    what = "the action follow_joint_trajectory is"
+    assert controller_node.import_optional(node, "client_interfaces", what, missing) is None
     assert said == ["the action follow_joint_trajectory is off: needs control_msgs; accepted: make action"]
 
 

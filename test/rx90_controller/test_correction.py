@@ -7,8 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from goal_arm import LIMITS
-from joint_moves import HOME, PERIOD
+from joint_moves import HOME, LIMITS, NAMES, PERIOD, ZERO, trajectory
 from servo_rig import Rig
 
 from rx90_common.base.errors import TrajectoryError
@@ -19,9 +18,14 @@ from rx90_controller.trajectory.correction import (
     FADE,
     FASTEST,
     Correction,
-    correction_content,
 )
-from rx90_controller.trajectory.points import correction_from_points, points_from_message, trajectory_identity
+from rx90_controller.trajectory.points import (
+    correction_from_points,
+    correction_points,
+    message_content,
+    points_from_message,
+    trajectory_identity,
+)
 from rx90_emulator.loop.setup import Setup
 
 SIZE, COUNT = 1e-3, 1000
@@ -30,16 +34,9 @@ FADE_TICKS = round(FADE / PERIOD)
 
 def points(correction: Correction | None, target: float = 0.1, seconds: float = 1.0) -> TrajectoryPoints:
     """Return a move of all joints from HOME."""
-    names = LIMITS.names
-    ends = [[HOME] * 6, [HOME + target] * 6] if np.isscalar(HOME) else [list(HOME), list(np.add(HOME, target))]
-    made = TrajectoryPoints.create(names, names, [0.0, seconds], ends, [[0.0] * 6] * 2, [[0.0] * 6] * 2)
+    rest = [ZERO, ZERO]
+    made = TrajectoryPoints.create(NAMES, NAMES, [0.0, seconds], [HOME, HOME + target], rest, rest)
     return replace(made, correction=correction)
-
-
-@pytest.fixture
-def generator() -> TrajectoryGenerator:
-    """Return a generator that holds HOME."""
-    return TrajectoryGenerator(LIMITS, PERIOD, np.zeros(6) + HOME)
 
 
 @pytest.fixture
@@ -92,9 +89,9 @@ def test_what_waits_goes_with_its_trajectory(generator: TrajectoryGenerator, ste
     generator.accept(points(steady), 0, 300)
     generator.accept(points(None), 100, 200)
     assert not offsets(generator, 100, 1500).any()
-    generator.reset(np.zeros(6) + HOME)
+    generator.reset(HOME)
     generator.accept(points(steady), 0, 0)
-    generator.reset(np.zeros(6) + HOME)
+    generator.reset(HOME)
     assert not offsets(generator, 0, 500).any()
 
 
@@ -109,9 +106,9 @@ def test_refusals_leave_everything_as_it_was(generator: TrajectoryGenerator, ste
     with pytest.raises(TrajectoryError, match=r"speed scaling 0\.5 with a correction; accepted: 1"):
         generator.accept(points(steady), 0, None)
     generator.set_speed_scaling(1.0, 0)
-    narrow = replace(LIMITS, upper=np.zeros(6) + HOME + 0.1 + 0.5 * SIZE)
+    narrow = replace(LIMITS, upper=HOME + 0.1 + 0.5 * SIZE)
     with pytest.raises(TrajectoryError, match=r"the correction takes .* within the joint's limits"):
-        TrajectoryGenerator(narrow, PERIOD, np.zeros(6) + HOME).accept(points(steady), 0, None)
+        TrajectoryGenerator(narrow, PERIOD, HOME).accept(points(steady), 0, None)
     assert not generator.moving(1)
 
 
@@ -138,10 +135,10 @@ def test_a_message_carries_it_to_its_trajectory() -> None:
     """Points of a message come back as the same offsets; times off the set-points are refused; identities differ."""
     rng = np.random.default_rng(4)
     correction = Correction(np.cumsum(rng.uniform(-0.1, 0.1, (50, 6)), axis=0) * FASTEST * PERIOD, PERIOD)
-    content = correction_content(LIMITS.names, correction)
-    rows = [point["positions"] for point in content["points"]]
-    times = [point["time_from_start"]["sec"] + point["time_from_start"]["nanosec"] / 1e9 for point in content["points"]]
-    sent = TrajectoryPoints.create(LIMITS.names, content["joint_names"], times, rows, [], [])
+    message = message_content(NAMES, correction_points(correction))["points"]
+    rows = [point["positions"] for point in message]
+    times = [point["time_from_start"]["sec"] + point["time_from_start"]["nanosec"] / 1e9 for point in message]
+    sent = TrajectoryPoints.create(NAMES, NAMES, times, rows, [], [])
     assert np.array_equal(correction_from_points(sent, PERIOD).offsets, correction.offsets)
     with pytest.raises(TrajectoryError, match="accepted: a point every"):
         correction_from_points(replace(sent, times=sent.times * 1.01), PERIOD)
@@ -152,13 +149,13 @@ def test_a_message_carries_it_to_its_trajectory() -> None:
 def test_the_loop_joins_a_trajectory_with_the_correction_that_waits_for_it(rig: Rig) -> None:
     """Sent before it, it is played; asked for and not there, the trajectory is refused; for another, it is dropped."""
     rig.loop.hold(rig.states(0))
-    trajectory = rig.trajectory(0.1)
-    trajectory.header.frame_id = CORRECTED
-    rig.loop.receive(trajectory)
+    asking = rig.trajectory(0.1)
+    asking.header.frame_id = CORRECTED
+    rig.loop.receive(asking)
     assert "its correction has not come; accepted: after it on" in rig.around.lines[-1]
-    identity = trajectory_identity(points_from_message(rig.names, trajectory))
+    identity = trajectory_identity(points_from_message(rig.names, asking))
     rig.loop.receive_correction(sent(rig, identity, SIZE))
-    rig.loop.receive(trajectory)
+    rig.loop.receive(asking)
     assert rig.around.lines[-1].endswith("; with its correction")
     rig.run(0, 4 * 200)
     assert rig.cs7b.offset == pytest.approx(np.full(6, SIZE))
@@ -171,12 +168,4 @@ def test_the_loop_joins_a_trajectory_with_the_correction_that_waits_for_it(rig: 
 
 def sent(rig: Rig, identity: str, size: float) -> SimpleNamespace:
     """Return the message of a correction of one second."""
-    points = [
-        SimpleNamespace(
-            positions=[size] * 6, velocities=[], accelerations=[], effort=[],
-            time_from_start=SimpleNamespace(sec=0, nanosec=k * 1_000_000),
-        )
-        for k in range(999)
-    ]  # fmt: skip
-    header = SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0), frame_id=identity)
-    return SimpleNamespace(header=header, joint_names=list(rig.names), points=points)
+    return trajectory(np.arange(999) * PERIOD, [size] * 999, names=rig.names, frame=identity)

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import signal
 
 from rx90_common.base.errors import SupervisionError
 from rx90_common.base.rates import Rates
@@ -25,6 +24,8 @@ from rx90_emulator.loop.setup import Setup
 Array = NDArray[np.float64]
 MakeServo = Callable[..., Any]
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+COUPLING = np.eye(6)
+COUPLING[5, 4] = 1.0  # motor 6 turns with q5 + q6
 JUMP = np.array([0.1, -0.2, 0.3, 0.05, 0.0, -0.1])
 KP, KV, KI, INERTIA, BANDWIDTH, PEAK = 40.0, 300.0, 1e5, 2.0, 800.0, 12.0
 
@@ -44,38 +45,45 @@ def ramp(servo: Any, speed: Array, seconds: float) -> None:
     servo.controller.trajectory.accept(TrajectoryPoints.create(NAMES, NAMES, times, rows, rates, [[]] * 3), 0, None)
 
 
-def sampled_loop(reference: Callable[[int], tuple[float, float]], ticks: int, ratio: int, period: float) -> Array:
-    """Return positions of one inertia under the law, by matrices written from its description.
+def written_loop(
+    reference: Callable[[int], tuple[float, float]], ticks: int, rates: Rates, peak: float = math.inf
+) -> tuple[Array, Array, int]:
+    """Return positions, torques and ticks in saturation of one inertia under the law, written from its description.
 
-    torque = Mn [kv (kp e + dq_r - dq) + ki integral(e)], PI held over `ratio` ticks, current loop of first order.
-    The inertia by the matrix exponential of a double integrator, the current loop by its sampled pole.
+    torque = Mn [kv (kp e + dq_r - dq) + ki integral(e)], PI held over the ticks of the position loop, current loop of
+    first order behind the torque limit. Conditional integration: the integrator stands still while the amplifier is at
+    its limit and the error would drive it further there.
     """
-    plant = signal.cont2discrete((np.eye(2, k=1), np.array([[0], [1 / INERTIA]]), np.eye(2), np.zeros((2, 1))), period)
-    a, b = plant[0], plant[1][:, 0]
+    position = velocity = torque = integral = held = 0.0
+    limited, count, period = 0, 0, rates.period
     pole = math.exp(-2 * math.pi * BANDWIDTH * period)
-    state, torque, integral, held = np.zeros(2), 0.0, 0.0, 0.0
-    positions = []
+    positions, torques = [], []
     for k in range(ticks):
-        target, speed = reference(k // ratio)
-        if k % ratio == 0:
-            error = target - state[0]
-            integral += error * ratio * period
+        target, speed = reference(k // rates.ratio)
+        positions.append(position)
+        if k % rates.ratio == 0:
+            error = target - position
+            if error * limited <= 0:
+                integral += error * rates.ratio * period
             held = INERTIA * (KV * KP * error + KI * integral)
-        asked = held + INERTIA * KV * (speed - state[1])
-        torque = pole * torque + (1 - pole) * asked
-        positions.append(state[0])
-        state = a @ state + b * torque
-    return np.array(positions)
+        asked = held + INERTIA * KV * (speed - velocity)
+        limited = 0 if abs(asked) <= peak else int(math.copysign(1, asked))
+        count += limited != 0
+        torque = pole * torque + (1 - pole) * min(peak, max(-peak, asked))
+        torques.append(torque)
+        position += velocity * period + torque / INERTIA / 2 * period**2
+        velocity += torque / INERTIA * period
+    return np.array(positions), np.array(torques), count
 
 
 @pytest.mark.parametrize("rates", [Rates(), Rates(4000, 4000), Rates(8000, 500)], ids=["4:1", "1:1", "16:1"])
 def test_step_response_of_the_sampled_loop(servo: MakeServo, rates: Rates) -> None:
-    """The answer to a step equals that of the sampled loop written as matrices, at any ratio of rates."""
+    """The answer to a step equals that of the loop as it is described, at any ratio of rates."""
     loop = servo(rates, inertia=INERTIA)
     step_to(loop, JUMP)
     ticks = rates.base_hz // 5
     got, _ = loop.run(ticks)
-    unit = sampled_loop(lambda _: (1.0, 0.0), ticks, rates.ratio, rates.period)
+    unit, *_ = written_loop(lambda _: (1.0, 0.0), ticks, rates)
     assert got == pytest.approx(np.outer(unit, JUMP), abs=1e-12)
 
 
@@ -87,36 +95,12 @@ def test_ramp_response(servo: MakeServo, damped: str) -> None:
     loop = servo(inertia=INERTIA, feed_forward=dataclasses.replace(FeedForward.off(), velocity=forward))
     ramp(loop, speed, 2.0)
     got, _ = loop.run(4000)
-    unit = sampled_loop(lambda row: (row * 1e-3, float(forward)), 4000, 4, 250e-6)
+    unit, *_ = written_loop(lambda row: (row * 1e-3, float(forward)), 4000, Rates())
     assert got == pytest.approx(np.outer(unit, speed), abs=1e-12)
     if not forward:
         return
     error = loop.controller.state["error"][0]
     assert np.abs(error).max() < 1e-3 * 0.5 / 40  # without the integrator of the loop: dq_r / kp
-
-
-def test_the_integrator_takes_a_constant_load(servo: MakeServo) -> None:
-    """Under a constant load torque the position error dies out and the integrator gives the load."""
-    loop = servo(inertia=INERTIA)
-    positions, torques = loop.run(8000, load=-7.0)
-    assert np.abs(positions).max() > 1e-5
-    assert np.abs(positions[-1]).max() < 1e-9
-    assert torques[-1] == pytest.approx(np.full(6, 7.0), rel=1e-6)
-    assert loop.controller.state["integrator"][0] == pytest.approx(np.full(6, 7.0), rel=1e-6)
-
-
-def test_the_current_loop_is_a_sampled_lag_of_its_bandwidth(servo: MakeServo) -> None:
-    """A step of the asked current is answered as a lag of first order, 1 - exp(-2 pi f t), sampled."""
-    loop = servo(kv=np.zeros(6), ki=np.full(6, 1e-9), inertia=1e9, current_bandwidth=150.0)
-    controller = loop.controller
-    controller.state["feed_forward"][0] = 3.0
-    controller.tick = 1  # no position tick before the fourth
-    got = [controller.step(np.zeros(6), np.zeros(6)).copy() for _ in range(3)]
-    controller.tick = 1
-    got += [controller.step(np.zeros(6), np.zeros(6)).copy() for _ in range(3)]
-    times = (np.arange(6) + 1) / 4000
-    want = 3.0 * (1 - np.exp(-2 * math.pi * 150.0 * times))
-    assert np.array(got) == pytest.approx(np.repeat(want[:, None], 6, axis=1), rel=1e-12)
 
 
 def test_the_amplifier_slews_no_faster_than_it_can(servo: MakeServo) -> None:
@@ -137,38 +121,12 @@ def test_the_amplifier_slews_no_faster_than_it_can(servo: MakeServo) -> None:
     assert controller.state["command"][0] == pytest.approx(0.5 * currents[-1])
 
 
-def limited_loop(size: float, ticks: int) -> tuple[Array, Array, int]:
-    """Return positions, torques and ticks in saturation of one inertia under the law with a torque limit.
-
-    Conditional integration: the integrator stands still while the amplifier is at its limit and the error
-    would drive it further there.
-    """
-    position = velocity = torque = integral = held = 0.0
-    limited, count, pole = 0, 0, math.exp(-2 * math.pi * 800.0 / 4000)
-    positions, torques = [], []
-    for k in range(ticks):
-        positions.append(position)
-        if k % 4 == 0:
-            error = size - position
-            if error * limited <= 0:
-                integral += error * 1e-3
-            held = INERTIA * (KV * KP * error + KI * integral)
-        asked = held - INERTIA * KV * velocity
-        limited = 0 if abs(asked) <= PEAK else int(math.copysign(1, asked))
-        count += limited != 0
-        torque = pole * torque + (1 - pole) * min(PEAK, max(-PEAK, asked))
-        torques.append(torque)
-        position += velocity / 4000 + torque / INERTIA / 2 / 4000**2
-        velocity += torque / INERTIA / 4000
-    return np.array(positions), np.array(torques), count
-
-
 def test_saturation_and_recovery(servo: MakeServo) -> None:
     """A step far beyond the amplifier's limit equals conditional integration, tick by tick, and is counted."""
     loop = servo(inertia=INERTIA, peak=PEAK)
     step_to(loop, 1.0 * np.eye(6)[0])
     got, torques = loop.run(12000)
-    want, want_torques, count = limited_loop(1.0, 12000)
+    want, want_torques, count = written_loop(lambda _: (1.0, 0.0), 12000, Rates(), PEAK)
     assert got[:, 0] == pytest.approx(want, abs=1e-9)
     assert torques[:, 0] == pytest.approx(want_torques, abs=1e-6)
     assert np.abs(torques).max() <= PEAK * (1 + 1e-12)
@@ -208,8 +166,7 @@ def test_each_part_of_the_feed_forward_has_its_switch(shipped: Setup, part: str)
     controller.trajectory.accept(
         TrajectoryPoints.create(NAMES, NAMES, [1.0], [goal], [[0.0] * 6], [[0.0] * 6]), 0, None
     )
-    gear, coupling = shipped.drives.gear, np.eye(6)
-    coupling[5, 4] = 1.0
+    gear = shipped.drives.gear
     for k in range(0, 4000, 4):
         controller.step(np.full(6, 0.3), np.full(6, -2.0))  # what is measured does not matter to it
         for _ in range(3):
@@ -217,8 +174,8 @@ def test_each_part_of_the_feed_forward_has_its_switch(shipped: Setup, part: str)
         # 10 s^3 - 15 s^4 + 6 s^5 with its derivatives.
         s = k / 4000
         # Motor 6 is seen from its own gear's output, which turns with q5 + q6.
-        rate = coupling @ goal * (30 * s**2 - 60 * s**3 + 30 * s**4)
-        acceleration = coupling @ goal * (60 * s - 180 * s**2 + 120 * s**3)
+        rate = COUPLING @ goal * (30 * s**2 - 60 * s**3 + 30 * s**4)
+        acceleration = COUPLING @ goal * (60 * s - 180 * s**2 + 120 * s**3)
         sign = np.clip(rate / given.coulomb_velocity, -1.0, 1.0)
         want = (
             switch.acceleration * given.inertia * acceleration
@@ -226,7 +183,7 @@ def test_each_part_of_the_feed_forward_has_its_switch(shipped: Setup, part: str)
             + switch.viscous * given.viscous * rate
         )
         assert controller.state["feed_forward"][0] * gear == pytest.approx(want, abs=1e-9)
-    joint = coupling.T @ want
+    joint = COUPLING.T @ want
     assert controller.reference()[2] == pytest.approx(joint, abs=1e-9)
 
 
@@ -236,17 +193,15 @@ def test_gains_are_given_for_the_joint_and_used_at_the_motor(shipped: Setup) -> 
     rng, gear = np.random.default_rng(12), shipped.drives.gear
     error, rate = rng.uniform(-1e-4, 1e-4, 6), rng.uniform(-1e-3, 1e-3, 6)
     law.step(-error * gear, rate * gear)
-    coupling = np.eye(6)
-    coupling[5, 4] = 1.0
     pi = given.inertia * (given.kv * given.kp + given.ki * 1e-3) * error
     damping = -given.inertia * given.kv * rate
     gain = 1 - math.exp(-2 * math.pi * given.current_bandwidth / 4000)
     assert law.state["position_torque"][0] * gear == pytest.approx(pi, rel=1e-12)
     assert law.state["command"][0] * gear == pytest.approx(gain * (pi + damping), rel=1e-9)
     at_joint = law.tracking_error()
-    assert at_joint[0] == pytest.approx(np.linalg.solve(coupling, error), rel=1e-9)
-    assert at_joint[1] == pytest.approx(-np.linalg.solve(coupling, rate), rel=1e-9)
-    assert at_joint[2] == pytest.approx(coupling.T @ (gain * (pi + damping)), rel=1e-9)
+    assert at_joint[0] == pytest.approx(np.linalg.solve(COUPLING, error), rel=1e-9)
+    assert at_joint[1] == pytest.approx(-np.linalg.solve(COUPLING, rate), rel=1e-9)
+    assert at_joint[2] == pytest.approx(COUPLING.T @ (gain * (pi + damping)), rel=1e-9)
 
 
 def test_reset_discharges_everything(servo: MakeServo) -> None:
@@ -264,8 +219,6 @@ def test_reset_discharges_everything(servo: MakeServo) -> None:
     assert loop.controller.reference()[0] == pytest.approx([0.5, 0.4, 0.3, 0.2, 0.1, 0.6])
 
 
-COUPLING = np.eye(6)
-COUPLING[5, 4] = 1.0  # motor 6 turns with q5 + q6
 NOMINAL_SPEED = np.deg2rad([236, 200, 286, 401, 320, 580])  # published, rad/s
 
 

@@ -10,28 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from joint_moves import HOME, LIMITS, NAMES, PERIOD, ZERO, move, points
-from scipy.interpolate import BPoly, CubicHermiteSpline
+from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, TrajectoryError
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.points import message_content
-
-
-def test_a_first_point_later_than_the_start_is_reached_from_the_held_position(
-    generator: TrajectoryGenerator,
-) -> None:
-    """A single point with velocity is a cubic from the held set-point, then its position is held."""
-    assert generator.accept(move(0.4, 0.5), now=10, start=None) == (10, 510, 0.0)
-    assert generator.moving(10)
-    got = generator.setpoints(10, 800)
-    times = np.arange(800) * PERIOD
-    want = CubicHermiteSpline([0, 0.5], [HOME, HOME + 0.4], [ZERO, ZERO])
-    assert got[:500, 0] == pytest.approx(want(times[:500]), abs=1e-13)
-    assert got[:500, 1] == pytest.approx(want(times[:500], 1), abs=1e-12)
-    assert np.all(got[501:, 0] == HOME + 0.4)
-    assert np.all(got[501:, 1:] == 0.0)
-    assert not generator.moving(520)
 
 
 def test_a_stop_brakes_each_joint_within_its_limit_and_holds(generator: TrajectoryGenerator) -> None:
@@ -180,28 +164,6 @@ def test_random_requests_give_what_the_rules_say(data: st.DataObject) -> None:
             tick = data.draw(st.integers(0, 1000))
             generator.reset(hold)
             reference.begin(hold)
-
-
-@given(
-    blocks=st.lists(st.integers(1, 400), min_size=1, max_size=12),
-    start=st.integers(0, 900),
-    seconds=st.floats(0.3, 1.2),
-)
-@settings(max_examples=60)
-def test_a_block_equals_the_same_ticks_one_by_one(blocks: list[int], start: int, seconds: float) -> None:
-    """However the ticks are grouped, the set-points are the same to the last bit."""
-
-    def fresh() -> TrajectoryGenerator:
-        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-        generator.accept(points([seconds / 2, seconds], [HOME + 0.2, HOME + 0.1], [ZERO + 0.1, ZERO]), 0, start)
-        return generator
-
-    single, grouped, tick = fresh(), fresh(), 0
-    for count in blocks:
-        block = grouped.setpoints(tick, count)
-        assert block.shape == (count, 3, 6)
-        assert np.array_equal(block, np.concatenate([single.setpoints(tick + k) for k in range(count)]))
-        tick += count
 
 
 def other(joint: int, value: float, base: Array = HOME) -> Array:

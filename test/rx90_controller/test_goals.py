@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from goal_arm import Arm, GoalError, checked, message, stamp, tolerance, two
-from joint_moves import HOME, NAMES, PERIOD, ZERO
+from goal_arm import Arm, GoalError, checked, message, tolerance, two
+from joint_moves import HOME, NAMES, PERIOD, ZERO, stamp
 
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.request import (
@@ -274,15 +274,3 @@ def test_a_goal_is_reached_once_its_tolerances_hold() -> None:
     assert arm.active == "a"
     arm.off[2] = 0.009
     assert arm.run(1)[0].text == "goal reached at 0.75 s, 0.15 s after the last point"
-
-
-def test_tolerances_of_a_goal_end_with_it() -> None:
-    """A goal without tolerances of its own has the defaults, whatever the one before had."""
-    arm = Arm()
-    arm.offer("a", message(path_tolerance=[tolerance("joint_2", -1.0)]))
-    arm.off[1] = 0.06
-    assert arm.run(300) == []
-    arm.offer("b", message())
-    event = arm.run(1)[0]
-    assert event.key == "b"
-    assert event.code is ResultCode.PATH_TOLERANCE_VIOLATED

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,11 +18,9 @@ from rx90_common.base.share import config_path
 from rx90_common.description.branch import BRANCHES, Branch
 from rx90_common.description.inverse import SphericalWristArm
 from rx90_common.description.kinematics import forward, path_error
-from rx90_common.description.robot import RobotModel, load_robot
-from rx90_common.description.robot_files import RobotFiles
+from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.plan import Approach, LinePlan, plan_line
 from rx90_controller.lines.task import LineTask, TrapezoidalProfile, load_task
-from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 
 TURNING = LineTask(
@@ -80,40 +77,6 @@ def test_interpolated_tip_is_on_the_line_at_the_right_time(shipped: Setup, task:
     assert plan.tip_error <= 1e-7
 
 
-@pytest.mark.parametrize("which", ["reference", "turning"])
-def test_velocity_and_acceleration_are_derivatives_of_position(shipped: Setup, task: LineTask, which: str) -> None:
-    """Away from corners, velocities and accelerations are the finite differences of exact positions."""
-    line = task if which == "reference" else TURNING
-    plan = plan_line(shipped.robot, line)
-    profile = line.profile()
-    corners = line.rest_before + np.array(profile.corners)
-    h = 1e-4
-    inner = np.abs(plan.times[:, None] - corners).min(axis=1) > 2.5 * h
-
-    def exact(times: np.ndarray) -> np.ndarray:
-        return plan.path.at(profile.sample(times - line.rest_before).distance)[0]
-
-    t = plan.times[inner]
-    five = [exact(t + k * h) for k in (-2, -1, 0, 1, 2)]
-    velocity = (five[0] - 8 * five[1] + 8 * five[3] - five[4]) / (12 * h)
-    acceleration = (-five[0] + 16 * five[1] - 30 * five[2] + 16 * five[3] - five[4]) / (12 * h * h)
-    assert inner.sum() > 20
-    np.testing.assert_allclose(plan.velocity[inner], velocity, atol=1e-9)
-    np.testing.assert_allclose(plan.acceleration[inner], acceleration, atol=1e-5)
-
-
-def test_tool_turns_evenly_from_start_to_end(shipped: Setup) -> None:
-    """A line with two orientations turns from one to the other about one axis, in step with the distance."""
-    plan = plan_line(shipped.robot, TURNING)
-    first, last = (Rotation.from_euler("xyz", rpy) for rpy in (TURNING.start_rpy, TURNING.end_rpy))
-    rotation = Rotation.from_matrix(forward(shipped.robot.chain, plan.position).rotation)
-    assert (rotation[0] * first.inv()).magnitude() < 1e-12
-    assert (rotation[-1] * last.inv()).magnitude() < 1e-12
-    share = _integrated(TURNING, plan.times) / TURNING.length
-    whole = (last * first.inv()).as_rotvec()
-    np.testing.assert_allclose((rotation * first.inv()).as_rotvec(), share[:, None] * whole, atol=1e-8)
-
-
 def test_rest_is_exactly_still(plan: LinePlan) -> None:
     """Velocities and accelerations are exactly zero at rest, and those of joint 4 all the way."""
     rest = (plan.times < 1.0) | (plan.times > 5.1)
@@ -166,41 +129,6 @@ def test_short_lines_and_short_rests(shipped: Setup, task: LineTask, length: flo
     assert error.perpendicular.max() < 1e-7
     assert error.beyond.max() < 1e-7
     np.testing.assert_allclose(forward(shipped.robot.chain, plan.position[-1]).position, end, atol=1e-12)
-
-
-def test_the_controller_takes_the_plan_and_its_set_points_stay_on_the_line(shipped: Setup, plan: LinePlan) -> None:
-    """The set-point generator accepts the plan; each 1 kHz set-point is within 0.1 um of its place."""
-    robot = shipped.robot
-    generator = TrajectoryGenerator(shipped.controller.limits(robot), 1e-3, plan.start_pose)
-    points = TrajectoryPoints.create(
-        robot.joint_names,
-        plan.joint_names,
-        plan.times.tolist(),
-        plan.position.tolist(),
-        plan.velocity.tolist(),
-        plan.acceleration.tolist(),
-    )
-    start = generator.accept(points, now=7, start=None).begin
-    setpoints = generator.setpoints(start, 5601)[:, 0]
-    tip = forward(robot.chain, setpoints).position
-    assert np.linalg.norm(tip - plan.tip(np.arange(5601) * 1e-3), axis=1).max() < 1e-7
-
-
-def test_an_arm_without_spherical_wrist_follows_the_line(
-    shipped_files: RobotFiles, task: LineTask, tmp_path: Path
-) -> None:
-    """With axis 6 moved 30 mm aside there is no closed form, and the tip still keeps to the line."""
-    text = shipped_files.urdf.read_text(encoding="utf-8")
-    old = '<origin xyz="0 0 0.085"/>\n    <parent link="link_5"/>'
-    assert text.count(old) == 1
-    file = tmp_path / "aside.urdf"
-    file.write_text(text.replace(old, old.replace("0 0 0.085", "0.03 0.01 0.085")), encoding="utf-8")
-    robot = load_robot(file, shipped_files.tool)
-    assert SphericalWristArm.from_chain(robot.chain) is None
-    line = replace(task, end=(0.6, -0.2, 0.2))
-    plan = plan_line(robot, line)
-    tip = forward(robot.chain, _spline(plan)(np.linspace(0, plan.duration, 501))).position
-    assert path_error(tip, np.array(line.start), np.array(line.end)).perpendicular.max() < 1e-7
 
 
 @pytest.mark.parametrize("acceleration", [1e9, 0.5])
@@ -331,8 +259,9 @@ def test_a_thin_margin_does_not_let_a_line_through_a_singularity(shipped: Setup)
 def test_joint_limit_names_joint_and_range(shipped: Setup) -> None:
     """Behind the robot joint 1 meets its limit where the line is seen at 160 degrees from axis 1."""
     message, distance = _refusal(shipped, _line((-0.5, 0.4, 0.5), (-0.5, -0.2, 0.5)))
-    assert "joint_1 at 2.79" in message
-    assert "[-2.7925, 2.7925]" in message
+    said = re.search(r"joint_1 at ([\d.]+) rad; accepted: \[-2\.7925, 2\.7925\]$", message)
+    assert said is not None, message
+    assert 2.7925 < float(said[1]) < 2.7925 + 2.5e-3  # a millimetre at the wrist's radius of 0.5 m
     assert distance == pytest.approx(0.4 - 0.5 * np.tan(np.radians(20)), abs=1.1e-3)
 
 

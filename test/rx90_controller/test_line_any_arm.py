@@ -97,8 +97,14 @@ def test_seven_joints_keep_place_and_orientation_between_the_knots(seven: RobotM
         assert np.linalg.norm(pin.log3(turned.T @ rotation)) < 1e-6
 
 
-def test_knots_carry_the_derivatives_of_exact_positions(plan: LinePlan) -> None:
+@pytest.mark.parametrize("arm", ["seven joints", "closed form", "closed form, the tool turns"])
+def test_knots_carry_the_derivatives_of_exact_positions(plan: LinePlan, shipped: Setup, arm: str) -> None:
     """Away from the corners of the profile, velocities and accelerations are differences of exact positions."""
+    if arm != "seven joints":
+        line = load_task(config_path("robots/rx90b/task.yaml"))
+        turning = replace(line, start=(0.5, -0.2, 0.4), end=(0.55, 0.15, 0.3), speed=0.25, acceleration=3.0,
+                          start_rpy=(0.0, 2.7, 0.1), end_rpy=(0.6, 2.2, -0.4))  # fmt: skip
+        plan = plan_line(shipped.robot, turning if "turns" in arm else line)
     task, h = plan.task, 1e-4
     profile = task.profile()
     inner = np.abs(plan.times[:, None] - task.rest_before - np.array(profile.corners)).min(axis=1) > 2.5 * h
@@ -175,21 +181,6 @@ def _refusal(robot: RobotModel, task: LineTask) -> tuple[str, float]:
     place = re.search(r"at (\d+\.\d+) m from its start", message)
     assert place is not None, message
     return message, float(place[1])
-
-
-def test_a_joint_limit_names_joint_value_and_place(seven: RobotModel, plan: LinePlan) -> None:
-    """A limit laid across the known path is named there, with the joint and its angle."""
-    path = plan.path
-    joint = int(np.argmax(np.ptp(path.position, axis=0)))
-    middle = len(path.distance) // 2
-    before, at = path.position[middle - 1 : middle + 1, joint]
-    rising, limit = at > before, 0.5 * (before + at)
-    narrow = replace(seven, **{name: getattr(seven, name).copy() for name in ("lower", "upper")})
-    (narrow.upper if rising else narrow.lower)[joint] = limit
-    message, place = _refusal(narrow, plan.task)
-    assert f"{JOINTS[joint]} at {at:.4f} rad" in message
-    assert f"{limit:.4f}" in message
-    assert place == pytest.approx(path.distance[middle], abs=6e-4)
 
 
 def test_a_line_into_the_singularity_or_beyond_the_reach_is_refused(seven: RobotModel) -> None:

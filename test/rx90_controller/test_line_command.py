@@ -20,10 +20,10 @@ from schema_faults import schema_faults
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, LineError
 from rx90_common.base.share import config_path
 from rx90_common.process.children import executable
-from rx90_controller.lines.plan import Approach, plan_line
+from rx90_controller.lines.plan import Approach, approached, plan_line
 from rx90_controller.lines.task import load_task
 from rx90_controller.node.trajectory_client import TrajectoryClient
 from rx90_emulator.cli.frame import run
@@ -232,21 +232,12 @@ def test_approach_comes_first_where_the_arm_stands_elsewhere(
     assert expected <= delay < expected + 1e-3
 
 
-@pytest.mark.ros
-@pytest.mark.usefixtures("warm")
-def test_without_approach_an_arm_elsewhere_is_refused(
-    shipped: Setup, listener: Listener, start_line: Callable[..., subprocess.Popen[str]]
-) -> None:
+def test_without_approach_an_arm_elsewhere_is_refused(shipped: Setup) -> None:
     """An arm that stands away from the start gets nothing; the line names joint, angles and the way out."""
-    listener.tell(shipped.robot.joint_names, np.zeros(6))
-    listener.listen()
-    process = start_line("--timeout", str(PATIENCE))
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 2
-    assert "joint_3 is at 0.0000 rad, the line starts at 1.4490 rad" in err
-    assert "--approach" in err
-    assert err.count("\n") == 1
-    assert not listener.taken
+    plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
+    said = r"^joint_3 is at 0\.0000 rad, the line starts at 1\.4490 rad; accepted: within .* or --approach$"
+    with pytest.raises(LineError, match=said):
+        approached(plan, np.zeros(6), shipped.controller.limits(shipped.robot), 1e-3, None)
 
 
 @pytest.mark.ros

@@ -84,20 +84,6 @@ def test_the_inverse_dynamics_are_those_of_the_model(request: pytest.FixtureRequ
     assert np.abs(got - friction - want).max() < 1e-12 * np.abs(want).max()
 
 
-def test_steady_sliding_is_compensated_by_the_stribeck_curve(shipped: Setup) -> None:
-    """After 2 s at constant velocities: equation 19 and the viscous part of all seven elements, on their joints."""
-    rng = np.random.default_rng(5)
-    setup = by_model(shipped, inverse_dynamics=False)
-    for speed in np.geomspace(0.04, 2.0, 6):
-        velocity = speed * rng.uniform(0.5, 1.0, 6) * rng.choice([-1.0, 1.0], 6)
-        got = fed_forward(setup, moving(shipped, np.tile(velocity, (2000, 1))))[-1]
-        steady = [
-            float(element.steady_torque(v))
-            for element, v in zip(shipped.friction.elements, INPUTS @ velocity, strict=True)
-        ]
-        assert got == pytest.approx(INPUTS.T @ np.array(steady), abs=1e-5)
-
-
 def test_the_bristles_of_the_model_are_the_plant_s(shipped: Setup) -> None:
     """Through reversals: the torque of the plant's own law at the same velocities, held for the same periods."""
     ticks = np.arange(600)

@@ -9,6 +9,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from joint_moves import trajectory
 from servo_rig import Rig
 
 from rx90_controller.trajectory import TrajectoryGenerator, points
@@ -43,7 +44,7 @@ class Ways:
         original = getattr(TrajectoryGenerator, name)
 
         def entered(generator: TrajectoryGenerator, *args: Any, **kwargs: Any) -> Any:
-            free = not self.rig.loop._lock.locked()
+            free = not self.rig.loop.between_ticks.locked()
             self.beside.append(free)
             result = original(generator, *args, **kwargs)
             if free:
@@ -73,30 +74,13 @@ def message(
     positions = base + (target - base) * (10 * share**3 - 15 * share**4 + 6 * share**5)
     velocities = (target - base) * (30 * share**2 - 60 * share**3 + 30 * share**4) / last
     velocities[-1] = 0.0
-    given = rig.trajectory(target, stamp=time(start))
-    given.points = [
-        SimpleNamespace(
-            positions=[q] * 6,
-            velocities=[v] * 6,
-            accelerations=[],
-            effort=[],
-            time_from_start=SimpleNamespace(sec=time(t)[0], nanosec=time(t)[1]),
-        )
-        for t, q, v in zip(times, positions, velocities, strict=True)
-    ]
-    return given
+    return trajectory(times, positions, velocities, start=start, names=rig.names)
 
 
-def time(seconds: float) -> tuple[int, int]:
-    """Return whole seconds and nanoseconds."""
-    sec, nanosec = divmod(round(seconds * 1e9), 10**9)
-    return sec, nanosec
-
-
-def goal(rig: Rig, trajectory: SimpleNamespace) -> mock.Mock:
+def goal(rig: Rig, given: SimpleNamespace) -> mock.Mock:
     """Offer a goal as the action does; return who has sent it."""
     sender = mock.Mock()
-    rig.loop.offer(rig.goal(trajectory, sender))
+    rig.loop.offer(rig.goal(given, sender))
     return sender
 
 
@@ -110,8 +94,8 @@ def test_what_may_take_long_is_checked_while_ticks_run(
     What is told of them says which were goals.
     """
     rig = ways.rig
-    with mock.patch.object(points, "_table", wraps=points._table) as table:
-        table.side_effect = lambda *_: ways.beside.append(not rig.loop._lock.locked()) or mock.DEFAULT
+    with mock.patch.object(points, "joint_table", wraps=points.joint_table) as table:
+        table.side_effect = lambda *_: ways.beside.append(not rig.loop.between_ticks.locked()) or mock.DEFAULT
         for _ in range(3):
             given = message(rig, count, last)
             rig.loop.receive(given) if offered == "topic" else goal(rig, given)

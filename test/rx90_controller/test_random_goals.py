@@ -8,8 +8,8 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from goal_arm import LIMITS, stamp
-from joint_moves import NAMES, PERIOD
+from goal_arm import LIMITS
+from joint_moves import NAMES, PERIOD, stamp, trajectory
 from numpy.random import Generator
 from numpy.typing import NDArray
 
@@ -36,46 +36,37 @@ def random_goal(generator: Generator, now: float, options: GoalOptions) -> Simpl
     n, kind = len(names), generator.integers(0, 3)
     times = np.cumsum(generator.uniform(0.02, 0.6, generator.integers(1, 7)))
     scale = generator.choice([0.02, 0.1, 0.5])
-    points = [
-        SimpleNamespace(
-            positions=list(generator.uniform(-scale, scale, n)),
-            velocities=list(generator.uniform(-scale, scale, n)) if kind > 0 else [],
-            accelerations=list(generator.uniform(-1.0, 1.0, n)) if kind > 1 else [],
-            effort=[],
-            time_from_start=stamp(time),
-        )
-        for time in times
-    ]
+    speeds = list(generator.uniform(-scale, scale, (len(times), n))) if kind > 0 else []
+    bends = list(generator.uniform(-1.0, 1.0, (len(times), n))) if kind > 1 else []
     if kind > 0 and not (options.allow_nonzero_velocity_at_trajectory_end and generator.random() < 0.5):
-        points[-1].velocities = [0.0] * n
+        speeds[-1] = np.zeros(n)
     start = now + generator.uniform(-0.5, 0.5) if generator.random() < 0.4 else 0.0
-    trajectory = SimpleNamespace(
-        header=SimpleNamespace(stamp=stamp(max(start, 0.0)), frame_id=""), joint_names=names, points=points
-    )
+    places = generator.uniform(-scale, scale, (len(times), n))
+    sent = trajectory(times, places, speeds, bends, start=max(start, 0.0), names=names)
     if generator.random() < 0.3:
-        damage(generator, trajectory)
+        damage(generator, sent)
     several = SimpleNamespace(joint_names=[], points=[])
     return SimpleNamespace(
-        trajectory=trajectory, multi_dof_trajectory=several, path_tolerance=[], goal_tolerance=[],
+        trajectory=sent, multi_dof_trajectory=several, path_tolerance=[], goal_tolerance=[],
         component_path_tolerance=[], component_goal_tolerance=[], goal_time_tolerance=stamp(0.0),
     )  # fmt: skip
 
 
-def damage(generator: Generator, trajectory: Any) -> None:
+def damage(generator: Generator, sent: Any) -> None:
     """Break one thing."""
-    point = trajectory.points[generator.integers(len(trajectory.points))]
+    point = sent.points[generator.integers(len(sent.points))]
     strange = [np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-300]
     match generator.integers(0, 6):
         case 0:
             point.positions[0] = generator.choice(strange)
         case 1:
-            point.velocities = [generator.choice(strange)] * len(trajectory.joint_names)
+            point.velocities = [generator.choice(strange)] * len(sent.joint_names)
         case 2:
             point.positions.append(0.0)
         case 3:
-            trajectory.joint_names[0] = generator.choice(["", "elbow", NAMES[0], "\0"])
+            sent.joint_names[0] = generator.choice(["", "elbow", NAMES[0], "\0"])
         case 4:
-            trajectory.points.append(copy.deepcopy(point))
+            sent.points.append(copy.deepcopy(point))
         case _:
             point.time_from_start = stamp(generator.choice([-1.0, 0.0, 1e-9, 3e9]))
 
@@ -87,9 +78,9 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
     cancelled, and the speed changes.
     """
     generator = np.random.default_rng(20)
-    trajectory = TrajectoryGenerator(LIMITS, PERIOD, np.zeros(6))
+    follower = TrajectoryGenerator(LIMITS, PERIOD, np.zeros(6))
     cs7b: Any = SimpleNamespace(
-        trajectory=trajectory, joint_names=NAMES, rates=Rates(), position_tick=1000, command=np.zeros(6)
+        trajectory=follower, joint_names=NAMES, rates=Rates(), position_tick=1000, command=np.zeros(6)
     )
     outputs: Any = mock.Mock()
     loop = ServoLoop(cs7b, outputs, 60.0, 1)
@@ -103,16 +94,16 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
             goal = check_request(message.trajectory, tolerances, options, 1000, message)
             goal.on_result, plan = mock.Mock(), None
             if generator.random() < 0.5:
-                plan = JoinedAhead(goal, trajectory, now)
+                plan = JoinedAhead(goal, follower, now)
                 plan.compute()
                 if generator.random() < 0.3:
-                    trajectory.halt(now)
-                path.append(trajectory.setpoints(now, meanwhile := int(generator.integers(0, 40))))
+                    follower.halt(now)
+                path.append(follower.setpoints(now, meanwhile := int(generator.integers(0, 40))))
                 now += meanwhile
-                trajectory.ended(now)
+                follower.ended(now)
             cs7b.position_tick = now
             plan = plan if plan is not None and plan.fits(now) else None
-            with mock.patch.object(trajectory, "join", wraps=trajectory.join) as joined:
+            with mock.patch.object(follower, "join", wraps=follower.join) as joined:
                 loop._follow(goal, plan)
             if not goal.reason:
                 handed_over += not joined.called
@@ -128,8 +119,8 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
         if generator.random() < 0.1 and active is not None:
             loop.cancel(active)
         if generator.random() < 0.1:
-            trajectory.set_speed_scaling(float(generator.choice([0.0, 0.3, 1.0, 1.0])), now)
-        path.append(trajectory.setpoints(now, count))
+            follower.set_speed_scaling(float(generator.choice([0.0, 0.3, 1.0, 1.0])), now)
+        path.append(follower.setpoints(now, count))
         now += count
     assert 0.2 * GOALS < len(reasons) < 0.8 * GOALS
     assert all(reason and "\n" not in reason for reason in reasons)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from joint_moves import trajectory
 from servo_rig import Rig
 
 from rx90_controller.trajectory.request import Feedback, GoalTolerances, State, TrajectoryRequest
@@ -109,7 +110,7 @@ def test_an_empty_trajectory_stops_within_the_accelerations_and_holds(rig: Rig, 
     rig.around.lines.clear()
     rig.loop.receive(rig.trajectory(0.2))
     rig.run(0, 1600)
-    rig.loop.receive(rig.empty(rig.names[::-1] if named else (), stamp=(0, 420_000_000)))
+    rig.loop.receive(trajectory([], [], start=0.42, names=rig.names[::-1] if named else ()))
     generator, most = rig.cs7b.trajectory, rig.cs7b.trajectory.limits.acceleration
     got = generator.setpoints(400, 800)
     assert (np.abs(np.diff(got[:, 1], axis=0)) <= most * 1e-3 + 1e-12).all()
@@ -238,8 +239,7 @@ def test_what_runs_is_held_to_the_path_while_the_next_one_waits(held: Callable[.
     rig = held({"constraints.joint_1.trajectory": 0.02})
     rig.loop.receive(rig.trajectory(0.1))
     rig.run(0, RATIO)
-    stamp = (1, 500_000_000)
-    rig.loop.receive(rig.empty(stamp=stamp) if stops else rig.trajectory(0.0, stamp=stamp))
+    rig.loop.receive(trajectory([], [], start=1.5) if stops else rig.trajectory(0.0, start=1.5))
     rig.run(RATIO, RATIO * 2500)
     assert len(aborted(rig)) == 1
     assert f", at {ticks_to(0.02) * 1e-3:.6g} s" in aborted(rig)[0]

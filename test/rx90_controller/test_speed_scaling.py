@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from joint_moves import HOME, NAMES, PERIOD, ZERO, within_limits
+from joint_moves import HOME, NAMES, PERIOD, ZERO, points, within_limits
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import cKDTree
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
-from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 
 MOST = np.array([18.0, 6.0, 12.0, 40.0, 40.0, 60.0])
 LIMITS = JointLimits(NAMES, np.full(6, -3.0), np.full(6, 3.0), np.full(6, 4.0), MOST, 1e-3)
@@ -21,13 +21,6 @@ WAY = HOME + np.array([ZERO, [0.3, -0.1, 0.2, 0.4, -0.2, 0.1], [0.2, 0.1, 0.3, -
 SPEED = np.array([ZERO, [0.3, 0.2, 0.3, -0.4, 0.5, 0.5], [-0.5, 0.1, -0.3, -0.5, 0.4, -0.2], ZERO])
 CURVE = CubicHermiteSpline(TIMES, WAY, SPEED)
 """What SciPy makes of the trajectory that most tests follow."""
-
-
-def points(times: Array, position: Array, velocity: Array) -> TrajectoryPoints:
-    """Return checked points in the robot's joint order, of cubic splines."""
-    return TrajectoryPoints.create(
-        NAMES, NAMES, times.tolist(), position.tolist(), velocity.tolist(), [[]] * len(times)
-    )
 
 
 @pytest.fixture

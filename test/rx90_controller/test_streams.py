@@ -14,9 +14,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from joint_moves import stamp as message_stamp
+from joint_moves import trajectory
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
-from servo_rig import Rig, header
+from servo_rig import Rig
 
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.description.coupling import to_motor
@@ -116,10 +118,8 @@ def state(
     """Return a JointState; one number counts for all joints."""
     names = [f"joint_{i}" for i in range(1, 7)] if names is None else names
     rows = [[float(row)] * len(names) if np.isscalar(row) else list(row) for row in (position, velocity, effort)]
-    sec, nanosec = divmod(round(stamp * 1e9), 10**9)
-    return SimpleNamespace(
-        header=header((epoch + sec, nanosec)), name=list(names), position=rows[0], velocity=rows[1], effort=rows[2]
-    )
+    header = SimpleNamespace(stamp=message_stamp(stamp, epoch))
+    return SimpleNamespace(header=header, name=list(names), position=rows[0], velocity=rows[1], effort=rows[2])
 
 
 def wave(times: Any) -> Any:
@@ -290,12 +290,12 @@ def test_joints_that_are_not_named_hold_and_speed_scaling_holds_all(arm: Arm) ->
     ("message", "said"),
     [
         (state(0.1, names=["joint_1", "elbow"]), "unknown joint 'elbow'; accepted: joint_1"),
-        (state([0.1] * 5), "5 position values of 6 joints; accepted: 6 or none"),
-        (state([0.1] * 5 + [math.nan]), "position of joint_6 is nan; accepted: a finite number"),
+        (state([0.1] * 5), "5 positions; accepted: 6, or none"),
+        (state([0.1] * 5 + [math.nan]), "positions of joint_6 is nan; accepted: a finite number"),
         (state(), "neither position nor velocity; accepted: one of them, or both"),
         (state(0.1, effort=1.0), "carries effort; accepted: position, with velocity or without, or velocity alone"),
         (SimpleNamespace(data=[0.1] * 7), "7 numbers; accepted: 6, of joint_1"),
-        (SimpleNamespace(data=[math.inf] * 6), "position of joint_1 is inf; accepted: a finite number"),
+        (SimpleNamespace(data=[math.inf] * 6), "positions of joint_1 is inf; accepted: a finite number"),
     ],
 )
 def test_what_is_no_set_point_is_one_line(arm: Arm, message: Any, said: str) -> None:
@@ -319,23 +319,6 @@ def test_without_torque_set_points_are_refused(arm: Arm) -> None:
 # Trajectories of the topic that are set-points.
 
 
-def trajectory(
-    points: Sequence[tuple[float, Array, Array | None]], stamp: float = 0.0, names: Sequence[str] = ()
-) -> SimpleNamespace:
-    """Return a JointTrajectory: times, positions and velocities or None."""
-    message = SimpleNamespace(header=state(stamp=stamp).header, joint_names=list(names or state().name), points=[])
-    for time, position, velocity in points:
-        sec, nanosec = divmod(round(time * 1e9), 10**9)
-        message.points.append(
-            SimpleNamespace(
-                positions=np.broadcast_to(position, 6).tolist(), effort=[], accelerations=[],
-                velocities=[] if velocity is None else np.broadcast_to(velocity, 6).tolist(),
-                time_from_start=SimpleNamespace(sec=sec, nanosec=nanosec),
-            )
-        )  # fmt: skip
-    return message
-
-
 @pytest.mark.parametrize("velocities", ["none", "rest", "their own"])
 def test_single_points_are_followed_at_their_time(arm: Arm, velocities: str) -> None:
     """Points sent every 10 ms, each 20 ms ahead, with velocities, zeros or none, are passed through at their times."""
@@ -345,7 +328,7 @@ def test_single_points_are_followed_at_their_time(arm: Arm, velocities: str) -> 
         "their own": lambda t: (wave(t + 1e-6) - wave(t - 1e-6)) / 2e-6,
     }
     times = [0.01 * k for k in range(1, 100)]
-    messages = [(at, trajectory([(0.02, wave(at - 0.01), given[velocities](at - 0.01))])) for at in times]
+    messages = [(at, trajectory([0.02], [wave(at - 0.01)], [given[velocities](at - 0.01)])) for at in times]
     setpoints = arm.play(messages, 1.3)
     arm.keeps_limits(setpoints)
     rows = np.array([round((at + 0.02) / T) for at in times[5:]])
@@ -388,8 +371,8 @@ class Servo:
         if len(self.window) < 3:
             return None
         first = self.window[0][0]
-        points = [(stamp - first, q, v) for stamp, q, v in self.window[:-1]]
-        return trajectory(points, stamp=first)
+        stamps, positions, velocities = zip(*self.window[:-1], strict=True)
+        return trajectory([stamp - first for stamp in stamps], positions, velocities, start=first)
 
     def _update_window(self, now: float, position: Array, velocity: Array) -> None:
         """Do what `updateSlidingWindow` does."""
@@ -439,9 +422,9 @@ def test_moveit_servo_drives_the_arm(arm: Arm, jitter: float) -> None:
 
 def test_longer_trajectories_are_none_of_a_stream(arm: Arm) -> None:
     """What ends further ahead than `stream.window` is a trajectory as ever: refused beyond limits, not followed."""
-    arm.loop.receive(trajectory([(0.101, 0.5 * np.ones(6), np.zeros(6))]))
+    arm.loop.receive(trajectory([0.101], [0.5], [0.0]))
     assert "trajectory rejected: point 0: " in arm.around.lines[-1]
     arm.loop.streaming = StreamOptions(window=0.0)
-    arm.loop.receive(trajectory([(0.02, 0.5 * np.ones(6), None)]))
+    arm.loop.receive(trajectory([0.02], [0.5]))
     assert arm.around.lines[-1].startswith("trajectory rejected: point 0: ")
     assert not arm.play([], 0.2)[:, 0].any()

@@ -1,4 +1,4 @@
-"""Arms of 1, 3 and 7 joints, with motors that turn with several of them, against other people's solvers."""
+"""Arms of 1, 3, 6 and 7 joints, with motors that turn with several of them, against other people's solvers."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 import pytest
+from lugre_oracle import LuGreOracle
 from numpy.typing import NDArray
 from scipy.special import ellipk
 
@@ -33,10 +34,18 @@ class Arm(NamedTuple):
     oracle: Any
 
 
-@pytest.fixture(scope="module", params=[ALONE, DIFFERENTIAL, SEVEN], ids=["1 joint", "3 joints", "7 joints"])
+@pytest.fixture(scope="module", params=[ALONE, DIFFERENTIAL, SEVEN, None], ids=["1 joint", "3", "7", "RX90B"])
 def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, arm_oracle: Any) -> Arm:
-    """Return an arm."""
+    """Return an arm; the RX90B with other friction for negative velocities."""
     turns = request.param
+    if turns is None:
+        shipped = arm_oracle.setup
+        elements = tuple(
+            dataclasses.replace(e, tau_c_negative=1.3 * e.tau_c_positive, tau_s_negative=1.5 * e.tau_s_positive)
+            for e in shipped.friction.elements
+        )
+        setup = dataclasses.replace(shipped, friction=FrictionSet(shipped.friction.names, elements))
+        return Arm(setup, dataclasses.replace(arm_oracle, setup=setup))
     setup = load_setup(robot=write_arm(tmp_path_factory.mktemp("arm"), len(turns), turns))
     return Arm(setup, dataclasses.replace(arm_oracle, setup=setup, turns=np.array(turns)))
 
@@ -56,7 +65,10 @@ def test_dynamics_equal_pinocchio_s(arm: Arm) -> None:
 
 
 def test_steps_converge_to_the_solution_of_a_stiff_solver(arm: Arm) -> None:
-    """Under motor torques that jump, joints and bristles come to the solver's with order 2, and are near it at once."""
+    """Under motor torques that jump, joints and bristles come to the solver's with order 2, and are near it at once.
+
+    What the plant says of its friction are the paper's torques at the inputs of the elements, sums of joints included.
+    """
     setup, n = arm.setup, len(arm.oracle.turns)
     pose, ticks = np.full(n, 0.4), 40
     pieces = np.random.default_rng(n).uniform(-0.4, 0.4, (2, n)) * setup.drives.peak_torque
@@ -76,6 +88,10 @@ def test_steps_converge_to_the_solution_of_a_stiff_solver(arm: Arm) -> None:
     assert np.abs(state[n : 2 * n]).max() > 0.1
     assert (np.array(errors[0]) < [3e-5, 1e-3, 2e-6]).all()
     assert (np.array(errors[1]) < 0.15 * np.array(errors[0]) + 1e-12).all()  # a sixteenth, with order 2
+    z, inputs, torque = plant.friction_states()
+    np.testing.assert_allclose(inputs, arm.oracle.inputs @ plant.joint_states()[1], rtol=1e-12, atol=1e-15)
+    want = LuGreOracle(setup.friction.elements).rates(z, inputs)[1]
+    np.testing.assert_allclose(torque, want, rtol=1e-6, atol=1e-6 * np.abs(want).max())
 
 
 def test_an_arm_at_rest_on_its_brakes_stays(arm: Arm) -> None:

@@ -122,12 +122,3 @@ def test_without_errors_the_report_is_the_torque(shipped: Setup) -> None:
     plant = shipped.plant()
     plant.step(0.2 * shipped.drives.peak_torque)
     assert plant.motor_states()[2].tobytes() == plant.state["motor_torque"][0].tobytes()
-
-
-@pytest.mark.parametrize("name", ["noise", "resolution"])
-def test_errors_below_zero_are_refused(name: str) -> None:
-    """A deviation or a step below zero is refused in one line."""
-    with pytest.raises(
-        ConfigError, match=rf"current_sensor: {name}\[0\] is .*; accepted: 1 to 7 numbers, each a number >= 0"
-    ):
-        CurrentSensor(**{name: np.full(6, -1.0)})

@@ -98,10 +98,9 @@ def step_matrix(setup: Setup, pose: Array) -> Array:
         ends = []
         for sign in (1.0, -1.0):
             state = free(plant, pose)
-            for name, holder in (("q", state), ("v", state), ("twist", state["transmission"]), ("rate", None)):
-                place = ("q", "v", "twist", "rate").index(name)
-                if k // 6 == place:
-                    (state["transmission"] if holder is None else holder)[name][k % 6] += sign * small
+            gears = state["transmission"]
+            holder, name = ((state, "q"), (state, "v"), (gears, "twist"), (gears, "rate"))[k // 6]
+            holder[name][k % 6] += sign * small
             plant.step(np.zeros(6))
             ends.append(snapshot(plant)[:24])
         columns.append((ends[0] - ends[1]) / (2.0 * small))

@@ -177,24 +177,6 @@ def test_a_mass_under_constant_load_does_not_creep(
     assert plant.friction_states()[0][:4] == pytest.approx(deflection, rel=1e-9)
 
 
-def test_a_free_mass_slows_down_as_its_viscous_exponent_says(masses: Masses) -> None:
-    """With dv/dt = -c v^a a mass has v^(1 - a) = v_0^(1 - a) - (1 - a) c t; for a < 1 it stops after a finite way."""
-    exponents, c, start = np.array([0.4, 0.6, 0.8, 1.5]), 0.5, 2.0
-    tiny = 1e-9
-    elements = [FrictionElement(tiny, tiny, tiny, tiny, 1.0, 1.0, tiny, 0.0, c, alpha=a) for a in exponents]
-    plant = masses(elements)
-    plant.state["v"][0, :4] = start
-    force = np.zeros(6)
-    for seconds in (1, 2):
-        assert hold(plant.constants, plant.state, force, 4000) == -1
-        want = (start ** (1 - exponents) - (1 - exponents) * c * seconds) ** (1 / (1 - exponents))
-        assert plant.joint_states()[1][:4] == pytest.approx(want, rel=1e-6)
-    assert hold(plant.constants, plant.state, force, 10 * 4000) == -1
-    position, velocity, _ = plant.joint_states()
-    assert np.abs(velocity[:2]).max() < 1e-6
-    assert position[:2] == pytest.approx(start ** (2 - exponents[:2]) / ((2 - exponents[:2]) * c), rel=1e-4)
-
-
 def test_the_arm_does_not_creep_under_constant_motor_torques(shipped: Setup, arm_oracle: Any) -> None:
     """With the brakes open the whole arm settles under its load and keeps every bit of its position."""
     plant = shipped.plant()

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
-from rx90_common.exchange.pacing import ThrottledLog
+from rx90_common.exchange.pacing import OnceLog, ThrottledLog
 from rx90_sim.node import held_command
+from rx90_sim.node.held_command import HeldCommand, NewestCommand
 
 CODEC = JointStateCodec(["a"])
 PERIOD = 250_000
 TIMEOUT = 0.02
+OWN_CLOCK = 1_790_000_000 * 4000  # ticks
 
 
 class Drive:
@@ -34,10 +38,12 @@ class Drive:
         self.late: list[tuple[float, int]] = []  # seconds of waiting, stamp in ticks
         self.said: list[str] = []
         self.publishers = 1
-        complain = partial(ThrottledLog(self.said.append).say, "command")
-        self.held = held_command.HeldCommand(
-            self, lambda raw: CODEC.decode(raw)[3], PERIOD, TIMEOUT, self.said.append, complain
-        )
+        self.hold(held_command.HeldCommand, TIMEOUT, partial(ThrottledLog(self.said.append).say, "command"))
+
+    def hold(self, kind: type[HeldCommand], timeout: float, complain: Callable[[str], None]) -> None:
+        """Hold commands in this way."""
+        channel: Any = self
+        self.held = kind(channel, lambda raw: CODEC.decode(raw)[3], PERIOD, timeout, self.said.append, complain)
 
     def receive(self, timeout: float) -> bytes | None:
         """Return the next command."""
@@ -177,3 +183,62 @@ def test_a_reset_takes_the_command_away(drive: Drive) -> None:
     assert drive.tick(1001) is None
     assert drive.tick(1002, 2) == 2.0
     assert not drive.held.two_controllers
+
+
+# Joint commands, of which the newest counts.
+
+
+@pytest.fixture
+def joints(drive: Drive) -> Drive:
+    """Return a drive that holds the newest command for 10 ms, in tick 1000."""
+    drive.hold(NewestCommand, 0.01, OnceLog(drive.said.append, lambda: drive.now).say)
+    drive.number = 1000
+    return drive
+
+
+def test_the_newest_is_held_until_its_age_limit(joints: Drive) -> None:
+    """By the stamp of the states, 10 ms are 40 ticks; time never waits, and a late command opens the brakes again."""
+    assert joints.tick() is None
+    assert joints.tick(1001, 1002) == 1002.0
+    assert joints.tick(to=1042) == 1002.0
+    assert joints.tick() is None
+    assert joints.tick(1040) == 1040.0
+    assert joints.held.waited == 0
+    assert "no command on /motor_commands for 0.01 s: torque off, brakes closed" in joints.said
+
+
+def test_commands_without_effort_close_the_brakes(joints: Drive) -> None:
+    """They are followed, and the brakes are said to be closed, not to be open; torque opens them again."""
+    joints.tick()
+    joints.inbox = [CODEC.encode(1002 * PERIOD)]
+    assert joints.tick() is None
+    assert len(joints.said) == 1
+    assert joints.tick(1003) is not None
+    joints.inbox = [CODEC.encode(1004 * PERIOD)]
+    assert joints.tick() is None
+    assert joints.said[1:] == ["commands on /motor_commands: the brakes open",
+                               "commands on /motor_commands without effort: torque off, brakes closed"]  # fmt: skip
+
+
+@pytest.mark.parametrize("stamp", [OWN_CLOCK, 0, 20])
+def test_of_another_clock_the_newest_counts_from_its_arrival(joints: Drive, stamp: int) -> None:
+    """Stamps of the wall clock, none, and those of an old clock: one line, and commands are held for 40 ticks."""
+    moves = stamp == OWN_CLOCK
+    for k in range(50):
+        torque = joints.tick(stamp + k * moves)
+    assert torque == float(stamp + 49 * moves)
+    assert joints.tick(to=1090) is not None
+    assert joints.tick() is None
+    (line,) = (line for line in joints.said if "stamp" in line)
+    assert ("not set" if stamp == 0 else "the stamp is") in line
+    assert "from its arrival" in line
+
+
+def test_commands_from_before_a_reset_are_none_of_another_clock(joints: Drive) -> None:
+    """One or two stamps of the future, still on their way at a reset, are not held, and nothing is said of them."""
+    assert joints.tick(1001) is not None
+    joints.held.forget()
+    joints.number = 0
+    assert joints.tick(1002, 1003) is None
+    assert joints.tick(2) == 2.0
+    assert not [line for line in joints.said if "stamp" in line]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,24 +16,34 @@ from rx90_sim.node import publications
 TICKS = 400_000  # a hundred seconds of simulated time at 4 kHz
 
 
-class CountingPublisher:
-    """Takes messages for one who listens."""
+Sent = tuple[int, str, float]
+
+
+class KeepingPublisher:
+    """Takes messages for so many who listen."""
 
     def __init__(self) -> None:
-        self.messages: list[bytes] = []
+        self.messages: list[Any] = []
+        self.listening = 1
 
     def get_subscription_count(self) -> int:
-        """One."""
-        return 1
+        """Return how many listen."""
+        return self.listening
 
-    def publish(self, message: bytes) -> None:
+    def publish(self, message: Any) -> None:
         """Keep it."""
         self.messages.append(message)
+
+    @property
+    def sent(self) -> list[Sent]:
+        """Return stamp, ns, name and value of temperatures."""
+        heads = [(message.header, message.temperature) for message in self.messages]
+        return [(head.stamp.sec * 10**9 + head.stamp.nanosec, head.frame_id, value) for head, value in heads]
 
 
 def looked_on(monkeypatch: pytest.MonkeyPatch, pace: float, jitter: float = 0.0) -> list[int]:
     """Return the stamps, ns, published in 100 s of simulated time, every second sample late by a jitter, s."""
-    node = SimpleNamespace(create_publisher=lambda *_: CountingPublisher())
+    node = SimpleNamespace(create_publisher=lambda *_: KeepingPublisher())
     states = tuple(np.zeros((3, 6)))
     plant = SimpleNamespace(
         joint_names=[f"joint_{k}" for k in range(6)],
@@ -66,26 +77,6 @@ def test_thirty_a_second_where_time_hurries(monkeypatch: pytest.MonkeyPatch, pac
     gaps = [b - a for a, b in pairwise(stamps)]
     assert max(gaps[1:]) <= (pace / 0.3 + 10.0) * 1_000_000 * 10  # the last by no more than one sample
     assert {stamp % 10_000_000 for stamp in stamps} == {0}
-
-
-Sent = tuple[int, str, float]
-
-
-class KeepingPublisher:
-    """Takes messages for so many who listen."""
-
-    def __init__(self) -> None:
-        self.sent: list[Sent] = []
-        self.listening = 1
-
-    def get_subscription_count(self) -> int:
-        """Return how many listen."""
-        return self.listening
-
-    def publish(self, message: publications.Temperature) -> None:
-        """Keep stamp, ns, name and value."""
-        head = message.header
-        self.sent.append((head.stamp.sec * 10**9 + head.stamp.nanosec, head.frame_id, message.temperature))
 
 
 @pytest.fixture

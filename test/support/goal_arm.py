@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from unittest import mock
 
 import numpy as np
-from joint_moves import HOME, NAMES, PERIOD, ZERO
+from joint_moves import HOME, NAMES, PERIOD, ZERO, stamp, trajectory
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
@@ -37,12 +37,6 @@ DEFAULTS = GoalTolerances.of_parameters(
 )
 
 
-def stamp(seconds: float) -> SimpleNamespace:
-    """Return a Time or Duration."""
-    sec, nanosec = divmod(round(seconds * 1e9), 10**9)
-    return SimpleNamespace(sec=sec, nanosec=nanosec)
-
-
 def tolerance(name: str, position: float = 0.0, velocity: float = 0.0, acceleration: float = 0.0) -> SimpleNamespace:
     """Return a JointTolerance."""
     return SimpleNamespace(name=name, position=position, velocity=velocity, acceleration=acceleration)
@@ -50,16 +44,9 @@ def tolerance(name: str, position: float = 0.0, velocity: float = 0.0, accelerat
 
 def message(to: Array | None = None, seconds: float = 0.6, **changed: Any) -> SimpleNamespace:
     """Return a goal of a move to a pose at rest; parts of it, or of its trajectory, are changed."""
-    point = SimpleNamespace(
-        positions=list(HOME + 0.2 if to is None else to),
-        velocities=[0.0] * 6,
-        accelerations=[],
-        effort=[],
-        time_from_start=stamp(seconds),
-    )
-    trajectory = SimpleNamespace(header=SimpleNamespace(stamp=stamp(0.0)), joint_names=list(NAMES), points=[point])
+    move = trajectory([seconds], [HOME + 0.2 if to is None else to], [0.0])
     goal = SimpleNamespace(
-        trajectory=trajectory,
+        trajectory=move,
         multi_dof_trajectory=SimpleNamespace(joint_names=[], points=[]),
         path_tolerance=[],
         component_path_tolerance=[],
@@ -68,11 +55,11 @@ def message(to: Array | None = None, seconds: float = 0.6, **changed: Any) -> Si
         goal_time_tolerance=stamp(0.0),
     )
     for name, value in changed.items():
-        for part in (goal, trajectory, point):
+        for part in (goal, move, *move.points):
             if hasattr(part, name):
                 setattr(part, name, value)
         if name == "stamp":
-            trajectory.header.stamp = stamp(value)
+            move.header.stamp = stamp(value)
     return goal
 
 

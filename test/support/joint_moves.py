@@ -1,8 +1,10 @@
-"""Joint moves for the set-point generator: six joints alike, at rest at HOME."""
+"""Joint moves for the set-point generator, and as messages: six joints alike, at rest at HOME."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -33,9 +35,40 @@ def points(
     times: Sequence[float], position: Sequence[Array], velocity: Sequence[Array] | None = None
 ) -> TrajectoryPoints:
     """Return checked points in the robot's joint order."""
-    return TrajectoryPoints.create(NAMES, NAMES, times, position, velocity or [[]] * len(times), [[]] * len(times))
+    none: list[list[float]] = [[]] * len(times)
+    return TrajectoryPoints.create(NAMES, NAMES, times, position, none if velocity is None else velocity, none)
 
 
 def move(to: float, seconds: float) -> TrajectoryPoints:
     """Return a smooth motion from wherever the arm is by `to` rad in every joint."""
     return points([seconds], [HOME + to], [ZERO])
+
+
+def stamp(seconds: float, epoch: int = 0) -> SimpleNamespace:
+    """Return a Time or Duration, so many whole seconds later."""
+    sec, nanosec = divmod(round(float(seconds) * 1e9), 10**9)
+    return SimpleNamespace(sec=epoch + sec, nanosec=nanosec)
+
+
+def trajectory(
+    times: Sequence[float],
+    positions: Sequence[Any],
+    velocities: Sequence[Any] = (),
+    accelerations: Sequence[Any] = (),
+    *,
+    start: float = 0.0,
+    names: Sequence[str] = NAMES,
+    frame: str = "",
+) -> SimpleNamespace:
+    """Return a JointTrajectory; one number stands for all joints, and a table, or a row that is None, for none."""
+    tables = [[None] * len(times) if not len(table) else table for table in (positions, velocities, accelerations)]
+    points = [
+        SimpleNamespace(positions=q, velocities=v, accelerations=a, effort=[], time_from_start=stamp(time))
+        for time, q, v, a in zip(times, *([_row(row, len(names)) for row in table] for table in tables), strict=True)
+    ]
+    header = SimpleNamespace(stamp=stamp(start), frame_id=frame)
+    return SimpleNamespace(header=header, joint_names=list(names), points=points)
+
+
+def _row(row: Any, joints: int) -> list[float]:
+    return [] if row is None else [float(row)] * joints if np.isscalar(row) else list(row)

@@ -8,12 +8,15 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import yaml
 from processes import Processes
 from ros_client import Client, seconds
+from rosbags.highlevel import AnyReader
 
 from rx90_common.bags.comparison import BagComparison, compare_bags
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.process.children import executable
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import LineTask, load_task
@@ -144,3 +147,16 @@ def _write_run(setup: Setup, task: LineTask, folder: Path, *, corrected: bool) -
         return []
     write_correction(learned, folder / "correction.yaml")
     return ["--correction", folder / "correction.yaml"]
+
+
+def temperatures(bag: Path) -> list[tuple[int, str, float, float]]:
+    """Return stamp, ns, frame, temperature and variance of all messages in a bag."""
+    with AnyReader([bag]) as reader:
+        messages: list[Any] = [
+            reader.deserialize(data, connection.msgtype)
+            for connection, _, data in reader.messages(c for c in reader.connections if c.topic == "/temperatures")
+        ]
+    return [
+        (m.header.stamp.sec * NANOSECONDS + m.header.stamp.nanosec, m.header.frame_id, m.temperature, m.variance)
+        for m in messages
+    ]

@@ -172,6 +172,15 @@ def running_processes() -> Iterator[Processes]:
         pytest.fail(f"did not end within {END_TIMEOUT:g} s of Ctrl-C: {', '.join(survivors)}")
 
 
+@contextlib.contextmanager
+def own_processes(folder: Path) -> Iterator[Processes]:
+    """Give a Processes on a domain of its own, to fixtures of a wider scope than a test."""
+    with pytest.MonkeyPatch.context() as patch, on_own_domain(patch, folder):
+        patch.setattr(subprocess, "Popen", WarmPopen)
+        with running_processes() as started:
+            yield started
+
+
 @pytest.fixture
 def processes(ros_domain: int, warm: None) -> Iterator[Processes]:  # noqa: ARG001 - what they do is done
     """Give a Processes on a free domain; afterwards end every process, and fail if one ignored Ctrl-C."""

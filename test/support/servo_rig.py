@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from joint_moves import trajectory
 
 from rx90_controller.node.servo_loop import MotorStates, ServoLoop
 from rx90_controller.trajectory.points import points_from_message
@@ -74,27 +75,13 @@ class Rig:
             self.loop.after_command(tick * self.period)
         return torques
 
-    def goal(self, trajectory: SimpleNamespace, client: Any) -> TrajectoryRequest:
+    def goal(self, message: SimpleNamespace, client: Any) -> TrajectoryRequest:
         """Return a trajectory as a goal with the usual tolerances and options."""
-        points, tolerances = points_from_message(self.names, trajectory), GoalTolerances.of_parameters(self.names)
-        goal = TrajectoryRequest(trajectory, points, None, tolerances, GoalOptions(), is_goal=True)
+        points, tolerances = points_from_message(self.names, message), GoalTolerances.of_parameters(self.names)
+        goal = TrajectoryRequest(message, points, None, tolerances, GoalOptions(), is_goal=True)
         goal.on_feedback, goal.on_result = client.on_feedback, lambda: client.on_result(goal)
         return goal
 
-    def trajectory(self, target: float, seconds: int = 1, stamp: tuple[int, int] = (0, 0)) -> SimpleNamespace:
-        """Return a message that moves all joints to `target`, rad, from a time on, in s and ns; (0, 0): now."""
-        empty: list[float] = []
-        point = SimpleNamespace(
-            positions=[target] * 6, velocities=[0.0] * 6, accelerations=empty, effort=empty,
-            time_from_start=SimpleNamespace(sec=seconds, nanosec=0),
-        )  # fmt: skip
-        return SimpleNamespace(header=header(stamp), joint_names=list(self.names), points=[point])
-
-    def empty(self, names: Sequence[str] = (), stamp: tuple[int, int] = (0, 0)) -> SimpleNamespace:
-        """Return a message without points."""
-        return SimpleNamespace(header=header(stamp), joint_names=list(names), points=[])
-
-
-def header(stamp: tuple[int, int]) -> SimpleNamespace:
-    """Return the header of a message."""
-    return SimpleNamespace(stamp=SimpleNamespace(sec=stamp[0], nanosec=stamp[1]), frame_id="")
+    def trajectory(self, target: float, seconds: float = 1.0, start: float = 0.0) -> SimpleNamespace:
+        """Return a message that moves all joints to `target`, rad, from a time on, s; 0: now."""
+        return trajectory([seconds], [target], [0.0], start=start, names=self.names)

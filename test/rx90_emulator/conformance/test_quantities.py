@@ -11,9 +11,8 @@ import pytest
 from scipy.optimize import brentq
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.conformance.battery import CASES, START, Case, Nominal, make_case
+from rx90_emulator.conformance.battery import CASES, START, Case, Nominal, Record, make_case, run_cs7b, set_points
 from rx90_emulator.conformance.quantities import QUANTITIES, CheckLimits, Loop, judge, loops, measure, oscillation
-from rx90_emulator.conformance.runs import Interface, Record, run_cs7b, set_points
 from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.setup import Setup
 
@@ -25,11 +24,13 @@ def nominal(shipped: Setup, tmp_path: Path) -> Nominal:
 
 
 def record_of(case: Case, position: Array, sent: Array | None = None) -> Record:
-    """Return the record of a run that took these positions."""
-    times = case.times
-    added = np.zeros((len(times), 6)) if case.sines is None else case.sines.torques(times)
-    torque = np.zeros((len(times), 6)) if sent is None else sent
-    return Record(case, Interface(), position, torque, torque, added)
+    """Return the record of a run in which the arm took these positions, and these torques were commanded."""
+    record, drives = Record(case), case.setup.drives
+    motors = position @ drives.turning.turns.T * drives.gear
+    for tick in range(case.ticks):
+        record.note_states(tick, motors[tick])
+        record.carry(tick, np.zeros(6) if sent is None else sent[tick])
+    return record
 
 
 def test_margins_are_those_of_the_loop_that_answered(nominal: Nominal) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from full_friction import write_with_parts
-from line_run import TOPICS, run_both_ways
+from line_run import TOPICS, run_both_ways, temperatures
 from own_model import by_model
 from processes import Processes
 from ros_client import Client, seconds
@@ -92,19 +92,6 @@ def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine_that_loses_dat
 IN_CELL_1 = ("--ros-args", "-r", "__ns:=/cell_1")
 
 
-def _temperatures(bag: Path) -> list[tuple[int, str, float, float]]:
-    """Return stamp, ns, frame, temperature and variance of all messages in a bag."""
-    with AnyReader([bag]) as reader:
-        messages: list[Any] = [
-            reader.deserialize(data, connection.msgtype)
-            for connection, _, data in reader.messages(c for c in reader.connections if c.topic == "/temperatures")
-        ]
-    return [
-        (m.header.stamp.sec * NANOSECONDS + m.header.stamp.nanosec, m.header.frame_id, m.temperature, m.variance)
-        for m in messages
-    ]
-
-
 @pytest.mark.ros
 def test_one_process_gives_the_closed_loops_bits(
     processes: Processes, client: Client, shipped: Setup, tmp_path: Path
@@ -120,7 +107,7 @@ def test_one_process_gives_the_closed_loops_bits(
     comparison = run_both_ways(processes, client, setup, tmp_path, composed=True, rests=2, corrected=True)
     assert {topic.topic for topic in comparison.topics} == {*TOPICS, "/temperatures", "/rx90_controller/correction"}
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
-    recorded, simulated = (_temperatures(tmp_path / name) for name in ("recorded", "closed_loop"))
+    recorded, simulated = (temperatures(tmp_path / name) for name in ("recorded", "closed_loop"))
     names, last = setup.friction.names, comparison.topics[0].range_ns[1]
     stamps = range(0, last + 1, NANOSECONDS // 10)
     assert [(stamp, name) for stamp, name, *_ in recorded] == [(stamp, name) for stamp in stamps for name in names]

@@ -263,10 +263,9 @@ def test_bad_messages_in_free_running_time_are_a_line_each(processes: Processes,
 
 @pytest.mark.ros
 def test_other_rates_in_the_controller_end_it(processes: Processes) -> None:
-    """A controller whose rates are not the simulation's ends with one line that names both values."""
+    """A controller one of whose rates is not the simulation's ends with one line that names both values."""
     processes.start("rx90_sim", "--ros-args", "-p", MODES[1])
-    for rate, other, ours in (("position_rate", 500, 1000), ("base_rate", 2000, 4000)):
-        controller = processes.start("rx90_controller", "--ros-args", "-p", f"{rate}:={other}")
-        controller.wait_for(f"rx90_controller: {rate} is {other} Hz here and {ours} Hz in the simulation")
-        assert controller.wait() == 3
-        assert "Traceback" not in controller.output
+    controller = processes.start("rx90_controller", "--ros-args", "-p", "position_rate:=500")
+    controller.wait_for("rx90_controller: position_rate is 500 Hz here and 1000 Hz in the simulation")
+    assert controller.wait() == 3
+    assert "Traceback" not in controller.output

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,14 +21,6 @@ from rx90_common.process.children import ChildProcess
 pytestmark = pytest.mark.ros
 STIFFNESS = np.array([3000.0, 3000.0, 800.0, 60.0, 40.0, 8.0])
 START = [0.1, -0.3, 1.2, 0.2, -0.4, 0.1]
-
-
-@pytest.fixture
-def client(ros_domain: int) -> Iterator[Client]:  # noqa: ARG001 - what it does is done
-    """Give a node in this process."""
-    client = Client()
-    yield client
-    client.close()
 
 
 def start(processes: Processes, **parameters: object) -> ChildProcess:

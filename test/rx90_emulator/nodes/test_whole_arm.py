@@ -8,19 +8,18 @@ from __future__ import annotations
 import re
 import signal
 from collections.abc import Iterator
-from contextlib import ExitStack, closing
+from contextlib import closing
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from full_friction import write_with_parts
-from processes import Processes, on_own_domain, running_processes
+from line_run import temperatures
+from processes import Processes, own_processes
 from ros_client import JOINTS, Client, seconds
-from rosbags.highlevel import AnyReader
-from warm_start import WarmPopen
 
 import rx90_emulator as rx
 from rx90_common.bags.comparison import Verdict, compare_bags
@@ -108,12 +107,7 @@ def story(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Story]:
     setup = written(folder)
     simulated = simulate_commands(setup, [MotionCommand(150, THERE)], POSE, DURATION, record_fast=True)
     write_bag(simulated, folder / "engine")
-    with ExitStack() as held:
-        patch = held.enter_context(pytest.MonkeyPatch.context())
-        held.enter_context(on_own_domain(patch, folder))
-        patch.setattr("subprocess.Popen", WarmPopen)
-        processes = held.enter_context(running_processes())
-        client = held.enter_context(closing(Client()))
+    with own_processes(folder) as processes, closing(Client()) as client:
         of_simulation = ("-p", "paused:=true", "-p", "real_time_factor:=0.0", "-p", f"step_ticks:={STEP}")
         simulation = processes.start(
             "rx90_sim", "--ros-args", "-p", f"drives:={folder / 'drives.yaml'}", *of_simulation,
@@ -156,18 +150,6 @@ def _record(processes: Processes, client: Client, controller: ChildProcess, bag:
     assert recorder.wait() == 0
 
 
-def temperatures(bag: Path) -> list[tuple[int, str, float]]:
-    """Return stamp, ns, frame and degrees Celsius of all temperatures in a bag."""
-    with AnyReader([bag]) as reader:
-        messages: list[Any] = [
-            reader.deserialize(data, connection.msgtype)
-            for connection, _, data in reader.messages(c for c in reader.connections if c.topic == "/temperatures")
-        ]
-    return [
-        (m.header.stamp.sec * NANOSECONDS + m.header.stamp.nanosec, m.header.frame_id, m.temperature) for m in messages
-    ]
-
-
 def the_same(one: Path, other: Path) -> None:
     """Assert that all numbers in two bags have the same bits."""
     comparison = compare_bags(one, other)
@@ -185,9 +167,9 @@ def test_the_nodes_give_the_engines_bits(story: Story) -> None:
     warm = temperatures(story.folder / "first")
     names = [*story.setup.friction.names, *(f"motor_{i}" for i in range(1, 7))]
     stamps = [k * NANOSECONDS // RATE for k in range(round(DURATION * RATE + 0.5))]
-    assert [(stamp, name) for stamp, name, _ in warm] == [(stamp, name) for stamp in stamps for name in names]
-    assert [value for *_, value in warm[:13]] == [30.0] * 7 + [100.0] * 6
-    later = np.array([value for *_, value in warm[-13:]])
+    assert [(stamp, name) for stamp, name, *_ in warm] == [(stamp, name) for stamp in stamps for name in names]
+    assert [value for *_, value, _ in warm[:13]] == [30.0] * 7 + [100.0] * 6
+    later = np.array([value for *_, value, _ in warm[-13:]])
     assert np.all(later[:7] != 30.0)
     assert later[8] > 104.0
     assert np.all(later[[7, 9, 10, 11, 12]] < later[8])

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, closing
+from contextlib import closing
 
 import numpy as np
 import pytest
 from action_bench import PAUSED, UNPACED, Bench
 from numpy.typing import NDArray
-from processes import on_own_domain, running_processes
+from processes import own_processes
 from ros_client import Client
-from warm_start import WarmPopen
 
 from rx90_emulator.loop.setup import Setup
 
@@ -35,15 +34,12 @@ rx90_controller:
 @pytest.fixture(scope="package")
 def bench(needs_action: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:  # noqa: ARG001 - it must be there
     """Give both nodes, in one process, with time standing still."""
-    with ExitStack() as stack:
-        patch = stack.enter_context(pytest.MonkeyPatch.context())
-        patch.setattr("subprocess.Popen", WarmPopen)
-        folder = tmp_path_factory.mktemp("action")
-        stack.enter_context(on_own_domain(patch, folder))
-        (file := folder / "its_file.yaml").write_text(ITS_FILE, encoding="utf-8")
-        processes = stack.enter_context(running_processes())
+    folder = tmp_path_factory.mktemp("action")
+    (file := folder / "its_file.yaml").write_text(ITS_FILE, encoding="utf-8")
+    with own_processes(folder) as processes:
         cell = processes.start("rx90_cell", "--ros-args", *PAUSED, *UNPACED, "--params-file", file)
-        yield Bench(stack.enter_context(closing(Client())), cell)
+        with closing(Client()) as client:
+            yield Bench(client, cell)
 
 
 @pytest.fixture

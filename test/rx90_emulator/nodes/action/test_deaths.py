@@ -7,16 +7,15 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from processes import TIMEOUT, Processes, on_own_domain, running_processes
+from processes import TIMEOUT, Processes, own_processes
 from ros_client import JOINTS, Client
 from sensor_msgs.msg import JointState
-from warm_start import WarmPopen
 
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import cdr_stamp_ns, message_time_ns
@@ -87,12 +86,8 @@ class Pair:
 @contextmanager
 def started(folder: Path) -> Iterator[Pair]:
     """Give a pair on a domain of its own."""
-    with ExitStack() as stack:
-        patch = stack.enter_context(pytest.MonkeyPatch.context())
-        patch.setattr("subprocess.Popen", WarmPopen)
-        stack.enter_context(on_own_domain(patch, folder))
-        processes = stack.enter_context(running_processes())
-        yield Pair(stack.enter_context(closing(Client())), processes)
+    with own_processes(folder) as processes, closing(Client()) as client:
+        yield Pair(client, processes)
 
 
 @pytest.fixture(scope="module")

@@ -63,21 +63,6 @@ def test_a_goal_is_followed_and_told_of(bench: Bench) -> None:
     assert list(bench.heard()[-1].position) == pytest.approx([0.05] * 6, abs=1e-12)
 
 
-def test_a_goal_where_the_arm_is_already_succeeds_at_once(bench: Bench) -> None:
-    """What planners return for it, one point at time 0, is reached in a tick: nothing moves."""
-    from action_client import move
-
-    bench.home()
-    before = bench.now
-    ended = bench.follow(move(1e-7, 0.0))
-    assert (ended.status, ended.result.error_code) == (SUCCEEDED, 0)
-    at = re.match(r"goal reached at ([\d.]+) s", ended.result.error_string)
-    assert at is not None
-    assert float(at[1]) <= before + 0.01
-    bench.time.run(0.02)
-    assert not bench.velocities().any()
-
-
 def test_ten_thousand_points(bench: Bench) -> None:
     """A goal of 10,000 points is followed through all of them; so is a trajectory on the topic, in the same bits."""
     from action_client import goal, point

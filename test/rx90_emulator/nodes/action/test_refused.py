@@ -17,39 +17,20 @@ pytestmark = pytest.mark.ros
 
 
 def refusals() -> dict[str, tuple[Callable[[float], Any], str]]:
-    """Return what is rejected: a goal, made at a simulated time, and what the log says."""
+    """Return what is rejected: a goal, made at a simulated time, and what the log says; more in test_goals.py."""
     from action_client import goal, move, point
     from control_msgs.msg import JointComponentTolerance, JointTolerance
-
-    def efforts(_: float) -> Any:
-        message = move(0.0)
-        message.trajectory.points[0].effort = [1.0] * 6
-        return message
 
     def several_dof(_: float) -> Any:
         message = move(0.0)
         message.multi_dof_trajectory.joint_names = ["base"]
         return message
 
-    def accelerations_alone(_: float) -> Any:
-        message = move(0.0)
-        message.trajectory.points[0].velocities, message.trajectory.points[0].accelerations = [], [0.0] * 6
-        return message
-
     end = point(1.0, [0.0] * 6)
     return {
         "wrong joints": (lambda _: goal(end, names=["a", *JOINTS[1:]]), "unknown joint 'a'"),
-        "empty joints": (lambda _: goal(end, names=[]), "joint 'joint_1' is missing"),
-        "too many joints": (lambda _: goal(end, names=[*JOINTS, "joint_7"]), "unknown joint 'joint_7'"),
-        "repeated joints": (lambda _: goal(end, names=[*JOINTS[:5], "joint_1"]), "'joint_1' stands 2 times"),
-        "a subset": (lambda _: goal(point(1.0, [0.0] * 5), names=JOINTS[:5]), "'joint_6' is missing"),
         "no points": (lambda _: goal(), "no points; accepted: at least one"),
-        "end velocity": (lambda _: goal(point(1.0, [0.0] * 6, [0.0, 0.1] * 3)), "joint_2 ends at 0.1 rad/s"),
         "the past": (lambda now: move(0.0, 0.1, start=now - 0.11), "the last point is at"),
-        "equal times": (lambda _: goal(end, point(1.0, [0.1] * 6)), "time_from_start 1 s after 1 s"),
-        "wrong size": (lambda _: goal(point(1.0, [0.0] * 5)), "5 positions; accepted: 6"),
-        "effort": (efforts, "carries effort"),
-        "accelerations alone": (accelerations_alone, "accelerations without velocities"),
         "a joint of several degrees of freedom": (several_dof, "multi_dof_trajectory is given"),
         "a tolerance of components": (
             lambda _: move(0.0, component_path_tolerance=[JointComponentTolerance(joint_name="base")]),
