@@ -116,10 +116,10 @@ def elements_text(
     for kind in kinds:
         chosen: dict[str, Any] = {"decision": kind.decision} | ({"reason": kind.reason} if kind.reason else {})
         identification.setdefault("bristles", {})[kind.element] = chosen
-        if kind.choice is not None:
+        if kind.trials:
             chosen["tried"] = {
                 trial.family.name: {"missed": six_digits(trial.missed), "behind": six_digits(trial.behind)}
-                for trial in kind.choice.trials
+                for trial in kind.trials
             }
             chosen["bags"] = [labels[bag] for bag in kind.sources]
     identification["parameters"] = {

@@ -151,7 +151,7 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
     """
     names, sliding, presliding = result.arm.element_names, result.sliding, result.presliding
     named = dict(zip(names, result.elements, strict=True))
-    compared = [kind for kind in result.kinds if kind.choice is not None]
+    compared = [kind for kind in result.kinds if kind.trials]
     own_bristles = [kind.element for kind in compared if kind.trial is not None]
     curves = [(name, curve) for name, curve in zip(names, sliding.curves, strict=True) if len(curve.velocity)]
     loops = [loop for loop in presliding.loops if loop.joint not in own_bristles]

@@ -67,10 +67,10 @@ def identification_summary(result: FrictionIdentification) -> str:
     if others := ", ".join(name for name in names if name not in result.told):
         lines.append(f"{others}: nothing identified")
     lines += [f"not identifiable: {which(lacking)}: {reason}" for reason, lacking in result.unidentifiable.items()]
-    if compared := [(kind.element, kind.choice) for kind in result.kinds if kind.choice is not None]:
+    if compared := [kind for kind in result.kinds if kind.trials]:
         lines.append("bristles: missed of the friction torque (standard errors behind the best kind)")
-        families = [trial.family.name for trial in compared[0][1].trials]
-        rows = [[name, *(f"{t.missed:.1%} ({t.behind:.1f})" for t in choice.trials)] for name, choice in compared]
+        families = [trial.family.name for trial in compared[0].trials]
+        rows = [[kind.element, *(f"{t.missed:.1%} ({t.behind:.1f})" for t in kind.trials)] for kind in compared]
         lines += _table(["element", *families], [_width(10, names), *[25] * len(families)], rows)
     lines += [f"bristles of {of}: {text}" for of, text in decisions(result.kinds)]
     if given_bristles := ", ".join(result.with_given_bristles):

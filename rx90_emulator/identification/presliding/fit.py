@@ -20,6 +20,7 @@ from rx90_emulator.identification.estimates import (
     SLIDING,
     ElementEstimate,
     ParameterEstimate,
+    cluster_variances,
 )
 from rx90_emulator.identification.presliding.bristle_motion import (
     INERTIA_SD,
@@ -364,22 +365,15 @@ def _cluster_robust(jacobian: Array, residual: Array, groupings: Sequence[NDArra
     """Return the covariance by the noise, widened where clusters of residuals show more than noise would.
 
     The noise is white in the band, and it is what lies between the spectral lines of the motions. Errors of the model
-    lie on the lines and grow with the amplitude; cluster-robust (sandwich) estimates show them. These are the
-    bias-reduced linearisation of Bell and McCaffrey (CR2; Survey Methodology 28, 2002), which is unbiased where there
-    is only noise, also with few clusters of unequal leverage. Of several groupings the one that shows most counts.
+    lie on the lines and grow with the amplitude; cluster-robust (sandwich) estimates show them, by CR2 also with few
+    clusters of unequal leverage. Of several groupings the one that shows most counts.
     """
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
     inverse_root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) @ vectors.T
     noise = inverse_root @ inverse_root
     wide = np.ones(len(noise))
     for numbers in groupings:
-        variance = np.zeros(len(noise))
-        for number in range(int(numbers.max()) + 1):
-            rows = numbers == number
-            own = jacobian[rows] @ inverse_root
-            leverage, turn = np.linalg.eigh(own.T @ own)
-            adjusted = turn / np.sqrt(np.maximum(1.0 - leverage, _MIN_RESIDUAL_LEVERAGE)) @ turn.T
-            variance += (inverse_root @ (adjusted @ (own.T @ residual[rows]))) ** 2
+        variance = cluster_variances(jacobian, residual, numbers, inverse_root, 0.5, _MIN_RESIDUAL_LEVERAGE)
         wide = np.maximum(wide, np.sqrt(variance / np.diag(noise)))
     return np.asarray(noise * np.outer(wide, wide))
 

@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from rx90_common.base.arrays import Array, Mask
+from rx90_emulator.identification.estimates import cluster_variances
 
 FALSE_ALARMS = 0.01
 """Probability that drift is claimed in a series without any, of all elements together."""
 _CORRELATION_LENGTH = 1.0  # of ln |speed| over which errors hang together: a factor of e
 _SAME_SPEED = 0.1  # of ln |speed| below which ripple of one speed may be the reason, which has a factor of its own
 _BAND_WIDTH = 1.0  # of ln |speed|, within which errors are taken as one
-_MAX_LEVERAGE = 0.9  # of a band: without it a parameter would not be determined
+_MIN_RESIDUAL_LEVERAGE = 0.1  # lower bound of 1 - leverage of a band
 _SCATTER_NEIGHBOURS = 4  # residuals on either side by which the scatter is judged
 _MISFIT_SD = 3.0  # standard deviations of the sum of products of neighbouring residuals
 _RANK_CUTOFF = 1e-10  # of the largest singular value: smaller ones are rounding
@@ -95,30 +96,14 @@ def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> list[Misf
             if agreement > _MISFIT_SD:
                 band = np.full(len(residuals.velocity), -1)
                 band[mine] = np.floor((speed - speed.min()) / _BAND_WIDTH)
-                variance = _jackknife(residuals.slope, residuals.left, band[residuals.plateau], covariance)
+                values, vectors = np.linalg.eigh(covariance)
+                root, bands = vectors * np.sqrt(np.maximum(values, 0.0)), band[residuals.plateau]
+                variance = cluster_variances(residuals.slope, residuals.left, bands, root, 1.0, _MIN_RESIDUAL_LEVERAGE)
+                variance *= 1.0 - 1.0 / len(np.unique(band[mine]))
                 chosen = column[e, own]
                 widening[own] = np.maximum(1.0, variance[chosen] / np.diag(covariance)[chosen])
         found.append(Misfit(agreement, widening))
     return found
-
-
-def _jackknife(slope: Array, left: Array, band: NDArray[np.int64], covariance: Array) -> Array:
-    """Return the variances of the parameters by how they change when each band of speeds is left out, shape (q,).
-
-    That is the jackknife over groups, for a linear model the cluster-robust CR3 (Bell and McCaffrey 2002). The band of
-    an equation is -1 where it is in none.
-    """
-    values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    scaled, numbers, total = slope @ root, np.unique(band[band >= 0]), np.zeros(len(covariance))
-    for number in numbers.tolist():
-        part = scaled[band == number]
-        leverage, directions = np.linalg.eigh(part.T @ part)
-        pull = directions.T @ (part.T @ left[band == number])
-        change = root @ (directions @ (pull / (1.0 - np.minimum(leverage, _MAX_LEVERAGE))))
-        with np.errstate(over="ignore"):  # what becomes infinite is not identifiable
-            total += change**2
-    return np.asarray(total * (len(numbers) - 1) / max(len(numbers), 1))
 
 
 def _scatter(residual: Array, order: NDArray[np.intp]) -> Array:
