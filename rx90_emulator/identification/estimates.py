@@ -27,6 +27,11 @@ LARGEST = 1e12
 """Largest value or deviation that is written, SI units: no bristle is so stiff, and no arm so strong."""
 
 
+def digits(value: float, count: int = 6) -> float:
+    """Return so many digits of a value: six are far below any standard deviation, twelve above rounding errors."""
+    return float(f"{value:.{count}g}")
+
+
 def cluster_variances(
     slope: Array, residual: Array, cluster: NDArray[np.int64], root: Array, power: float, least: float
 ) -> Array:

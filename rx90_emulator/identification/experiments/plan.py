@@ -128,11 +128,20 @@ class Poses:
             if len(pose) != len(robot.joint_names):
                 accepted = f"accepted: {len(robot.joint_names)}, one for each joint"
                 raise IdentificationError(f"{what}: {counted(len(pose), 'number')}; {accepted}")
-            for name, value, low, high in zip(robot.joint_names, pose, robot.lower, robot.upper, strict=True):
-                if not low <= value <= high:
-                    raise IdentificationError(
-                        f"{what}: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
-                    )
+            check_pose(what, pose, robot)
+
+
+def check_pose(what: str, pose: Sequence[float], robot: RobotModel) -> None:
+    """Check that an arm reaches a pose of as many joint positions, rad, as it has joints.
+
+    Raises:
+        IdentificationError: naming it in the words of `what`, joint, value and limits.
+    """
+    for name, value, low, high in zip(robot.joint_names, pose, robot.lower, robot.upper, strict=True):
+        if not low <= value <= high:
+            raise IdentificationError(
+                f"{what}: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
+            )
 
 
 _MAX_SPEEDS = 1000  # two hours for each group

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from rx90_common.base.arrays import Array, Mask
-from rx90_emulator.identification.estimates import cluster_variances
+from rx90_emulator.identification.estimates import cluster_variances, digits
 
 FALSE_ALARMS = 0.01
 """Probability that drift is claimed in a series without any, of all elements together."""
@@ -265,17 +265,13 @@ class FitQuality:
     def content(self) -> dict[str, Any]:
         """Return the figures as plain data, to four digits."""
         found: dict[str, Any] = {
-            "rms": _four_digits(self.rms),
-            "share": _four_digits(self.share),
-            "chi2_per_degree_of_freedom": _four_digits(self.chi2),
+            "rms": digits(self.rms, 4),
+            "share": digits(self.share, 4),
+            "chi2_per_degree_of_freedom": digits(self.chi2, 4),
             "misfit": self.misfit.significant,
-            "residual_by_speed": [[_four_digits(value) for value in band] for band in self.bands.tolist()],
+            "residual_by_speed": [[digits(value, 4) for value in band] for band in self.bands.tolist()],
         }
         if not math.isnan(self.drift.size):
             drift = vars(self.drift)
-            found["drift"] = {k: v if k == "significant" else _four_digits(v) for k, v in drift.items()}
+            found["drift"] = {k: v if k == "significant" else digits(v, 4) for k, v in drift.items()}
         return found
-
-
-def _four_digits(value: float) -> float:
-    return float(f"{value:.4g}")
