@@ -37,9 +37,7 @@ _REMARKS = """\
 """
 _LARGEST = {"Nm": 1e6, "rad/s": 1e4, "1": 1e3, "Nm/rad": 1e12, "Nm s/rad": 1e9, "Nm (s/rad)^alpha": 1e6}
 """Of values with these units: orders of magnitude beyond any arm's, and no result of a fit that went well."""
-_NO_JOINTS: Mapping[str, Mapping[str, float]] = MappingProxyType({})
-_NO_WARNINGS: Mapping[str, str] = MappingProxyType({})
-_NO_SPEEDS: Mapping[str, tuple[float, float]] = MappingProxyType({})
+_NONE: Mapping[str, Any] = MappingProxyType({})
 _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
 
 
@@ -54,11 +52,11 @@ def elements_text(
     fallback_name: str | None,
     now: datetime | None = None,
     result: FrictionIdentification | None = None,
-    joints: Mapping[str, Mapping[str, float]] = _NO_JOINTS,
+    joints: Mapping[str, Mapping[str, float]] = _NONE,
     bandwidths: Bandwidths | None = None,
     unit: str = "Nm",
-    warnings: Mapping[str, str] = _NO_WARNINGS,
-    speeds: Mapping[str, tuple[float, float]] = _NO_SPEEDS,
+    warnings: Mapping[str, str] = _NONE,
+    speeds: Mapping[str, tuple[float, float]] = _NONE,
 ) -> str:
     """Return the text of a file with these elements.
 

@@ -25,7 +25,7 @@ from rx90_emulator.identification.identify import FrictionIdentification, shown_
 from rx90_emulator.identification.output import summary
 from rx90_emulator.identification.output.robot_files import torque_constants
 from rx90_emulator.identification.presliding.bristle_motion import MOST_MOTIONS, MOST_OF_BAG
-from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE, decisions
+from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.sliding.quality import CurvePoints
 from rx90_emulator.identification.validation.measured import MeasuredComparison
@@ -179,7 +179,7 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
                           {"measured": one.torque, "simulated": one.simulated_torque}) for one in loops],
         own_bristles=own_bristles,
         compared=compared,
-        decisions=decisions(result.kinds),
+        decisions=summary.together((kind.element, kind.text) for kind in result.kinds),
         numbers=[(name, number, estimate.texts() if estimate.identifiable else (f"{one.value(number):.4g}", ""))
                  for name, one in named.items() if not one.given_bristles
                  for number, estimate in one.estimates.items() if number.startswith("bristles.")],

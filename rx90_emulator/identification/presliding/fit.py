@@ -41,7 +41,7 @@ from rx90_emulator.identification.presliding.micro_motion import (
     find_micro_motions,
     most_informative,
 )
-from rx90_emulator.identification.records import BagSource, JointRecord, check_joints
+from rx90_emulator.identification.records import BagSource, JointRecord
 
 _START_SD = 0.3  # prior standard deviation of a start deflection, in parts of that of steady sliding
 _PASSES, _MAX_EVALUATIONS = 3, 30  # of the fit, each with the noise that the one before shows; of the residuals in one
@@ -152,9 +152,8 @@ def identify_presliding(
             a tick; None for a real robot.
 
     Raises:
-        IdentificationError: for other joints than the arm's, a record that is too slow, and no reversal at all.
+        IdentificationError: for a record that is too slow, and no reversal at all.
     """
-    check_joints(records, arm.names)
     groups = joint_groups(arm)
     joints = [group.joints for group in groups]
     motions = [motion for record in records for motion in find_micro_motions(record, arm, joints, torque_delay)]

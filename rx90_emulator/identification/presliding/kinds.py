@@ -15,7 +15,7 @@ element is told only if others of it predict worse whatever kinds its neighbours
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -282,14 +282,6 @@ class ElementKind:
             shown.setdefault(trial.family.kind, trial)
         torques = {"measured": self.best.seen[0]} | {one.family.name: one.seen[1] for one in shown.values()}
         return self.position - self.position.mean(), {name: each - each.mean() for name, each in torques.items()}
-
-
-def decisions(kinds: Iterable[ElementKind]) -> list[tuple[str, str]]:
-    """Return what became of each element in words, elements of which the same is said together."""
-    together: dict[str, list[str]] = {}
-    for kind in kinds:
-        together.setdefault(kind.text, []).append(kind.element)
-    return [(", ".join(names), text) for text, names in together.items()]
 
 
 def choose_kinds(

@@ -19,7 +19,7 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
 )
 from rx90_emulator.identification.options import SLIDING_PARTS, model_parts
-from rx90_emulator.identification.records import BagSource, JointRecord, check_joints
+from rx90_emulator.identification.records import BagSource, JointRecord
 from rx90_emulator.identification.sliding.plateaus import BagUse, Blocks, find_blocks
 from rx90_emulator.identification.sliding.quality import CurvePoints, FitQuality
 from rx90_emulator.identification.sliding.solver import (
@@ -94,17 +94,16 @@ def identify_sliding(
     that they do not bias the friction. Parameters that are not identifiable are marked as such in the estimates.
 
     Args:
-        records: sweeps at constant velocity, both directions, several speeds.
-        arm: rigid-body model of the same joints.
+        records: sweeps of the arm's joints at constant velocity, both directions, several speeds.
+        arm: rigid-body model.
         zero: of the encoders, that the records are without, rad, shape (n,); by default 0.
         model: names of the parts in SLIDING_PARTS that all elements have; by default those that show.
 
     Raises:
         ConfigError: for a model with other parts.
-        IdentificationError: for other joints than the arm's; for no sweep; for too few speeds or a single direction of
-            all elements; and for torques that do not oppose the motion.
+        IdentificationError: for no sweep; for too few speeds or a single direction of all elements; and for torques
+            that do not oppose the motion.
     """
-    check_joints(records, arm.names)
     names = arm.element_names
     where = ", ".join(str(record.source) for record in records)
     blocks, usage = find_blocks(records, arm.element_matrix)
