@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,23 +62,6 @@ _MOVED_BY_REACTIONS = (
 
 
 @dataclass(frozen=True, eq=False)
-class HysteresisLoop:
-    """One micro-motion of one joint, measured and simulated.
-
-    Attributes:
-        joint: its name.
-        position: measured, rad from the mean, shape (m,).
-        torque: friction torque, drive less weight and measured acceleration, Nm, shape (m,).
-        simulated_torque: of the bristles deflected along this motion, Nm, shape (m,).
-    """
-
-    joint: str
-    position: Array
-    torque: Array
-    simulated_torque: Array
-
-
-@dataclass(frozen=True, eq=False)
 class MovedGroup:
     """The largest micro-motions of joints that share their friction elements with no other joint.
 
@@ -120,13 +103,15 @@ class PreslidingFit:
 
     Attributes:
         estimates: for each element of the arm, in its order; the parameters are those in PRESLIDING.
-        loops: the largest micro-motion of each joint that has any.
+        loops: the largest micro-motion of each joint that has any, by its name: position, rad from the mean, and
+            friction torque, Nm, "measured", as drive less weight and measured acceleration, and "simulated", as of the
+            bristles deflected along this motion; block means, shape (b,).
         motions: how many micro-motions were used.
         groups: what the joints did that made any micro-motion.
     """
 
     estimates: tuple[ElementEstimate, ...]
-    loops: tuple[HysteresisLoop, ...] = ()
+    loops: Mapping[str, tuple[Array, dict[str, Array]]] = field(default_factory=dict)
     motions: int = 0
     groups: tuple[MovedGroup, ...] = ()
 
@@ -164,7 +149,7 @@ def identify_presliding(
             "some 0.1 mrad at some 3 to 30 Hz, such as rx90_experiment makes"
         )
     estimates: dict[int, ElementEstimate] = {}
-    loops: list[HysteresisLoop] = []
+    loops: dict[str, tuple[Array, dict[str, Array]]] = {}
     moved: list[MovedGroup] = []
     used = 0
     for group in groups:
@@ -192,11 +177,11 @@ def identify_presliding(
         for place, joint in enumerate(group.joints):
             index = int(np.argmax([motion.position[:, place].std() for motion in chosen]))
             position, measured = (block_means(of)[:, place] for of in (chosen[index].position, chosen[index].friction))
-            simulated = fit.model.friction(fit.x, index)[:, place]
-            loops.append(HysteresisLoop(arm.names[joint], position - position.mean(), measured, simulated))
+            torques = {"measured": measured, "simulated": fit.model.friction(fit.x, index)[:, place]}
+            loops[arm.names[joint]] = position - position.mean(), torques
         moved.append(MovedGroup.of(group, own, elements, fit.values[:, 0]))
     ordered = tuple(estimates[e] for e in range(len(arm.element_names)))
-    return PreslidingFit(ordered, tuple(loops), used, tuple(moved))
+    return PreslidingFit(ordered, loops, used, tuple(moved))
 
 
 class _GroupFit:

@@ -118,9 +118,9 @@ def test_a_fit_without_noise(fourth: tuple[Setup, list[Any]]) -> None:
     setup, runs = fourth
     records = measured(setup, runs, 0.0)
     fit = fitted(setup, records)
-    (loop,) = fit.loops
-    assert loop.joint == "joint_4"
-    assert np.std(loop.torque - loop.simulated_torque) < 0.07 * np.std(loop.torque)
+    assert list(fit.loops) == ["joint_4"]
+    measured_torque, simulated_torque = fit.loops["joint_4"][1].values()
+    assert np.std(measured_torque - simulated_torque) < 0.07 * np.std(measured_torque)
     first = fit.estimates[0].parameters["c0"]
     assert not first.identifiable
     assert np.isnan(first.value)
