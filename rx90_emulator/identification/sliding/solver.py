@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,15 +137,10 @@ def _unloaded(stuck: Array) -> Array:
     _, upper, order = qr(stuck, pivoting=True)
     rank = int(np.sum(np.abs(np.diag(upper)) > 1e-9))
     combination = np.zeros((n, n - rank))
-    combination[order[:rank]] = -_back_substituted(upper[:rank, :rank], upper[:rank, rank:])
+    combination[order[:rank]] = -np.linalg.solve(upper[:rank, :rank], upper[:rank, rank:])
     combination[order[rank:]] = np.eye(n - rank)
     combination[np.abs(combination) < 1e-12] = 0.0
     return combination
-
-
-def _back_substituted(upper: NDArray[Any], right: NDArray[Any]) -> Array:
-    """Return x of upper @ x = right, shapes (n, n) and (n, k); SciPy 1.11 refuses n = 0."""
-    return np.asarray(solve_triangular(upper, right)) if len(upper) else right
 
 
 class _Weights:
@@ -357,7 +351,7 @@ class CurveFit:
         good = values > _RANK_CUTOFF * values[-1]
         scale = np.sqrt(values[good])
         self._root, self._target = scale[:, None] * vectors[:, good].T, (vectors[:, good].T @ pull) / scale
-        self._back, self._spread = _back_substituted(upper, along), _back_substituted(upper, np.eye(len(upper)))
+        self._back, self._spread = np.linalg.solve(upper, along), np.linalg.inv(upper)
 
     def _nuisance(self, torques: Array) -> Array:
         return np.asarray(self._back[:, 0] - self._back[:, 1:] @ torques)
