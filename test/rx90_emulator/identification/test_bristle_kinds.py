@@ -1,4 +1,7 @@
-"""The kind of a joint's bristles from micro-motions whose truth is known, and `rx90_identify --bristle-kinds`."""
+"""The kind of a joint's bristles from micro-motions whose truth is known, by functions and by the command.
+
+A friction file with other bristles than LuGre's as `--fallback`: they go with its c0.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,14 @@ from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 import yaml
-from foreign_arms import write_urdf
+from foreign_arms import write_fallback, write_urdf
+from hinge_arm import Hinge
 from numpy.typing import NDArray
 from schema_faults import schema_faults
 from scipy import stats
@@ -24,11 +29,17 @@ from benchmarks.bristles import led
 from rx90_common.base.errors import DONE
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import FrictionElement, FrictionSet, load_friction
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_emulator.cli.frame import run
+from rx90_emulator.identification import identify as identification
 from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.estimates import SLIDING, ElementEstimate, ParameterEstimate
+from rx90_emulator.identification.excitation.result import simulated_elements
 from rx90_emulator.identification.experiments.plan import PlanOptions, make_plan
 from rx90_emulator.identification.experiments.series import run_on_engine
+from rx90_emulator.identification.identify import identify_records
+from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.presliding import kinds as kinds_module
 from rx90_emulator.identification.presliding.bristle_motion import JointGroup, KindFamily, KindMotion
 from rx90_emulator.identification.presliding.fit import MovedGroup, PreslidingFit
@@ -44,6 +55,7 @@ from rx90_emulator.identification.presliding.kinds import (
 )
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion
 from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.loop.setup import Setup
 
 ELEMENT = FrictionElement(25.0, 25.0, 28.0, 28.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
@@ -142,7 +154,7 @@ def test_each_kind_is_told_from_the_others(bristles: BristlesPart | None, kind: 
 
 
 @pytest.fixture
-def hinge(tmp_path: Path) -> RigidArm:
+def single(tmp_path: Path) -> RigidArm:
     """Return an arm of one joint."""
     return RigidArm.from_urdf(write_urdf(tmp_path, ["joint_1"], ["0 0 1"], [4.0], "continuous"))
 
@@ -154,12 +166,12 @@ def presliding(sizes: tuple[float, ...], noise: float) -> PreslidingFit:
     return PreslidingFit((), (), 0, (MovedGroup.of(group, motions, [ELEMENT], np.array([0.9e5])),))
 
 
-def test_where_the_data_cannot_tell_lugres_bristles_stay(hinge: RigidArm, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_the_data_cannot_tell_lugres_bristles_stay(single: RigidArm, monkeypatch: pytest.MonkeyPatch) -> None:
     """Motions far below break-away, where every kind is a spring, leave LuGre's bristles and name what is left."""
     monkeypatch.setattr(kinds_module, "FAMILIES", FAMILIES)
     seen: list[str] = []
-    kinds = choose_kinds(presliding((0.06, 0.05, 0.04), 0.5), hinge, seen.append)
-    assert len(seen) == kind_steps(hinge) == len(FAMILIES)
+    kinds = choose_kinds(presliding((0.06, 0.05, 0.04), 0.5), single, seen.append)
+    assert len(seen) == kind_steps(single) == len(FAMILIES)
     (kind,) = kinds
     assert kind.decision == "cannot tell"
     assert kind.trial is None
@@ -170,7 +182,7 @@ def test_where_the_data_cannot_tell_lugres_bristles_stay(hinge: RigidArm, monkey
 
 @pytest.mark.parametrize(("softer", "told"), [(1.0, True), (5.0, False)])
 def test_blocks_that_slip_beyond_the_motion_are_not_told(
-    hinge: RigidArm, monkeypatch: pytest.MonkeyPatch, softer: float, told: bool
+    single: RigidArm, monkeypatch: pytest.MonkeyPatch, softer: float, told: bool
 ) -> None:
     """A block that slips after several times the travel leaves LuGre's bristles: what it gives there is a guess."""
     seen, reach = (np.zeros(2), np.zeros(2)), 0.5 * (1.0 + np.exp(softer)) * 25.0 / 1e5
@@ -179,19 +191,19 @@ def test_blocks_that_slip_beyond_the_motion_are_not_told(
     trials = (KindTrial(FAMILIES[2], bristles, seen, {}, 0.01, 0.0, 0.0, reach), others)
     choice = ElementKind("joint_1", trials, np.array([0.0, 4e-4]))
     monkeypatch.setattr(kinds_module, "choose_kinds_of", lambda *_: [choice])
-    (kind,) = choose_kinds(presliding((1.1, 0.8, 0.5), 0.2), hinge)
+    (kind,) = choose_kinds(presliding((1.1, 0.8, 0.5), 0.2), single)
     assert (kind.decision, kind.trial is None) == (("Maxwell slip", False) if told else ("cannot tell", True))
     if not told:
         assert f"a block would slip only after {1e3 * reach:.2g} mrad" in kind.text
 
 
-def test_two_motions_are_not_compared(hinge: RigidArm) -> None:
+def test_two_motions_are_not_compared(single: RigidArm) -> None:
     """A joint with two micro-oscillations, and one without any, keep LuGre's bristles, with the reason."""
     for fit, count in ((presliding((0.5, 0.4), 0.2), 2), (PreslidingFit(()), 0)):
         seen: list[str] = []
-        (kind,) = choose_kinds(fit, hinge, seen.append)
+        (kind,) = choose_kinds(fit, single, seen.append)
         assert kind.text == f"not compared: {count} micro-oscillations; 3 or more tell kinds apart"
-        assert len(seen) == kind_steps(hinge)
+        assert len(seen) == kind_steps(single)
 
 
 def test_elements_that_share_joints_are_told_each() -> None:
@@ -341,3 +353,96 @@ def test_terminal_and_page_show_the_choice(outcome: Outcome) -> None:
     text = outcome.file.with_suffix(".html").read_text(encoding="utf-8")
     assert "Kinds of bristles" in text
     assert "told from the others by" in text
+
+
+SLIPPING = {"kind": "maxwell_slip", "stiffness": [0.61234567, 0.38765433], "share": [0.25, 0.75], "attraction": 5000.0}
+ELASTIC = {"kind": "elasto_plastic", "break_away": 0.4512345678}
+PARTS = (MaxwellSlip((0.61234567, 0.38765433), (0.25, 0.75), 5000.0), ElastoPlastic(0.4512345678))
+
+
+def fallback(path: Path, bristles: dict[str, Any]) -> Path:
+    """Write a fallback for the joint with such a block."""
+    content = yaml.safe_load(write_fallback(path, ["hinge"]).read_text(encoding="utf-8"))
+    content["elements"]["hinge"]["bristles"] = bristles
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+def test_a_joint_without_micro_oscillations_takes_c0_and_bristles(
+    hinge: Hinge, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Sweeps alone leave c0 and block of the fallback, to the last digit, marked as assumed, on page and terminal."""
+    given, file = fallback(tmp_path / "given.yaml", SLIPPING), tmp_path / "friction.yaml"
+    words = ["--sliding", str(hinge.bag), "--urdf", str(hinge.urdf), "--fallback", str(given), "--output", str(file)]
+    assert run("rx90_identify", words) == DONE
+    content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    element = content["elements"]["hinge"]
+    assert (element["bristles"], element["c0"]) == (SLIPPING, 12345.0)
+    assert element["note"] == f"bristles: as its c0 those of {given}, assumed"
+    numbers = content["identification"]["parameters"]["hinge"]
+    expected = {"stiffness[0]": 0.61234567, "stiffness[1]": 0.38765433, "share[0]": 0.25, "share[1]": 0.75}
+    for name, value in {**expected, "attraction": 5000.0}.items():
+        one = numbers[f"bristles.{name}"]
+        assert (one["value"], one["provenance"], one["taken_from"]) == (value, "assumed", str(given)), name
+    assert schema_faults("friction", file) == []
+    assert FrictionFile.read(file).elements["hinge"].bristles == PARTS[0]
+    assert f"bristles of hinge: as c0 those of {given}, assumed" in capsys.readouterr().out
+    assert "With c0 the bristles of hinge are those of that file" in file.with_suffix(".html").read_text("utf-8")
+
+
+LUGRE = SimpleNamespace(decided=True, trial=None)
+OPEN = SimpleNamespace(decided=False, trial=None)
+TOLD = SimpleNamespace(decided=True, sources=())
+
+
+@pytest.mark.parametrize(
+    ("known", "kind", "expected"),
+    [
+        (False, None, PARTS[0]),
+        (True, None, None),
+        (False, OPEN, PARTS[0]),
+        (True, OPEN, None),
+        (False, LUGRE, None),
+        (True, TOLD, PARTS[1]),
+        (False, TOLD, PARTS[1]),
+    ],
+    ids=["c0 open", "c0 known", "both open", "kind open", "LuGre told", "all told", "kind told"],
+)
+def test_bristles_go_with_c0_unless_they_are_told(
+    hinge: Hinge,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    known: bool,
+    kind: SimpleNamespace | None,
+    expected: BristlesPart | None,
+) -> None:
+    """The fallback's block comes with its c0; a c0 of LuGre's fit stays LuGre's, and a kind that is told stays."""
+    options = RobotOptions(urdf=str(hinge.urdf), fallback=str(fallback(tmp_path / "given.yaml", SLIPPING)))
+    robot = RecordedRobot.load(options)
+    c0 = ParameterEstimate(2e4, 1e2) if known else ParameterEstimate.unknown("too small")
+    cycles = ElementEstimate("hinge", {"c0": c0, "c1": c0}, np.eye(2), ())
+    slides = ElementEstimate("hinge", dict.fromkeys(SLIDING, ParameterEstimate(1.0, 0.1)), np.eye(7), ())
+    if kind is TOLD:
+        kind.trial = SimpleNamespace(
+            bristles=PARTS[1], estimates={"c0": c0, "c1": c0, "bristles.break_away": ParameterEstimate(0.45, 0.1)}
+        )
+    monkeypatch.setattr(identification, "identify_sliding", lambda *_, **__: SimpleNamespace(estimates=[slides]))
+    monkeypatch.setattr(identification, "identify_presliding", lambda *_: SimpleNamespace(estimates=[cycles]))
+    monkeypatch.setattr(identification, "choose_kinds", lambda *_: (kind,))
+    (one,) = identify_records([], [None], robot, bristle_kinds=kind is not None).elements  # type: ignore[list-item]
+    assert one.element.bristles == expected
+    assert one.given_bristles == (expected == PARTS[0])
+    assert one.element.c0 == (2e4 if known else 12345.0)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_excitation_runs_take_bristles_with_c0(tmp_path: Path, known: bool) -> None:
+    """Where excitation runs do not tell c0, they take the fallback's with its block; where they do, LuGre's stay."""
+    given = FrictionFile.read(fallback(tmp_path / "given.yaml", ELASTIC)).select(["hinge"])
+    estimates = {name: ParameterEstimate(1.0, 0.1) for name in ("tau_c_positive", "tau_c_negative")}
+    if known:
+        estimates["c0"] = ParameterEstimate(2e4, 1e2)
+    covariance = np.eye(len(estimates))
+    (one,) = simulated_elements([ElementEstimate("hinge", estimates, covariance, ())], given)
+    assert one.element.bristles == (None if known else PARTS[1])
+    assert ("bristles.break_away" in one.estimates) == one.given_bristles == (not known)
