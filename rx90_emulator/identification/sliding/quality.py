@@ -21,12 +21,13 @@ from rx90_emulator.identification.estimates import cluster_variances, digits
 
 FALSE_ALARMS = 0.01
 """Probability that drift is claimed in a series without any, of all elements together."""
+MISFIT_SD = 3.0
+"""Standard deviations of the sum of products of neighbouring residuals from which a curve does not fit."""
 _CORRELATION_LENGTH = 1.0  # of ln |speed| over which errors hang together: a factor of e
 _SAME_SPEED = 0.1  # of ln |speed| below which ripple of one speed may be the reason, which has a factor of its own
 _BAND_WIDTH = 1.0  # of ln |speed|, within which errors are taken as one
 _MIN_RESIDUAL_LEVERAGE = 0.1  # lower bound of 1 - leverage of a band
 _SCATTER_NEIGHBOURS = 4  # residuals on either side by which the scatter is judged
-_MISFIT_SD = 3.0  # standard deviations of the sum of products of neighbouring residuals
 _RANK_CUTOFF = 1e-10  # of the largest singular value: smaller ones are rounding
 _MIN_PLATEAUS = 12  # in which a drift can be told
 _BANDS = 6  # bands of speed, as wide as each other in the logarithm, by which residuals are reported
@@ -55,36 +56,21 @@ class Residuals:
     time: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Misfit:
-    """What residuals say of the form of one element's curve.
-
-    Attributes:
-        agreement: of the residuals at neighbouring speeds, in standard deviations of what independent ones show.
-        widening: factor on the variance of each parameter because of it, 1 without a misfit, shape (p,).
-    """
-
-    agreement: float
-    widening: Array
-
-    @property
-    def significant(self) -> bool:
-        """Return whether the curve does not fit."""
-        return self.agreement > _MISFIT_SD
-
-
-def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> list[Misfit]:
+def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> tuple[Array, Array]:
     """Return what the residuals of a fit say of the form of each element's curve.
+
+    That is how far residuals at neighbouring speeds agree, in standard deviations of what independent ones show, from
+    MISFIT_SD on a misfit, shape (n_el,), and the factor on the variance of each parameter because of it, 1 without one,
+    shape (n_el, p).
 
     Args:
         residuals: of the fit.
         free: which parameters of the elements were fitted, shape (n_el, p).
         covariance: of the free parameters with independent plateaus, shape (q, q).
     """
-    found = []
+    agreement, widening = np.zeros(len(free)), np.ones(free.shape)
     column = np.cumsum(free.ravel()).reshape(free.shape) - 1
     for e, own in enumerate(free):
-        agreement, widening = 0.0, np.ones(len(own))
         mine = np.flatnonzero(residuals.velocity[:, e]) if own.any() else np.zeros(0, dtype=np.int64)
         if len(mine):
             speed = np.log(np.abs(residuals.velocity[mine, e]))
@@ -92,8 +78,8 @@ def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> list[Misf
             along = along / _scatter(along, np.argsort(speed))
             kernel = np.triu(np.maximum(0.0, 1.0 - distance / _CORRELATION_LENGTH) * (distance > _SAME_SPEED), 1)
             spread = float(np.sqrt(along**2 @ kernel**2 @ along**2))
-            agreement = float(along @ kernel @ along) / spread if spread > 0.0 else 0.0
-            if agreement > _MISFIT_SD:
+            agreement[e] = float(along @ kernel @ along) / spread if spread > 0.0 else 0.0
+            if agreement[e] > MISFIT_SD:
                 band = np.full(len(residuals.velocity), -1)
                 band[mine] = np.floor((speed - speed.min()) / _BAND_WIDTH)
                 values, vectors = np.linalg.eigh(covariance)
@@ -101,9 +87,8 @@ def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> list[Misf
                 variance = cluster_variances(residuals.slope, residuals.left, bands, root, 1.0, _MIN_RESIDUAL_LEVERAGE)
                 variance *= 1.0 - 1.0 / len(np.unique(band[mine]))
                 chosen = column[e, own]
-                widening[own] = np.maximum(1.0, variance[chosen] / np.diag(covariance)[chosen])
-        found.append(Misfit(agreement, widening))
-    return found
+                widening[e, own] = np.maximum(1.0, variance[chosen] / np.diag(covariance)[chosen])
+    return agreement, widening
 
 
 def _scatter(residual: Array, order: NDArray[np.intp]) -> Array:
@@ -207,7 +192,8 @@ class FitQuality:
         chi2: sum of the squared residuals over those of the blocks' noise, for each degree of freedom; 1 where nothing
             but that noise is left.
         bands: slowest and fastest speed, rad/s, mean residual along the motion, Nm; shape (k, 3).
-        misfit: what the residuals say of the curve's form.
+        agreement: of the residuals at neighbouring speeds, as of `misfits_of`.
+        widening: largest factor on the deviation of a parameter because of it, 1 without a misfit.
         drift: of the friction torque over the series.
     """
 
@@ -215,11 +201,12 @@ class FitQuality:
     friction: float
     chi2: float
     bands: Array
-    misfit: Misfit
+    agreement: float
+    widening: float
     drift: Drift
 
     @classmethod
-    def of(cls, curve: CurvePoints, misfit: Misfit, drift: Drift) -> FitQuality:
+    def of(cls, curve: CurvePoints, agreement: float, widening: Array, drift: Drift) -> FitQuality:
         """Return the figures of one element with one plateau or more."""
         residual, speed = curve.torque - curve.fitted, np.abs(curve.velocity)
         rms, friction = (float(np.sqrt(np.mean(values**2))) for values in (residual, curve.torque))
@@ -228,7 +215,13 @@ class FitQuality:
         number = np.minimum((place / (max(float(np.ptp(place)), 1e-9) / _BANDS)).astype(np.int64), _BANDS - 1)
         inside = [number == k for k in np.unique(number).tolist()]
         bands = np.array([(speed[one].min(), speed[one].max(), along[one].mean()) for one in inside])
-        return cls(rms, friction, chi2 / max(1, len(residual) - len(misfit.widening)), bands, misfit, drift)
+        freedom = max(1, len(residual) - len(widening))
+        return cls(rms, friction, chi2 / freedom, bands, agreement, math.sqrt(float(widening.max())), drift)
+
+    @property
+    def misfit(self) -> bool:
+        """Return whether the curve does not fit."""
+        return self.agreement > MISFIT_SD
 
     @property
     def share(self) -> float:
@@ -239,13 +232,12 @@ class FitQuality:
         """Return it in words for an element: how well the curve fits, and drift where there is some."""
         text = f"fit of {name}: residual {self.rms:.3g} Nm RMS, {self.share:.2%} of its friction, chi2 {self.chi2:.3g}"
         text += " per degree of freedom"
-        if self.misfit.significant:
-            widening = math.sqrt(float(self.misfit.widening.max()))
+        if self.misfit:
             by_speed = ", ".join(f"{low:.3g}-{high:.3g}: {mean:+.2g}" for low, high, mean in self.bands.tolist())
             text += (
-                f"; the curve does NOT FIT: residuals at neighbouring speeds agree by {self.misfit.agreement:.1f} "
-                f"standard deviations, which makes deviations up to {widening:.1f} times wider; residual by speed, Nm "
-                f"at rad/s: {by_speed}"
+                f"; the curve does NOT FIT: residuals at neighbouring speeds agree by {self.agreement:.1f} "
+                f"standard deviations, which makes deviations up to {self.widening:.1f} times wider; residual by speed, "
+                f"Nm at rad/s: {by_speed}"
             )
         return [text, *([f"drift of {name}: {self.drift_text}"] if self.drift.significant else [])]
 
@@ -268,7 +260,7 @@ class FitQuality:
             "rms": digits(self.rms, 4),
             "share": digits(self.share, 4),
             "chi2_per_degree_of_freedom": digits(self.chi2, 4),
-            "misfit": self.misfit.significant,
+            "misfit": self.misfit,
             "residual_by_speed": [[digits(value, 4) for value in band] for band in self.bands.tolist()],
         }
         if not math.isnan(self.drift.size):

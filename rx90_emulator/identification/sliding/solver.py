@@ -32,7 +32,7 @@ from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import SLIDING, VISCOUS_EXPONENT
 from rx90_emulator.identification.sliding.plateaus import Blocks
-from rx90_emulator.identification.sliding.quality import Drift, Misfit, Residuals, drifts_of, misfits_of
+from rx90_emulator.identification.sliding.quality import Drift, Residuals, drifts_of, misfits_of
 
 FITTED = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c2", "omega_s", "delta", "alpha")
 """The parameters of an element in the fit, tau_c+, tau_c-, d+, d-, c2, ln omega_s, ln delta, ln alpha, by the names
@@ -290,7 +290,8 @@ class CurveFit:
         noise: standard deviation of each row over the one that it was scaled by, shape (r,).
         common: intraclass correlation: share of the variance of a plateau's mean that its blocks share, shape (r,).
         design_effect: Kish's factor on the variance because plateaus at one speed err together, shape (r,).
-        misfits: whether each element's curve fits, and how much wider that makes the variances.
+        agreement, widening: whether each element's curve fits, and how much wider that makes the variances, as of
+            `misfits_of`, shapes (n_el,) and (n_el, 8).
         drifts: of each element's friction over the series.
     """
 
@@ -331,7 +332,7 @@ class CurveFit:
         self.common = 1.0 - (1.0 - weights.share[weights.cluster]) ** 2
         self.design_effect = weights.design_effect(self.residual)
         residuals = self._residuals(weights.operator(), self._design @ slope)
-        self.misfits: list[Misfit] = misfits_of(residuals, free, own)
+        self.agreement, self.widening = misfits_of(residuals, free, own)
         self.drifts: list[Drift] = drifts_of(residuals, free)
 
     def _eliminate_nuisance(self, operator: csr_array) -> None:
