@@ -32,7 +32,7 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
 )
 from rx90_emulator.identification.excitation.filtering import Bandwidths
-from rx90_emulator.identification.experiments.folder import IdentificationBags, read_emulated, read_index
+from rx90_emulator.identification.experiments.plan import IdentificationBags, read_emulated, read_index
 from rx90_emulator.identification.options import (
     NO_TOLERANCES,
     SLIDING_PARTS,

@@ -21,9 +21,8 @@ from rx90_controller.trajectory.points import message_content
 from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.excitation import ROWS, ExcitationPlan, plan_excitation
-from rx90_emulator.identification.experiments.folder import TOPICS, write_emulated, write_index
-from rx90_emulator.identification.experiments.options import ExcitationOptions
-from rx90_emulator.identification.experiments.plan import Experiment
+from rx90_emulator.identification.experiments.plan import TOPICS, Experiment, write_emulated, write_index
+from rx90_emulator.identification.options import ExcitationOptions
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 

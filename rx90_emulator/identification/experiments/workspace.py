@@ -21,7 +21,7 @@ from rx90_common.base.arrays import Array, Index
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import axis_rotation
 from rx90_emulator.identification.arm import joint_of
-from rx90_emulator.identification.experiments.options import Wall
+from rx90_emulator.identification.options import Wall
 
 SELF_CLEARANCE = 0.005
 """m, that shapes of the arm keep from each other."""

@@ -236,8 +236,8 @@ class FitQuality:
             by_speed = ", ".join(f"{low:.3g}-{high:.3g}: {mean:+.2g}" for low, high, mean in self.bands.tolist())
             text += (
                 f"; the curve does NOT FIT: residuals at neighbouring speeds agree by {self.agreement:.1f} "
-                f"standard deviations, which makes deviations up to {self.widening:.1f} times wider; residual by speed, "
-                f"Nm at rad/s: {by_speed}"
+                f"standard deviations, which makes deviations up to {self.widening:.1f} times wider; residual by "
+                f"speed, Nm at rad/s: {by_speed}"
             )
         return [text, *([f"drift of {name}: {self.drift_text}"] if self.drift.significant else [])]
 

@@ -16,8 +16,8 @@ from rx90_common.base.errors import DONE, REFUSED
 from rx90_common.base.share import config_path
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.arms import robot_of_urdf
-from rx90_emulator.identification.experiments.options import Wall
 from rx90_emulator.identification.experiments.workspace import Workspace
+from rx90_emulator.identification.options import Wall
 
 Array = NDArray[np.float64]
 ARM = ["--joints", *JOINTS]

@@ -13,7 +13,6 @@ from rx90_common.base.errors import ConfigError, ExchangeError, IdentificationEr
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.arms import PlannedArm
-from rx90_emulator.identification.experiments.folder import read_index
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import (
     Experiment,
@@ -23,6 +22,7 @@ from rx90_emulator.identification.experiments.plan import (
     directions,
     make_plan,
     plan_experiments,
+    read_index,
     sweep_speeds,
 )
 from rx90_emulator.loop.setup import Setup
