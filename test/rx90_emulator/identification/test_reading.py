@@ -15,9 +15,13 @@ from numpy.typing import NDArray
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError, IdentificationError
+from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.identification.records import read_record
 from rx90_emulator.identification.robot import BagLayout, arm_layout
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.result import write_bag
+from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 
@@ -121,6 +125,24 @@ def test_a_lower_rate_gives_means(tmp_path: Path) -> None:
     assert record.time[3] == pytest.approx(1.0 + 17 * PERIOD_NS * 1e-9)
     (file,) = path.glob("*.mcap")
     assert record.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def test_both_topics_of_this_project_agree(shipped: Setup, tmp_path: Path) -> None:
+    """motor_states through gears and coupling give what joint_states hold, within the encoders' counts."""
+    names, zero = shipped.robot.joint_names, np.zeros(6)
+    goal = np.array([0.1, 0.4, 1.0, -0.2, 0.6, 0.3])
+    points = TrajectoryPoints.create(names, names, [0.5], [goal], [zero], [zero])
+    result = simulate(shipped, points, goal - 0.1, 0.7, record_fast=True)
+    write_bag(result, tmp_path / "run")
+    motors, joints = (
+        read_record(tmp_path / "run", arm_layout(topic, shipped.robot.joint_names, own_drives=lambda: shipped.drives))
+        for topic in ("motor_states", "joint_states")
+    )
+    same = np.isin(motors.time, joints.time)
+    assert same.sum() > 600
+    rows = np.isin(joints.time, motors.time)
+    assert np.abs(motors.position[same] - joints.position[rows]).max() < 1e-5
+    assert np.abs(motors.torque[same] - joints.torque[rows]).max() < 1e-9
 
 
 def refused(path: Path, layout: BagLayout = LAYOUT) -> str:

@@ -14,18 +14,17 @@ import pytest
 from foreign_arms import some_rows
 
 from benchmarks.synthetic_sweeps import Noise
-from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import SLIDING, ElementEstimate, ParameterEstimate
-from rx90_emulator.identification.experiments.plan import PlanOptions, directions, make_plan
+from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, Poses, directions, make_plan
 from rx90_emulator.identification.identify import identify_records
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.summary import identification_summary
-from rx90_emulator.identification.records import JointRecord, read_record
-from rx90_emulator.identification.robot import RecordedRobot, arm_layout
+from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.sliding import solver
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
@@ -276,34 +275,37 @@ def test_the_drawn_curve_is_the_identified_one(sweeps: Any, arm: RigidArm) -> No
     assert np.allclose(deviation, np.sqrt(np.einsum("ik,ij,jk->k", slope, covariance, slope)), rtol=1e-3)
 
 
-def test_the_engines_friction_comes_back_from_its_bags(shipped: Setup, arm: RigidArm, tmp_path: Path) -> None:
-    """Motor-side bags of the plan's sweeps in the closed loop give the friction file's parameters of the wrist."""
-    groups = tuple(
-        name for name in directions(shipped.robot.joint_names, shipped.drives.turning) if "5" in name or "6" in name
-    )
-    layout = arm_layout("motor_states", shipped.robot.joint_names, own_drives=lambda: shipped.drives)
-    records = []
-    for sweep in make_plan(shipped.robot, shipped.drives, PlanOptions(speeds=8, travel=0.3, groups=groups))[
-        : len(groups)
-    ]:
-        result = simulate(shipped, sweep.points, duration=sweep.duration, record_fast=True)
-        write_joint_states(tmp_path / sweep.name, [result.series["motor_states"]])
-        records.append(read_record(tmp_path / sweep.name, layout, rate=1000.0))
-    fit = identify_sliding(records, arm)
+def on_the_engine(setup: Setup, options: PlanOptions) -> list[JointRecord]:
+    """Return the records of a plan's sweeps in the closed loop, means of four samples."""
+    found = []
+    for sweep in make_plan(setup.robot, setup.drives, options):
+        if sweep.kind is Kind.SLIDING:
+            states = simulate(setup, sweep.points, duration=sweep.duration).slow.joint_states
+            means = states[: len(states) // 4 * 4].reshape(-1, 4, 3, 6).mean(axis=1).transpose(1, 0, 2)
+            time = 4e-3 * np.arange(means.shape[1], dtype=np.float64)
+            found.append(JointRecord(setup.robot.joint_names, time, *means, Path(sweep.name), "0"))
+    return found
+
+
+def test_the_wrists_friction_comes_back_from_the_engine(shipped: Setup, arm: RigidArm) -> None:
+    """A plan's sweeps of joints 5 and 6, alone, together and against each other, tell their three elements apart."""
+    names = directions(shipped.robot.joint_names, shipped.drives.turning)
+    poses = Poses.of(shipped)
+    options = PlanOptions(
+        speeds=9, travel=0.2, poses=dataclasses.replace(poses, sweeps=poses.sweeps[:1]),
+        groups=tuple(name for name in names if {"5", "6"} & set(name)),
+    )  # fmt: skip
+    fit = identify_sliding(on_the_engine(shipped, options), arm)
     for e in (4, 5, 6):
         assert max(errors(fit.estimates[e], shipped.friction.elements[e]).values()) < 0.02, e
     assert not fit.estimates[0].parameters["c2"].identifiable
-    assert fit.estimates[4].sources[0].path == records[0].source
+    assert len(fit.estimates[4].sources) == 4
 
 
 @pytest.fixture(scope="module")
 def swept(shipped: Setup) -> JointRecord:
     """Return the record of the shipped plan's sweeps of joint 3."""
-    sweep = make_plan(shipped.robot, shipped.drives, PlanOptions(groups=("joint_3",)))[0]
-    states = simulate(shipped, sweep.points, sweep.points.position[0], sweep.duration).slow.joint_states
-    position, velocity, torque = states[: len(states) // 4 * 4].reshape(-1, 4, 3, 6).mean(axis=1).transpose(1, 0, 2)
-    time = 4e-3 * np.arange(len(position))
-    return JointRecord(shipped.robot.joint_names, time, position, velocity, torque, Path(sweep.name), "0")
+    return on_the_engine(shipped, PlanOptions(groups=("joint_3",)))[0]
 
 
 def test_the_shipped_plan_separates_gravity_from_coulomb_friction(
