@@ -106,7 +106,7 @@ def main() -> int:
             groups = JOINTS if where == "joints" else WRIST
             for kind, true in found_kinds(setup, arm, groups, kinds, seed):
                 name = kinds[arm.element_names.index(kind.element)]
-                best = "" if kind.choice is None else kind.choice.best.family.name
+                best = kind.best.family.name if kind.trials else ""
                 counts[where, name].update([kind.decision, "best"] if best.startswith(name) else [kind.decision])
                 if kind.decision == name:
                     for number, good in within(kind, true):

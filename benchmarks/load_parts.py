@@ -31,7 +31,7 @@ from rx90_emulator.identification.excitation.known_payload import LoadParts, ide
 from rx90_emulator.identification.excitation.payload import Payload
 from rx90_emulator.identification.excitation.problem import BaseGroups, ExcitationProblem, Motion, StandardColumns
 from rx90_emulator.identification.experiments.excitation import plan_excitation
-from rx90_emulator.identification.experiments.options import ExcitationOptions
+from rx90_emulator.identification.options import ExcitationOptions
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.setup import Setup
 

@@ -122,7 +122,7 @@ if TYPE_CHECKING:
         BaseParameter as BaseParameter,
         ExcitationIdentification as ExcitationIdentification,
     )
-    from rx90_emulator.identification.experiments.folder import IdentificationBags as IdentificationBags
+    from rx90_emulator.identification.experiments.plan import IdentificationBags as IdentificationBags
     from rx90_emulator.identification.experiments.plan import (
         Experiment as Experiment,
         plan_experiments as plan_experiments,

@@ -23,7 +23,7 @@ from rx90_emulator.cli.options import (
     node_of,
     whole_number,
 )
-from rx90_emulator.identification.experiments.options import DECLARED, QUICK, ExcitationOptions, Wall
+from rx90_emulator.identification.options import DECLARED, QUICK, ExcitationOptions, Wall
 
 _EPILOG = """\
 Bags that are complete stay, whatever ends the run. No motion is checked for collisions, but for those of --excitation

@@ -178,7 +178,7 @@ def _holds_excitation(options: argparse.Namespace) -> bool:
     single = [options.friction, *options.sliding, *options.presliding, *options.validation]
     if options.excitation or options.folder is None or any(single):
         return bool(options.excitation)
-    from rx90_emulator.identification.experiments.folder import read_index
+    from rx90_emulator.identification.experiments.plan import read_index
 
     bags = read_index(options.folder)
     if bags.excitation:
@@ -188,7 +188,7 @@ def _holds_excitation(options: argparse.Namespace) -> bool:
 
 def _bags(options: argparse.Namespace) -> Any:
     """Return the folder, or the single bags by use."""
-    from rx90_emulator.identification.experiments.folder import IdentificationBags
+    from rx90_emulator.identification.experiments.plan import IdentificationBags
 
     single = [*options.sliding, *options.presliding, *options.validation]
     if options.folder is not None and single:

@@ -18,8 +18,7 @@ from rx90_common.base.section import ABOUT
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind
-from rx90_emulator.identification.experiments.folder import INDEX
-from rx90_emulator.identification.experiments.plan import Poses
+from rx90_emulator.identification.experiments.plan import INDEX, Poses
 from rx90_emulator.loop.setup import Setup
 
 _LINE = re.compile(r"\bline (\d+)")

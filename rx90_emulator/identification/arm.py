@@ -99,16 +99,18 @@ class RigidArm:
         names = tuple(str(name) for name in model.names)[1:]
         if followed:
             model = joint_model(urdf, joints, massless=massless, followed=followed)
-        n, given = len(names), {"coupling": coupling, "rotor_inertia": rotor_inertia, "spring": spring}
-        values = {"coupling": np.eye(n), "rotor_inertia": np.zeros(n), "spring": np.zeros(n)}
-        for name, value in given.items():
-            shape = values[name].shape
-            if value is not None:
-                values[name] = np.asarray(value, dtype=np.float64)
-            if values[name].shape != shape or not np.isfinite(values[name]).all():
-                said = f"{name} has shape {values[name].shape}; accepted: finite numbers, shape {shape}"
+        n = len(names)
+
+        def checked(name: str, given: ArrayLike | None, usual: Array) -> Array:
+            value = usual if given is None else np.asarray(given, dtype=np.float64)
+            if value.shape != usual.shape or not np.isfinite(value).all():
+                said = f"{name} has shape {value.shape}; accepted: finite numbers, shape {usual.shape}"
                 raise IdentificationError(said)
-        turns = values["coupling"]
+            return value
+
+        turns = checked("coupling", coupling, np.eye(n))
+        own_rotors = checked("rotor_inertia", rotor_inertia, np.zeros(n))
+        own_springs = checked("spring", spring, np.zeros(n))
         if abs(np.linalg.det(turns)) < 1e-9:
             raise IdentificationError(f"coupling: {turns.tolist()}; accepted: an invertible matrix")
         together = [row for row in turns if np.count_nonzero(row) > 1]
@@ -118,8 +120,8 @@ class RigidArm:
         rotors, springs, matrix = (np.zeros(shape) for shape in ((len(everything),) * 2, len(everything),
                                                                  (len(elements), len(everything))))  # fmt: skip
         all_turns, some = np.eye(len(everything)), np.ix_(own, own)
-        all_turns[some], rotors[some] = turns, turns.T @ np.diag(values["rotor_inertia"]) @ turns
-        springs[own], matrix[:, own] = values["spring"], np.vstack([np.eye(n), *together])
+        all_turns[some], rotors[some] = turns, turns.T @ np.diag(own_rotors) @ turns
+        springs[own], matrix[:, own] = own_springs, np.vstack([np.eye(n), *together])
         return cls(everything, elements, matrix, model, rotors, springs, all_turns)
 
     @property
@@ -272,6 +274,11 @@ def joint_model(
                 f"{urdf}: joint {quoted(name)} moves a mass of {mass:g} kg; accepted: links with <inertial>"
             )
     return reduced
+
+
+def joint_of(frame: Any) -> int:
+    """Return the number of the joint that moves a frame, 0 for the base; Pinocchio 2 calls it `parent`."""
+    return int(frame.parentJoint if hasattr(frame, "parentJoint") else frame.parent)
 
 
 def movable_joints(urdf: Path) -> tuple[str, ...]:

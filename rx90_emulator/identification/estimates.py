@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
@@ -24,6 +25,38 @@ NOT_IN_MODEL = "the model that was asked for does not have it"
 _MOST_DECIMALS = 7
 LARGEST = 1e12
 """Largest value or deviation that is written, SI units: no bristle is so stiff, and no arm so strong."""
+
+
+def digits(value: float, count: int = 6) -> float:
+    """Return so many digits of a value: six are far below any standard deviation, twelve above rounding errors."""
+    return float(f"{value:.{count}g}")
+
+
+def cluster_variances(
+    slope: Array, residual: Array, cluster: NDArray[np.int64], root: Array, power: float, least: float
+) -> Array:
+    """Return the variances of q parameters by how far the residuals of each cluster pull them, shape (q,).
+
+    Residuals of a cluster may err together. Those that a fit leaves are too small by its leverage, which is taken off:
+    by the root of it the variances are unbiased where there is only noise (CR2), by all of it they are the jackknife's
+    over the clusters but for a factor (CR3; Bell and McCaffrey, Survey Methodology 28, 2002).
+
+    Args:
+        slope: derivatives of the equations, shape (r, q).
+        residual: of unit noise, shape (r,).
+        cluster: number of each equation's cluster, -1 where it is in none, shape (r,).
+        root: of the covariance with independent residuals, root @ root^T, shape (q, q).
+        power: of what the leverage leaves, 0.5 for CR2 and 1 for CR3.
+        least: lower bound of what it leaves: without some clusters a parameter would not be determined.
+    """
+    scaled, total = slope @ root, np.zeros(len(root))
+    for number in np.unique(cluster[cluster >= 0]).tolist():
+        rows = cluster == number
+        leverage, directions = np.linalg.eigh(scaled[rows].T @ scaled[rows])
+        pull = directions.T @ (scaled[rows].T @ residual[rows]) / np.maximum(1.0 - leverage, least) ** power
+        with np.errstate(over="ignore"):  # what becomes infinite is not identifiable
+            total += (root @ (directions @ pull)) ** 2
+    return total
 
 
 @dataclass(frozen=True)

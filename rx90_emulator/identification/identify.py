@@ -31,7 +31,7 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
 )
 from rx90_emulator.identification.excitation.filtering import Bandwidths
-from rx90_emulator.identification.experiments.folder import IdentificationBags, read_emulated, read_index
+from rx90_emulator.identification.experiments.plan import IdentificationBags, read_emulated, read_index
 from rx90_emulator.identification.options import (
     NO_TOLERANCES,
     SLIDING_PARTS,
@@ -186,9 +186,12 @@ def identify_friction(
     result = identify_records(
         records["sliding"], records["presliding"], source, progress, bristle_kinds=bristle_kinds, model=model
     )
-    checks = _validations(records["validation"], progress, source, result.lugre, tolerances, sliding=result.sliding)
+    checks = []
+    for record in records["validation"]:
+        progress(record.source.name)
+        checks.append(validate(source, result.lugre, record, tolerances, sliding=result.sliding))
     used = tuple((use, record.bag) for use, some in records.items() for record in some)
-    return replace(result, bags=used, validations=checks, truth=truth)
+    return replace(result, bags=used, validations=tuple(checks), truth=truth)
 
 
 def check_friction(
@@ -231,7 +234,11 @@ def check_friction(
     records = read_records(by_use, source, progress, currents=currents)["validation"]
     if currents and any(record.unit == "Nm" for record in records):
         raise IdentificationError(f"{where}: its torques are in A; accepted: bags with efforts in A")
-    return _validations(records, progress, source, lugre, tolerances, bandwidths=_bandwidths(file, where))
+    bandwidths, checks = _bandwidths(file, where), []
+    for record in records:
+        progress(record.source.name)
+        checks.append(validate(source, lugre, record, tolerances, bandwidths=bandwidths))
+    return tuple(checks)
 
 
 def with_friction(
@@ -279,21 +286,6 @@ def _bandwidths(file: FrictionFile, where: str) -> Bandwidths | None:
         )
     recorded = found.get("recorded_velocity") is True
     return Bandwidths(numbers[0], numbers[1], "those of the identified runs", recorded)
-
-
-def _validations(
-    records: Sequence[JointRecord],
-    progress: Callable[[str], None],
-    robot: RecordedRobot,
-    elements: tuple[FrictionElement, ...],
-    tolerances: GivenTolerances,
-    **how: Any,
-) -> tuple[Validation, ...]:
-    checks = []
-    for record in records:
-        progress(record.source.name)
-        checks.append(validate(robot, elements, record, tolerances, **how))
-    return tuple(checks)
 
 
 def check_given_once(bags: Mapping[str, Sequence[Path]]) -> None:
@@ -406,7 +398,9 @@ def identify_records(
         known = [_element(one, bristles, other) for one, other in zip(slides.estimates, fallback, strict=True)]
         seven = len(SLIDING)  # a viscous exponent does not show in presliding
         covariances = [estimate.covariance()[:seven, :seven] for estimate in slides.estimates]
-        cycles = identify_presliding(presliding, arm, known, robot.torque_delay, covariances, robot.plant_period)
+        cycles = identify_presliding(
+            presliding, arm, known, robot.options.torque_delay, covariances, robot.plant_period
+        )
     else:
         reason = "no bag with micro-oscillations was given"
         cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names))

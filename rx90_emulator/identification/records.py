@@ -160,19 +160,6 @@ def in_unit(text: str, unit: str) -> str:
     return text
 
 
-def check_joints(records: Sequence[JointRecord], names: Sequence[str]) -> None:
-    """Refuse a record of other joints than an arm's.
-
-    Raises:
-        IdentificationError: naming the bag, its joints and the arm's.
-    """
-    for record in records:
-        if tuple(record.names) != tuple(names):
-            raise IdentificationError(
-                f"{record.source}: joints {', '.join(record.names)}; accepted: {', '.join(names)}"
-            )
-
-
 def spikes(values: Array) -> Mask:
     """Return which rows of samples hold a spike: far from the running median, while both neighbours are not.
 

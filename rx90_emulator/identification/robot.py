@@ -341,11 +341,6 @@ class RecordedRobot:
         return tuple(np.array(self.arm.names)[~self.arm.identified].tolist())
 
     @property
-    def torque_delay(self) -> float:
-        """Return by how much a torque acted later than in the sample period that ends at its stamp, s."""
-        return self.options.torque_delay
-
-    @property
     def plant_period(self) -> float | None:
         """Return the tick of this project's plant, s; None for another robot."""
         return None if self.setup is None else self.setup.rates.period

@@ -39,6 +39,20 @@ def urdf_text(joints: Sequence[str], axes: Sequence[str], masses: Sequence[float
     return f'<robot name="arm"><link name="base"/>{"".join(links)}</robot>'
 
 
+def write_urdf(
+    folder: Path, joints: Sequence[str], axes: Sequence[str], masses: Sequence[float], kind: str = "revolute"
+) -> Path:
+    """Write such a chain into a folder and return its file."""
+    file = folder / "arm.urdf"
+    file.write_text(urdf_text(joints, axes, masses, kind), encoding="utf-8")
+    return file
+
+
+def some_rows(record: Any, kept: Any) -> Any:
+    """Return the joint record with some of its samples."""
+    return replace(record, **{name: getattr(record, name)[kept] for name in ("time", "position", "velocity", "torque")})
+
+
 @dataclass(frozen=True)
 class Curve:
     """Steady friction of one element: sign(v) (tau_c + (tau_s - tau_c) exp(-(|v| / omega_s)^delta)) + c2 v."""

@@ -1,4 +1,7 @@
-"""What a plan of motions knows of an arm: one of this project from its files, any other one from its URDF."""
+"""What a plan of motions knows of an arm: one of this project from its files, any other one from its URDF.
+
+A motion uses shares of what joints and motors may do; a plan beyond them is refused.
+"""
 
 from __future__ import annotations
 
@@ -13,19 +16,22 @@ import numpy as np
 import pinocchio as pin
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import IdentificationError
+from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.base.rates import Rates
 from rx90_common.description.chain import RigidChain
 from rx90_common.description.robot import MOUNT_LINK, TCP_LINK, RobotModel, attach, load_tool
 from rx90_common.exchange.topics import motor_names
-from rx90_controller.trajectory import JointLimits
-from rx90_emulator.identification.arm import RigidArm, joint_model, movable_joints
-from rx90_emulator.identification.experiments.plan import Poses
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
+from rx90_emulator.identification.arm import RigidArm, joint_model, joint_of, movable_joints
+from rx90_emulator.identification.experiments.plan import Experiment, Poses, check_pose
 from rx90_emulator.loop.setup import Setup
 
 _TO_FULL_SPEED = 0.5
 """s, in which a joint gets to its speed limit with the acceleration that is taken where none is given."""
 _START_TOLERANCE = 1e-3  # rad
+_PERIOD = Rates().position_period
+_TORQUE_STRIDE = 10  # set-points, of which torques are looked at
 _TURN = math.pi  # rad, the range of a continuous joint without limits, either way
 
 
@@ -137,6 +143,95 @@ class PlannedArm:
         """Return torques of motors, seen through their gears, per torques of joints, shape (n, n)."""
         return np.asarray(np.linalg.inv(self.turns).T)
 
+    def limit_shares(
+        self, motion: Array, torque: Array, share: float = 1.0, speed: float = 1.0, margin: float = 0.0
+    ) -> dict[str, Array]:
+        """Return signed shares of what is allowed, by name, each of the shape of what it is a share of.
+
+        No file says how fast a motor may turn: it is taken to be as fast as its joint alone may be.
+
+        Args:
+            motion: position rad, velocity rad/s and acceleration rad/s² of the joints, shape (3, m, n).
+            torque: with friction, Nm, shape (k, n).
+            share: of accelerations and torques that counts as all of them.
+            speed: the same of the speeds.
+            margin: that the joints' ranges are narrower by at either end, rad.
+        """
+        position, velocity, acceleration = motion
+        robot = self.robot
+        middle, reach = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower) - margin
+        return {
+            "position": (position - middle) / reach,
+            "speed": velocity / (speed * robot.max_velocity),
+            "motor_speed": velocity @ self.turns.T / (speed * robot.max_velocity),
+            "acceleration": acceleration / (share * self.limits.acceleration),
+            "torque": torque / (share * robot.max_effort),
+            "motor_torque": torque @ self.carries.T / (share * self.motor_torque),
+        }
+
+    def whose(self, limit: str) -> tuple[str, ...]:
+        """Return the names of the joints or the motors that a limit of `limit_shares` is of."""
+        return self.motors if limit.startswith("motor_") else self.robot.joint_names
+
+    def friction_torque(self, velocity: Array, smooth: float = 0.0) -> tuple[Array, Array]:
+        """Return the friction that is counted with it: of an arm of this project what the controller compensates.
+
+        Args:
+            velocity: of the joints, rad/s, shape (m, n).
+            smooth: speed over which Coulomb friction changes its sign, rad/s.
+
+        Returns:
+            Joint torques, Nm, shape (m, n), and the derivative of each motor's friction by its speed, shape (m, n),
+            which is without Coulomb friction where its sign jumps.
+        """
+        motors = velocity @ self.turns.T
+        speed, exponent = np.abs(motors), self.exponent
+        sign = np.tanh(motors / smooth) if smooth else np.sign(motors)
+        slope = self.viscous * exponent * np.maximum(speed, 1e-6) ** (exponent - 1.0)
+        if smooth:
+            slope = slope + self.coulomb * (1.0 - sign**2) / smooth
+        torque = sign * self.coulomb + np.sign(motors) * self.viscous * speed**exponent
+        return np.asarray(torque @ self.turns), np.asarray(slope)
+
+    def check(self, experiment: Experiment) -> tuple[dict[str, Array], Array]:
+        """Return the largest shares of the limits that an experiment uses, and its set-points.
+
+        Torques are those of the rigid body, rotors, spring and the friction that is counted with the arm.
+
+        Args:
+            experiment: whose trajectory the controller's own generator accepts.
+
+        Returns:
+            Shares by the names of `limit_shares`, each of shape (n,), and set-points, shape (m, 3, n).
+
+        Raises:
+            IdentificationError: if it leaves a joint's or a motor's limits, of torque too, naming which, amount and
+                limit.
+        """
+        points = experiment.points
+        generator = TrajectoryGenerator(self.limits, _PERIOD, points.position[0])
+        try:
+            generator.accept(points, 0, 0)
+        except TrajectoryError as error:
+            raise IdentificationError(f"{experiment.name}: {error}") from error
+        setpoints = generator.setpoints(0, round(experiment.duration / _PERIOD) + 1)
+        motion = setpoints.transpose(1, 0, 2)
+        some = motion[:, ::_TORQUE_STRIDE]
+        signed = self.limit_shares(motion, self.rigid.torque(*some) + self.friction_torque(some[1])[0])
+        shares = {name: np.abs(share).max(axis=0) for name, share in signed.items()}
+        for name, most, unit in (
+            ("motor_speed", self.robot.max_velocity, "rad/s, through its gear"),
+            ("torque", self.robot.max_effort, "Nm"),
+            ("motor_torque", self.motor_torque, "Nm, through its gear"),
+        ):
+            share, k = shares[name], int(np.argmax(shares[name]))
+            if share[k] > 1.0:
+                raise IdentificationError(
+                    f"{experiment.name}: {self.whose(name)[k]} would need {share[k] * most[k]:.3g} {unit}; accepted: "
+                    f"up to {most[k]:.3g}; choose other poses or less speed or acceleration"
+                )
+        return shares, setpoints
+
     @property
     def coupled(self) -> tuple[int, ...]:
         """Return the numbers of the motors that turn with, or carry, more than their joint."""
@@ -155,11 +250,7 @@ def _home(robot: RobotModel, given: Sequence[float] | None, whose: str) -> tuple
         return middle_of_ranges(robot), "the middle of the joints' ranges, assumed"
     if len(given) != len(robot.joint_names):
         raise IdentificationError(f"--home: {len(given)} values; accepted: {len(robot.joint_names)}, one per joint")
-    for name, value, low, high in zip(robot.joint_names, given, robot.lower, robot.upper, strict=True):
-        if not low <= value <= high:
-            raise IdentificationError(
-                f"home: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
-            )
+    check_pose("home", given, robot)
     return np.array(given, dtype=np.float64), whose
 
 
@@ -201,7 +292,7 @@ def robot_of_urdf(urdf: Path, joints: Sequence[str] | None = None, tool: Path | 
         if model.parents[number] != number - 1:
             raise IdentificationError(f"{plain(urdf)}: joint {quoted(name)} is not moved by the joint before it; "
                                       "accepted: --joints of one arm, from base to tip")  # fmt: skip
-    links = [frame.name for frame in model.frames if frame.type == pin.BODY and _joint_of(frame) == len(names)]
+    links = [frame.name for frame in model.frames if frame.type == pin.BODY and joint_of(frame) == len(names)]
     tip = MOUNT_LINK if MOUNT_LINK in links else links[-1]
     if tool is not None:
         if tip != MOUNT_LINK:
@@ -222,11 +313,6 @@ def robot_of_urdf(urdf: Path, joints: Sequence[str] | None = None, tool: Path | 
                 f"effort {most:g}; accepted: lower < upper, velocity and effort > 0"
             )
     return RobotModel(tuple(names), text, model, lower, upper, velocity, effort, _chain(model, tip), tip, ())
-
-
-def _joint_of(frame: Any) -> int:
-    """Return the number of the joint that moves a frame; Pinocchio 2 calls it `parent`."""
-    return int(frame.parentJoint if hasattr(frame, "parentJoint") else frame.parent)
 
 
 def _chain(model: Any, tip: str) -> RigidChain:

@@ -29,11 +29,10 @@ from rx90_common.base.errors import IdentificationError
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
 from rx90_emulator.identification.experiments.arms import PlannedArm
-from rx90_emulator.identification.experiments.limits import friction_torque, limit_shares, whose
 from rx90_emulator.identification.experiments.motion import Motion
-from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.experiments.plan import Experiment, Kind
 from rx90_emulator.identification.experiments.workspace import Workspace
+from rx90_emulator.identification.options import ExcitationOptions
 from rx90_emulator.loop.setup import Setup
 
 ROWS = 100.0
@@ -252,7 +251,7 @@ class ExcitationPlan:
     def _penalty(self, motion: Array, rigid: Array) -> tuple[float, tuple[Array, Array, Array], Array]:
         """Return the squares of what exceeds limits, with derivatives by motion and torque; friction is smooth."""
         arm, robot, share = self.arm, self.arm.robot, self.options.share
-        friction, by_speed = friction_torque(self.arm, motion[1], _SMOOTH)
+        friction, by_speed = arm.friction_torque(motion[1], _SMOOTH)
         over = {
             name: np.sign(one) * np.maximum(np.abs(one) - 1.0 + _SHARE_MARGIN, 0.0)
             for name, one in self._shares(motion, rigid + friction).items()
@@ -269,7 +268,7 @@ class ExcitationPlan:
         return sum(float(np.sum(one**2)) for one in over.values()) + near, by_motion, by_torque
 
     def _shares(self, motion: Array, torque: Array) -> dict[str, Array]:
-        return limit_shares(self.arm, motion, torque, self.options.share, self.speed, _RANGE_MARGIN)
+        return self.arm.limit_shares(motion, torque, self.options.share, self.speed, _RANGE_MARGIN)
 
     def within(self, coefficients: Array) -> Array:
         """Return the motion, shrunk until it keeps all limits between the samples, too.
@@ -309,12 +308,12 @@ class ExcitationPlan:
             for wall, (distance, name) in zip(self.workspace.walls, self.workspace.lowest(positions), strict=True):
                 if distance < self.options.clearance:
                     return f"{name} comes as near to {wall.name} as {distance:.3g} m"
-        torque = self.arm.rigid.torque(*motion) + friction_torque(self.arm, motion[1])[0]
+        torque = self.arm.rigid.torque(*motion) + self.arm.friction_torque(motion[1])[0]
         shares = {name: np.abs(share).max(axis=0) for name, share in self._shares(motion, torque).items()}
         name = max(shares, key=lambda one: float(shares[one].max()))
         joint = int(np.argmax(shares[name]))
         if not shares[name][joint] <= 1.0:
-            of = whose(self.arm, name)[joint]
+            of = self.arm.whose(name)[joint]
             return f"the {name.removeprefix('motor_')} of {of} is {shares[name][joint]:.0%} of what is allowed"
         return "the arm touches itself" if any(len(self.workspace.near_itself(one)) for one in paths) else ""
 

@@ -24,9 +24,8 @@ from rx90_common.friction.friction_file import load_friction
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.node.trajectory_client import NewestPositions, TrajectoryClient
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.experiments.folder import TOPICS, write_emulated, write_index
 from rx90_emulator.identification.experiments.motion import Motion
-from rx90_emulator.identification.experiments.plan import Experiment
+from rx90_emulator.identification.experiments.plan import TOPICS, Experiment, write_emulated, write_index
 from rx90_emulator.loop.setup import Setup
 
 _ATTEMPTS = 3  # of an experiment whose recorder loses messages

@@ -21,10 +21,8 @@ from rx90_controller.trajectory.points import message_content
 from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.excitation import ROWS, ExcitationPlan, plan_excitation
-from rx90_emulator.identification.experiments.folder import TOPICS, write_emulated, write_index
-from rx90_emulator.identification.experiments.limits import check_experiment
-from rx90_emulator.identification.experiments.options import ExcitationOptions
-from rx90_emulator.identification.experiments.plan import Experiment
+from rx90_emulator.identification.experiments.plan import TOPICS, Experiment, write_emulated, write_index
+from rx90_emulator.identification.options import ExcitationOptions
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
@@ -38,7 +36,7 @@ def describe(plan: Sequence[Experiment], arm: PlannedArm) -> str:
     lines = [f"{'experiment':<30}{'runs':>6}{'time s':>9}   most of the speed limit   most of the torque limit"]
     names = (*arm.robot.joint_names, *arm.motors)
     for one in plan:
-        shares, _ = check_experiment(one, arm)
+        shares, _ = arm.check(one)
         used = [np.append(shares[name], shares[f"motor_{name}"]) for name in ("speed", "torque")]
         speed, torque = (f"{share.max():>6.0%} ({names[int(np.argmax(share))]})" for share in used)
         lines.append(f"{one.name:<30}{one.sweeps:>6}{one.duration:>9.1f}   {speed}          {torque}")
@@ -103,7 +101,7 @@ def describe_excitation(plan: ExcitationPlan) -> str:
 
 def _run_lines(plan: ExcitationPlan, experiment: Experiment) -> Iterator[str]:
     """Yield what joints, coupled motors and walls say of a run; speeds are those of nine tenths of the moving time."""
-    shares, setpoints = check_experiment(experiment, plan.arm)
+    shares, setpoints = plan.arm.check(experiment)
 
     def speeds(velocity: Array) -> str:
         parts = []

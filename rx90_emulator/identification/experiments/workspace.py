@@ -12,7 +12,6 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -21,7 +20,8 @@ from numpy.typing import ArrayLike
 from rx90_common.base.arrays import Array, Index
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import axis_rotation
-from rx90_emulator.identification.experiments.options import Wall
+from rx90_emulator.identification.arm import joint_of
+from rx90_emulator.identification.options import Wall
 
 SELF_CLEARANCE = 0.005
 """m, that shapes of the arm keep from each other."""
@@ -29,11 +29,6 @@ _ANGLE_STEP = 1e-4  # rad: the checker is right to about 1e-6 m
 _MIN_APPROACH = 1e-6  # m: a shape whose distance to a plane changes less over the joints' ranges does not count for it
 _WALL_SCALE = 0.1  # m too near to a wall that cost as much as a limit exceeded by its whole size
 _DISTANCE_MARGIN = 0.01  # m that a search leaves for what lies between its samples
-
-
-def _joint_of(frame: Any) -> int:
-    """Return the number of the joint that moves a frame, 0 for the base; Pinocchio 2 calls it `parent`."""
-    return int(frame.parentJoint if hasattr(frame, "parentJoint") else frame.parent)
 
 
 class Workspace:
@@ -59,7 +54,7 @@ class Workspace:
                 if collision.find("geometry/mesh") is not None:
                     link.remove(collision)
                     meshes.append(str(link.get("name")))
-        moved = (name for name in meshes if _joint_of(frames[self._model.getFrameId(name, pin.BODY)]) > 0)
+        moved = (name for name in meshes if joint_of(frames[self._model.getFrameId(name, pin.BODY)]) > 0)
         self.meshes = tuple(dict.fromkeys(moved))
         self._shapes = pin.buildGeomFromUrdfString(self._model, ET.tostring(root, encoding="unicode"), pin.COLLISION)
         self._outline()
@@ -68,7 +63,7 @@ class Workspace:
         # Not what only turns in place, such as a shoulder over a table.
         self._movable = [np.flatnonzero(width > _MIN_APPROACH) for width in spread]
         objects = self._shapes.geometryObjects
-        joint = [_joint_of(frames[one.parentFrame]) for one in objects]
+        joint = [joint_of(frames[one.parentFrame]) for one in objects]
         pairs = [(a, b) for a, b in combinations(range(len(objects)), 2) if abs(joint[a] - joint[b]) > 1]
         self._set_pairs(pairs)
         near = self._self_distances(np.asarray(home, dtype=np.float64)[None, :])[0] < SELF_CLEARANCE
@@ -89,7 +84,7 @@ class Workspace:
         rows.append((self._robot.tcp_frame, len(centers) - 1, chain.tcp_position, *point))
         for one, placed in zip(self._shapes.geometryObjects, data.oMg, strict=True):
             frame, shape, kind = model.frames[one.parentFrame], one.geometry, type(one.geometry).__name__
-            if (joint := _joint_of(frame) - 1) >= 0:
+            if (joint := joint_of(frame) - 1) >= 0:
                 half = np.array(shape.halfSide) if kind == "Box" else np.zeros(3)
                 disk, ball = (shape.radius if kind == name else 0.0 for name in ("Cylinder", "Sphere"))
                 if kind == "Cylinder":

@@ -23,6 +23,7 @@ from rx90_emulator.identification.estimates import (
     PARAMETERS,
     IdentifiedElement,
     ParameterEstimate,
+    digits,
 )
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.identify import FrictionIdentification
@@ -36,19 +37,8 @@ _REMARKS = """\
 """
 _LARGEST = {"Nm": 1e6, "rad/s": 1e4, "1": 1e3, "Nm/rad": 1e12, "Nm s/rad": 1e9, "Nm (s/rad)^alpha": 1e6}
 """Of values with these units: orders of magnitude beyond any arm's, and no result of a fit that went well."""
-_NO_JOINTS: Mapping[str, Mapping[str, float]] = MappingProxyType({})
-_NO_WARNINGS: Mapping[str, str] = MappingProxyType({})
-_NO_SPEEDS: Mapping[str, tuple[float, float]] = MappingProxyType({})
+_NONE: Mapping[str, Any] = MappingProxyType({})
 _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
-
-
-def six_digits(value: float) -> float:
-    """Return six digits of a value: what is beyond them is far below any standard deviation."""
-    return float(f"{value:.6g}")
-
-
-def _three_digits(value: float) -> float:
-    return float(f"{value:.3g}")
 
 
 def friction_text(result: FrictionIdentification, now: datetime | None = None) -> str:
@@ -62,11 +52,11 @@ def elements_text(
     fallback_name: str | None,
     now: datetime | None = None,
     result: FrictionIdentification | None = None,
-    joints: Mapping[str, Mapping[str, float]] = _NO_JOINTS,
+    joints: Mapping[str, Mapping[str, float]] = _NONE,
     bandwidths: Bandwidths | None = None,
     unit: str = "Nm",
-    warnings: Mapping[str, str] = _NO_WARNINGS,
-    speeds: Mapping[str, tuple[float, float]] = _NO_SPEEDS,
+    warnings: Mapping[str, str] = _NONE,
+    speeds: Mapping[str, tuple[float, float]] = _NONE,
 ) -> str:
     """Return the text of a file with these elements.
 
@@ -108,7 +98,7 @@ def elements_text(
         sizes = {name: np.abs(one.velocity) for name, one in zip(names, result.sliding.curves, strict=True)}
         speeds = {name: (float(one.min()), float(one.max())) for name, one in sizes.items() if len(one)}
     if speeds:
-        identification["speeds"] = {name: [_three_digits(speed) for speed in pair] for name, pair in speeds.items()}
+        identification["speeds"] = {name: [digits(speed, 3) for speed in pair] for name, pair in speeds.items()}
     if result is not None:
         usage, fits = result.sliding.usage, zip(names, result.sliding.quality, strict=True)
         identification["sweeps"] = {labels[use.bag]: use.text(names) for use in usage if use.bag in labels}
@@ -116,10 +106,10 @@ def elements_text(
     for kind in kinds:
         chosen: dict[str, Any] = {"decision": kind.decision} | ({"reason": kind.reason} if kind.reason else {})
         identification.setdefault("bristles", {})[kind.element] = chosen
-        if kind.choice is not None:
+        if kind.trials:
             chosen["tried"] = {
-                trial.family.name: {"missed": six_digits(trial.missed), "behind": six_digits(trial.behind)}
-                for trial in kind.choice.trials
+                trial.family.name: {"missed": digits(trial.missed), "behind": digits(trial.behind)}
+                for trial in kind.trials
             }
             chosen["bags"] = [labels[bag] for bag in kind.sources]
     identification["parameters"] = {
@@ -146,17 +136,17 @@ def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:
                 f"{plain(name)}: {parameter} came out as {value:.3g} +- {spread:.2g}; accepted: up to {most:g} {unit}, "
                 "with a finite deviation; nothing is written"
             )
-    values: dict[str, Any] = {each: six_digits(getattr(one.element, each)) for each in FRICTION_UNITS}
+    values: dict[str, Any] = {each: digits(getattr(one.element, each)) for each in FRICTION_UNITS}
     if one.element.bristles is not None and not one.given_bristles:
         numbers: dict[str, Any] = {}
         for key, value in vars(one.element.bristles).items():
             if not isinstance(value, tuple):
-                numbers[key] = six_digits(value)
+                numbers[key] = digits(value)
             else:  # numbers of a list still sum to 1
-                digits = [six_digits(each) for each in value]
-                largest = digits.index(max(digits))  # a small one could be less than what rounding the others leaves
-                digits[largest] = round(1.0 - math.fsum(digits[:largest] + digits[largest + 1 :]), 12)
-                numbers[key] = tuple(digits)
+                parts = [digits(each) for each in value]
+                largest = parts.index(max(parts))  # a small one could be less than what rounding the others leaves
+                parts[largest] = round(1.0 - math.fsum(parts[:largest] + parts[largest + 1 :]), 12)
+                numbers[key] = tuple(parts)
         values["bristles"] = replace(one.element.bristles, **numbers)
     return replace(one.element, **values)
 
@@ -182,7 +172,7 @@ def _provenance(
                 "taken_from": fallback_name if there else None,
             }
         elif estimate.deviation:  # else given, not estimated
-            interval = [six_digits(bound) for bound in estimate.bounds]
-            content |= {"provenance": "identified", "deviation": six_digits(estimate.deviation), "interval": interval}
+            interval = [digits(bound) for bound in estimate.bounds]
+            content |= {"provenance": "identified", "deviation": digits(estimate.deviation), "interval": interval}
         found[name] = content | {"bags": [labels[bag] for bag in one.sources.get(name, ())], "date": date}
     return found

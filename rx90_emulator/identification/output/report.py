@@ -25,7 +25,7 @@ from rx90_emulator.identification.identify import FrictionIdentification, shown_
 from rx90_emulator.identification.output import summary
 from rx90_emulator.identification.output.robot_files import torque_constants
 from rx90_emulator.identification.presliding.bristle_motion import MOST_MOTIONS, MOST_OF_BAG
-from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE, decisions
+from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.sliding.quality import CurvePoints
 from rx90_emulator.identification.validation.measured import MeasuredComparison
@@ -151,10 +151,10 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
     """
     names, sliding, presliding = result.arm.element_names, result.sliding, result.presliding
     named = dict(zip(names, result.elements, strict=True))
-    compared = [kind for kind in result.kinds if kind.choice is not None]
+    compared = [kind for kind in result.kinds if kind.trials]
     own_bristles = [kind.element for kind in compared if kind.trial is not None]
     curves = [(name, curve) for name, curve in zip(names, sliding.curves, strict=True) if len(curve.velocity)]
-    loops = [loop for loop in presliding.loops if loop.joint not in own_bristles]
+    loops = {joint: loop for joint, loop in presliding.loops.items() if joint not in own_bristles}
     return _render(
         "identification.html.j2",
         now,
@@ -175,19 +175,17 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
             (Level(0.0), Dots(curve.time, np.sign(curve.velocity) * (curve.torque - curve.fitted))),
             name, "time in the series, s", "residual, Nm",
         )], height=1.8) for name, curve in curves],
-        loops=[_loop_plot(one.joint, one.position, "friction torque, Nm",
-                          {"measured": one.torque, "simulated": one.simulated_torque}) for one in loops],
+        loops=[_loop_plot(joint, "friction torque, Nm", *loop) for joint, loop in loops.items()],
         own_bristles=own_bristles,
         compared=compared,
-        decisions=decisions(result.kinds),
+        decisions=summary.together((kind.element, kind.text) for kind in result.kinds),
         numbers=[(name, number, estimate.texts() if estimate.identifiable else (f"{one.value(number):.4g}", ""))
                  for name, one in named.items() if not one.given_bristles
                  for number, estimate in one.estimates.items() if number.startswith("bristles.")],
         most_motions=MOST_MOTIONS,
         most_of_bag=MOST_OF_BAG,
         distinguishable_se=DISTINGUISHABLE_SE,
-        kind_loops=[_loop_plot(one.element, one.largest[0], "torque of the bristles, Nm", one.largest[1])
-                    for one in compared],
+        kind_loops=[_loop_plot(one.element, "torque of the bristles, Nm", *one.largest) for one in compared],
         correlations=_correlation_plots(result, own_bristles),
     )  # fmt: skip
 
@@ -214,7 +212,7 @@ def _curve_plot(name: str, curve: CurvePoints) -> Plot:
     return Plot(panels, height=2.3)
 
 
-def _loop_plot(name: str, position: Array, label: str, torques: Mapping[str, Array]) -> Plot:
+def _loop_plot(name: str, label: str, position: Array, torques: Mapping[str, Array]) -> Plot:
     """Show torques against position in the middle of a micro-motion: measured, and by each model."""
     count = len(position)
     part = slice((_DRAWN_SHARE - 1) * count // (2 * _DRAWN_SHARE), (_DRAWN_SHARE + 1) * count // (2 * _DRAWN_SHARE))

@@ -31,13 +31,13 @@ from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_emulator.identification.arm import RigidArm, all_joints
-from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate, digits
 from rx90_emulator.identification.excitation.cross_validation import CrossValidation
 from rx90_emulator.identification.excitation.prior import central
 from rx90_emulator.identification.excitation.result import ASSUMED, ExcitationIdentification
 from rx90_emulator.identification.excitation.torques import RunTorques, misfits
 from rx90_emulator.identification.output.assumed_files import assumed_files
-from rx90_emulator.identification.output.friction_file import elements_text, six_digits
+from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.summary import bodies_warnings, gain_warnings, in_currents
 from rx90_emulator.identification.records import in_unit
 
@@ -180,11 +180,6 @@ def viscous_sum(elements: Sequence[FrictionElement], speed: float) -> tuple[floa
     return fast / speed**alpha, alpha
 
 
-def _numbers(values: Sequence[float], digits: int = 12) -> list[float]:
-    """Return plain numbers of so many digits; behind the twelfth are rounding errors."""
-    return [float(f"{value:.{digits}g}") for value in values]
-
-
 class FolderBase(NamedTuple):
     """What a robot folder begins with.
 
@@ -265,7 +260,7 @@ def robot_texts(
             amounts = [float(inertias.parameters[there[name]]) if name in there else 0.0 for name in names]
             shared = listed(name for name, k in there.items() if not inertias.alone[k])
             how = f"; of {shared} only the sum with the links, divided near to what was known" if shared else ""
-            new[block, key] = Identified(_numbers(amounts), "identified", origin + how)
+            new[block, key] = Identified([digits(one, 12) for one in amounts], "identified", origin + how)
             if kind == "k" and min(amounts) < 0.0:
                 worst = names[int(np.argmin(amounts))]
                 raise IdentificationError(
@@ -333,7 +328,7 @@ def _compensation(
     elif base.turning.sums:
         source += f", and of {listed(elements[joints:])} at the motors that turn so"
     values = {"coulomb_torque": coulomb, "viscous_friction": viscous, "viscous_exponent": exponent}
-    return {key: Identified(_numbers(some), "derived", source) for key, some in values.items()}
+    return {key: Identified([digits(one, 12) for one in some], "derived", source) for key, some in values.items()}
 
 
 def _begun(
@@ -353,7 +348,7 @@ def _joints(result: ExcitationIdentification, *, drives: bool) -> dict[str, dict
     values = dict(zip(standard, result.consistency.inertias.parameters.tolist(), strict=True))
     kinds = {"offset": "offset"} if drives else {"offset": "offset", "rotor_inertia": "Ia", "spring": "k"}
     found = {
-        name: {key: six_digits(values.get(f"{kind}_{joint}", 0.0)) for key, kind in kinds.items()}
+        name: {key: digits(values.get(f"{kind}_{joint}", 0.0)) for key, kind in kinds.items()}
         for joint, name in enumerate(names, 1)
     }
     return {name: kept for name, one in found.items() if (kept := {key: value for key, value in one.items() if value})}
@@ -402,7 +397,7 @@ def torque_constants(result: ExcitationIdentification) -> Identified | None:
     odd = [result.problem.arm.names[k] for k in gains.implausible]
     rest += f"; {listed(odd)} hardly to be believed: parameters.yaml says why" if odd else ""
     source = f"torques of {listed(sure)} in runs with and without a known payload{rest}"
-    return Identified(_numbers(values.tolist(), 6), "identified", source)
+    return Identified([digits(value) for value in values.tolist()], "identified", source)
 
 
 _PARAMETERS_HEAD = """\
@@ -437,13 +432,13 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         "date": date.isoformat(timespec="seconds"),
         "versions": dict(versions),
         "bags": [
-            {"path": str(bag.path), "use": use, "sha256": bag.sha256, "duration": six_digits(bag.duration)}
+            {"path": str(bag.path), "use": use, "sha256": bag.sha256, "duration": digits(bag.duration)}
             for use, bag in result.bags
         ],
         "bandwidths": _rounded(bandwidths._asdict()),
         "base_parameters": {
             one.name: {"unit": one.unit, "group": one.group, **_estimate(one.estimate)}
-            | {"consistent": six_digits(one.consistent)}
+            | {"consistent": digits(one.consistent)}
             | ({} if one.other is None else {other.replace(" ", "_"): _estimate(one.other)})
             for one in result.base
         },
@@ -452,7 +447,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             for name, one in zip(result.problem.arm.element_names, result.elements, strict=True)
         },
         "models": [
-            {"name": row.name, "parameters": row.parameters, "relative_error": six_digits(row.relative_all)}
+            {"name": row.name, "parameters": row.parameters, "relative_error": digits(row.relative_all)}
             | checked("blocks", row.by_blocks)
             | {"kept": row.kept, "reason": row.reason}
             | checked("runs", row.by_runs)
@@ -463,14 +458,14 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             one.torques.source.path.name: {
                 "confirmed": one.passed,
                 **_torques(one.torques),
-                "relative_with_consistent_inertias": six_digits(one.consistent.total_share),
+                "relative_with_consistent_inertias": digits(one.consistent.total_share),
                 "by_files": _torques(one.files),
             }
             for one in result.validations
         },
         "bodies": {
-            "distance": six_digits(bodies.distance),
-            "relative_error": six_digits(result.consistency.shares[1]),
+            "distance": digits(bodies.distance),
+            "relative_error": digits(result.consistency.shares[1]),
             "masses_not_determined": [
                 name for name, one in zip(bodies.prior.joints, bodies.open.tolist(), strict=True) if one
             ],
@@ -512,14 +507,14 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
 
 def _rounded(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return a mapping with its numbers to six digits, without those that are NaN."""
-    rounded = {key: six_digits(value) if isinstance(value, float) else value for key, value in values.items()}
+    rounded = {key: digits(value) if isinstance(value, float) else value for key, value in values.items()}
     return {key: value for key, value in rounded.items() if not (isinstance(value, float) and math.isnan(value))}
 
 
 def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
     if not estimate.identifiable:
         return {"identifiable": False, "reason": estimate.reason}
-    return {"value": six_digits(estimate.value), "deviation": six_digits(estimate.deviation)}
+    return {"value": digits(estimate.value), "deviation": digits(estimate.deviation)}
 
 
 def _torques(run: RunTorques) -> dict[str, Any]:
@@ -529,4 +524,4 @@ def _torques(run: RunTorques) -> dict[str, Any]:
         if row.get("chi_square", 0.0) > LARGEST:
             del row["chi_square"]
     joints = {name: row for name, row in zip(run.names, figures, strict=True) if "rms" in row}
-    return {"relative": six_digits(run.total_share), "joints": joints}
+    return {"relative": digits(run.total_share), "joints": joints}

@@ -15,7 +15,6 @@ from rx90_emulator.identification.excitation.law import Part
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.excitation.torques import TorqueValidation, misfits
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
-from rx90_emulator.identification.presliding.kinds import decisions
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
@@ -44,7 +43,7 @@ def _width(least: int, names: Iterable[str]) -> int:
     return max(least, *(len(name) + 1 for name in names))
 
 
-def _together(values: Iterable[tuple[str, _Value]]) -> list[tuple[str, _Value]]:
+def together(values: Iterable[tuple[str, _Value]]) -> list[tuple[str, _Value]]:
     """Return the values of names, each once, behind all names that have it."""
     names: dict[_Value, list[str]] = {}
     for name, value in values:
@@ -67,12 +66,12 @@ def identification_summary(result: FrictionIdentification) -> str:
     if others := ", ".join(name for name in names if name not in result.told):
         lines.append(f"{others}: nothing identified")
     lines += [f"not identifiable: {which(lacking)}: {reason}" for reason, lacking in result.unidentifiable.items()]
-    if compared := [(kind.element, kind.choice) for kind in result.kinds if kind.choice is not None]:
+    if compared := [kind for kind in result.kinds if kind.trials]:
         lines.append("bristles: missed of the friction torque (standard errors behind the best kind)")
-        families = [trial.family.name for trial in compared[0][1].trials]
-        rows = [[name, *(f"{t.missed:.1%} ({t.behind:.1f})" for t in choice.trials)] for name, choice in compared]
+        families = [trial.family.name for trial in compared[0].trials]
+        rows = [[kind.element, *(f"{t.missed:.1%} ({t.behind:.1f})" for t in kind.trials)] for kind in compared]
         lines += _table(["element", *families], [_width(10, names), *[25] * len(families)], rows)
-    lines += [f"bristles of {of}: {text}" for of, text in decisions(result.kinds)]
+    lines += [f"bristles of {of}: {text}" for of, text in together((kind.element, kind.text) for kind in result.kinds)]
     if given_bristles := ", ".join(result.with_given_bristles):
         lines.append(f"bristles of {given_bristles}: as c0 those of {result.fallback_name}, assumed")
     lines += [line for name, one in zip(names, sliding.quality, strict=True) if one for line in one.lines(name)]
@@ -90,7 +89,7 @@ def _with_deviation(estimate: ParameterEstimate | None, unknown: str = "-") -> s
 
 def which(lacking: Mapping[str, Sequence[str]]) -> str:
     """Return parameters with the elements that lack them, elements that lack the same ones together."""
-    whose = _together((name, ", ".join(parameters)) for name, parameters in lacking.items())
+    whose = together((name, ", ".join(parameters)) for name, parameters in lacking.items())
     return "; ".join(f"{parameters} of {names}" for names, parameters in whose)
 
 
@@ -297,9 +296,9 @@ def lacking(result: ExcitationIdentification) -> list[tuple[str, str, tuple[str,
             if not estimate.identifiable:
                 reasons[name] = (*reasons.get(name, ()), (element, estimate.reason))
     found = []
-    for parameters, of in _together(reasons.items()):
+    for parameters, of in together(reasons.items()):
         whose = "all elements" if len(of) == len(names) else ", ".join(element for element, _ in of)
-        pairs = _together(of)
+        pairs = together(of)
         texts = (reason if len(pairs) == 1 else f"{elements}: {reason}" for elements, reason in pairs)
         found.append((parameters, whose, tuple(texts)))
     return found

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from rx90_emulator.identification.estimates import (
     SLIDING,
     ElementEstimate,
     ParameterEstimate,
+    cluster_variances,
 )
 from rx90_emulator.identification.presliding.bristle_motion import (
     INERTIA_SD,
@@ -40,7 +41,7 @@ from rx90_emulator.identification.presliding.micro_motion import (
     find_micro_motions,
     most_informative,
 )
-from rx90_emulator.identification.records import BagSource, JointRecord, check_joints
+from rx90_emulator.identification.records import BagSource, JointRecord
 
 _START_SD = 0.3  # prior standard deviation of a start deflection, in parts of that of steady sliding
 _PASSES, _MAX_EVALUATIONS = 3, 30  # of the fit, each with the noise that the one before shows; of the residuals in one
@@ -58,23 +59,6 @@ _MAX_INERTIA_SCORE = 2.0  # standard deviations of the inertia's errors if the p
 _MOVED_BY_REACTIONS = (
     "its joints were moved by the reactions of others alone; accepted: micro-oscillations of their own"
 )
-
-
-@dataclass(frozen=True, eq=False)
-class HysteresisLoop:
-    """One micro-motion of one joint, measured and simulated.
-
-    Attributes:
-        joint: its name.
-        position: measured, rad from the mean, shape (m,).
-        torque: friction torque, drive less weight and measured acceleration, Nm, shape (m,).
-        simulated_torque: of the bristles deflected along this motion, Nm, shape (m,).
-    """
-
-    joint: str
-    position: Array
-    torque: Array
-    simulated_torque: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,13 +103,15 @@ class PreslidingFit:
 
     Attributes:
         estimates: for each element of the arm, in its order; the parameters are those in PRESLIDING.
-        loops: the largest micro-motion of each joint that has any.
+        loops: the largest micro-motion of each joint that has any, by its name: position, rad from the mean, and
+            friction torque, Nm, "measured", as drive less weight and measured acceleration, and "simulated", as of the
+            bristles deflected along this motion; block means, shape (b,).
         motions: how many micro-motions were used.
         groups: what the joints did that made any micro-motion.
     """
 
     estimates: tuple[ElementEstimate, ...]
-    loops: tuple[HysteresisLoop, ...] = ()
+    loops: Mapping[str, tuple[Array, dict[str, Array]]] = field(default_factory=dict)
     motions: int = 0
     groups: tuple[MovedGroup, ...] = ()
 
@@ -151,9 +137,8 @@ def identify_presliding(
             a tick; None for a real robot.
 
     Raises:
-        IdentificationError: for other joints than the arm's, a record that is too slow, and no reversal at all.
+        IdentificationError: for a record that is too slow, and no reversal at all.
     """
-    check_joints(records, arm.names)
     groups = joint_groups(arm)
     joints = [group.joints for group in groups]
     motions = [motion for record in records for motion in find_micro_motions(record, arm, joints, torque_delay)]
@@ -164,7 +149,7 @@ def identify_presliding(
             "some 0.1 mrad at some 3 to 30 Hz, such as rx90_experiment makes"
         )
     estimates: dict[int, ElementEstimate] = {}
-    loops: list[HysteresisLoop] = []
+    loops: dict[str, tuple[Array, dict[str, Array]]] = {}
     moved: list[MovedGroup] = []
     used = 0
     for group in groups:
@@ -192,11 +177,11 @@ def identify_presliding(
         for place, joint in enumerate(group.joints):
             index = int(np.argmax([motion.position[:, place].std() for motion in chosen]))
             position, measured = (block_means(of)[:, place] for of in (chosen[index].position, chosen[index].friction))
-            simulated = fit.model.friction(fit.x, index)[:, place]
-            loops.append(HysteresisLoop(arm.names[joint], position - position.mean(), measured, simulated))
+            torques = {"measured": measured, "simulated": fit.model.friction(fit.x, index)[:, place]}
+            loops[arm.names[joint]] = position - position.mean(), torques
         moved.append(MovedGroup.of(group, own, elements, fit.values[:, 0]))
     ordered = tuple(estimates[e] for e in range(len(arm.element_names)))
-    return PreslidingFit(ordered, tuple(loops), used, tuple(moved))
+    return PreslidingFit(ordered, loops, used, tuple(moved))
 
 
 class _GroupFit:
@@ -364,22 +349,15 @@ def _cluster_robust(jacobian: Array, residual: Array, groupings: Sequence[NDArra
     """Return the covariance by the noise, widened where clusters of residuals show more than noise would.
 
     The noise is white in the band, and it is what lies between the spectral lines of the motions. Errors of the model
-    lie on the lines and grow with the amplitude; cluster-robust (sandwich) estimates show them. These are the
-    bias-reduced linearisation of Bell and McCaffrey (CR2; Survey Methodology 28, 2002), which is unbiased where there
-    is only noise, also with few clusters of unequal leverage. Of several groupings the one that shows most counts.
+    lie on the lines and grow with the amplitude; cluster-robust (sandwich) estimates show them, by CR2 also with few
+    clusters of unequal leverage. Of several groupings the one that shows most counts.
     """
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
     inverse_root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) @ vectors.T
     noise = inverse_root @ inverse_root
     wide = np.ones(len(noise))
     for numbers in groupings:
-        variance = np.zeros(len(noise))
-        for number in range(int(numbers.max()) + 1):
-            rows = numbers == number
-            own = jacobian[rows] @ inverse_root
-            leverage, turn = np.linalg.eigh(own.T @ own)
-            adjusted = turn / np.sqrt(np.maximum(1.0 - leverage, _MIN_RESIDUAL_LEVERAGE)) @ turn.T
-            variance += (inverse_root @ (adjusted @ (own.T @ residual[rows]))) ** 2
+        variance = cluster_variances(jacobian, residual, numbers, inverse_root, 0.5, _MIN_RESIDUAL_LEVERAGE)
         wide = np.maximum(wide, np.sqrt(variance / np.diag(noise)))
     return np.asarray(noise * np.outer(wide, wide))
 

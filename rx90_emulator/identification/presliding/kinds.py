@@ -15,8 +15,8 @@ element is told only if others of it predict worse whatever kinds its neighbours
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -188,16 +188,22 @@ class KindTrial:
 
 
 @dataclass(frozen=True, eq=False)
-class KindChoice:
-    """The kinds of bristles that were tried for an element.
+class ElementKind:
+    """The kinds of bristles that were tried for an element, and what is known of its kind.
 
     Attributes:
-        trials: by kind, in the order of the families that were tried.
+        element: its name.
+        trials: by kind, in the order of the families that were tried; none where nothing could be compared.
         position: along the element's largest motion, rad, block means, shape (b,).
+        lacking: why nothing could be compared; "" where it was.
+        sources: the bags that it rests on.
     """
 
-    trials: tuple[KindTrial, ...]
-    position: Array
+    element: str
+    trials: tuple[KindTrial, ...] = ()
+    position: Array = field(default_factory=lambda: np.zeros(0))
+    lacking: str = ""
+    sources: tuple[BagSource, ...] = ()
 
     @property
     def best(self) -> KindTrial:
@@ -222,8 +228,10 @@ class KindChoice:
         return min(others, default=0.0)
 
     @property
-    def doubt(self) -> str:
+    def reason(self) -> str:
         """Return why no kind is told; "" if one is."""
+        if not self.trials:
+            return self.lacking
         best, travel = self.best, float(np.ptp(self.position))
         if best.missed > _MAX_MISSED:
             return f"even the best kind, {best.family.name}, misses {100.0 * best.missed:.0f} % of the friction torque"
@@ -239,47 +247,29 @@ class KindChoice:
             )
         return ""
 
-
-@dataclass(frozen=True, eq=False)
-class ElementKind:
-    """What is known of the kind of an element's bristles.
-
-    Attributes:
-        element: its name.
-        reason: why no kind is told; "" where one is.
-        choice: what was tried; None where nothing could be.
-        sources: the bags that it rests on.
-    """
-
-    element: str
-    reason: str
-    choice: KindChoice | None = None
-    sources: tuple[BagSource, ...] = ()
-
     @property
     def decided(self) -> bool:
         """Return whether the data tell it, LuGre's too."""
-        return self.choice is not None and not self.reason
+        return not self.reason
 
     @property
     def decision(self) -> str:
         """Return "LuGre", "elasto-plastic", "Maxwell slip", "cannot tell", or "not compared"."""
-        if self.choice is None:
+        if not self.trials:
             return "not compared"
-        return self.choice.best.family.kind if self.decided else "cannot tell"
+        return self.best.family.kind if self.decided else "cannot tell"
 
     @property
     def trial(self) -> KindTrial | None:
         """Return the trial whose bristles take the place of LuGre's; None where LuGre's stay."""
-        best = self.choice.best if self.choice is not None and self.decided else None
-        return None if best is None or best.bristles is None else best
+        return self.best if self.decided and self.best.bristles is not None else None
 
     @property
     def text(self) -> str:
         """Return the decision with how sure it is, or why there is none."""
-        if self.choice is None or self.reason:
+        if self.reason:
             return f"{self.decision}: {self.reason}"
-        return f"{self.decision}, told from the others by {self.choice.margin:.1f} standard errors or more"
+        return f"{self.decision}, told from the others by {self.margin:.1f} standard errors or more"
 
     @property
     def largest(self) -> tuple[Array, dict[str, Array]]:
@@ -287,21 +277,11 @@ class ElementKind:
 
         The torques are the measured one, that of the best kind and those of the best trial of each other kind, by name.
         """
-        assert self.choice is not None
         shown: dict[str, KindTrial] = {}
-        for trial in sorted(self.choice.trials, key=lambda trial: trial.behind):
+        for trial in sorted(self.trials, key=lambda trial: trial.behind):
             shown.setdefault(trial.family.kind, trial)
-        torques = {"measured": self.choice.best.seen[0]} | {one.family.name: one.seen[1] for one in shown.values()}
-        position = self.choice.position
-        return position - position.mean(), {name: torque - torque.mean() for name, torque in torques.items()}
-
-
-def decisions(kinds: Iterable[ElementKind]) -> list[tuple[str, str]]:
-    """Return what became of each element in words, elements of which the same is said together."""
-    together: dict[str, list[str]] = {}
-    for kind in kinds:
-        together.setdefault(kind.text, []).append(kind.element)
-    return [(", ".join(names), text) for text, names in together.items()]
+        torques = {"measured": self.best.seen[0]} | {one.family.name: one.seen[1] for one in shown.values()}
+        return self.position - self.position.mean(), {name: each - each.mean() for name, each in torques.items()}
 
 
 def choose_kinds(
@@ -320,21 +300,15 @@ def choose_kinds(
         names, moved = [arm.element_names[e] for e in elements], groups.get(elements)
         least, count = max(MIN_MOTIONS, 2 * len(names)), 0 if moved is None else len(moved.motions)
         if moved is not None and count >= least and len(names) <= MAX_ELEMENTS:
-            choices = choose_kinds_of(
-                moved.motions,
-                moved.c0,
-                FAMILIES,
-                lambda place, kind, names=names: progress(f"{names[place]}: {kind}"),  # type: ignore[misc]
-            )
-            for e, name, one in zip(elements, names, choices, strict=True):
-                found[e] = ElementKind(name, one.doubt, one, moved.sources)
+            compared = choose_kinds_of(moved.motions, moved.c0, names, FAMILIES, progress)
+            found |= {e: replace(one, sources=moved.sources) for e, one in zip(elements, compared, strict=True)}
             continue
         for _ in range(steps_of(len(names), FAMILIES)):
             progress(f"{listed(names)}: bristles")
         reason = f"{count} micro-oscillations; {least} or more tell kinds apart"
         if len(names) > MAX_ELEMENTS:
             reason = f"{len(names)} elements share joints; accepted: {MAX_ELEMENTS} at most"
-        found |= {e: ElementKind(name, reason) for e, name in zip(elements, names, strict=True)}
+        found |= {e: ElementKind(name, lacking=reason) for e, name in zip(elements, names, strict=True)}
     return tuple(found[e] for e in sorted(found))
 
 
@@ -358,29 +332,31 @@ def _middle(families: Sequence[KindFamily]) -> dict[str, KindFamily]:
 def choose_kinds_of(
     motions: Sequence[KindMotion],
     c0: Array,
+    names: Sequence[str],
     families: Sequence[KindFamily] = FAMILIES,
-    progress: Callable[[int, str], None] = lambda *_: None,
-) -> list[KindChoice]:
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[ElementKind]:
     """Return which kinds of bristles the elements of a group of joints have.
 
     Args:
         motions: micro-motions of the group of e elements, 2 e or more, and at least MIN_MOTIONS.
         c0: a first guess, Nm/rad, such as that of the fit with LuGre's bristles, shape (e,).
+        names: of the elements.
         families: what is tried, those of one kind one after the other.
-        progress: called `steps_of(e, families)` times, with the place of an element and the name of a kind before the
-            kind is tried.
+        progress: called `steps_of(e, families)` times, with the names of an element and of a kind before the kind is
+            tried.
     """
     places, middle = range(len(c0)), _middle(families)
     fits: dict[tuple[KindFamily, ...], GroupFit] = {}
     if len(c0) > 1:
         for tried in itertools.product(middle.values(), repeat=len(c0)):
-            progress(0, ", ".join(family.name for family in tried))
+            progress(f"{names[0]}: {', '.join(family.name for family in tried)}")
             fits[tried] = GroupFit.of(tried, motions, c0)
     searched = list(fits)
     without: dict[tuple[KindFamily, ...], list[GroupFit]] = {}
     power: dict[tuple[KindFamily, ...], Array] = {}
     for place, family in itertools.product(places, families):
-        progress(place, family.name)
+        progress(f"{names[place]}: {family.name}")
         own = middle[family.kind]
         # The set that fits best of those with the family at the place.
         best = min((some for some in searched if some[place] is own), key=lambda some: fits[some].cost, default=(own,))
@@ -421,7 +397,7 @@ def choose_kinds_of(
                     whole.reach(place),
                 )
             )
-        found.append(KindChoice(tuple(trials), positions[largest]))
+        found.append(ElementKind(names[place], tuple(trials), positions[largest]))
     return found
 
 

@@ -19,9 +19,9 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
 )
 from rx90_emulator.identification.options import SLIDING_PARTS, model_parts
-from rx90_emulator.identification.records import BagSource, JointRecord, check_joints
+from rx90_emulator.identification.records import BagSource, JointRecord
 from rx90_emulator.identification.sliding.plateaus import BagUse, Blocks, find_blocks
-from rx90_emulator.identification.sliding.quality import CurvePoints, FitQuality
+from rx90_emulator.identification.sliding.quality import MISFIT_SD, CurvePoints, FitQuality
 from rx90_emulator.identification.sliding.solver import (
     EXPONENT,
     FITTED,
@@ -94,17 +94,16 @@ def identify_sliding(
     that they do not bias the friction. Parameters that are not identifiable are marked as such in the estimates.
 
     Args:
-        records: sweeps at constant velocity, both directions, several speeds.
-        arm: rigid-body model of the same joints.
+        records: sweeps of the arm's joints at constant velocity, both directions, several speeds.
+        arm: rigid-body model.
         zero: of the encoders, that the records are without, rad, shape (n,); by default 0.
         model: names of the parts in SLIDING_PARTS that all elements have; by default those that show.
 
     Raises:
         ConfigError: for a model with other parts.
-        IdentificationError: for other joints than the arm's; for no sweep; for too few speeds or a single direction of
-            all elements; and for torques that do not oppose the motion.
+        IdentificationError: for no sweep; for too few speeds or a single direction of all elements; and for torques
+            that do not oppose the motion.
     """
-    check_joints(records, arm.names)
     names = arm.element_names
     where = ", ".join(str(record.source) for record in records)
     blocks, usage = find_blocks(records, arm.element_matrix)
@@ -137,7 +136,11 @@ def identify_sliding(
             given = asked is None or "stribeck-rise" in asked
             estimates.append(_estimate(fit, names, e, usage, sources, rising=given))
         curves.append(_curve(fit, e))
-        quality.append(FitQuality.of(curves[e], fit.misfits[e], fit.drifts[e]) if len(curves[e].velocity) else None)
+        quality.append(
+            FitQuality.of(curves[e], float(fit.agreement[e]), fit.widening[e], fit.drifts[e])
+            if len(curves[e].velocity)
+            else None
+        )
     # The covariance of the inertial errors is that of the prior where nothing is observed.
     scale, directions = arm.inertial_scale(), rows.directions
     seen = directions / scale[:, None]
@@ -244,7 +247,7 @@ def _natural_covariance(fit: CurveFit, element: int) -> Array:
     """
     mine = fit.rows.gain[:, element] != 0.0
     design = float(fit.design_effect[mine].mean())
-    wider = np.sqrt(np.maximum(design, fit.misfits[element].widening))
+    wider = np.sqrt(np.maximum(design, fit.widening[element]))
     # The degrees of freedom are Satterthwaite's: with the intraclass correlation of a plateau's blocks each plateau is
     # one observation, with the rest of the variance each block is one. The factor is that of the 97.5 % quantiles.
     common = float(fit.common[mine].mean())
@@ -294,7 +297,7 @@ def _reason(
         return f"no Stribeck effect shows at speeds from {speed.min():.3g} to {speed.max():.3g} rad/s{more}"
     if estimate.deviation > _MAX_RELATIVE_SD * abs(estimate.value):
         size = f"standard deviation {estimate.deviation:.3g} at a value of {estimate.value:.3g}"
-        size += ", as the curve does not fit" * fit.misfits[element].significant
+        size += ", as the curve does not fit" * bool(fit.agreement[element] > MISFIT_SD)
         # The parameter, of whatever element, that this one is fully correlated with.
         own = element * SIZE + FITTED.index(name)
         deviation = np.sqrt(np.diag(fit.covariance))

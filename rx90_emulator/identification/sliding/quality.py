@@ -17,15 +17,17 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from rx90_common.base.arrays import Array, Mask
+from rx90_emulator.identification.estimates import cluster_variances, digits
 
 FALSE_ALARMS = 0.01
 """Probability that drift is claimed in a series without any, of all elements together."""
+MISFIT_SD = 3.0
+"""Standard deviations of the sum of products of neighbouring residuals from which a curve does not fit."""
 _CORRELATION_LENGTH = 1.0  # of ln |speed| over which errors hang together: a factor of e
 _SAME_SPEED = 0.1  # of ln |speed| below which ripple of one speed may be the reason, which has a factor of its own
 _BAND_WIDTH = 1.0  # of ln |speed|, within which errors are taken as one
-_MAX_LEVERAGE = 0.9  # of a band: without it a parameter would not be determined
+_MIN_RESIDUAL_LEVERAGE = 0.1  # lower bound of 1 - leverage of a band
 _SCATTER_NEIGHBOURS = 4  # residuals on either side by which the scatter is judged
-_MISFIT_SD = 3.0  # standard deviations of the sum of products of neighbouring residuals
 _RANK_CUTOFF = 1e-10  # of the largest singular value: smaller ones are rounding
 _MIN_PLATEAUS = 12  # in which a drift can be told
 _BANDS = 6  # bands of speed, as wide as each other in the logarithm, by which residuals are reported
@@ -54,36 +56,21 @@ class Residuals:
     time: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Misfit:
-    """What residuals say of the form of one element's curve.
-
-    Attributes:
-        agreement: of the residuals at neighbouring speeds, in standard deviations of what independent ones show.
-        widening: factor on the variance of each parameter because of it, 1 without a misfit, shape (p,).
-    """
-
-    agreement: float
-    widening: Array
-
-    @property
-    def significant(self) -> bool:
-        """Return whether the curve does not fit."""
-        return self.agreement > _MISFIT_SD
-
-
-def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> list[Misfit]:
+def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> tuple[Array, Array]:
     """Return what the residuals of a fit say of the form of each element's curve.
+
+    That is how far residuals at neighbouring speeds agree, in standard deviations of what independent ones show, from
+    MISFIT_SD on a misfit, shape (n_el,), and the factor on the variance of each parameter because of it, 1 without one,
+    shape (n_el, p).
 
     Args:
         residuals: of the fit.
         free: which parameters of the elements were fitted, shape (n_el, p).
         covariance: of the free parameters with independent plateaus, shape (q, q).
     """
-    found = []
+    agreement, widening = np.zeros(len(free)), np.ones(free.shape)
     column = np.cumsum(free.ravel()).reshape(free.shape) - 1
     for e, own in enumerate(free):
-        agreement, widening = 0.0, np.ones(len(own))
         mine = np.flatnonzero(residuals.velocity[:, e]) if own.any() else np.zeros(0, dtype=np.int64)
         if len(mine):
             speed = np.log(np.abs(residuals.velocity[mine, e]))
@@ -91,34 +78,17 @@ def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> list[Misf
             along = along / _scatter(along, np.argsort(speed))
             kernel = np.triu(np.maximum(0.0, 1.0 - distance / _CORRELATION_LENGTH) * (distance > _SAME_SPEED), 1)
             spread = float(np.sqrt(along**2 @ kernel**2 @ along**2))
-            agreement = float(along @ kernel @ along) / spread if spread > 0.0 else 0.0
-            if agreement > _MISFIT_SD:
+            agreement[e] = float(along @ kernel @ along) / spread if spread > 0.0 else 0.0
+            if agreement[e] > MISFIT_SD:
                 band = np.full(len(residuals.velocity), -1)
                 band[mine] = np.floor((speed - speed.min()) / _BAND_WIDTH)
-                variance = _jackknife(residuals.slope, residuals.left, band[residuals.plateau], covariance)
+                values, vectors = np.linalg.eigh(covariance)
+                root, bands = vectors * np.sqrt(np.maximum(values, 0.0)), band[residuals.plateau]
+                variance = cluster_variances(residuals.slope, residuals.left, bands, root, 1.0, _MIN_RESIDUAL_LEVERAGE)
+                variance *= 1.0 - 1.0 / len(np.unique(band[mine]))
                 chosen = column[e, own]
-                widening[own] = np.maximum(1.0, variance[chosen] / np.diag(covariance)[chosen])
-        found.append(Misfit(agreement, widening))
-    return found
-
-
-def _jackknife(slope: Array, left: Array, band: NDArray[np.int64], covariance: Array) -> Array:
-    """Return the variances of the parameters by how they change when each band of speeds is left out, shape (q,).
-
-    That is the jackknife over groups, for a linear model the cluster-robust CR3 (Bell and McCaffrey 2002). The band of
-    an equation is -1 where it is in none.
-    """
-    values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    scaled, numbers, total = slope @ root, np.unique(band[band >= 0]), np.zeros(len(covariance))
-    for number in numbers.tolist():
-        part = scaled[band == number]
-        leverage, directions = np.linalg.eigh(part.T @ part)
-        pull = directions.T @ (part.T @ left[band == number])
-        change = root @ (directions @ (pull / (1.0 - np.minimum(leverage, _MAX_LEVERAGE))))
-        with np.errstate(over="ignore"):  # what becomes infinite is not identifiable
-            total += change**2
-    return np.asarray(total * (len(numbers) - 1) / max(len(numbers), 1))
+                widening[e, own] = np.maximum(1.0, variance[chosen] / np.diag(covariance)[chosen])
+    return agreement, widening
 
 
 def _scatter(residual: Array, order: NDArray[np.intp]) -> Array:
@@ -222,7 +192,8 @@ class FitQuality:
         chi2: sum of the squared residuals over those of the blocks' noise, for each degree of freedom; 1 where nothing
             but that noise is left.
         bands: slowest and fastest speed, rad/s, mean residual along the motion, Nm; shape (k, 3).
-        misfit: what the residuals say of the curve's form.
+        agreement: of the residuals at neighbouring speeds, as of `misfits_of`.
+        widening: largest factor on the deviation of a parameter because of it, 1 without a misfit.
         drift: of the friction torque over the series.
     """
 
@@ -230,11 +201,12 @@ class FitQuality:
     friction: float
     chi2: float
     bands: Array
-    misfit: Misfit
+    agreement: float
+    widening: float
     drift: Drift
 
     @classmethod
-    def of(cls, curve: CurvePoints, misfit: Misfit, drift: Drift) -> FitQuality:
+    def of(cls, curve: CurvePoints, agreement: float, widening: Array, drift: Drift) -> FitQuality:
         """Return the figures of one element with one plateau or more."""
         residual, speed = curve.torque - curve.fitted, np.abs(curve.velocity)
         rms, friction = (float(np.sqrt(np.mean(values**2))) for values in (residual, curve.torque))
@@ -243,7 +215,13 @@ class FitQuality:
         number = np.minimum((place / (max(float(np.ptp(place)), 1e-9) / _BANDS)).astype(np.int64), _BANDS - 1)
         inside = [number == k for k in np.unique(number).tolist()]
         bands = np.array([(speed[one].min(), speed[one].max(), along[one].mean()) for one in inside])
-        return cls(rms, friction, chi2 / max(1, len(residual) - len(misfit.widening)), bands, misfit, drift)
+        freedom = max(1, len(residual) - len(widening))
+        return cls(rms, friction, chi2 / freedom, bands, agreement, math.sqrt(float(widening.max())), drift)
+
+    @property
+    def misfit(self) -> bool:
+        """Return whether the curve does not fit."""
+        return self.agreement > MISFIT_SD
 
     @property
     def share(self) -> float:
@@ -254,13 +232,12 @@ class FitQuality:
         """Return it in words for an element: how well the curve fits, and drift where there is some."""
         text = f"fit of {name}: residual {self.rms:.3g} Nm RMS, {self.share:.2%} of its friction, chi2 {self.chi2:.3g}"
         text += " per degree of freedom"
-        if self.misfit.significant:
-            widening = math.sqrt(float(self.misfit.widening.max()))
+        if self.misfit:
             by_speed = ", ".join(f"{low:.3g}-{high:.3g}: {mean:+.2g}" for low, high, mean in self.bands.tolist())
             text += (
-                f"; the curve does NOT FIT: residuals at neighbouring speeds agree by {self.misfit.agreement:.1f} "
-                f"standard deviations, which makes deviations up to {widening:.1f} times wider; residual by speed, Nm "
-                f"at rad/s: {by_speed}"
+                f"; the curve does NOT FIT: residuals at neighbouring speeds agree by {self.agreement:.1f} "
+                f"standard deviations, which makes deviations up to {self.widening:.1f} times wider; residual by "
+                f"speed, Nm at rad/s: {by_speed}"
             )
         return [text, *([f"drift of {name}: {self.drift_text}"] if self.drift.significant else [])]
 
@@ -280,17 +257,13 @@ class FitQuality:
     def content(self) -> dict[str, Any]:
         """Return the figures as plain data, to four digits."""
         found: dict[str, Any] = {
-            "rms": _four_digits(self.rms),
-            "share": _four_digits(self.share),
-            "chi2_per_degree_of_freedom": _four_digits(self.chi2),
-            "misfit": self.misfit.significant,
-            "residual_by_speed": [[_four_digits(value) for value in band] for band in self.bands.tolist()],
+            "rms": digits(self.rms, 4),
+            "share": digits(self.share, 4),
+            "chi2_per_degree_of_freedom": digits(self.chi2, 4),
+            "misfit": self.misfit,
+            "residual_by_speed": [[digits(value, 4) for value in band] for band in self.bands.tolist()],
         }
         if not math.isnan(self.drift.size):
             drift = vars(self.drift)
-            found["drift"] = {k: v if k == "significant" else _four_digits(v) for k, v in drift.items()}
+            found["drift"] = {k: v if k == "significant" else digits(v, 4) for k, v in drift.items()}
         return found
-
-
-def _four_digits(value: float) -> float:
-    return float(f"{value:.4g}")

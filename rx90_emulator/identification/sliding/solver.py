@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +32,7 @@ from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import SLIDING, VISCOUS_EXPONENT
 from rx90_emulator.identification.sliding.plateaus import Blocks
-from rx90_emulator.identification.sliding.quality import Drift, Misfit, Residuals, drifts_of, misfits_of
+from rx90_emulator.identification.sliding.quality import Drift, Residuals, drifts_of, misfits_of
 
 FITTED = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c2", "omega_s", "delta", "alpha")
 """The parameters of an element in the fit, tau_c+, tau_c-, d+, d-, c2, ln omega_s, ln delta, ln alpha, by the names
@@ -138,15 +137,10 @@ def _unloaded(stuck: Array) -> Array:
     _, upper, order = qr(stuck, pivoting=True)
     rank = int(np.sum(np.abs(np.diag(upper)) > 1e-9))
     combination = np.zeros((n, n - rank))
-    combination[order[:rank]] = -_back_substituted(upper[:rank, :rank], upper[:rank, rank:])
+    combination[order[:rank]] = -np.linalg.solve(upper[:rank, :rank], upper[:rank, rank:])
     combination[order[rank:]] = np.eye(n - rank)
     combination[np.abs(combination) < 1e-12] = 0.0
     return combination
-
-
-def _back_substituted(upper: NDArray[Any], right: NDArray[Any]) -> Array:
-    """Return x of upper @ x = right, shapes (n, n) and (n, k); SciPy 1.11 refuses n = 0."""
-    return np.asarray(solve_triangular(upper, right)) if len(upper) else right
 
 
 class _Weights:
@@ -296,7 +290,8 @@ class CurveFit:
         noise: standard deviation of each row over the one that it was scaled by, shape (r,).
         common: intraclass correlation: share of the variance of a plateau's mean that its blocks share, shape (r,).
         design_effect: Kish's factor on the variance because plateaus at one speed err together, shape (r,).
-        misfits: whether each element's curve fits, and how much wider that makes the variances.
+        agreement, widening: whether each element's curve fits, and how much wider that makes the variances, as of
+            `misfits_of`, shapes (n_el,) and (n_el, 8).
         drifts: of each element's friction over the series.
     """
 
@@ -337,7 +332,7 @@ class CurveFit:
         self.common = 1.0 - (1.0 - weights.share[weights.cluster]) ** 2
         self.design_effect = weights.design_effect(self.residual)
         residuals = self._residuals(weights.operator(), self._design @ slope)
-        self.misfits: list[Misfit] = misfits_of(residuals, free, own)
+        self.agreement, self.widening = misfits_of(residuals, free, own)
         self.drifts: list[Drift] = drifts_of(residuals, free)
 
     def _eliminate_nuisance(self, operator: csr_array) -> None:
@@ -357,7 +352,7 @@ class CurveFit:
         good = values > _RANK_CUTOFF * values[-1]
         scale = np.sqrt(values[good])
         self._root, self._target = scale[:, None] * vectors[:, good].T, (vectors[:, good].T @ pull) / scale
-        self._back, self._spread = _back_substituted(upper, along), _back_substituted(upper, np.eye(len(upper)))
+        self._back, self._spread = np.linalg.solve(upper, along), np.linalg.inv(upper)
 
     def _nuisance(self, torques: Array) -> Array:
         return np.asarray(self._back[:, 0] - self._back[:, 1:] @ torques)

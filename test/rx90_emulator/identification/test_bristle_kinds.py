@@ -1,33 +1,51 @@
-"""The kind of a joint's bristles from micro-motions whose truth is known."""
+"""The kind of a joint's bristles from micro-motions whose truth is known, by functions and by the command.
+
+A friction file with other bristles than LuGre's as `--fallback`: they go with its c0.
+"""
 
 from __future__ import annotations
 
+import io
 import itertools
 from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 import yaml
-from foreign_arms import urdf_text
+from foreign_arms import write_fallback, write_urdf
+from hinge_arm import Hinge
 from numpy.typing import NDArray
+from schema_faults import schema_faults
 from scipy import stats
+from terminal import Terminal
 
+import rx90_emulator as rx
 from benchmarks.bristles import led
-from rx90_common.friction import FrictionElement
+from rx90_common.base.errors import DONE
+from rx90_common.description.coupling import RX_WRIST
+from rx90_common.friction import FrictionElement, FrictionSet, load_friction
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_emulator.cli.frame import run
+from rx90_emulator.identification import identify as identification
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
-from rx90_emulator.identification.identify import FrictionIdentification
-from rx90_emulator.identification.output.friction_file import friction_text
+from rx90_emulator.identification.estimates import SLIDING, ElementEstimate, ParameterEstimate
+from rx90_emulator.identification.excitation.result import simulated_elements
+from rx90_emulator.identification.experiments.plan import PlanOptions, make_plan
+from rx90_emulator.identification.experiments.series import run_on_engine
+from rx90_emulator.identification.identify import identify_records
+from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.presliding import kinds as kinds_module
 from rx90_emulator.identification.presliding.bristle_motion import JointGroup, KindFamily, KindMotion
 from rx90_emulator.identification.presliding.fit import MovedGroup, PreslidingFit
 from rx90_emulator.identification.presliding.kinds import (
+    ElementKind,
     GroupFit,
-    KindChoice,
     KindTrial,
     choose_kinds,
     choose_kinds_of,
@@ -37,8 +55,8 @@ from rx90_emulator.identification.presliding.kinds import (
 )
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion
 from rx90_emulator.identification.records import JointRecord
-from rx90_emulator.identification.sliding.fit import SlidingFit
-from rx90_emulator.identification.sliding.quality import CurvePoints
+from rx90_emulator.identification.robot import RecordedRobot
+from rx90_emulator.loop.setup import Setup
 
 ELEMENT = FrictionElement(25.0, 25.0, 28.0, 28.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
 STEP, COUNT, MASS = 1e-3, 1600, np.array([[4.0, 1.0], [1.0, 3.0]])
@@ -48,8 +66,6 @@ ONE, WRIST = np.eye(1), np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 BLOCKS = MaxwellSlip((0.6, 0.4), (0.25, 0.75), 5000.0)
 Array = NDArray[np.float64]
 Kinds = tuple[BristlesPart | None, ...]
-
-NO_CURVE = CurvePoints(*[np.zeros(0)] * 5, np.zeros((3, 0)))
 
 
 def micro_motions(
@@ -97,13 +113,13 @@ def numbers_of(bristles: BristlesPart) -> dict[str, float]:
 
 def chosen(
     coupling: Array, kinds: Kinds, sizes: tuple[float, ...], families: Sequence[KindFamily] = FAMILIES, **more: Any
-) -> list[KindChoice]:
+) -> list[ElementKind]:
     """Return what is found of elements with such bristles; further arguments are those of `choose_kinds_of`."""
     apart = ((1.0, 0.2), (0.2, 1.0), (1.0, -0.8))
     directions, seed = (((1.0,),), 3) if len(kinds) == 1 else (apart, 7)
     motions = micro_motions(coupling, kinds, sizes, 0.2, directions, seed)
     compared = [KindMotion.of(motion, coupling, [ELEMENT] * len(kinds)) for motion in motions]
-    return choose_kinds_of(compared, np.full(len(kinds), 0.9e5), families, **more)
+    return choose_kinds_of(compared, np.full(len(kinds), 0.9e5), "abc"[: len(kinds)], families, **more)
 
 
 @pytest.mark.parametrize(
@@ -111,7 +127,7 @@ def chosen(
     [
         (None, "LuGre"),
         (ElastoPlastic(0.45), "elasto-plastic"),
-        (MaxwellSlip((0.6, 0.4), (0.25, 0.75), 5000.0), "Maxwell slip"),
+        (BLOCKS, "Maxwell slip"),
     ],
 )
 def test_each_kind_is_told_from_the_others(bristles: BristlesPart | None, kind: str) -> None:
@@ -138,11 +154,9 @@ def test_each_kind_is_told_from_the_others(bristles: BristlesPart | None, kind: 
 
 
 @pytest.fixture
-def hinge(tmp_path: Path) -> RigidArm:
+def single(tmp_path: Path) -> RigidArm:
     """Return an arm of one joint."""
-    urdf = tmp_path / "hinge.urdf"
-    urdf.write_text(urdf_text(["joint_1"], ["0 0 1"], [4.0], "continuous"), encoding="utf-8")
-    return RigidArm.from_urdf(urdf)
+    return RigidArm.from_urdf(write_urdf(tmp_path, ["joint_1"], ["0 0 1"], [4.0], "continuous"))
 
 
 def presliding(sizes: tuple[float, ...], noise: float) -> PreslidingFit:
@@ -152,64 +166,50 @@ def presliding(sizes: tuple[float, ...], noise: float) -> PreslidingFit:
     return PreslidingFit((), (), 0, (MovedGroup.of(group, motions, [ELEMENT], np.array([0.9e5])),))
 
 
-def test_where_the_data_cannot_tell_the_file_has_lugre_and_says_so(
-    hinge: RigidArm, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_the_data_cannot_tell_lugres_bristles_stay(single: RigidArm, monkeypatch: pytest.MonkeyPatch) -> None:
     """Motions far below break-away, where every kind is a spring, leave LuGre's bristles and name what is left."""
     monkeypatch.setattr(kinds_module, "FAMILIES", FAMILIES)
     seen: list[str] = []
-    kinds = choose_kinds(presliding((0.06, 0.05, 0.04), 0.5), hinge, seen.append)
-    assert len(seen) == kind_steps(hinge) == len(FAMILIES)
+    kinds = choose_kinds(presliding((0.06, 0.05, 0.04), 0.5), single, seen.append)
+    assert len(seen) == kind_steps(single) == len(FAMILIES)
     (kind,) = kinds
     assert kind.decision == "cannot tell"
     assert kind.trial is None
-    assert kind.choice is not None
-    left = [trial.family.name for trial in kind.choice.possible]
+    left = [trial.family.name for trial in kind.possible]
     assert len(left) > 1
-    estimates = dict.fromkeys(PARAMETERS, ParameterEstimate(1.0, 0.1))
-    one = IdentifiedElement(ELEMENT, estimates, dict.fromkeys(PARAMETERS, ()))
-    sliding = SlidingFit((), (NO_CURVE,), np.zeros(0), np.zeros((0, 0)), 0, quality=(None,))
-    result = FrictionIdentification(hinge, (one,), sliding, PreslidingFit(()), kinds=kinds)
-    content = yaml.safe_load(friction_text(result))
-    element, found = content["elements"]["joint_1"], content["identification"]["bristles"]["joint_1"]
-    assert "bristles" not in element
-    assert element["note"] == f"bristles: cannot tell: the data do not tell {', '.join(left)} apart"
-    assert found["decision"] == "cannot tell"
-    assert list(found["tried"]) == [family.name for family in FAMILIES]
-    assert found["bags"] == ["bag_1"]
-    assert content["identification"]["bags"]["bag_1"]["path"] == "bag"
+    assert kind.text == f"cannot tell: the data do not tell {', '.join(left)} apart"
 
 
 @pytest.mark.parametrize(("softer", "told"), [(1.0, True), (5.0, False)])
 def test_blocks_that_slip_beyond_the_motion_are_not_told(
-    hinge: RigidArm, monkeypatch: pytest.MonkeyPatch, softer: float, told: bool
+    single: RigidArm, monkeypatch: pytest.MonkeyPatch, softer: float, told: bool
 ) -> None:
     """A block that slips after several times the travel leaves LuGre's bristles: what it gives there is a guess."""
     seen, reach = (np.zeros(2), np.zeros(2)), 0.5 * (1.0 + np.exp(softer)) * 25.0 / 1e5
     bristles = FAMILIES[2].bristles(np.array([-softer, 0.0]), 25.0)
     others = KindTrial(FAMILIES[0], None, seen, {}, 0.1, 9.0)
     trials = (KindTrial(FAMILIES[2], bristles, seen, {}, 0.01, 0.0, 0.0, reach), others)
-    choice = KindChoice(trials, np.array([0.0, 4e-4]))
+    choice = ElementKind("joint_1", trials, np.array([0.0, 4e-4]))
     monkeypatch.setattr(kinds_module, "choose_kinds_of", lambda *_: [choice])
-    (kind,) = choose_kinds(presliding((1.1, 0.8, 0.5), 0.2), hinge)
+    (kind,) = choose_kinds(presliding((1.1, 0.8, 0.5), 0.2), single)
     assert (kind.decision, kind.trial is None) == (("Maxwell slip", False) if told else ("cannot tell", True))
     if not told:
         assert f"a block would slip only after {1e3 * reach:.2g} mrad" in kind.text
 
 
-def test_two_motions_are_not_compared(hinge: RigidArm) -> None:
+def test_two_motions_are_not_compared(single: RigidArm) -> None:
     """A joint with two micro-oscillations, and one without any, keep LuGre's bristles, with the reason."""
     for fit, count in ((presliding((0.5, 0.4), 0.2), 2), (PreslidingFit(()), 0)):
         seen: list[str] = []
-        (kind,) = choose_kinds(fit, hinge, seen.append)
+        (kind,) = choose_kinds(fit, single, seen.append)
         assert kind.text == f"not compared: {count} micro-oscillations; 3 or more tell kinds apart"
-        assert len(seen) == kind_steps(hinge)
+        assert len(seen) == kind_steps(single)
 
 
 def test_elements_that_share_joints_are_told_each() -> None:
     """Two elements that turn with the same joint are told with their kinds, stiffness and numbers."""
-    kinds, seen = (BLOCKS, ElastoPlastic(0.45)), []
-    choices = chosen(WRIST[[0, 2]], kinds, (1.1, 0.6), progress=lambda place, _: seen.append(place))
+    kinds, seen = (BLOCKS, ElastoPlastic(0.45)), list[str]()
+    choices = chosen(WRIST[[0, 2]], kinds, (1.1, 0.6), progress=seen.append)
     assert len(seen) == steps_of(2, FAMILIES) == 9 + 6
     assert [one.kind for one in choices] == ["Maxwell slip", "elasto-plastic"]
     for choice, kind in zip(choices, kinds, strict=True):
@@ -259,3 +259,190 @@ def test_blocks_stand_in_the_order_in_which_they_slip() -> None:
     assert one.stiffness == pytest.approx(same.stiffness)
     assert one.share == pytest.approx(same.share)
     assert np.all(np.diff(np.divide(one.share, one.stiffness)) > 0.0)
+
+
+TRUTH = ElastoPlastic(0.6)
+
+
+class Outcome(NamedTuple):
+    """What the command wrote and said: friction file, its content, standard output and error, and the bags."""
+
+    file: Path
+    content: dict[str, Any]
+    said: str
+    shown: str
+    bags: dict[str, Path]
+
+
+@pytest.fixture(scope="module")
+def outcome(shipped: Setup, tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+    """Run sweeps and three micro-oscillations of joint 4, whose bristles are elasto-plastic, and identify it."""
+    folder = tmp_path_factory.mktemp("kinds")
+    elements = list(shipped.friction.elements)
+    elements[3] = replace(elements[3], bristles=TRUTH)
+    truth = replace(shipped, friction=FrictionSet(shipped.friction.names, tuple(elements)))
+    options = PlanOptions(
+        speeds=8, groups=("joint_4",), presliding_cycles=(2e-3,) * 3, tone_amplitudes=(1.2e-4, 6e-5, 3e-5), burst=2.4
+    )
+    bags = {}
+    for experiment in make_plan(truth.robot, truth.drives, options):
+        bags[str(experiment.kind)] = folder / experiment.name
+        run_on_engine(truth, experiment, folder / experiment.name)
+    file, said, shown = folder / "friction.yaml", io.StringIO(), Terminal()
+    words = [word for use, bag in bags.items() for word in (f"--{use}", str(bag))]
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(said), redirect_stderr(shown):
+        patch.setattr(kinds_module, "FAMILIES", FAMILIES)  # blocks of one number: more take longer
+        assert run("rx90_identify", [*words, "--output", str(file), "--bristle-kinds"]) == DONE, said.getvalue()
+    content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    return Outcome(file, content, said.getvalue(), shown.getvalue(), bags)
+
+
+def test_the_file_carries_the_kind_and_where_it_comes_from(outcome: Outcome) -> None:
+    """The kind is that of the plant, its break-away within four deviations, by the bag of micro-oscillations."""
+    found = outcome.content["identification"]["bristles"]["joint_4"]
+    assert found["decision"] == "elasto-plastic"
+    assert list(found["tried"]) == [family.name for family in FAMILIES]
+    (label,) = found["bags"]
+    bags = outcome.content["identification"]["bags"]
+    assert bags[label]["path"] == str(outcome.bags["presliding"])
+    number = outcome.content["identification"]["parameters"]["joint_4"]["bristles.break_away"]
+    assert number["provenance"] == "identified"
+    assert number["bags"] == [label]
+    error = number["value"] - TRUTH.break_away
+    assert abs(error) < min(0.1, 4.0 * number["deviation"] + 0.02)
+    assert outcome.content["elements"]["joint_4"]["note"].startswith("bristles: elasto-plastic, told")
+    assert schema_faults("friction", outcome.file) == []
+
+
+def test_what_was_not_compared_stays_lugre_and_says_so(outcome: Outcome) -> None:
+    """Joints that did not move, those of the coupled wrist as well, have LuGre's bristles and the reason."""
+    for name, reason in (("joint_1", "0 micro-oscillations; 3"), ("joint_5_6", "0 micro-oscillations; 6")):
+        assert "bristles" not in outcome.content["elements"][name]
+        assert outcome.content["elements"][name]["note"].startswith(f"bristles: not compared: {reason}")
+        assert outcome.content["identification"]["bristles"][name]["decision"] == "not compared"
+
+
+def test_the_plant_runs_with_the_file(outcome: Outcome, shipped: Setup) -> None:
+    """The plant that loads the file has the bristles written there, c0 near the truth, and runs a motion with them."""
+    element = load_friction(outcome.file, RX_WRIST.element_names(shipped.robot.joint_names)).elements[3]
+    written = outcome.content["elements"]["joint_4"]["bristles"]
+    assert element.bristles == ElastoPlastic(written["break_away"])
+    truth = shipped.friction.elements[3]
+    assert element.c0 == pytest.approx(truth.c0, rel=0.05)
+    setup = rx.load_setup(friction=outcome.file)
+    names, rest = shipped.robot.joint_names, np.zeros(6)
+    points = rx.TrajectoryPoints.create(names, names, [0.0, 0.2], [rest, 1e-3 * np.eye(6)[3]], [rest] * 2, [rest] * 2)
+    series = rx.simulate(setup, points).series["friction_states"]
+    assert series.effort is not None
+    assert np.isfinite(series.effort).all()
+
+
+def test_a_validation_holds_the_bristles(outcome: Outcome) -> None:
+    """The run that was not used confirms the identification, and the file given by itself."""
+    assert f"validation {outcome.bags['validation']}: confirmed" in outcome.said
+    words = ["--friction", str(outcome.file), "--validation", str(outcome.bags["validation"])]
+    assert run("rx90_identify", words) == DONE
+
+
+def test_terminal_and_page_show_the_choice(outcome: Outcome) -> None:
+    """A table of all kinds with the decision and how sure it is; progress names joint and kind and ends complete."""
+    assert "bristles of joint_4: elasto-plastic, told from the others by" in outcome.said
+    assert "bristles of joint_5, joint_6, joint_5_6: not compared: 0 micro-oscillations; 6 or more" in outcome.said
+    assert "joint_4: elasto-plastic" in outcome.shown
+    assert "| 54/54 [" in outcome.shown  # three bags, two fits, four joints and the wrist's 27 + 9, one validation
+    text = outcome.file.with_suffix(".html").read_text(encoding="utf-8")
+    assert "Kinds of bristles" in text
+    assert "told from the others by" in text
+
+
+SLIPPING = {"kind": "maxwell_slip", "stiffness": [0.61234567, 0.38765433], "share": [0.25, 0.75], "attraction": 5000.0}
+ELASTIC = {"kind": "elasto_plastic", "break_away": 0.4512345678}
+PARTS = (MaxwellSlip((0.61234567, 0.38765433), (0.25, 0.75), 5000.0), ElastoPlastic(0.4512345678))
+
+
+def fallback(path: Path, bristles: dict[str, Any]) -> Path:
+    """Write a fallback for the joint with such a block."""
+    content = yaml.safe_load(write_fallback(path, ["hinge"]).read_text(encoding="utf-8"))
+    content["elements"]["hinge"]["bristles"] = bristles
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+def test_a_joint_without_micro_oscillations_takes_c0_and_bristles(
+    hinge: Hinge, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Sweeps alone leave c0 and block of the fallback, to the last digit, marked as assumed, on page and terminal."""
+    given, file = fallback(tmp_path / "given.yaml", SLIPPING), tmp_path / "friction.yaml"
+    words = ["--sliding", str(hinge.bag), "--urdf", str(hinge.urdf), "--fallback", str(given), "--output", str(file)]
+    assert run("rx90_identify", words) == DONE
+    content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    element = content["elements"]["hinge"]
+    assert (element["bristles"], element["c0"]) == (SLIPPING, 12345.0)
+    assert element["note"] == f"bristles: as its c0 those of {given}, assumed"
+    numbers = content["identification"]["parameters"]["hinge"]
+    expected = {"stiffness[0]": 0.61234567, "stiffness[1]": 0.38765433, "share[0]": 0.25, "share[1]": 0.75}
+    for name, value in {**expected, "attraction": 5000.0}.items():
+        one = numbers[f"bristles.{name}"]
+        assert (one["value"], one["provenance"], one["taken_from"]) == (value, "assumed", str(given)), name
+    assert schema_faults("friction", file) == []
+    assert FrictionFile.read(file).elements["hinge"].bristles == PARTS[0]
+    assert f"bristles of hinge: as c0 those of {given}, assumed" in capsys.readouterr().out
+    assert "With c0 the bristles of hinge are those of that file" in file.with_suffix(".html").read_text("utf-8")
+
+
+LUGRE = SimpleNamespace(decided=True, trial=None)
+OPEN = SimpleNamespace(decided=False, trial=None)
+TOLD = SimpleNamespace(decided=True, sources=())
+
+
+@pytest.mark.parametrize(
+    ("known", "kind", "expected"),
+    [
+        (False, None, PARTS[0]),
+        (True, None, None),
+        (False, OPEN, PARTS[0]),
+        (True, OPEN, None),
+        (False, LUGRE, None),
+        (True, TOLD, PARTS[1]),
+        (False, TOLD, PARTS[1]),
+    ],
+    ids=["c0 open", "c0 known", "both open", "kind open", "LuGre told", "all told", "kind told"],
+)
+def test_bristles_go_with_c0_unless_they_are_told(
+    hinge: Hinge,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    known: bool,
+    kind: SimpleNamespace | None,
+    expected: BristlesPart | None,
+) -> None:
+    """The fallback's block comes with its c0; a c0 of LuGre's fit stays LuGre's, and a kind that is told stays."""
+    options = RobotOptions(urdf=str(hinge.urdf), fallback=str(fallback(tmp_path / "given.yaml", SLIPPING)))
+    robot = RecordedRobot.load(options)
+    c0 = ParameterEstimate(2e4, 1e2) if known else ParameterEstimate.unknown("too small")
+    cycles = ElementEstimate("hinge", {"c0": c0, "c1": c0}, np.eye(2), ())
+    slides = ElementEstimate("hinge", dict.fromkeys(SLIDING, ParameterEstimate(1.0, 0.1)), np.eye(7), ())
+    if kind is TOLD:
+        kind.trial = SimpleNamespace(
+            bristles=PARTS[1], estimates={"c0": c0, "c1": c0, "bristles.break_away": ParameterEstimate(0.45, 0.1)}
+        )
+    monkeypatch.setattr(identification, "identify_sliding", lambda *_, **__: SimpleNamespace(estimates=[slides]))
+    monkeypatch.setattr(identification, "identify_presliding", lambda *_: SimpleNamespace(estimates=[cycles]))
+    monkeypatch.setattr(identification, "choose_kinds", lambda *_: (kind,))
+    (one,) = identify_records([], [None], robot, bristle_kinds=kind is not None).elements  # type: ignore[list-item]
+    assert one.element.bristles == expected
+    assert one.given_bristles == (expected == PARTS[0])
+    assert one.element.c0 == (2e4 if known else 12345.0)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_excitation_runs_take_bristles_with_c0(tmp_path: Path, known: bool) -> None:
+    """Where excitation runs do not tell c0, they take the fallback's with its block; where they do, LuGre's stay."""
+    given = FrictionFile.read(fallback(tmp_path / "given.yaml", ELASTIC)).select(["hinge"])
+    estimates = {name: ParameterEstimate(1.0, 0.1) for name in ("tau_c_positive", "tau_c_negative")}
+    if known:
+        estimates["c0"] = ParameterEstimate(2e4, 1e2)
+    covariance = np.eye(len(estimates))
+    (one,) = simulated_elements([ElementEstimate("hinge", estimates, covariance, ())], given)
+    assert one.element.bristles == (None if known else PARTS[1])
+    assert ("bristles.break_away" in one.estimates) == one.given_bristles == (not known)

@@ -25,13 +25,12 @@ from rx90_emulator.identification.experiments import nodes
 from rx90_emulator.identification.experiments import plan as plans
 from rx90_emulator.identification.experiments import series as recording
 from rx90_emulator.identification.experiments.excitation import plan_excitation
-from rx90_emulator.identification.experiments.folder import read_emulated, read_index
 from rx90_emulator.identification.experiments.motion import Motion
-from rx90_emulator.identification.experiments.options import ExcitationOptions
-from rx90_emulator.identification.experiments.plan import Experiment, Kind
+from rx90_emulator.identification.experiments.plan import Experiment, Kind, read_emulated, read_index
 from rx90_emulator.identification.experiments.series import run_on_engine
 from rx90_emulator.identification.identify import identify_friction
 from rx90_emulator.identification.job import write_identification
+from rx90_emulator.identification.options import ExcitationOptions
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +12,12 @@ from grip_arm import JOINTS, write_urdf
 from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
-from rx90_common.base.errors import DONE, REFUSED, IdentificationError
+from rx90_common.base.errors import DONE, REFUSED
 from rx90_common.base.share import config_path
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.experiments.arms import PlannedArm, robot_of_urdf
-from rx90_emulator.identification.experiments.options import Wall
+from rx90_emulator.identification.experiments.arms import robot_of_urdf
 from rx90_emulator.identification.experiments.workspace import Workspace
+from rx90_emulator.identification.options import Wall
 
 Array = NDArray[np.float64]
 ARM = ["--joints", *JOINTS]
@@ -142,23 +141,28 @@ def test_the_tool_counts_for_the_table(urdf: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "change", "said"),
     [
-        ([], "is not moved by the joint before it; accepted: --joints of one arm, from base to tip"),
-        ([*ARM, "--home", "0", "0"], "--home: 2 values; accepted: 7, one per joint"),
-        ([*ARM, "--home", *["0"] * 7], "home: arm_4 is 0 rad; accepted: [-3.1, -0.07]"),
-        ([*ARM, "--acceleration", "1", "2"], "--acceleration: 2 values; accepted: 1, or 7"),
-        (["--joints", "arm_1", "finger_1"], "joint 'finger_1' is prismatic"),
-        ([*ARM, "--robot", "tx40"], "--joints with --robot; accepted: --urdf alone, with --excitation"),
-        ([*ARM, "--keep-above", "1.5"], "--keep-above 1.5: at home"),
-        ([*ARM, "--rate", "100"], "--rate without --output"),
+        ([], (), "is not moved by the joint before it; accepted: --joints of one arm, from base to tip"),
+        ([*ARM, "--home", "0", "0"], (), "--home: 2 values; accepted: 7, one per joint"),
+        ([*ARM, "--home", *["0"] * 7], (), "home: arm_4 is 0 rad; accepted: [-3.1, -0.07]"),
+        ([*ARM, "--acceleration", "1", "2"], (), "--acceleration: 2 values; accepted: 1, or 7"),
+        (["--joints", "arm_1", "finger_1"], (), "joint 'finger_1' is prismatic"),
+        ([*ARM, "--robot", "tx40"], (), "--joints with --robot; accepted: --urdf alone, with --excitation"),
+        ([*ARM, "--keep-above", "1.5"], (), "--keep-above 1.5: at home"),
+        ([*ARM, "--rate", "100"], (), "--rate without --output"),
+        (ARM, ('effort="90"', 'effort="0"'), "joint 'arm_1' limit has lower -2.9, upper 2.9, velocity 2.2, effort 0"),
+        (ARM, ('velocity="2.3"', 'velocity="0"'), "joint 'arm_2' limit has"),
+        (ARM, ('<limit velocity="2.8" effort="24"/>', ""), "joint 'arm_7' limit is missing"),
     ],
 )
 def test_what_does_not_fit_the_arm_is_refused(
-    urdf: Path, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    urdf: Path, tmp_path: Path, words: list[str], change: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each is one line that names the value and what is accepted, with exit code 2."""
-    assert _plan("--urdf", str(urdf), *SHORT, *words) == REFUSED
+    """Options, and limits that plan nothing, are one line with the value and what is accepted, and exit code 2."""
+    file = tmp_path / "arm.urdf"
+    file.write_text(urdf.read_text().replace(*change) if change else urdf.read_text())
+    assert _plan("--urdf", str(file), *SHORT, *words) == REFUSED
     error = capsys.readouterr().err.strip().splitlines()
     assert len(error) == 1
     assert said in error[0]
@@ -171,21 +175,3 @@ def test_a_run_needs_a_robot_of_this_project(urdf: Path, tmp_path: Path, capsys:
     assert run("rx90_experiment", words) == REFUSED
     assert "without --robot; accepted: plan" in capsys.readouterr().err
     assert not folder.exists()
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ('effort="90"', 'effort="0"', "joint 'arm_1' limit has lower -2.9, upper 2.9, velocity 2.2, effort 0"),
-        ('velocity="2.3"', 'velocity="0"', "joint 'arm_2' limit has"),
-        ('<limit velocity="2.8" effort="24"/>', "", "joint 'arm_7' limit is missing"),
-    ],
-)
-def test_limits_that_plan_nothing_are_refused(urdf: Path, tmp_path: Path, old: str, new: str, said: str) -> None:
-    """Joints without effort, speed or limits are named with what they have."""
-    text = urdf.read_text()
-    assert text.count(old) == 1
-    file = tmp_path / "arm.urdf"
-    file.write_text(text.replace(old, new))
-    with pytest.raises(IdentificationError, match=re.escape(said)):
-        PlannedArm.from_urdf(file, JOINTS)

@@ -22,12 +22,10 @@ from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation import filtering, identify, instruments
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.excitation import ExcitationPlan, plan_excitation
-from rx90_emulator.identification.experiments.folder import read_index, write_index
-from rx90_emulator.identification.experiments.options import DECLARED, ExcitationOptions, Wall
-from rx90_emulator.identification.experiments.plan import Kind
+from rx90_emulator.identification.experiments.plan import Kind, read_index, write_index
 from rx90_emulator.identification.experiments.series import describe_excitation, run_on_engine
 from rx90_emulator.identification.experiments.workspace import Workspace
-from rx90_emulator.identification.options import RobotOptions
+from rx90_emulator.identification.options import DECLARED, ExcitationOptions, RobotOptions, Wall
 from rx90_emulator.loop.setup import Setup
 
 TABLE, WALL = 0.12, (-1.0, -0.5, 0.0, -0.45)

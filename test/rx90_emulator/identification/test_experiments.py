@@ -13,8 +13,6 @@ from rx90_common.base.errors import ConfigError, ExchangeError, IdentificationEr
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.arms import PlannedArm
-from rx90_emulator.identification.experiments.folder import read_index
-from rx90_emulator.identification.experiments.limits import check_experiment
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import (
     Experiment,
@@ -24,6 +22,7 @@ from rx90_emulator.identification.experiments.plan import (
     directions,
     make_plan,
     plan_experiments,
+    read_index,
     sweep_speeds,
 )
 from rx90_emulator.loop.setup import Setup
@@ -44,14 +43,14 @@ def test_the_plan_keeps_every_limit(shipped: Setup, default_plan: tuple[Experime
     """
     for experiment in default_plan:
         assert np.allclose(experiment.points.position[[0, -1]], Poses.of(shipped).home, atol=1e-12)
-        shares, _ = check_experiment(experiment, PlannedArm.from_setup(shipped))
+        shares, _ = PlannedArm.from_setup(shipped).check(experiment)
         assert all(share.max() <= 1.0 for share in shares.values())
 
 
 def test_a_robot_brings_its_own_poses_and_its_ranges_bound_the_sweeps(tx40: Setup) -> None:
     """The TX40's joint 6, whose fastest sweep would take more room than it has, is swept more slowly and within it."""
     sweep = plan_experiments(tx40, ["joint_6"], quick=True)[0]
-    assert 0.3 < check_experiment(sweep, PlannedArm.from_setup(tx40))[0]["speed"].max() < 0.4
+    assert 0.3 < PlannedArm.from_setup(tx40).check(sweep)[0]["speed"].max() < 0.4
     with pytest.raises(ConfigError, match=r"no poses.yaml; accepted: a poses file"):
         plan_experiments(replace(tx40, files=replace(tx40.files or RobotFiles(), poses=None)))
 
@@ -153,7 +152,7 @@ def test_a_plan_beyond_what_joints_or_motors_may_do_is_refused(shipped: Setup) -
          r"motor_5 would need .* Nm, through its gear; accepted: up to 5\.22"),
     ):  # fmt: skip
         with pytest.raises(IdentificationError, match=said):
-            check_experiment(experiment, PlannedArm.from_setup(setup))
+            PlannedArm.from_setup(setup).check(experiment)
 
 
 def test_plan_shows_time_and_runs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from foreign_arms import Curve, Program, drive_torque, micro_oscillation, urdf_text, write, write_fallback
+from foreign_arms import Curve, Program, drive_torque, micro_oscillation, write, write_fallback, write_urdf
 
 from rx90_common.base.errors import DONE
 from rx90_common.friction.friction_file import FrictionFile
@@ -54,8 +54,7 @@ def measured(torque: np.ndarray[Any, Any], seed: int) -> np.ndarray[Any, Any]:
 
 def test_a_single_joint_in_bags_of_ros_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A turning joint without limits, at 1 kHz and without velocities in ROS 1 bags, gives all nine parameters."""
-    urdf = tmp_path / "hinge.urdf"
-    urdf.write_text(urdf_text(["hinge"], ["0 0 1"], [4.0], "continuous"), encoding="utf-8")
+    urdf = write_urdf(tmp_path, ["hinge"], ["0 0 1"], [4.0], "continuous")
     model = pin.buildModelFromXML(urdf.read_text(encoding="utf-8"))
     motion = Program([[1.0]], [[0.3]], SPEEDS, 1000.0).motion()
     torque = measured(drive_torque(model, np.eye(1), [CURVE], motion, 1000.0), 1)
@@ -77,8 +76,7 @@ def test_a_single_joint_in_bags_of_ros_1(tmp_path: Path, capsys: pytest.CaptureF
 def test_currents_of_motors_among_other_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Motor angles from other zeros and currents at 100 Hz, among others, give friction that another bag confirms."""
     names = ["shoulder", "elbow", "twist"]
-    urdf = tmp_path / "arm.urdf"
-    urdf.write_text(urdf_text(names, ["0 1 0", "0 1 0", "1 0 0"], [5.0, 3.0, 1.0]), encoding="utf-8")
+    urdf = write_urdf(tmp_path, names, ["0 1 0", "0 1 0", "1 0 0"], [5.0, 3.0, 1.0])
     model = pin.buildModelFromXML(urdf.read_text(encoding="utf-8"))
     curves = [CURVE.scaled(3.0), CURVE.scaled(1.5), CURVE.scaled(0.5)]
     run = Program([[1.0, 0.7, -0.5]], [[-0.4, 0.1, 0.6]], [0.15, 0.6], 100.0)
@@ -105,8 +103,7 @@ def test_currents_of_motors_among_other_joints(tmp_path: Path, capsys: pytest.Ca
 def test_a_coupled_wrist(tmp_path: Path, capsys: pytest.CaptureFixture[str], side: str) -> None:
     """Three elements on two joints come apart, from the motors' side and from the joints', stamped by the recorder."""
     names = ["tilt", "roll"]
-    urdf = tmp_path / "wrist.urdf"
-    urdf.write_text(urdf_text(names, ["0 1 0", "1 0 0"], [3.0, 1.0]), encoding="utf-8")
+    urdf = write_urdf(tmp_path, names, ["0 1 0", "1 0 0"], [3.0, 1.0])
     model = pin.buildModelFromXML(urdf.read_text(encoding="utf-8"))
     coupling = np.array([[1.0, 0.0], [-1.0, 1.0]])
     matrix = np.vstack([np.eye(2), [-1.0, 1.0]])
@@ -130,8 +127,7 @@ def test_a_coupled_wrist(tmp_path: Path, capsys: pytest.CaptureFixture[str], sid
 
 def test_sweeps_are_fitted_by_the_model_that_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of coulomb-viscous friction tau_s is tau_c, though the fallback has a rise; the file says why."""
-    urdf = tmp_path / "hinge.urdf"
-    urdf.write_text(urdf_text(["hinge"], ["0 1 0"], [2.0]), encoding="utf-8")
+    urdf = write_urdf(tmp_path, ["hinge"], ["0 1 0"], [2.0])
     model, curve = pin.buildModelFromXML(urdf.read_text(encoding="utf-8")), Curve(3.0, 3.0, 3.0, 3.0, 0.1, 1.0, 1.5)
     motion = Program([[1.0]], [[0.3]], SPEEDS, 100.0).motion()
     torque = measured(drive_torque(model, np.eye(1), [curve], motion, 100.0), 1)

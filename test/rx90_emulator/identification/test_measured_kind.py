@@ -7,38 +7,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_arms import urdf_text
+from foreign_arms import write_urdf
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-from rx90_common.base.config import check_numbers, yaml_text
-from rx90_common.base.errors import ConfigError, IdentificationError, Rx90Error
-from rx90_common.friction import FrictionElement
+from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
-from rx90_emulator.identification.identify import FrictionIdentification
-from rx90_emulator.identification.output.friction_file import friction_text
-from rx90_emulator.identification.presliding.fit import PreslidingFit
 from rx90_emulator.identification.records import BagSource, JointRecord
 from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
 from rx90_emulator.identification.sliding.plateaus import find_blocks
-from rx90_emulator.identification.sliding.quality import FALSE_ALARMS, CurvePoints, Residuals, drifts_of
+from rx90_emulator.identification.sliding.quality import FALSE_ALARMS, Residuals, drifts_of
 
 Array = NDArray[np.float64]
 Friction = Callable[[Array], Array]
 SPEEDS = np.geomspace(0.004, 1.2, 12)
 SERIES = 500  # of plateaus without a drift
 
-NO_CURVE = CurvePoints(*[np.zeros(0)] * 5, np.zeros((3, 0)))
-
 
 @pytest.fixture(scope="module")
 def hinge(tmp_path_factory: pytest.TempPathFactory) -> RigidArm:
     """Return an arm of one joint with a vertical axis: no weight, all torque is friction and inertia."""
-    urdf = tmp_path_factory.mktemp("arm") / "hinge.urdf"
-    urdf.write_text(urdf_text(["hinge"], ["0 0 1"], [4.0], "continuous"), encoding="utf-8")
-    return RigidArm.from_urdf(urdf)
+    return RigidArm.from_urdf(write_urdf(tmp_path_factory.mktemp("arm"), ["hinge"], ["0 0 1"], [4.0], "continuous"))
 
 
 def straight(velocity: Array) -> Array:
@@ -141,7 +131,7 @@ def quality(fit: SlidingFit) -> tuple[float, bool, float]:
     """Return chi2, whether the curve fits, and the deviation of c2."""
     (one,) = fit.quality
     assert one is not None
-    return one.chi2, not one.misfit.significant, float(np.sqrt(one.misfit.widening.max()))
+    return one.chi2, not one.misfit, one.widening
 
 
 def test_a_misfit_is_told_and_widens_deviations(hinge: RigidArm) -> None:
@@ -191,27 +181,6 @@ def test_drift_is_claimed_as_rarely_as_it_says(elements: int, count: int, keep: 
         for seed in range(SERIES)
     ]
     assert sum(found) <= binom.ppf(0.95, SERIES, FALSE_ALARMS)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e48])
-def test_absurd_numbers_are_never_written(hinge: RigidArm, value: float) -> None:
-    """A deviation that is no number, infinite or absurd refuses the file in one line that names it."""
-    estimates = dict.fromkeys(PARAMETERS, ParameterEstimate(1.0, 0.1)) | {"c2": ParameterEstimate(1.0, value)}
-    element = IdentifiedElement(
-        FrictionElement(1.0, 1.0, 1.0, 1.0, 0.1, 1.0, 1e4, 1.0, 1.0), estimates, dict.fromkeys(PARAMETERS, ())
-    )
-    nothing = SlidingFit((), (NO_CURVE,), np.zeros(0), np.zeros((0, 0)), 0, quality=(None,))
-    result = FrictionIdentification(hinge, (element,), nothing, PreslidingFit(()))
-    with pytest.raises(Rx90Error, match=r"hinge: c2 came out as 1 \+- (nan|inf)|hinge.c2.deviation is 1e\+48"):
-        friction_text(result)
-    assert ConfigError.exit_code == 2
-    with pytest.raises(
-        ConfigError, match=r"a\[1\].b is (nan|inf|1e\+48), so the file is not written; accepted: finite"
-    ):
-        check_numbers({"a": [1.0, {"b": value}]}, 1e12)
-    if not np.isfinite(value):
-        with pytest.raises(ConfigError, match="accepted: finite numbers"):
-            yaml_text({"x": value})
 
 
 def test_a_bag_was_recorded_when_its_stamps_say() -> None:

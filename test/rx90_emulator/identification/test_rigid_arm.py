@@ -74,12 +74,6 @@ def test_the_stiffness_is_the_derivative_by_the_positions(arm: RigidArm) -> None
         assert np.abs(found[:, :, joint] - (more - less) / 2e-6).max() < 1e-6 * np.abs(found).max()
 
 
-def test_elements_are_the_joints_and_joints_five_and_six_together(arm: RigidArm, shipped: Setup) -> None:
-    """E has the joints' velocities and the sum of joints 5 and 6, under the friction file's names."""
-    assert arm.element_names == shipped.friction.names
-    assert np.array_equal(arm.element_matrix @ [1, 2, 3, 4, 5, 7], [1, 2, 3, 4, 5, 7, 12])
-
-
 def test_any_arm_with_a_gripper_held(urdf: Path) -> None:
     """Two rods with point masses carry the torques of the textbook, a joint without limits among them."""
     two = RigidArm.from_urdf(urdf, ["shoulder", "elbow"], rotor_inertia=[0.5, 0.2])
@@ -117,15 +111,6 @@ def test_what_does_not_fit_is_refused(urdf: Path, arguments: dict[str, object], 
     """An unknown joint, a wrong order or a wrong shape is refused with what is accepted."""
     with pytest.raises(IdentificationError, match=message):
         RigidArm.from_urdf(urdf, **({"joints": ["shoulder", "elbow"]} | arguments))  # type: ignore[arg-type]
-
-
-def test_a_file_that_is_no_urdf_is_refused(tmp_path: Path) -> None:
-    """Text that is no URDF is refused in one line with the path."""
-    path = tmp_path / "no.urdf"
-    path.write_text("<robot", encoding="utf-8")
-    with pytest.raises(IdentificationError, match=r"no\.urdf: no URDF") as caught:
-        RigidArm.from_urdf(path)
-    assert "\n" not in str(caught.value)
 
 
 def test_kinematics_of_a_urdf_without_inertials(urdf: Path, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from schema_faults import schema_faults
 
 from benchmarks.any_arm import joint_names, write_arm
-from rx90_common.base.errors import IdentificationError
+from rx90_common.base.errors import IdentificationError, Rx90Error
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import MaxwellSlip
@@ -332,26 +332,6 @@ def test_each_value_of_a_block_says_where_it_comes_from() -> None:
     assert marked({"a": 1, "b": 2}, {"a": Identified(3, "derived", "x")})["provenance"] == {"a": "derived"}
 
 
-def test_noisy_tx40_stays_a_robot() -> None:
-    """The TX40's base parameters from torques with 1 % noise give bodies, with and without a prior, and its torques."""
-    arm = RigidArm.from_setup(Setup.load(RobotFiles.named("tx40")))
-    columns = StandardColumns(arm)
-    groups, rng = BaseGroups.of(columns), np.random.default_rng(1)
-    q, v, a = rng.uniform(-1.0, 1.0, (3, 60, 6)) * np.array([3.0, 2.0, 5.0])[:, None, None]
-    rows, theta = columns.torque(q, v, a).reshape(360, -1), columns.values()
-    base = rows[:, list(groups.leading)]
-    noise = 0.01 * np.sqrt(np.mean((rows @ theta) ** 2))
-    found = np.linalg.lstsq(base, rows @ theta + noise * rng.standard_normal(360), rcond=None)[0]
-    estimate = BaseEstimate(groups.combination, found, base / noise, np.ones(len(found), dtype=np.bool_))
-    urdf = RobotFiles.named("tx40").urdf
-    blank = re.sub(r"<inertial>.*?</inertial>", "", urdf.read_text(), flags=re.DOTALL)
-    for text in (urdf.read_text(), blank):
-        result = consistent_inertias(estimate, InertialPrior.of_urdf(text, arm.names, [0.0] * 6))
-        assert all(np.linalg.eigvalsh(pseudo)[0] > 0.0 for pseudo in result.pseudo)
-        assert result.distance < 1.0
-        assert np.sqrt(np.mean((rows @ (result.parameters - theta)) ** 2)) < 0.5 * noise
-
-
 def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
     """Motor 6 turns against two elements: of different exponents, their sum is met within 2 % at speeds that matter."""
     written = yaml.safe_load(case.files.controller.read_text())["feed_forward"]
@@ -377,13 +357,21 @@ def test_a_block_with_hardly_any_stiffness_is_written(source: BagSource) -> None
 
 @pytest.mark.parametrize(
     ("parameter", "value", "deviation"),
-    [("tau_s_positive", 1e48, 1.0), ("c2", 1e7, 1.0), ("omega_s", 1e5, 1.0), ("c2", 1.0, math.nan)],
+    [
+        ("tau_s_positive", 1e48, 1.0),
+        ("c2", 1e7, 1.0),
+        ("omega_s", 1e5, 1.0),
+        ("c2", 1.0, math.nan),
+        ("c2", 1.0, math.inf),
+        ("c2", 1.0, 1e48),
+    ],
 )
 def test_no_absurd_friction_is_written(source: BagSource, parameter: str, value: float, deviation: float) -> None:
-    """A friction value that no arm has, or whose deviation is no number, is refused by name in one line."""
+    """A friction value that no arm has, or a deviation that is absurd or no number, is refused by name in one line."""
     good = element_of(FrictionElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, 0.5), source)
     assert "tau_c: 1.0" in elements_text(["a"], [good], None)
     estimates = {**good.estimates, parameter: ParameterEstimate(value, deviation)}
     bad = replace(good, element=replace(good.element, **{parameter: value}), estimates=estimates)
-    with pytest.raises(IdentificationError, match=f"^a: {parameter} came out as .*accepted: up to "):
+    said = rf"^a: {parameter} came out as .*accepted: up to |a\.{parameter}\.deviation is 1e\+48, so the file is not"
+    with pytest.raises(Rx90Error, match=said):
         elements_text(["a"], [bad], None)

@@ -122,33 +122,6 @@ def test_the_measured_path_does_without_set_points(measured: Measured, rate: int
         assert not rx.compare_measured(bag, scaled(measured, 1.3)).passed
 
 
-def test_the_layout_is_undone(measured: Measured) -> None:
-    """Currents of reversed motors, zeros, other names and a late stamp in a bag change no figure by more than 1e-6."""
-    motors = measured.run.series["motor_states"]
-    plain = measured.compare("motors", motors)
-    gear = np.array(measured.setup.drives.gear) * [1, -1, 1, 1, -1, 1]
-    coupling = np.eye(6)
-    coupling[5, 4] = 1.0
-    was = np.asarray(measured.setup.drives.gear)[:, None] * coupling
-    change = gear[:, None] * coupling @ np.linalg.inv(was)  # of motor positions
-    zero = np.array([0.3, -1.0, 0.5, 2.0, 0.1, -0.2])
-    constant = np.array([0.1, 0.2, 0.3, 0.1, 0.2, -0.1])
-    other = replace(
-        motors,
-        topic="/arm/axes",
-        names=tuple("uvwxyz"),
-        stamp_ns=motors.stamp_ns + 1_700_000_000_000_000_000,
-        position=np.asarray(motors.position) @ change.T + (gear[:, None] * coupling) @ zero,
-        velocity=np.asarray(motors.velocity) @ change.T,
-        effort=np.asarray(motors.effort) @ np.linalg.inv(change) / constant,
-    )
-    layout = rx.MeasuredLayout("arm/axes", "uvwxyz", gear, coupling.ravel(), constant, zero)
-    changed = measured.compare("axes", other, layout=layout)
-    assert changed.time[0] > 1.6e9
-    for name in ("torque_rms", "torque_share", "position_rms", "lag"):
-        np.testing.assert_allclose(getattr(changed, name), getattr(plain, name), rtol=2e-3, atol=1e-6)
-
-
 def test_a_table_of_motors_is_compared_as_their_bag(measured: Measured) -> None:
     """Motor angles and torques in an NPZ file, by a map beside it, give the bag's figures, set-points included."""
     motors, reference = measured.run.series["motor_states"], measured.run.series["rx90_controller/reference"]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from foreign_arms import urdf_text
+from foreign_arms import write_urdf
 from numpy.typing import NDArray
 
 from benchmarks.excitation_runs import MISFIT
@@ -26,10 +26,8 @@ STRETCHES, EACH = 24, 4
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> RigidArm:
     """Return three joints: one along gravity, two across it."""
-    urdf = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    text = urdf_text(["base", "shoulder", "elbow"], ["0 0 1", "0 1 0", "0 1 0"], [4.0, 3.0, 2.0])
-    urdf.write_text(text, encoding="utf-8")
-    return RigidArm.from_urdf(urdf)
+    names, axes = ["base", "shoulder", "elbow"], ["0 0 1", "0 1 0", "0 1 0"]
+    return RigidArm.from_urdf(write_urdf(tmp_path_factory.mktemp("arm"), names, axes, [4.0, 3.0, 2.0]))
 
 
 def recorded(arm: RigidArm, error: Array, seed: int, spread: float = 0.1) -> Instants:
