@@ -33,14 +33,6 @@ from rx90_common.process.interrupts import interrupts_later
 
 EMULATED = "emulated"
 """As a port."""
-RANGES = {
-    "seed": (0, 2**31 - 1),
-    "repeats": (1, 1000),
-    "baud": (1200, 1_000_000),
-    "blocks": (6, 100),
-    "cycles": (100, 100_000),
-}
-"""Least and largest value of the commands' whole numbers."""
 REST_TICKS = 10
 """The shaft is at rest when it has not moved for so many ticks."""
 REST_TIMEOUT = 30.0
@@ -53,15 +45,11 @@ _BAR = "{desc} {bar} {n:.0f}/{total:.0f} s [{elapsed}<{remaining}{postfix}]"
 
 
 def check_options(options: argparse.Namespace) -> None:
-    """Refuse numbers out of range, options of an emulated rig with a real one, and of a line with an emulated one.
+    """Refuse options of an emulated rig with a real one, and of a line with an emulated one.
 
     Raises:
         ConfigError: naming the option.
     """
-    for name, (low, high) in RANGES.items():
-        value = getattr(options, name, None)
-        if value is not None and not low <= value <= high:
-            raise ConfigError(f"--{name} is {value}; accepted: {low} to {high}")
     if options.port != EMULATED:
         given = "seed" if options.seed is not None else "real-time" if options.real_time else ""
         if given:

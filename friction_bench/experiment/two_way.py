@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ import numpy as np
 from friction_bench.experiment.identification import (
     IntervalEstimate,
     RampFriction,
+    RampIdentification,
     RampTestResult,
     UnphysicalError,
     difference,
@@ -95,22 +96,32 @@ class SwingResult:
 
 
 @dataclass(frozen=True)
-class TwoWayResult:
-    """The result of a measurement in both directions.
+class Measurement:
+    """The result of a measurement, in one direction or in both.
 
     Attributes:
-        sides: forward and backward, by the ramps; one of them where the other carries no estimate.
+        sides: forward and backward, by the ramps; one of them where the other carries no estimate, or was not run.
         differences: f_c and f_v forward less backward by the ramps, by load.
         swings: by load.
         records: of the swings.
-        failures: why one carries nothing, one line each.
+        failures: why a direction or the swings of a load carry nothing, one line each.
     """
 
     sides: list[RampTestResult]
-    differences: dict[str, tuple[IntervalEstimate, IntervalEstimate]]
-    swings: dict[str, SwingResult]
-    records: dict[str, list[RampRecord]]
-    failures: tuple[str, ...]
+    differences: dict[str, tuple[IntervalEstimate, IntervalEstimate]] = field(default_factory=dict)
+    swings: dict[str, SwingResult] = field(default_factory=dict)
+    records: dict[str, list[RampRecord]] = field(default_factory=dict)
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def parts(self) -> dict[str, RampIdentification]:
+        """Return the identified loads of all directions, by name."""
+        return {name: part for side in self.sides for name, part in side.parts}
+
+    @property
+    def unphysical(self) -> list[str]:
+        """Return what is no friction among the estimates: value, cause and remedy."""
+        return [text for side in self.sides for text in side.unphysical]
 
 
 def halves(record: RampRecord) -> list[Half]:
@@ -123,12 +134,7 @@ def halves(record: RampRecord) -> list[Half]:
     found: list[Half] = []
     for first, last in pairwise(edges):
         way = float(sign[first])
-        counted = replace(
-            record,
-            angle=way * record.angle,
-            torque=way * record.torque,
-            measured_torque=None if record.measured_torque is None else way * record.measured_torque,
-        )
+        counted = record.counted(way)
         angle = counted.angle
         peak = first + int(np.argmax(counted.torque[first:last]))  # type: ignore[index]  # it has one
         before = found[-1].peak if found else 0
@@ -254,37 +260,39 @@ def identify_swings(records: Sequence[RampRecord], scale_uncertainty: float) -> 
     return SwingResult((forward, backward), both, tuple(lags), tuple(reversals))
 
 
-def evaluate_both_ways(records: Sequence[RampRecord], rig: Rig) -> TwoWayResult:
-    """Evaluate ramps forward and backward, and swings.
+def evaluate_all(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -> Measurement:
+    """Evaluate ramps forward, and ramps backward and swings where there are any.
 
     Args:
         records: of all of them, under one load or two.
         rig: on which they were run.
+        as_source: also evaluate ramps of one direction as the source does.
 
     Raises:
-        IdentificationError: if neither direction carries an estimate.
+        IdentificationError: if no direction carries an estimate.
     """
-    sides, failures, refused = [], list[str](), list[IdentificationError]()
+    if not any(record.backward or record.swing for record in records):
+        return Measurement([evaluate(records, rig, as_source)])
+    found, refused = Measurement([]), list[IdentificationError]()
     for way, name in enumerate(WAYS):
         ramps = [record for record in records if not record.swing and record.backward is bool(way)]
         try:
-            sides.append(evaluate(ramps, rig, way=name))
+            found.sides.append(evaluate(ramps, rig, way=name))
         except IdentificationError as error:
             refused.append(error)
-            failures.append(f"{name}: {error}")
-    if not sides:
+            found.failures.append(f"{name}: {error}")
+    if not found.sides:
         raise refused[0]
-    differences, swings, kept = {}, {}, dict[str, list[RampRecord]]()
-    parts = [dict(side.parts) for side in sides]
+    parts = found.parts
     for load, loaded in (("no-load", False), ("loaded", True)):
-        both = [part[f"{load} {name}"] for part, name in zip(parts, WAYS, strict=False) if f"{load} {name}" in part]
+        both = [parts[f"{load} {way}"].best for way in WAYS if f"{load} {way}" in parts]
         if len(both) == len(WAYS):
-            differences[load] = difference(both[0].best, both[1].best, rig.scale_uncertainty)
+            found.differences[load] = difference(both[0], both[1], rig.scale_uncertainty)
         chosen = [record for record in records if record.swing and record.loaded is loaded]
         if chosen:
-            kept[load] = chosen
+            found.records[load] = chosen
             try:
-                swings[load] = identify_swings(chosen, rig.scale_uncertainty)
+                found.swings[load] = identify_swings(chosen, rig.scale_uncertainty)
             except IdentificationError as error:
-                failures.append(f"{load}, through zero: {error}")
-    return TwoWayResult(sides, differences, swings, kept, tuple(failures))
+                found.failures.append(f"{load}, through zero: {error}")
+    return found

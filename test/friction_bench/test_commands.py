@@ -97,20 +97,8 @@ def test_bag_holds_every_reading(ramps: Path) -> None:
     assert commands.effort.max() <= 0.18
 
 
-def test_recorded_ramps_evaluate_to_the_same(ramps: Path, tmp_path: Path) -> None:
-    """The CSV files that a measurement leaves give the same f_c as the measurement."""
-    words = []
-    for file in sorted(ramps.glob("ramp_*.csv")):
-        label, _, slope = file.read_text().splitlines()[0][2:].rpartition(", slope ")
-        option = "--loaded-file" if label.startswith("loaded") else "--no-load-file"
-        words += [option, f"{float(slope.removesuffix(' Nm/s'))!r}:{file}"]
-    assert run("friction_ramp", [*words, "--output", str(tmp_path / "again")]) == 0
-    again, before = (estimates(out)["loaded"]["exact, by covariance"] for out in (tmp_path / "again", ramps))
-    assert again["coulomb"]["value"] == pytest.approx(before["coulomb"]["value"])
-
-
-def test_ramps_carry_the_calibration_of_the_rig_file_into_their_estimates(ramps: Path, tmp_path: Path) -> None:
-    """The same ramps with `scale_uncertainty` 0.05 in place of 0: the same values, and variances larger by (5 %)².
+def test_recorded_ramps_evaluate_to_the_same_whatever_the_calibration(ramps: Path, tmp_path: Path) -> None:
+    """The CSV files that a measurement leaves give its values; `scale_uncertainty` 0.05 adds (5 %)² to each variance.
 
     Of each load the exact fit's f_c, f_v and J; of the joint, their difference, f_c and f_v at the motor's side.
     """
@@ -128,6 +116,8 @@ def test_ramps_carry_the_calibration_of_the_rig_file_into_their_estimates(ramps:
         written = estimates(out)
         exact = {load: written[load]["exact, by covariance"] for load in ("no-load", "loaded")}
         found[scale] = [*exact["no-load"].values(), *exact["loaded"].values(), *written["joint"]["motor_side"].values()]
+        measured = estimates(ramps)["loaded"]["exact, by covariance"]["coulomb"]["value"]
+        assert exact["loaded"]["coulomb"]["value"] == pytest.approx(measured)
     assert len(found[0.0]) == 8
     for without, with_scale in zip(found[0.0], found[0.05], strict=True):
         assert with_scale["value"] == without["value"]
@@ -141,9 +131,9 @@ def test_ramps_carry_the_calibration_of_the_rig_file_into_their_estimates(ramps:
     ("words", "message"),
     [
         ("friction_ramp --slopes 99", "slope 99 Nm/s; accepted"),
-        ("friction_ramp --repeats 1001", "--repeats is 1001; accepted: 1 to 1000"),
-        ("friction_ramp --seed -1", "--seed is -1; accepted: 0 to"),
-        ("friction_ramp --baud 0", "--baud is 0; accepted: 1200 to 1000000"),
+        ("friction_ramp --repeats 1001", "argument --repeats: '1001'; accepted: a whole number from 1 to 1000"),
+        ("friction_ramp --seed -1", "argument --seed: '-1'; accepted: a whole number from 0 to 2147483647"),
+        ("friction_ramp --baud 0", "argument --baud: '0'; accepted: a whole number from 1200 to 1000000"),
         ("friction_ramp --slopes nan", "argument --slopes: 'nan'; accepted: a finite number"),
         ("friction_ramp --slopes 0.1 0.05 0.1", "--slopes has 0.1 twice; accepted: each slope once"),
         ("friction_ramp --end-torque 0.5", "--end-torque is 0.5"),
@@ -160,24 +150,39 @@ def test_ramps_carry_the_calibration_of_the_rig_file_into_their_estimates(ramps:
         ("friction_ramp --no-load-file 0.1", "accepted: slope:file"),
         ("friction_ramp --no-load-file nan:ramp.csv", "accepted: slope:file"),
         ("friction_ramp --element joint_9 --load none", "--element is 'joint_9'"),
+        ("friction_ramp --source --slopes 0.5", "--slopes with --source; accepted: the rig file's"),
+        (
+            "friction_ramp --source --rig rig/bipolar.yaml",
+            "--source on bipolar.yaml, a bipolar rig; accepted: a un",
+        ),
         ("friction_presliding --rig rig/gm8224_lugre.yaml", "counts_down is false"),
-        ("friction_presliding --cycles 5", "--cycles is 5; accepted: 100 to 100000"),
-        ("friction_presliding --blocks 2", "--blocks is 2; accepted: 6 to 100"),
+        ("friction_presliding --cycles 5", "argument --cycles: '5'; accepted: a whole number from 100 to 100000"),
+        ("friction_presliding --blocks 2", "argument --blocks: '2'; accepted: a whole number from 6 to 100"),
         ("friction_presliding --blocks 6 --kinds drift", "--blocks 6 without loops; accepted: with --kinds loops"),
-        ("friction_rig_emulator --seed -1", "--seed is -1; accepted: 0 to 2147483647"),
+        ("friction_rig_emulator --seed -1", "argument --seed: '-1'; accepted: a whole number from 0 to 2147483647"),
         ("friction_rig_emulator --rig nothing.yaml", "no file 'nothing.yaml'"),
         ("friction_rig_emulator --link /dev/null", "/dev/null: cannot point to the emulated rig"),
         ("friction_rig_emulator --link /proc/rig", "/proc/rig: cannot point to the emulated rig"),
+        ("friction_bench check", "the following arguments are required: --port"),
+        ("friction_bench check --port nonsense://x", "nonsense://x: cannot be opened"),
+        (
+            "friction_bench check --port x --baud 5",
+            "argument --baud: '5'; accepted: a whole number from 1200",
+        ),
+        ("friction_bench check --port x --rig nothing.yaml", "no file 'nothing.yaml'"),
+        ("friction_bench check --port x --board uno", "invalid choice: 'uno'"),
+        ("friction_bench check --port x --ros-args -p seed:=1", "--ros-args -p seed:=1 with check; accepted: with the"),
+        ("friction_bench chek", "invalid choice: 'chek'"),
     ],
 )
 def test_mistakes_get_one_line(words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A user's mistake is answered by one line and exit code 2, and nothing is written."""
     command, *options = words.split()
-    output = [] if command == "friction_rig_emulator" else ["--output", str(tmp_path / "out")]
+    output = ["--output", str(tmp_path / "out")] if command in {"friction_ramp", "friction_presliding"} else []
     assert run(command, [*output, *options]) == 2
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in error
-    assert error.startswith(f"{command}: ")
+    assert re.match(rf"{command}(?: check)?: ", error)
     assert not (tmp_path / "out").exists() or "no break-away" in message
 
 

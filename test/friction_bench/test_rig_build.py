@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from rig_conformance import Player
 
-from friction_bench.experiment.findings import BIPOLAR_BOARDS, BOARDS
+from friction_bench.experiment.dialogue import BIPOLAR_BOARDS, BOARDS
 from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort
 from friction_bench.rig.messages import CommandResult
 from friction_bench.rig.plant import RigPlant, Shaft, turn

@@ -17,10 +17,8 @@ from friction_bench.experiment.four_way import STICTION
 from friction_bench.experiment.job import run_ramp
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, native_library
-from friction_bench.rig.messages import RigInputError
 from friction_bench.rig.rig_file import load_rig
 from rx90_common.bags.reading import read_joint_states
-from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import SOURCE_RIG, config_path
 from rx90_emulator.cli.frame import run
 
@@ -147,31 +145,3 @@ def test_stage_goes_off_for_a_moment_in_each_tick_of_a_ramp() -> None:
     ticks = sum(sample.report.dac > 0 for sample in heard)
     assert ticks == pytest.approx((1.0 + 1.0) / 0.02, abs=3)  # ramp and hold
     assert board.times == pytest.approx(ticks + 1, abs=3)
-
-
-def test_greeting_tells_this_firmware_from_the_shipped_one() -> None:
-    """The file refuses the shipped firmware, although a tenth of its scale reads alike on the wire."""
-    rig = load_rig(config_path(SOURCE_RIG))
-    with pytest.raises(RigInputError, match=r"dac_full_scale is 2\.0, the rig's firmware has 0\.2"):
-        RigClient(VirtualPort(EmulatedRig(rig, 0, NativeBoard(rig.baud))), rig).connect()
-
-
-def test_slopes_of_ones_own_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`--source` runs the rig file's slopes alone, and says so in one line before anything is written."""
-    assert run("friction_ramp", ["--source", "--slopes", "0.5", "--output", str(tmp_path / "out")]) == 2
-    assert "--slopes with --source; accepted: the rig file's" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_scale_that_the_greeting_cannot_state_is_refused(tmp_path: Path) -> None:
-    """A full scale above 6.5535 Nm is named with the largest that is accepted."""
-    with pytest.raises(ConfigError, match=r"torque\.dac_full_scale is 7; accepted with limit_lifted: at most 6\.5535"):
-        load_rig(changed(tmp_path, {"dac_full_scale: 2.0": "dac_full_scale: 7.0"}))
-
-
-def test_spread_of_a_lugre_joint_is_refused(tmp_path: Path) -> None:
-    """A LuGre joint has a scatter of its own, so `joint_spread` beside it is refused."""
-    text = config_path("rig/gm8224_lugre.yaml").read_text()
-    (tmp_path / "own.yaml").write_text(text.replace("\nemulation:\n", "\nemulation:\n  joint_spread: 0.05\n"))
-    with pytest.raises(ConfigError, match=r"emulation\.joint_spread is 0\.05; accepted: 0"):
-        load_rig(tmp_path / "own.yaml")
