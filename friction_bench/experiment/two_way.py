@@ -69,12 +69,10 @@ class Reversal(NamedTuple):
 
     Attributes:
         backward: the torque's direction after it.
-        stop: when the shaft ended its old motion, s after the torque was zero, below 0 before it.
         lag: when it began to move in the torque's direction, s after the torque was zero.
     """
 
     backward: bool
-    stop: float
     lag: float
 
 
@@ -189,7 +187,7 @@ def _friction(swings: Sequence[Sequence[Half]], scale: float) -> RampFriction:
 
 
 def _reversal(half: Half, friction: RampFriction) -> Reversal:
-    """Return stop and lag.
+    """Return the lag.
 
     A shaft that turns where the torque exceeds f_c is carried on by its inertia, and turns at once, in the middle of
     its slow readings. Another one rests until the torque is at f_c at least: that moment is fitted to the motion.
@@ -204,10 +202,10 @@ def _reversal(half: Half, friction: RampFriction) -> Reversal:
     time, coulomb = record.time - zero, friction.coulomb.value
     if half.peak - low < ONSET_TICKS:
         raise IdentificationError(f"{record.label}: the shaft does not slide after the torque's change of sign")
-    stop, turned = float(time[half.stopped]), float(time[low + 1])
-    middle = 0.5 * (stop + turned)
+    turned = float(time[low + 1])
+    middle = 0.5 * (float(time[half.stopped]) + turned)
     if record.slope * middle > coulomb:
-        return Reversal(half.backward, stop, middle)
+        return Reversal(half.backward, middle)
     assert friction.inertia is not None  # swings tell it
     model = RampModel(coulomb, friction.viscous.value, friction.inertia.value, record.slope)
     onset = slice(low - 1, low + ONSET_TICKS)
@@ -218,7 +216,7 @@ def _reversal(half: Half, friction: RampFriction) -> Reversal:
         (earliest, turned),
         lambda moment: replace(model, release=moment * record.slope - coulomb),
     )
-    return Reversal(half.backward, stop, lag)
+    return Reversal(half.backward, lag)
 
 
 def _mean_lag(lags: Sequence[float], tick: float, slope: float, scale: float) -> tuple[IntervalEstimate, ...] | None:

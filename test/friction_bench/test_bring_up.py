@@ -60,7 +60,6 @@ class Hands:
         self.sense: str | None = None
         self._angle = 0.0
         self.armed_when_asked: list[str] = []
-        self.questions: list[str] = []
         self._free = list(self.emulated.plant._shafts)
         self.clamp(True)
 
@@ -77,7 +76,6 @@ class Hands:
 
     def answer(self, question: str, meanwhile: Callable[[], object]) -> str | None:
         """Do what is asked, or measure."""
-        self.questions.append(question)
         board, plant = self.emulated.board, self.emulated.plant
         if question.startswith("Did it turn"):
             turned = (plant.angle - self._angle) * (-1.0 if "negative" in question else 1.0)

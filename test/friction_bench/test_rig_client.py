@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rig_bench import read_some
+from rig_bench import greeted, read_some
 
 from friction_bench.experiment.asymptote import fit_asymptote
 from friction_bench.experiment.job import run_ramp
@@ -226,16 +226,19 @@ def test_interrupted_ramp_is_stopped_by_the_host(client: RigClient, emulated: Em
         assert client.last.report.fault == Fault.NONE
 
 
-@pytest.mark.parametrize("value", [0.19, 1e-5, math.nan, math.inf, -0.1])
-def test_a_ramp_beyond_the_firmware_is_refused_before_arming(
-    value: float, client: RigClient, emulated: EmulatedRig
-) -> None:
-    """An end torque or slope that the firmware would refuse is refused with what is accepted, on a rig at rest."""
-    with pytest.raises(RigError, match=r"end torque .* accepted by the firmware: 0.00078 to 0.18 Nm"):
-        run_ramp(client, 0.05, value, False, "x")
-    with pytest.raises(RigError, match=r"slope .* accepted: 0.00015 to 0.627 Nm/s"):
-        run_ramp(client, 5 * value if value > 0.1 else value, 0.15, False, "x")
-    assert not emulated.board.stage_on
+@pytest.mark.parametrize("value", [0.19, 1e-5, math.nan, math.inf, -0.1, -0.19])
+def test_a_ramp_beyond_the_firmware_is_refused_before_arming(value: float, rig: Rig) -> None:
+    """An end torque or slope that the firmware would refuse is refused with what is accepted, on a rig at rest.
+
+    A unipolar rig refuses every end torque below 0, a bipolar one those beyond its limit either way.
+    """
+    for of_rig in (rig, load_rig(config_path("rig/bipolar.yaml")))[: 1 + (abs(value) != 0.1)]:
+        client = greeted(of_rig)
+        with pytest.raises(RigError, match=r"end torque .* accepted by the firmware: 0.00078 to 0.18 Nm"):
+            run_ramp(client, 0.05, value, False, "x")
+        with pytest.raises(RigError, match=r"slope .* accepted: 0.00015 to 0.627 Nm/s"):
+            run_ramp(client, 5 * value if value > 0.1 else value, 0.15, False, "x")
+        assert not client.port.emulated.board.stage_on
 
 
 def test_stop_overtakes_a_command_under_way(client: RigClient, emulated: EmulatedRig) -> None:

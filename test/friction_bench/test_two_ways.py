@@ -18,12 +18,11 @@ from friction_bench.experiment import two_way
 from friction_bench.experiment.job import SWING_TURNS, run_ramp
 from friction_bench.experiment.record import RampRecord, read_csv, write_csv
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, native_library
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.messages import (
     Answer,
     Frame,
     HelloReply,
-    RigError,
     RigRefusedError,
     encode,
     parse_hello,
@@ -153,7 +152,7 @@ def test_friction_of_each_direction_lies_in_its_intervals(asymmetric: tuple[Rig,
 
 
 def test_lag_is_the_time_to_the_friction_of_the_new_direction(asymmetric: tuple[Rig, list[RampRecord]]) -> None:
-    """A light shaft moves f_c / m after the torque's change of sign, and had stopped before it, in both directions."""
+    """A light shaft moves f_c / m after the torque's change of sign, in both directions."""
     rig, records = asymmetric
     swing = two_way.identify_swings([record for record in records if record.swing], rig.scale_uncertainty)
     assert len(swing.reversals) == 2 * SWING_TURNS
@@ -164,7 +163,7 @@ def test_lag_is_the_time_to_the_friction_of_the_new_direction(asymmetric: tuple[
         expected = friction_of(rig, backward)[0]
         assert lag.value == pytest.approx(expected / slope, abs=0.04)
         assert torque.value == pytest.approx(expected, abs=0.04 * slope)
-        assert all(one.stop < 0.0 < one.lag for one in swing.reversals)
+        assert all(one.lag > 0.0 for one in swing.reversals)
 
 
 def test_lag_of_a_heavy_shaft_is_that_of_its_inertia() -> None:
@@ -281,13 +280,6 @@ def test_whole_loops_show_the_law_of_the_joint(tmp_path: Path, check_report: Cal
     check_report(out / "report.html")
 
 
-def test_a_limit_code_does_not_change_the_unit_of_the_scales(rig: Rig) -> None:
-    """A firmware built with the limit code 239 alone greets with the same scale as any other."""
-    emulated = EmulatedRig(rig, 0, NativeBoard(rig.baud, native_library({"TORQUE_LIMIT_CODE": 239})))
-    hello = RigClient(VirtualPort(emulated), rig).connect()
-    assert (hello.torque_limit_code, hello.dac_full_scale) == (239, pytest.approx(0.2))
-
-
 def test_a_firmware_of_version_1_is_named(rig: Rig) -> None:
     """The shorter greeting of the protocol's first version is understood as far as its version, and refused."""
     old = bytes.fromhex("01 01 01 f801 204e 204e a861 e5 07")
@@ -302,11 +294,3 @@ def test_a_firmware_of_version_1_is_named(rig: Rig) -> None:
 
     with pytest.raises(RigRefusedError, match="speaks protocol version 1; accepted: 2"):
         RigClient(Old(EmulatedRig(rig, 0)), rig).connect()
-
-
-def test_torque_backward_takes_a_bipolar_rig(client: RigClient, bipolar: Rig) -> None:
-    """A unipolar rig refuses an end torque below 0, and a bipolar one beyond its limit either way."""
-    with pytest.raises(RigError, match=r"end torque -0\.1 Nm; accepted by the firmware: 0\.00078 to 0\.18"):
-        run_ramp(client, 0.05, -0.1, False, "x")
-    with pytest.raises(RigError, match=r"end torque -0\.19 Nm"):
-        run_ramp(greeted(bipolar), 0.05, -0.19, False, "x")
