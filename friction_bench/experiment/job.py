@@ -200,13 +200,12 @@ def run(options: argparse.Namespace) -> int:
     if found.failures or any(side.failures for side in sides):
         print("parameters for rx90_sim: not written, as a load carries no estimate", file=sys.stderr)
         return VERDICT_NO
-    positive = all(side.written[0].value > 0.0 for side in sides)
-    if positive:
-        write_friction(out / "friction.yaml", sides, options.element, base)
-        print(one_line(f"parameters for rx90_sim: {out / 'friction.yaml'}"))
     for text in found.unphysical:
         print(one_line(f"not physical: {text}"), file=sys.stderr)
-    if not positive:
+    if all(side.written[0].value > 0.0 for side in sides):
+        write_friction(out / "friction.yaml", sides, options.element, base)
+        print(one_line(f"parameters for rx90_sim: {out / 'friction.yaml'}"))
+    else:
         print("parameters for rx90_sim: not written, as the Coulomb friction is not positive", file=sys.stderr)
     return VERDICT_NO if found.unphysical else DONE
 

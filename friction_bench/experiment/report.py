@@ -31,7 +31,7 @@ from friction_bench.experiment.identification import (
     interval,
     slopes_of,
 )
-from friction_bench.experiment.two_way import WAYS, Measurement, SwingResult
+from friction_bench.experiment.two_way import WAYS, Measurement
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
 from rx90_common.friction import FrictionElement
@@ -48,6 +48,7 @@ STIFFNESS_SHARE = 1e-4
 """Presliding of the YAML's bristles, rad: a ramp test does not see it, so it is assumed."""
 METHODS = {"source": "source, m b / a", "exact": "exact, by covariance", "repeated": "exact, by repeats"}
 _DASHES: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dashdot")
+_QUANTITIES = {"coulomb": "f_c, Nm", "viscous": "f_v, Nm s/rad"}
 _TIME = "time since the torque's zero, s"
 
 
@@ -152,30 +153,45 @@ def _source_lines(found: SourceEvaluation) -> list[str]:
     return lines
 
 
-def _rows_of_both(both: Measurement) -> list[tuple[str, str, list[IntervalEstimate]]]:
-    """Return load with method, quantity with unit, and its estimates forward, backward and of the difference."""
+def _add_both(
+    found: Measurement, document: dict[str, Any], lines: list[str]
+) -> tuple[list[tuple[str, str, list[IntervalEstimate]]], dict[str, list[str]]]:
+    """Add what both directions show to the document and to the lines for the terminal.
+
+    Returns:
+        Load with method, quantity with unit, and its estimates forward, backward and of the difference; by load and
+        direction, in words, how long after the torque's change of sign the shaft moved.
+    """
+    rows, lags, directions = [], {}, dict[str, Any]()
+    lines.append(f"{'both directions [95 %]':40}{'forward':>38}{'backward':>38}{'difference':>38}")
     pairs = {
-        f"{load}, ramps": ([both.parts[f"{load} {way}"].best for way in WAYS], found)
-        for load, found in both.differences.items()
+        f"{load}, ramps": ([found.parts[f"{load} {way}"].best for way in WAYS], difference)
+        for load, difference in found.differences.items()
     }
-    pairs |= {f"{load}, through zero": ([*swing.friction], swing.difference) for load, swing in both.swings.items()}
-    return [
-        (name, text, [*(getattr(one, key) for one in friction), found[index]])
-        for name, (friction, found) in pairs.items()
-        for index, (key, text) in enumerate((("coulomb", "f_c, Nm"), ("viscous", "f_v, Nm s/rad")))
-    ]
-
-
-def _lag_lines(swing: SwingResult) -> list[str]:
-    """Return for each direction how long after the torque's change of sign the shaft moved, in words."""
-    lines = []
-    for way, found in zip(WAYS, swing.lags, strict=True):
-        if found is None:
-            lines.append(f"to {way}: no reversal")
-            continue
-        number = sum(WAYS[one.backward] == way for one in swing.reversals)
-        lines.append(f"to {way}: {found[0]} s, at {found[1]} Nm ({number} reversals)")
-    return lines
+    pairs |= {f"{load}, through zero": ([*swing.friction], swing.difference) for load, swing in found.swings.items()}
+    for name, (friction, differences) in pairs.items():
+        for key, text, difference in zip(
+            ("coulomb", "viscous"), ("f_c, Nm", "f_v, Nm s/rad"), differences, strict=True
+        ):
+            estimates = [*(getattr(one, key) for one in friction), difference]
+            rows.append((name, text, estimates))
+            lines.append(f"{f'{name}: {text}':40}" + "".join(f"{one!s:>38}" for one in estimates))
+            entries = dict(zip((*WAYS, "difference"), map(_interval, estimates), strict=True))
+            directions.setdefault(name, {})[key] = entries
+    document["directions"] = directions
+    for load, swing in found.swings.items():
+        times = {way: [one.lag for one in swing.reversals if WAYS[one.backward] == way] for way in WAYS}
+        document.setdefault("lag_time_s", {})[load] = {
+            way: [float(f"{lag:.4g}") for lag in some] for way, some in times.items()
+        }
+        lags[load] = [
+            f"to {way}: no reversal" if mean is None else
+            f"to {way}: {mean[0]} s, at {mean[1]} Nm ({len(some)} reversals)"
+            for (way, some), mean in zip(times.items(), swing.lags, strict=True)
+        ]  # fmt: skip
+        said = f"{load}: lag time, from the torque's change of sign to the velocity's, "
+        lines += [said + text for text in lags[load]]
+    return rows, lags
 
 
 def write_result(out: Path, found: Measurement, rig: Rig, origin: str) -> None:
@@ -237,9 +253,7 @@ def write_result(out: Path, found: Measurement, rig: Rig, origin: str) -> None:
         plots["sensor"] = _sensor_plot(first.comparison)
     unused = [reason for result in sides for reason in result.failures]
     unused += [reason for part in found.parts.values() for reason in part.unused] + found.failures
-    both_rows, lags = _rows_of_both(found), {load: _lag_lines(one) for load, one in found.swings.items()}
-    if first.way:
-        _add_both(document, lines, both_rows, found, lags)
+    both_rows, lags = _add_both(found, document, lines) if first.way else ([], {})
     if found.records:
         plots["hysteresis"] = _hysteresis_plot(found)
     page = render_page(
@@ -269,30 +283,6 @@ def write_result(out: Path, found: Measurement, rig: Rig, origin: str) -> None:
     write_text(out / "estimates.yaml", yaml_text(document))
     lines.append(f"static friction tau_s: {STATIC}")
     print("\n".join([*lines, *(f"not used: {reason}" for reason in unused)]))
-
-
-def _add_both(
-    document: dict[str, Any],
-    lines: list[str],
-    rows: list[tuple[str, str, list[IntervalEstimate]]],
-    both: Measurement,
-    lags: dict[str, list[str]],
-) -> None:
-    """Add what both directions show to the document and to the lines for the terminal."""
-    lines.append(f"{'both directions [95 %]':40}{'forward':>38}{'backward':>38}{'difference':>38}")
-    directions: dict[str, Any] = {}
-    for name, text, estimates in rows:
-        lines.append(f"{f'{name}: {text}':40}" + "".join(f"{one!s:>38}" for one in estimates))
-        entries = dict(zip((*WAYS, "difference"), map(_interval, estimates), strict=True))
-        directions.setdefault(name, {})["coulomb" if text.startswith("f_c") else "viscous"] = entries
-    document["directions"] = directions
-    for load, swing in both.swings.items():
-        lines += [
-            f"{load}: lag time, from the torque's change of sign to the velocity's, {text}" for text in lags[load]
-        ]
-        document.setdefault("lag_time_s", {})[load] = {
-            way: [float(f"{one.lag:.4g}") for one in swing.reversals if WAYS[one.backward] == way] for way in WAYS
-        }
 
 
 def write_friction(path: Path, sides: Sequence[RampTestResult], element: str, base: FrictionFile) -> None:
