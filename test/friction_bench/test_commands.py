@@ -20,7 +20,7 @@ import pytest
 import yaml
 from launch_stub import arguments as launch_arguments
 from launch_stub import build, ending, parameters
-from rig_bench import greeted
+from rig_bench import greeted, rig_file_with
 from schema_faults import schema_faults
 from scipy.integrate import solve_ivp
 
@@ -107,12 +107,10 @@ def test_recorded_ramps_evaluate_to_the_same_whatever_the_calibration(ramps: Pat
         label, _, slope = file.read_text().splitlines()[0][2:].rpartition(", slope ")
         option = "--loaded-file" if label.startswith("loaded") else "--no-load-file"
         words += [option, f"{float(slope.removesuffix(' Nm/s'))!r}:{file}"]
-    shipped = config_path(SHIPPED_RIG).read_text()
-    assert shipped.count("scale_uncertainty: 0.003") == 1
     for scale in (0.0, 0.05):
-        (tmp_path / f"{scale}.yaml").write_text(shipped.replace("ty: 0.003", f"ty: {scale}"))
+        file = rig_file_with(tmp_path, SHIPPED_RIG, {"scale_uncertainty: 0.003": f"scale_uncertainty: {scale}"})
         out = tmp_path / f"out_{scale}"
-        assert run("friction_ramp", [*words, "--rig", str(tmp_path / f"{scale}.yaml"), "--output", str(out)]) == 0
+        assert run("friction_ramp", [*words, "--rig", str(file), "--output", str(out)]) == 0
         written = estimates(out)
         exact = {load: written[load]["exact, by covariance"] for load in ("no-load", "loaded")}
         found[scale] = [*exact["no-load"].values(), *exact["loaded"].values(), *written["joint"]["motor_side"].values()]
@@ -321,19 +319,11 @@ def test_latched_fault_is_named_and_cleared_by_option(
     assert run("friction_ramp", [*words, str(tmp_path / "b"), "--clear"]) == 0
 
 
-def rig_file(folder: Path, old: str = "omega_d: 0.05}", new: str = "omega_d: 0.05}") -> Path:
-    """Return the shipped rig file that sees presliding with a text replaced."""
-    text = config_path(PRESLIDING_RIG).read_text()
-    assert text.count(old) == 1
-    (folder / "rig.yaml").write_text(text.replace(old, new))
-    return folder / "rig.yaml"
-
-
 @pytest.fixture(scope="module", params=list(BRISTLES))
 def measured(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
     """Return law and folder of a measurement of presliding."""
     folder = tmp_path_factory.mktemp("presliding")
-    file = rig_file(folder, new=f"omega_d: 0.05{BRISTLES[request.param]}}}")
+    file = rig_file_with(folder, PRESLIDING_RIG, {"omega_d: 0.05}": f"omega_d: 0.05{BRISTLES[request.param]}}}"})
     words = ["--rig", str(file), *QUICK_PRESLIDING, "--output", str(folder / "run")]
     assert run("friction_presliding", words) == (0 if request.param == "LuGre" else 1)
     return request.param, folder / "run"
@@ -481,7 +471,7 @@ def test_a_joint_beyond_the_rigs_codes_gets_a_report_that_says_so(
 ) -> None:
     """Where the motor cannot break the joint away, or a code does, page and estimates say so; the exit code is 1."""
     monkeypatch.setattr(presliding_job, "RATES", (rate,))
-    file, out = rig_file(tmp_path, "tau_c: 2.0, tau_s: 2.5", torques), tmp_path / "run"
+    file, out = rig_file_with(tmp_path, PRESLIDING_RIG, {"tau_c: 2.0, tau_s: 2.5": torques}), tmp_path / "run"
     assert run("friction_presliding", ["--rig", str(file), "--kinds", "drift", "--output", str(out)]) == 1
     found, page = estimates(out), (out / "report.html").read_text()
     assert reason in found["not_used"][0]

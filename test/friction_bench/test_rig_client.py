@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rig_bench import greeted, read_some
+from rig_bench import greeted, read_some, rig_file_with
 
 from friction_bench.experiment.asymptote import fit_asymptote
 from friction_bench.experiment.job import run_ramp
@@ -191,14 +191,12 @@ def test_a_rig_file_that_describes_no_rig_is_refused(
     file: str, old: str, new: str, message: str, tmp_path: Path
 ) -> None:
     """What does not go together is one line with the key; the joint may have other bristles than LuGre's."""
-    text = config_path(f"rig/{file}.yaml").read_text(encoding="utf-8")
-    assert text.count(old) == 1
-    (tmp_path / "own.yaml").write_text(text.replace(old, new), encoding="utf-8")
+    own = rig_file_with(tmp_path, f"rig/{file}.yaml", {old: new})
     if message:
         with pytest.raises(ConfigError, match=re.escape(message)):
-            load_rig(tmp_path / "own.yaml")
+            load_rig(own)
     else:
-        assert load_rig(tmp_path / "own.yaml").plant.joint.bristles == ElastoPlastic(0.7)
+        assert load_rig(own).plant.joint.bristles == ElastoPlastic(0.7)
 
 
 def test_interrupted_ramp_is_stopped_by_the_host(client: RigClient, emulated: EmulatedRig) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from rig_bench import rig_file_with
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
 
@@ -25,16 +26,6 @@ from rx90_emulator.cli.frame import run
 PUBLISHED = {"no-load": (949.5407, 227.8898, 0.1464), "loaded": (981.3603, 412.1713, 0.2310)}
 """The source's a and b, read in degrees, and f_c in Nm."""
 SPREADS = {"ramp_error: 0.02 ": "ramp_error: 0.0 ", "gain_error: 0.003": "gain_error: 0.0", "joint_spread: 0.05": ""}
-
-
-def changed(folder: Path, changes: dict[str, str]) -> Path:
-    """Return a copy of the source's rig file with some texts replaced."""
-    text = config_path(SOURCE_RIG).read_text()
-    for old, new in changes.items():
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    (folder / "own.yaml").write_text(text)
-    return folder / "own.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +79,15 @@ def test_the_four_velocities_differ_where_the_source_s_do(measured: Path) -> Non
 def test_without_spread_the_source_states_its_own_figures(tmp_path: Path, check_report: Callable[[Path], None]) -> None:
     """Where ramps do not differ, a and b are the published ones, and 0.231 - 0.147 = 0.084 Nm to a unit at the end."""
     out = tmp_path / "out"
-    words = ["--source", "--repeats", "4", "--rig", str(changed(tmp_path, SPREADS)), "--output", str(out)]
+    words = [
+        "--source",
+        "--repeats",
+        "4",
+        "--rig",
+        str(rig_file_with(tmp_path, SOURCE_RIG, SPREADS)),
+        "--output",
+        str(out),
+    ]
     assert run("friction_ramp", words) == 1
     found = by_source(out)
     for load, (a, b, coulomb) in PUBLISHED.items():
