@@ -19,7 +19,6 @@ from friction_bench.experiment.dialogue import (
     INDENT,
     LONGEST_HOLD,
     Dialogue,
-    Person,
     SkippedError,
     StepResult,
     Terminal,
@@ -79,7 +78,7 @@ class BringUp(Dialogue):
         lost: the rig does not answer any more.
     """
 
-    def __init__(self, client: RigClient, person: Person, board: str | None = None) -> None:
+    def __init__(self, client: RigClient, person: Terminal, board: str | None = None) -> None:
         super().__init__(client, person, board)
         self.steps = BIPOLAR_STEPS if self.rig.bipolar else STEPS
         self.lost = False

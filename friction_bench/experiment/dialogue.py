@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from friction_bench.experiment.session import armed, refuse_fault
 from friction_bench.rig.client import RigClient, Sample
@@ -129,16 +129,6 @@ class StepResult:
         }  # fmt: skip
 
 
-class Person(Protocol):
-    """Who reads the steps, turns the shaft and measures."""
-
-    def answer(self, question: str, meanwhile: Callable[[], object]) -> str | None:
-        """Return the line that answers a question, without blanks around it, None if nobody is there.
-
-        `meanwhile` keeps the rig alive: it is called every few hundredths of a second and must not be left out.
-        """
-
-
 class Terminal:
     """The person at standard input, or a file with a line for each question."""
 
@@ -147,7 +137,11 @@ class Terminal:
         self._echo = sys.stdin is None or not sys.stdin.isatty()
 
     def answer(self, question: str, meanwhile: Callable[[], object]) -> str | None:
-        """Ask and wait; a file's answer is printed, as a terminal shows what is typed."""
+        """Return the line that answers a question, without blanks around it, None if nobody is there.
+
+        A file's answer is printed, as a terminal shows what is typed. `meanwhile` keeps the rig alive: it is called
+        every few hundredths of a second.
+        """
         print(f"{INDENT}{question}: ", end="", flush=True)
         while b"\n" not in self._read and not self._ended:
             # The descriptor itself: lines in the buffer of sys.stdin would not wake the wait up.
@@ -179,7 +173,7 @@ class Dialogue:
         results: of the steps so far; what is compared belongs to the last one.
     """
 
-    def __init__(self, client: RigClient, person: Person, board: str | None = None) -> None:
+    def __init__(self, client: RigClient, person: Terminal, board: str | None = None) -> None:
         self.client, self.rig, self.person = client, client.rig, person
         self.results: list[StepResult] = []
         self._name = board

@@ -113,8 +113,15 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
     port: Port
 
     def ask(loaded: bool) -> None:
-        if options.load == "both":  # with none or joint it is as the option says, and nobody need be there
-            _ask_to_couple(loaded, session.client)
+        """Let the person at the rig couple the joint or take it off; the rig is disarmed meanwhile."""
+        if options.load != "both":
+            return  # it is as the option says, and nobody need be there
+        print(f"{'Couple' if loaded else 'Take off'} the revolute joint, then press Enter.", file=sys.stderr)
+        try:
+            input()
+        except EOFError:
+            raise FailureError("nobody there to couple the joint; use --load none or --load joint") from None
+        session.client.connect()
 
     couple: Callable[[bool], None] = ask
     with ExitStack() as opened:
@@ -146,16 +153,6 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
                     write_joint_states(out / "bag", readings_series(session.samples, rig))
                 else:
                     out.rmdir()
-
-
-def _ask_to_couple(loaded: bool, client: RigClient) -> None:
-    """Let the person at the rig couple the joint or take it off; the rig is disarmed meanwhile."""
-    print(f"{'Couple' if loaded else 'Take off'} the revolute joint, then press Enter.", file=sys.stderr)
-    try:
-        input()
-    except EOFError:
-        raise FailureError("nobody there to couple the joint; use --load none or --load joint") from None
-    client.connect()
 
 
 def readings_series(samples: list[Sample], rig: Rig) -> list[JointSeries]:
