@@ -33,7 +33,7 @@ from friction_bench.experiment.identification import IntervalEstimate, RampFrict
 from friction_bench.experiment.job import SWING_TURNS, SWINGS, plan_from, run_planned, run_ramp
 from friction_bench.experiment.record import RampRecord
 from friction_bench.experiment.session import near_limits
-from friction_bench.experiment.two_way import WAYS, evaluate_both_ways
+from friction_bench.experiment.two_way import WAYS, evaluate_all
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort, native_library
 from friction_bench.rig.plant import SLICE, RigJoint, Shaft, joint_record, shaft_of, turn, turn_with_joint
@@ -346,9 +346,7 @@ def two_way_experiment(job: tuple[int, int, str]) -> Outcome:
     runs = [
         (slope, way * end, 0) for way in (1.0, -1.0) for _ in range(TWO_WAY_REPEATS) for slope in TWO_WAY_SLOPES
     ] + [(max(TWO_WAY_SLOPES), end, SWING_TURNS)] * SWINGS
-    found = evaluate_both_ways(
-        [run_ramp(client, *run[:2], True, f"{k}", turns=run[2]) for k, run in enumerate(runs)], rig
-    )
+    found = evaluate_all([run_ramp(client, *run[:2], True, f"{k}", turns=run[2]) for k, run in enumerate(runs)], rig)
     outcome = Outcome(refusal="; ".join(found.failures))
     truth = np.array([truth_of(rig, True, backward) for backward in (False, True)])
     ramps = [side.parts[0][1].best for side in found.sides]

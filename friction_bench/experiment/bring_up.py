@@ -14,9 +14,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from friction_bench.experiment.dialogue import LONGEST_HOLD, Dialogue, SkippedError
-from friction_bench.experiment.findings import HIGH, INDENT, Person, StepResult, Terminal
-from friction_bench.experiment.session import RANGES, armed, wait_for_rest
+from friction_bench.experiment.dialogue import (
+    HIGH,
+    INDENT,
+    LONGEST_HOLD,
+    Dialogue,
+    SkippedError,
+    StepResult,
+    Terminal,
+)
+from friction_bench.experiment.session import armed, wait_for_rest
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.messages import (
     BACKWARD,
@@ -31,7 +38,7 @@ from friction_bench.rig.messages import (
 from friction_bench.rig.rig_file import CODES, Rig, load_rig
 from friction_bench.rig.serial_port import SerialPort
 from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import DONE, FAILED, VERDICT_NO, ConfigError
+from rx90_common.base.errors import DONE, FAILED, VERDICT_NO
 from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.process.files import write_text
@@ -71,7 +78,7 @@ class BringUp(Dialogue):
         lost: the rig does not answer any more.
     """
 
-    def __init__(self, client: RigClient, person: Person, board: str | None = None) -> None:
+    def __init__(self, client: RigClient, person: Terminal, board: str | None = None) -> None:
         super().__init__(client, person, board)
         self.steps = BIPOLAR_STEPS if self.rig.bipolar else STEPS
         self.lost = False
@@ -201,8 +208,11 @@ class BringUp(Dialogue):
             )
             self._ready(f"Put code {code} on the DAC")
             with self._stage_on(code):
-                expected = self.board.set_point * code / CODES
-                self._measure(f"VSET at code {code}", "V", expected, VOLTS[0] * expected + VOLTS[1])
+                self._measure_set_point(code)
+
+    def _measure_set_point(self, code: int) -> None:
+        expected = self.board.set_point * abs(code) / CODES
+        self._measure(f"VSET at code {code}", "V", expected, VOLTS[0] * expected + VOLTS[1])
 
     def _direction(self) -> None:
         levels: list[float | None] = []
@@ -215,8 +225,7 @@ class BringUp(Dialogue):
                     expected = HIGH if (way > 0) is forward else 0.0
                     self._measure(f"{point} at code {code}", "V", expected, ENABLE_VOLTS)
                 levels.append(self.results[-1].quantities[-len(self.board.directions)].found)
-                expected = self.board.set_point * abs(code) / CODES
-                self._measure(f"VSET at code {code}", "V", expected, VOLTS[0] * expected + VOLTS[1])
+                self._measure_set_point(code)
         line = next(iter(self.board.directions))
         if None in levels:
             return
@@ -430,9 +439,6 @@ def run(options: argparse.Namespace) -> int:
         Rx90Error: for what is refused, or a port that cannot be opened.
     """
     rig: Rig = load_rig(resolve_config(options.rig))
-    low, high = RANGES["baud"]
-    if options.baud is not None and not low <= options.baud <= high:
-        raise ConfigError(f"--baud is {options.baud}; accepted: {low} to {high}")
     port = SerialPort(options.port, options.baud or rig.baud)
     check = BringUp(RigClient(port, rig), Terminal(), options.board)
     output: Path | None = options.output

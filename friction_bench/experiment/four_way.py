@@ -147,17 +147,17 @@ def block_diagram(model: RampModel, start: float, time: Array, step: float = FIX
     return Sensor(time, *found[:, at])
 
 
-def smooth_friction(velocity: float, static: float, dynamic: float, stiction: float = STICTION) -> float:
+def smooth_friction(velocity: float, static: float, dynamic: float) -> float:
     """Return ADAMS's friction of a slip velocity: STEP from -static to static, then from static to dynamic friction.
 
     STEP is the cubic between two points, flat at both. This is how Adams describes its contacts; DYNAMIC is of its
     joints, whose stiction also has a spring of small deformation, left out here.
     """
     speed = abs(velocity)
-    if speed < stiction:
-        x = (velocity + stiction) / (2.0 * stiction)
+    if speed < STICTION:
+        x = (velocity + STICTION) / (2.0 * STICTION)
         return static * (2.0 * x * x * (3.0 - 2.0 * x) - 1.0)
-    x = min((speed / stiction - 1.0) / (DYNAMIC - 1.0), 1.0)
+    x = min((speed / STICTION - 1.0) / (DYNAMIC - 1.0), 1.0)
     return float(np.copysign(static + (dynamic - static) * x * x * (3.0 - 2.0 * x), velocity))
 
 

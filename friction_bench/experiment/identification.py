@@ -47,6 +47,10 @@ class IntervalEstimate(NamedTuple):
     low: float
     high: float
 
+    def __str__(self) -> str:
+        """Return value and interval."""
+        return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+
 
 @dataclass(frozen=True)
 class RampFriction:
@@ -134,11 +138,10 @@ def interval(value: float, random: float, freedom: float, scale: float) -> Inter
     """
     systematic = abs(value) * scale
     total = math.hypot(random, systematic)
-    effective = freedom if math.isinf(freedom) or random == 0.0 else freedom * (total / random) ** 4
-    factor = (
-        float(stats.t.ppf((1 + LEVEL) / 2, effective)) if effective < 1e6 else float(stats.norm.ppf((1 + LEVEL) / 2))
-    )
-    return IntervalEstimate(value, total, value - factor * total, value + factor * total)
+    effective = freedom if random == 0.0 else freedom * (total / random) ** 4
+    share = (1 + LEVEL) / 2
+    reach = total * float(stats.t.ppf(share, effective) if effective < 1e6 else stats.norm.ppf(share))
+    return IntervalEstimate(value, total, value - reach, value + reach)
 
 
 def source_formulas(a: float, b: float, m: float) -> tuple[float, float]:
@@ -422,7 +425,7 @@ class RampTestResult:
             remedy = "the difference of the loads is below what they tell; run more repeats, or more load"
         quantities = zip(("Coulomb", "viscous"), self.written, ("Nm", "Nm s/rad"), strict=True)
         return tuple(
-            f"{of} {name} friction is {one.value:.4g} [{one.low:.4g}, {one.high:.4g}] {unit}; accepted: > 0. {remedy}"
+            f"{of} {name} friction is {one} {unit}; accepted: > 0. {remedy}"
             for name, one, unit in quantities
             if one.value <= 0.0
         )

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from friction_bench.experiment.identification import evaluate
 from friction_bench.experiment.record import INSTANTANEOUS, RampRecord, read_csv, read_text, sliding_window, write_csv
 from friction_bench.experiment.report import write_friction, write_result
 from friction_bench.experiment.session import (
@@ -26,7 +25,7 @@ from friction_bench.experiment.session import (
     wait_for_rest,
 )
 from friction_bench.experiment.sliding_fit import fit_sliding
-from friction_bench.experiment.two_way import WAYS, evaluate_both_ways
+from friction_bench.experiment.two_way import WAYS, evaluate_all
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.messages import Command, RigError, State
 from friction_bench.rig.rig_file import TRAVEL_UNIT, RampPlan, Rig, load_rig
@@ -91,10 +90,11 @@ def run_ramp(
     if len(samples) < 2:
         raise RigError(f"{label}: {len(samples)} readings during the ramp; accepted: at least 2")
     ticks, counts, dac, adc = sample_columns(samples)
-    way = -1.0 if end < 0 and not turns else 1.0
-    time, angle = ticks * rig.tick - samples[0].time, way * (counts - counts[0]) * rig.angle_step
-    torques = rig.torque(way * dac), rig.measured_torque(way * adc)
-    return RampRecord(time, angle, slope, rig.angle_step, *torques, loaded, label, way < 0.0, turns > 0)
+    backward = end < 0 and not turns
+    time, angle = ticks * rig.tick - samples[0].time, (counts - counts[0]) * rig.angle_step
+    torques = rig.torque(dac), rig.measured_torque(adc)
+    record = RampRecord(time, angle, slope, rig.angle_step, *torques, loaded, label, backward, turns > 0)
+    return record.counted(-1.0 if backward else 1.0)
 
 
 def _follow(client: RigClient, first: list[Sample], on_sample: Callable[[Sample], None]) -> list[Sample]:
@@ -192,25 +192,21 @@ def run(options: argparse.Namespace) -> int:
     else:
         records = _measure(options, rig, _plan(options, rig))
         origin = f"{len(records)} ramps on the {origin_of(options)}"
-    both = None
-    if any(record.backward or record.swing for record in records):
-        both = evaluate_both_ways(records, rig)
-    sides = both.sides if both is not None else [evaluate(records, rig, options.source)]
-    write_result(out, sides, rig, origin, both)
+    found = evaluate_all(records, rig, options.source)
+    sides = found.sides
+    write_result(out, found, rig, origin)
     print(one_line(f"report: {out / 'report.html'}"))
-    if any(side.failures for side in sides) or (both is not None and both.failures):
+    if found.failures or any(side.failures for side in sides):
         print("parameters for rx90_sim: not written, as a load carries no estimate", file=sys.stderr)
         return VERDICT_NO
-    positive = all(side.written[0].value > 0.0 for side in sides)
-    if positive:
+    for text in found.unphysical:
+        print(one_line(f"not physical: {text}"), file=sys.stderr)
+    if all(side.written[0].value > 0.0 for side in sides):
         write_friction(out / "friction.yaml", sides, options.element, base)
         print(one_line(f"parameters for rx90_sim: {out / 'friction.yaml'}"))
-    unphysical = [text for side in sides for text in side.unphysical]
-    for text in unphysical:
-        print(one_line(f"not physical: {text}"), file=sys.stderr)
-    if not positive:
+    else:
         print("parameters for rx90_sim: not written, as the Coulomb friction is not positive", file=sys.stderr)
-    return VERDICT_NO if unphysical else DONE
+    return VERDICT_NO if found.unphysical else DONE
 
 
 def _check(options: argparse.Namespace, base: FrictionFile) -> None:

@@ -137,6 +137,12 @@ class RampRecord:
         """Return the usual time between readings, s."""
         return float(np.median(np.diff(self.time)))
 
+    def counted(self, way: float) -> RampRecord:
+        """Return the record with angle and torques counted as they are, by 1, or the other way, by -1."""
+        measured = None if self.measured_torque is None else way * self.measured_torque
+        torque = None if self.torque is None else way * self.torque
+        return replace(self, angle=way * self.angle, torque=torque, measured_torque=measured)
+
     @property
     def origin(self) -> float:
         """Return the time at which the line through the commanded torques is zero, s.
@@ -184,23 +190,15 @@ def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) 
         elif name in CSV_COLUMNS[:2]:
             lacking = f"column {quoted(name)} is missing, found {quoted(', '.join(header)[:80])}"
             raise RecordError(f"{path}: {lacking}; accepted: {', '.join(CSV_COLUMNS)}")
-    counts, torque, measured = columns["counts"], columns.get("torque"), columns.get("measured_torque")
+    counts, torque = columns["counts"], columns.get("torque")
     swing = torque is not None and bool(torque.min(initial=0.0) < 0.0 < torque.max(initial=0.0))
     leading = counts - counts[0] if torque is None else torque
     backward = not swing and leading.size > 0 and bool(leading[-1] < 0.0)
-    way = -1.0 if backward else 1.0
-    return RampRecord(
-        columns["time"],
-        way * counts * angle_step,
-        slope,
-        angle_step,
-        torque if torque is None else way * torque,
-        measured if measured is None else way * measured,
-        loaded,
-        path.name,
-        backward,
-        swing,
+    torques = torque, columns.get("measured_torque")
+    record = RampRecord(
+        columns["time"], counts * angle_step, slope, angle_step, *torques, loaded, path.name, backward, swing
     )
+    return record.counted(-1.0 if backward else 1.0)
 
 
 def _number(path: Path, line: int, name: str, field: list[str]) -> float:
@@ -218,10 +216,9 @@ def write_csv(record: RampRecord, path: Path) -> None:
     Raises:
         Rx90Error: if the file cannot be written.
     """
-    way = -1 if record.backward else 1
-    counts = way * np.rint(record.angle / record.angle_step).astype(int)
-    torques = (None if torque is None else way * torque for torque in (record.torque, record.measured_torque))
-    columns = (record.time, counts, *torques)
+    raw = record.counted(-1.0 if record.backward else 1.0)
+    counts = np.rint(raw.angle / raw.angle_step).astype(int)
+    columns = raw.time, counts, raw.torque, raw.measured_torque
     known = {name: column.tolist() for name, column in zip(CSV_COLUMNS, columns, strict=True) if column is not None}
     write_table(path, f"{record.label}, slope {record.slope!r} Nm/s", known)
 

@@ -31,7 +31,7 @@ from friction_bench.experiment.identification import (
     interval,
     slopes_of,
 )
-from friction_bench.experiment.two_way import WAYS, SwingResult, TwoWayResult
+from friction_bench.experiment.two_way import WAYS, Measurement
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
 from rx90_common.friction import FrictionElement
@@ -48,6 +48,7 @@ STIFFNESS_SHARE = 1e-4
 """Presliding of the YAML's bristles, rad: a ramp test does not see it, so it is assumed."""
 METHODS = {"source": "source, m b / a", "exact": "exact, by covariance", "repeated": "exact, by repeats"}
 _DASHES: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dashdot")
+_QUANTITIES = {"coulomb": "f_c, Nm", "viscous": "f_v, Nm s/rad"}
 _TIME = "time since the torque's zero, s"
 
 
@@ -97,7 +98,7 @@ def _comparison_plot(comparison: FourWay) -> Plot:
     return Plot(panels, share_x=True)
 
 
-def _hysteresis_plot(both: TwoWayResult) -> Plot:
+def _hysteresis_plot(both: Measurement) -> Plot:
     """Show the hysteresis of each load: the swings' torque over the mean velocity of SMOOTHING readings."""
     panels = []
     for load, records in both.records.items():
@@ -152,53 +153,63 @@ def _source_lines(found: SourceEvaluation) -> list[str]:
     return lines
 
 
-def _rows_of_both(both: TwoWayResult) -> list[tuple[str, str, list[IntervalEstimate]]]:
-    """Return load with method, quantity with unit, and its estimates forward, backward and of the difference."""
-    best = [dict(side.parts) for side in both.sides]
+def _add_both(
+    found: Measurement, document: dict[str, Any], lines: list[str]
+) -> tuple[list[tuple[str, str, list[IntervalEstimate]]], dict[str, list[str]]]:
+    """Add what both directions show to the document and to the lines for the terminal.
+
+    Returns:
+        Load with method, quantity with unit, and its estimates forward, backward and of the difference; by load and
+        direction, in words, how long after the torque's change of sign the shaft moved.
+    """
+    rows, lags, directions = [], {}, dict[str, Any]()
+    lines.append(f"{'both directions [95 %]':40}{'forward':>38}{'backward':>38}{'difference':>38}")
     pairs = {
-        f"{load}, ramps": ([part[f"{load} {way}"].best for part, way in zip(best, WAYS, strict=True)], found)
-        for load, found in both.differences.items()
+        f"{load}, ramps": ([found.parts[f"{load} {way}"].best for way in WAYS], difference)
+        for load, difference in found.differences.items()
     }
-    pairs |= {f"{load}, through zero": ([*swing.friction], swing.difference) for load, swing in both.swings.items()}
-    return [
-        (name, text, [*(getattr(one, key) for one in friction), found[index]])
-        for name, (friction, found) in pairs.items()
-        for index, (key, text) in enumerate((("coulomb", "f_c, Nm"), ("viscous", "f_v, Nm s/rad")))
-    ]
+    pairs |= {f"{load}, through zero": ([*swing.friction], swing.difference) for load, swing in found.swings.items()}
+    for name, (friction, differences) in pairs.items():
+        for key, text, difference in zip(
+            ("coulomb", "viscous"), ("f_c, Nm", "f_v, Nm s/rad"), differences, strict=True
+        ):
+            estimates = [*(getattr(one, key) for one in friction), difference]
+            rows.append((name, text, estimates))
+            lines.append(f"{f'{name}: {text}':40}" + "".join(f"{one!s:>38}" for one in estimates))
+            entries = dict(zip((*WAYS, "difference"), map(_interval, estimates), strict=True))
+            directions.setdefault(name, {})[key] = entries
+    document["directions"] = directions
+    for load, swing in found.swings.items():
+        times = {way: [one.lag for one in swing.reversals if WAYS[one.backward] == way] for way in WAYS}
+        document.setdefault("lag_time_s", {})[load] = {
+            way: [float(f"{lag:.4g}") for lag in some] for way, some in times.items()
+        }
+        lags[load] = [
+            f"to {way}: no reversal" if mean is None else
+            f"to {way}: {mean[0]} s, at {mean[1]} Nm ({len(some)} reversals)"
+            for (way, some), mean in zip(times.items(), swing.lags, strict=True)
+        ]  # fmt: skip
+        said = f"{load}: lag time, from the torque's change of sign to the velocity's, "
+        lines += [said + text for text in lags[load]]
+    return rows, lags
 
 
-def _lag_lines(swing: SwingResult) -> list[str]:
-    """Return for each direction how long after the torque's change of sign the shaft moved, in words."""
-    lines = []
-    for way, found in zip(WAYS, swing.lags, strict=True):
-        if found is None:
-            lines.append(f"to {way}: no reversal")
-            continue
-        lag, torque = (f"{one.value:.4g} [{one.low:.4g}, {one.high:.4g}]" for one in found)
-        number = sum(WAYS[one.backward] == way for one in swing.reversals)
-        lines.append(f"to {way}: {lag} s, at {torque} Nm ({number} reversals)")
-    return lines
-
-
-def write_result(
-    out: Path, sides: Sequence[RampTestResult], rig: Rig, origin: str, both: TwoWayResult | None = None
-) -> None:
+def write_result(out: Path, found: Measurement, rig: Rig, origin: str) -> None:
     """Write report.html and estimates.yaml, with every estimate, in a folder, and print the estimates.
 
     Args:
         out: the folder.
-        sides: the result of the measurement, of each direction where there are two.
+        found: the result of the measurement.
         rig: on which it was made.
         origin: of the data, in one line.
-        both: what both directions together show.
 
     Raises:
         Rx90Error: if a file cannot be written.
     """
+    sides = found.sides
     rows: list[tuple[str, str, RampFriction]] = [
         (name, text, friction)
-        for result in sides
-        for name, part in result.parts
+        for name, part in found.parts.items()
         for key, text in METHODS.items()
         if (friction := getattr(part, key)) is not None
     ]
@@ -208,8 +219,7 @@ def write_result(
     lines += [f"{'':34}{'f_c, Nm [95 %]':>34}{'f_v, Nm s/rad [95 %]':>40}"]
 
     def add(title: str, coulomb: IntervalEstimate, viscous: IntervalEstimate) -> dict[str, Any]:
-        cells = (f"{one.value:.4g} [{one.low:.4g}, {one.high:.4g}]" for one in (coulomb, viscous))
-        lines.append("{:34}{:>34}{:>40}".format(title, *cells))
+        lines.append(f"{title:34}{coulomb!s:>34}{viscous!s:>40}")
         return {"coulomb": _interval(coulomb), "viscous": _interval(viscous)}
 
     for name, method, friction in rows:
@@ -217,7 +227,7 @@ def write_result(
         if friction.inertia is not None:
             entry["inertia"] = _interval(friction.inertia)
         document.setdefault(name, {})[method] = entry
-    plots = {name: _velocity_plot(part) for result in sides for name, part in result.parts}
+    plots = {name: _velocity_plot(part) for name, part in found.parts.items()}
     for result in sides:
         if result.joint is not None:
             name = f"joint {result.way}".rstrip()
@@ -242,20 +252,15 @@ def write_result(
         plots["comparison"] = _comparison_plot(first.comparison)
         plots["sensor"] = _sensor_plot(first.comparison)
     unused = [reason for result in sides for reason in result.failures]
-    unused += [reason for result in sides for _, part in result.parts for reason in part.unused]
-    both_rows, lags = [], dict[str, list[str]]()
-    if both is not None:
-        unused += both.failures
-        both_rows, lags = _rows_of_both(both), {load: _lag_lines(one) for load, one in both.swings.items()}
-        _add_both(document, lines, both_rows, both, lags)
-        if both.records:
-            plots["hysteresis"] = _hysteresis_plot(both)
+    unused += [reason for part in found.parts.values() for reason in part.unused] + found.failures
+    both_rows, lags = _add_both(found, document, lines) if first.way else ([], {})
+    if found.records:
+        plots["hysteresis"] = _hysteresis_plot(found)
     page = render_page(
         "friction_bench.experiment",
         "friction_report.html.j2",
         sides=sides,
         first=first,
-        both=both,
         both_rows=both_rows,
         lags=lags,
         rig=rig,
@@ -267,42 +272,17 @@ def write_result(
         static=STATIC,
         unused=unused,
         source_states=SOURCE_STATES,
-        two_slopes=all(part.exact is not None for result in sides for _, part in result.parts),
+        two_slopes=all(part.exact is not None for part in found.parts.values()),
     )
     write_text(out / "report.html", page)
     document |= {
         "tau_s": {"identifiable": False, "reason": STATIC},
         "not_used": unused,
-        "not_physical": [text for result in sides for text in result.unphysical],
+        "not_physical": found.unphysical,
     }
     write_text(out / "estimates.yaml", yaml_text(document))
     lines.append(f"static friction tau_s: {STATIC}")
     print("\n".join([*lines, *(f"not used: {reason}" for reason in unused)]))
-
-
-def _add_both(
-    document: dict[str, Any],
-    lines: list[str],
-    rows: list[tuple[str, str, list[IntervalEstimate]]],
-    both: TwoWayResult,
-    lags: dict[str, list[str]],
-) -> None:
-    """Add what both directions show to the document and to the lines for the terminal."""
-    lines.append(f"{'both directions [95 %]':40}{'forward':>38}{'backward':>38}{'difference':>38}")
-    directions: dict[str, Any] = {}
-    for name, text, estimates in rows:
-        cells = "".join(f"{f'{one.value:.4g} [{one.low:.4g}, {one.high:.4g}]':>38}" for one in estimates)
-        lines.append(f"{f'{name}: {text}':40}{cells}")
-        entries = dict(zip((*WAYS, "difference"), map(_interval, estimates), strict=True))
-        directions.setdefault(name, {})["coulomb" if text.startswith("f_c") else "viscous"] = entries
-    document["directions"] = directions
-    for load, swing in both.swings.items():
-        lines += [
-            f"{load}: lag time, from the torque's change of sign to the velocity's, {text}" for text in lags[load]
-        ]
-        document.setdefault("lag_time_s", {})[load] = {
-            way: [float(f"{one.lag:.4g}") for one in swing.reversals if WAYS[one.backward] == way] for way in WAYS
-        }
 
 
 def write_friction(path: Path, sides: Sequence[RampTestResult], element: str, base: FrictionFile) -> None:

@@ -33,14 +33,6 @@ from rx90_common.process.interrupts import interrupts_later
 
 EMULATED = "emulated"
 """As a port."""
-RANGES = {
-    "seed": (0, 2**31 - 1),
-    "repeats": (1, 1000),
-    "baud": (1200, 1_000_000),
-    "blocks": (6, 100),
-    "cycles": (100, 100_000),
-}
-"""Least and largest value of the commands' whole numbers."""
 REST_TICKS = 10
 """The shaft is at rest when it has not moved for so many ticks."""
 REST_TIMEOUT = 30.0
@@ -53,15 +45,11 @@ _BAR = "{desc} {bar} {n:.0f}/{total:.0f} s [{elapsed}<{remaining}{postfix}]"
 
 
 def check_options(options: argparse.Namespace) -> None:
-    """Refuse numbers out of range, options of an emulated rig with a real one, and of a line with an emulated one.
+    """Refuse options of an emulated rig with a real one, and of a line with an emulated one.
 
     Raises:
         ConfigError: naming the option.
     """
-    for name, (low, high) in RANGES.items():
-        value = getattr(options, name, None)
-        if value is not None and not low <= value <= high:
-            raise ConfigError(f"--{name} is {value}; accepted: {low} to {high}")
     if options.port != EMULATED:
         given = "seed" if options.seed is not None else "real-time" if options.real_time else ""
         if given:
@@ -125,8 +113,15 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
     port: Port
 
     def ask(loaded: bool) -> None:
-        if options.load == "both":  # with none or joint it is as the option says, and nobody need be there
-            _ask_to_couple(loaded, session.client)
+        """Let the person at the rig couple the joint or take it off; the rig is disarmed meanwhile."""
+        if options.load != "both":
+            return  # it is as the option says, and nobody need be there
+        print(f"{'Couple' if loaded else 'Take off'} the revolute joint, then press Enter.", file=sys.stderr)
+        try:
+            input()
+        except EOFError:
+            raise FailureError("nobody there to couple the joint; use --load none or --load joint") from None
+        session.client.connect()
 
     couple: Callable[[bool], None] = ask
     with ExitStack() as opened:
@@ -158,16 +153,6 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
                     write_joint_states(out / "bag", readings_series(session.samples, rig))
                 else:
                     out.rmdir()
-
-
-def _ask_to_couple(loaded: bool, client: RigClient) -> None:
-    """Let the person at the rig couple the joint or take it off; the rig is disarmed meanwhile."""
-    print(f"{'Couple' if loaded else 'Take off'} the revolute joint, then press Enter.", file=sys.stderr)
-    try:
-        input()
-    except EOFError:
-        raise FailureError("nobody there to couple the joint; use --load none or --load joint") from None
-    client.connect()
 
 
 def readings_series(samples: list[Sample], rig: Rig) -> list[JointSeries]:

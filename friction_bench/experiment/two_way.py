@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ import numpy as np
 from friction_bench.experiment.identification import (
     IntervalEstimate,
     RampFriction,
+    RampIdentification,
     RampTestResult,
     UnphysicalError,
     difference,
@@ -68,12 +69,10 @@ class Reversal(NamedTuple):
 
     Attributes:
         backward: the torque's direction after it.
-        stop: when the shaft ended its old motion, s after the torque was zero, below 0 before it.
         lag: when it began to move in the torque's direction, s after the torque was zero.
     """
 
     backward: bool
-    stop: float
     lag: float
 
 
@@ -95,22 +94,32 @@ class SwingResult:
 
 
 @dataclass(frozen=True)
-class TwoWayResult:
-    """The result of a measurement in both directions.
+class Measurement:
+    """The result of a measurement, in one direction or in both.
 
     Attributes:
-        sides: forward and backward, by the ramps; one of them where the other carries no estimate.
+        sides: forward and backward, by the ramps; one of them where the other carries no estimate, or was not run.
         differences: f_c and f_v forward less backward by the ramps, by load.
         swings: by load.
         records: of the swings.
-        failures: why one carries nothing, one line each.
+        failures: why a direction or the swings of a load carry nothing, one line each.
     """
 
     sides: list[RampTestResult]
-    differences: dict[str, tuple[IntervalEstimate, IntervalEstimate]]
-    swings: dict[str, SwingResult]
-    records: dict[str, list[RampRecord]]
-    failures: tuple[str, ...]
+    differences: dict[str, tuple[IntervalEstimate, IntervalEstimate]] = field(default_factory=dict)
+    swings: dict[str, SwingResult] = field(default_factory=dict)
+    records: dict[str, list[RampRecord]] = field(default_factory=dict)
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def parts(self) -> dict[str, RampIdentification]:
+        """Return the identified loads of all directions, by name."""
+        return {name: part for side in self.sides for name, part in side.parts}
+
+    @property
+    def unphysical(self) -> list[str]:
+        """Return what is no friction among the estimates: value, cause and remedy."""
+        return [text for side in self.sides for text in side.unphysical]
 
 
 def halves(record: RampRecord) -> list[Half]:
@@ -123,12 +132,7 @@ def halves(record: RampRecord) -> list[Half]:
     found: list[Half] = []
     for first, last in pairwise(edges):
         way = float(sign[first])
-        counted = replace(
-            record,
-            angle=way * record.angle,
-            torque=way * record.torque,
-            measured_torque=None if record.measured_torque is None else way * record.measured_torque,
-        )
+        counted = record.counted(way)
         angle = counted.angle
         peak = first + int(np.argmax(counted.torque[first:last]))  # type: ignore[index]  # it has one
         before = found[-1].peak if found else 0
@@ -183,7 +187,7 @@ def _friction(swings: Sequence[Sequence[Half]], scale: float) -> RampFriction:
 
 
 def _reversal(half: Half, friction: RampFriction) -> Reversal:
-    """Return stop and lag.
+    """Return the lag.
 
     A shaft that turns where the torque exceeds f_c is carried on by its inertia, and turns at once, in the middle of
     its slow readings. Another one rests until the torque is at f_c at least: that moment is fitted to the motion.
@@ -198,10 +202,10 @@ def _reversal(half: Half, friction: RampFriction) -> Reversal:
     time, coulomb = record.time - zero, friction.coulomb.value
     if half.peak - low < ONSET_TICKS:
         raise IdentificationError(f"{record.label}: the shaft does not slide after the torque's change of sign")
-    stop, turned = float(time[half.stopped]), float(time[low + 1])
-    middle = 0.5 * (stop + turned)
+    turned = float(time[low + 1])
+    middle = 0.5 * (float(time[half.stopped]) + turned)
     if record.slope * middle > coulomb:
-        return Reversal(half.backward, stop, middle)
+        return Reversal(half.backward, middle)
     assert friction.inertia is not None  # swings tell it
     model = RampModel(coulomb, friction.viscous.value, friction.inertia.value, record.slope)
     onset = slice(low - 1, low + ONSET_TICKS)
@@ -212,7 +216,7 @@ def _reversal(half: Half, friction: RampFriction) -> Reversal:
         (earliest, turned),
         lambda moment: replace(model, release=moment * record.slope - coulomb),
     )
-    return Reversal(half.backward, stop, lag)
+    return Reversal(half.backward, lag)
 
 
 def _mean_lag(lags: Sequence[float], tick: float, slope: float, scale: float) -> tuple[IntervalEstimate, ...] | None:
@@ -254,37 +258,39 @@ def identify_swings(records: Sequence[RampRecord], scale_uncertainty: float) -> 
     return SwingResult((forward, backward), both, tuple(lags), tuple(reversals))
 
 
-def evaluate_both_ways(records: Sequence[RampRecord], rig: Rig) -> TwoWayResult:
-    """Evaluate ramps forward and backward, and swings.
+def evaluate_all(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -> Measurement:
+    """Evaluate ramps forward, and ramps backward and swings where there are any.
 
     Args:
         records: of all of them, under one load or two.
         rig: on which they were run.
+        as_source: also evaluate ramps of one direction as the source does.
 
     Raises:
-        IdentificationError: if neither direction carries an estimate.
+        IdentificationError: if no direction carries an estimate.
     """
-    sides, failures, refused = [], list[str](), list[IdentificationError]()
+    if not any(record.backward or record.swing for record in records):
+        return Measurement([evaluate(records, rig, as_source)])
+    found, refused = Measurement([]), list[IdentificationError]()
     for way, name in enumerate(WAYS):
         ramps = [record for record in records if not record.swing and record.backward is bool(way)]
         try:
-            sides.append(evaluate(ramps, rig, way=name))
+            found.sides.append(evaluate(ramps, rig, way=name))
         except IdentificationError as error:
             refused.append(error)
-            failures.append(f"{name}: {error}")
-    if not sides:
+            found.failures.append(f"{name}: {error}")
+    if not found.sides:
         raise refused[0]
-    differences, swings, kept = {}, {}, dict[str, list[RampRecord]]()
-    parts = [dict(side.parts) for side in sides]
+    parts = found.parts
     for load, loaded in (("no-load", False), ("loaded", True)):
-        both = [part[f"{load} {name}"] for part, name in zip(parts, WAYS, strict=False) if f"{load} {name}" in part]
+        both = [parts[f"{load} {way}"].best for way in WAYS if f"{load} {way}" in parts]
         if len(both) == len(WAYS):
-            differences[load] = difference(both[0].best, both[1].best, rig.scale_uncertainty)
+            found.differences[load] = difference(both[0], both[1], rig.scale_uncertainty)
         chosen = [record for record in records if record.swing and record.loaded is loaded]
         if chosen:
-            kept[load] = chosen
+            found.records[load] = chosen
             try:
-                swings[load] = identify_swings(chosen, rig.scale_uncertainty)
+                found.swings[load] = identify_swings(chosen, rig.scale_uncertainty)
             except IdentificationError as error:
-                failures.append(f"{load}, through zero: {error}")
-    return TwoWayResult(sides, differences, swings, kept, tuple(failures))
+                found.failures.append(f"{load}, through zero: {error}")
+    return found

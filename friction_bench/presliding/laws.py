@@ -1,8 +1,8 @@
 """Five laws of friction that may explain loops, and which of them the readings ask for.
 
 The motion is the input and the torque the prediction, as the laws themselves have it, so that no simulation runs away
-from a small error. Between two readings the velocity is taken as constant, and the steps are those of the emulated
-plant (rx90_common/friction), which are exact for that. A law without bristles lets nothing move below the static
+from a small error. Between two readings the velocity is taken as constant, and the bristles follow it by the steps of
+rx90_common/friction, which are exact for that. A law without bristles lets nothing move below the static
 torque: where a step of torque moves the joint by a count, it predicts the sliding torque.
 
 The choice is by cross-validation over whole blocks: each law is fitted to all blocks but some and predicts those.
@@ -30,13 +30,12 @@ from friction_bench.presliding.sliding import (
     SlidingReadings,
     fit_sliding_friction,
 )
-from friction_bench.rig.plant import RigJoint, friction_over, joint_record, start
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.held_out import HeldOutErrors, leave_out
 from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip
-from rx90_common.kernels.compiled import kernel
+from rx90_common.friction.tracing import prescribed_torque
 
 SIGNIFICANCE = 0.01
 MIN_EXCESS = 0.1
@@ -91,16 +90,6 @@ def settled(counts: Array) -> Array:
     return middle
 
 
-@kernel
-def torque_along(joint: RigJoint, angle: NDArray[np.float64], tick: float) -> NDArray[np.float64]:
-    """Return the mean friction torque over the tick before each reading, Nm, and 0 for the first, shape (n,)."""
-    torque, z = np.zeros(angle.size), 0.0
-    for k in range(1, angle.size):
-        velocity = (angle[k] - angle[k - 1]) / tick
-        z, torque[k] = friction_over(joint, z, angle[k], velocity, tick)
-    return torque
-
-
 @dataclass(frozen=True)
 class FrictionLaw:
     """A law with what it has free in presliding.
@@ -131,10 +120,11 @@ class FrictionLaw:
                 still = np.clip(block.torque, -back, static)
                 found.append(np.where(moved == 0.0, still, np.where(moved > 0.0, static, -back)))
             return found
-        joint, found = joint_record(self.element(values, sliding), 1.0, blocks[0].tick, 0), []
+        element, found = self.element(values, sliding), []
         for block in blocks:
-            start(joint)
-            found.append(np.asarray(torque_along(joint, block.angle, block.tick)[block.readings]))
+            velocity = np.diff(block.angle)[:, None] / block.tick
+            torque = prescribed_torque((element,), velocity, np.full(velocity.size, block.tick))
+            found.append(torque[block.readings - 1, 0])
         return found
 
     def element(self, values: Sequence[float], sliding: SlidingFriction) -> FrictionElement:

@@ -41,6 +41,8 @@ HELLO_PERIOD = 0.25
 RETRY_PERIOD = 0.06
 """A command whose report did not come is repeated after this time, s, with the same sequence number."""
 COMMAND_TIMEOUT = 1.0
+GREETING_TIMEOUT = 3.0
+"""Time within which a rig answers a greeting, s: one that has just been switched on, too."""
 
 
 class Port(Protocol):
@@ -169,9 +171,9 @@ class RigClient:
     def _stop_sequence(self) -> int:
         return STOP_SEQUENCES[self.stops % len(STOP_SEQUENCES)]
 
-    def _frames(self, timeout: float) -> list[Frame]:
-        """Return the frames that came within `timeout` seconds; raise RigLostError after a silence."""
-        frames = self._decoder.feed(self.port.read(timeout))
+    def _frames(self) -> list[Frame]:
+        """Return the frames that came within a heartbeat's time; raise RigLostError after a silence."""
+        frames = self._decoder.feed(self.port.read(HEARTBEAT))
         before, self._read_at = self._read_at, self.port.now()
         self._listened += min(self._read_at - before, _LONGEST_LISTENING)
         if frames:
@@ -180,24 +182,24 @@ class RigClient:
             raise RigLostError(f"the rig has not reported for {SILENCE} s")
         return frames
 
-    def connect(self, timeout: float = 3.0) -> HelloReply:
+    def connect(self) -> HelloReply:
         """Greet the rig until it answers; afterwards it is disarmed, and faults stay latched.
 
         Raises:
-            RigLostError: if it does not answer within `timeout` seconds.
+            RigLostError: if it does not answer.
             RigRefusedError: if it speaks another protocol version.
             RigInputError: if it was built for other figures than the rig file's.
         """
         self.hello = self.last = None
         self.stopping = False  # HELLO takes the torque away too, and is repeated until it is answered
-        end = self._listened + timeout
+        end = self._listened + GREETING_TIMEOUT
         greet_at = self.port.now()
         while self._listened < end:
             if self.port.now() >= greet_at:
                 self._send(Command.HELLO, PROTOCOL_VERSION)
                 greet_at = self.port.now() + HELLO_PERIOD
             self._heard_at = self._listened
-            for frame in self._frames(HEARTBEAT):
+            for frame in self._frames():
                 hello = parse_hello(frame)
                 if hello is not None and frame.sequence == self._sequence:
                     if hello.version != PROTOCOL_VERSION:
@@ -206,10 +208,10 @@ class RigClient:
                     self.rig.check(hello)
                     self.hello = hello
                     return hello
-        raise RigLostError(f"no rig answers within {timeout:g} s")
+        raise RigLostError(f"no rig answers within {GREETING_TIMEOUT:g} s")
 
-    def pump(self, timeout: float = HEARTBEAT) -> list[Sample]:
-        """Send the heartbeat or stop that is due and return the readings that came within `timeout` seconds.
+    def pump(self) -> list[Sample]:
+        """Send the heartbeat or stop that is due and return the readings that came within a heartbeat's time.
 
         Raises:
             RigLostError: if the rig has been silent for too long.
@@ -220,10 +222,10 @@ class RigClient:
                 self._write_stop()
             elif self.beating:
                 self._send(Command.BEAT)
-        return self._samples(timeout)
+        return self._samples()
 
-    def _samples(self, timeout: float) -> list[Sample]:
-        reports = map(parse_report, self._frames(timeout))
+    def _samples(self) -> list[Sample]:
+        reports = map(parse_report, self._frames())
         return [self._sample(report) for report in reports if report is not None]
 
     def _sample(self, report: Report) -> Sample:
@@ -261,7 +263,7 @@ class RigClient:
             if self.port.now() >= retry_at or self.stops != self.known_stops:
                 self._send_unless_stopped(message, command)
                 retry_at = self.port.now() + RETRY_PERIOD
-            came = self._samples(HEARTBEAT)
+            came = self._samples()
             samples += came  # all of them: what came behind the answer would count as lost
             answer = next((s.report for s in came if s.report.ack_sequence == sequence), None)
             if answer is not None:

@@ -75,14 +75,8 @@ def cobs_decode(data: bytes) -> bytes | None:
 
 
 def encode(frame: Frame) -> bytes:
-    """Return the bytes of `frame` on the line, delimiter included.
-
-    Raises:
-        ValueError: if the payload is too long.
-    """
+    """Return the bytes of `frame`, whose payload is no longer than MAX_DECODED - 4, on the line, delimiter included."""
     body = bytes([frame.type, frame.sequence]) + frame.payload
-    if len(body) + 2 > MAX_DECODED:
-        raise ValueError(f"payload of {len(frame.payload)} bytes; accepted: at most {MAX_DECODED - 4}")
     return cobs_encode(body + crc16(body).to_bytes(2, "little")) + b"\0"
 
 

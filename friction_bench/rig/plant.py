@@ -130,21 +130,6 @@ def start(joint: RigJoint) -> None:
 
 
 @kernel
-def friction_over(joint: RigJoint, z: float, angle: float, velocity: float, step: float) -> tuple[float, float]:
-    """Advance the joint's bristles for a velocity that is held; angle, rad, and velocity, rad/s, of the joint.
-
-    Returns:
-        The new deflection, rad, and the mean friction torque, Nm.
-    """
-    state = joint.state[0]
-    lanes = 0.0 * load(state.transmitted, 1)
-    new, torque = parts_step(
-        joint.element[0], joint.parts[0], state, lanes + z, lanes + angle, lanes + velocity, step, 1
-    )
-    return lane(new, 0), lane(torque, 0)
-
-
-@kernel
 def turn_with_joint(
     motion: tuple[float, float, float],
     torque: float,
@@ -166,14 +151,16 @@ def turn_with_joint(
     """
     angle, speed, z = motion
     ratio, efficiency, load_inertia = gear
-    step, state = dt / BRISTLE_STEPS, joint.state[0]
+    step, element, parts, state = dt / BRISTLE_STEPS, joint.element[0], joint.parts[0], joint.state[0]
+    still = 0.0 * load(state.transmitted, 1)
     for _ in range(BRISTLE_STEPS):
-        z, friction = friction_over(joint, z, angle / ratio, speed / ratio, step)
-        before = speed
-        angle, speed = turn(angle, speed, torque - friction / (ratio * efficiency), shaft, step)
+        of_joint = still + angle / ratio, still + speed / ratio
+        bent, friction = parts_step(element, parts, state, still + z, of_joint[0], of_joint[1], step, 1)
+        z, before = lane(bent, 0), speed
+        angle, speed = turn(angle, speed, torque - lane(friction, 0) / (ratio * efficiency), shaft, step)
         state.transmitted[0] = load_inertia * (speed - before) / (ratio * step)
-        advance_load(joint.parts[0].load, state, load(state.transmitted, 1), step, 1)
-    advance_scatter(joint.parts[0].scatter, state)
+        advance_load(parts.load, state, load(state.transmitted, 1), step, 1)
+    advance_scatter(parts.scatter, state)
     return angle, speed, z
 
 

@@ -8,7 +8,7 @@ from rx90_common.base.errors import DONE, ConfigError
 from rx90_common.base.quoting import plain
 from rx90_common.base.share import SHIPPED_RIG
 from rx90_emulator.cli import node
-from rx90_emulator.cli.options import add_verbs, new_file, whole_number
+from rx90_emulator.cli.options import BAUD, add_verbs, new_file
 
 BOARDS = ("8051", "nano")
 
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_check(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="the torque is off")
     parser.add_argument("--port", required=True, help="serial device or URL")
-    parser.add_argument("--baud", type=whole_number, help="line rate (the rig file's)")
+    parser.add_argument("--baud", type=BAUD, help="line rate (the rig file's)")
     parser.add_argument("--rig", default=SHIPPED_RIG, metavar="FILE", help="rig file (%(default)s)")
     parser.add_argument("--board", choices=BOARDS, help="whose points are measured (the one of the processor)")
     parser.add_argument("--output", type=new_file, metavar="FILE", help="new YAML file of what was found")

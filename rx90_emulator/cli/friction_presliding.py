@@ -6,7 +6,7 @@ import argparse
 
 from friction_bench.presliding import KINDS, USUAL_BLOCKS, USUAL_CYCLES
 from rx90_common.base.share import PRESLIDING_RIG
-from rx90_emulator.cli.options import add_rig_arguments, whole_number
+from rx90_emulator.cli.options import add_rig_arguments, whole_from
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,8 +16,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--kinds", nargs="+", choices=KINDS, metavar="KIND",
         help=f"experiments after the ramps: {', '.join(KINDS)} (default: all)",
     )  # fmt: skip
-    parser.add_argument("--blocks", type=whole_number, help=f"blocks of loops (default: {USUAL_BLOCKS})")
-    parser.add_argument("--cycles", type=whole_number, help=f"small cycles of the drift (default: {USUAL_CYCLES})")
+    parser.add_argument("--blocks", type=whole_from(6, 100), help=f"blocks of loops (default: {USUAL_BLOCKS})")
+    parser.add_argument(
+        "--cycles", type=whole_from(100, 100_000), help=f"small cycles of the drift (default: {USUAL_CYCLES})"
+    )
     add_rig_arguments(parser, PRESLIDING_RIG, "out/presliding")
 
 

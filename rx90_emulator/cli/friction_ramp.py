@@ -6,7 +6,7 @@ import argparse
 
 from friction_bench.experiment.record import TEXT_KINDS, VELOCITIES
 from rx90_common.base.share import SHIPPED_RIG
-from rx90_emulator.cli.options import FINITE, add_rig_arguments, add_robot_argument, whole_number
+from rx90_emulator.cli.options import FINITE, add_rig_arguments, add_robot_argument, whole_from
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--slopes", type=FINITE, nargs="+", metavar="M", help="slopes, Nm/s (default: by the first ramp)"
     )
-    parser.add_argument("--repeats", type=whole_number, help="ramps of each slope (default: by the first ramp)")
+    parser.add_argument("--repeats", type=whole_from(1, 1000), help="ramps of each slope (default: by the first ramp)")
     parser.add_argument("--end-torque", type=FINITE, help="end of each ramp, Nm at the motor")
     parser.add_argument(
         "--load", choices=("none", "joint", "both"), default="both", help="joint coupled? (default: %(default)s)"

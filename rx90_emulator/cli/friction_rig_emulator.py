@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.process.interrupts import stop_request
-from rx90_emulator.cli.options import whole_number
+from rx90_emulator.cli.options import SEED
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", default=SHIPPED_RIG, help="rig file (%(default)s)")
     parser.add_argument("--link", type=Path, help="symbolic link to make to the pseudo-terminal")
     parser.add_argument("--loaded", action="store_true", help="couple the revolute joint")
-    parser.add_argument("--seed", type=whole_number, default=0, help="of all noise (%(default)s)")
+    parser.add_argument("--seed", type=SEED, default=0, help="of all noise (%(default)s)")
 
 
 def main(options: argparse.Namespace) -> None:
@@ -29,8 +28,6 @@ def main(options: argparse.Namespace) -> None:
     from friction_bench.rig.emulated import EmulatedRig, PtyRig
     from friction_bench.rig.rig_file import load_rig
 
-    if not 0 <= options.seed < 2**31:
-        raise ConfigError(f"--seed is {options.seed}; accepted: 0 to {2**31 - 1}")
     rig = load_rig(resolve_config(options.rig))
     emulated = EmulatedRig(rig, options.seed)
     emulated.plant.load(options.loaded)

@@ -109,7 +109,15 @@ def whole_number(text: str, low: float = -math.inf, high: float = math.inf, acce
     raise argparse.ArgumentTypeError(f"{quoted(text)}; accepted: {accepted}")
 
 
-_PORT = partial(whole_number, low=0, high=65535, accepted="a whole number from 0 to 65535")
+def whole_from(low: int, high: int) -> Callable[[str], int]:
+    """Return a type for argparse: whole numbers from the one to the other."""
+    return partial(whole_number, low=low, high=high, accepted=f"a whole number from {low} to {high}")
+
+
+_PORT = whole_from(0, 65535)
+BAUD = whole_from(1200, 1_000_000)
+SEED = whole_from(0, 2**31 - 1)
+"""Of an emulated rig."""
 
 
 def place(text: str) -> Path:
@@ -221,10 +229,10 @@ def add_rig_arguments(parser: argparse.ArgumentParser, rig: str, output: str) ->
     """Add the options of a command that measures on a friction rig: where it is, its file, where results go."""
     parser.set_defaults(interrupted="the rig is switched off")
     parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
-    parser.add_argument("--baud", type=whole_number, help="line rate (default: the rig file's)")
+    parser.add_argument("--baud", type=BAUD, help="line rate (default: the rig file's)")
     parser.add_argument("--rig", default=rig, help="rig file (default: %(default)s)")
     parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
-    parser.add_argument("--seed", type=whole_number, help="of the emulated rig's noise (0)")
+    parser.add_argument("--seed", type=SEED, help="of the emulated rig's noise (0)")
     parser.add_argument("--real-time", action="store_true", help="run the emulated rig in real time")
     parser.add_argument("--output", type=new_folder, default=output, help="new folder for bag and report")
 

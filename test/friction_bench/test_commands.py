@@ -20,7 +20,7 @@ import pytest
 import yaml
 from launch_stub import arguments as launch_arguments
 from launch_stub import build, ending, parameters
-from rig_bench import greeted
+from rig_bench import greeted, rig_file_with
 from schema_faults import schema_faults
 from scipy.integrate import solve_ivp
 
@@ -97,20 +97,8 @@ def test_bag_holds_every_reading(ramps: Path) -> None:
     assert commands.effort.max() <= 0.18
 
 
-def test_recorded_ramps_evaluate_to_the_same(ramps: Path, tmp_path: Path) -> None:
-    """The CSV files that a measurement leaves give the same f_c as the measurement."""
-    words = []
-    for file in sorted(ramps.glob("ramp_*.csv")):
-        label, _, slope = file.read_text().splitlines()[0][2:].rpartition(", slope ")
-        option = "--loaded-file" if label.startswith("loaded") else "--no-load-file"
-        words += [option, f"{float(slope.removesuffix(' Nm/s'))!r}:{file}"]
-    assert run("friction_ramp", [*words, "--output", str(tmp_path / "again")]) == 0
-    again, before = (estimates(out)["loaded"]["exact, by covariance"] for out in (tmp_path / "again", ramps))
-    assert again["coulomb"]["value"] == pytest.approx(before["coulomb"]["value"])
-
-
-def test_ramps_carry_the_calibration_of_the_rig_file_into_their_estimates(ramps: Path, tmp_path: Path) -> None:
-    """The same ramps with `scale_uncertainty` 0.05 in place of 0: the same values, and variances larger by (5 %)².
+def test_recorded_ramps_evaluate_to_the_same_whatever_the_calibration(ramps: Path, tmp_path: Path) -> None:
+    """The CSV files that a measurement leaves give its values; `scale_uncertainty` 0.05 adds (5 %)² to each variance.
 
     Of each load the exact fit's f_c, f_v and J; of the joint, their difference, f_c and f_v at the motor's side.
     """
@@ -119,15 +107,15 @@ def test_ramps_carry_the_calibration_of_the_rig_file_into_their_estimates(ramps:
         label, _, slope = file.read_text().splitlines()[0][2:].rpartition(", slope ")
         option = "--loaded-file" if label.startswith("loaded") else "--no-load-file"
         words += [option, f"{float(slope.removesuffix(' Nm/s'))!r}:{file}"]
-    shipped = config_path(SHIPPED_RIG).read_text()
-    assert shipped.count("scale_uncertainty: 0.003") == 1
     for scale in (0.0, 0.05):
-        (tmp_path / f"{scale}.yaml").write_text(shipped.replace("ty: 0.003", f"ty: {scale}"))
+        file = rig_file_with(tmp_path, SHIPPED_RIG, {"scale_uncertainty: 0.003": f"scale_uncertainty: {scale}"})
         out = tmp_path / f"out_{scale}"
-        assert run("friction_ramp", [*words, "--rig", str(tmp_path / f"{scale}.yaml"), "--output", str(out)]) == 0
+        assert run("friction_ramp", [*words, "--rig", str(file), "--output", str(out)]) == 0
         written = estimates(out)
         exact = {load: written[load]["exact, by covariance"] for load in ("no-load", "loaded")}
         found[scale] = [*exact["no-load"].values(), *exact["loaded"].values(), *written["joint"]["motor_side"].values()]
+        measured = estimates(ramps)["loaded"]["exact, by covariance"]["coulomb"]["value"]
+        assert exact["loaded"]["coulomb"]["value"] == pytest.approx(measured)
     assert len(found[0.0]) == 8
     for without, with_scale in zip(found[0.0], found[0.05], strict=True):
         assert with_scale["value"] == without["value"]
@@ -141,9 +129,9 @@ def test_ramps_carry_the_calibration_of_the_rig_file_into_their_estimates(ramps:
     ("words", "message"),
     [
         ("friction_ramp --slopes 99", "slope 99 Nm/s; accepted"),
-        ("friction_ramp --repeats 1001", "--repeats is 1001; accepted: 1 to 1000"),
-        ("friction_ramp --seed -1", "--seed is -1; accepted: 0 to"),
-        ("friction_ramp --baud 0", "--baud is 0; accepted: 1200 to 1000000"),
+        ("friction_ramp --repeats 1001", "argument --repeats: '1001'; accepted: a whole number from 1 to 1000"),
+        ("friction_ramp --seed -1", "argument --seed: '-1'; accepted: a whole number from 0 to 2147483647"),
+        ("friction_ramp --baud 0", "argument --baud: '0'; accepted: a whole number from 1200 to 1000000"),
         ("friction_ramp --slopes nan", "argument --slopes: 'nan'; accepted: a finite number"),
         ("friction_ramp --slopes 0.1 0.05 0.1", "--slopes has 0.1 twice; accepted: each slope once"),
         ("friction_ramp --end-torque 0.5", "--end-torque is 0.5"),
@@ -160,24 +148,39 @@ def test_ramps_carry_the_calibration_of_the_rig_file_into_their_estimates(ramps:
         ("friction_ramp --no-load-file 0.1", "accepted: slope:file"),
         ("friction_ramp --no-load-file nan:ramp.csv", "accepted: slope:file"),
         ("friction_ramp --element joint_9 --load none", "--element is 'joint_9'"),
+        ("friction_ramp --source --slopes 0.5", "--slopes with --source; accepted: the rig file's"),
+        (
+            "friction_ramp --source --rig rig/bipolar.yaml",
+            "--source on bipolar.yaml, a bipolar rig; accepted: a un",
+        ),
         ("friction_presliding --rig rig/gm8224_lugre.yaml", "counts_down is false"),
-        ("friction_presliding --cycles 5", "--cycles is 5; accepted: 100 to 100000"),
-        ("friction_presliding --blocks 2", "--blocks is 2; accepted: 6 to 100"),
+        ("friction_presliding --cycles 5", "argument --cycles: '5'; accepted: a whole number from 100 to 100000"),
+        ("friction_presliding --blocks 2", "argument --blocks: '2'; accepted: a whole number from 6 to 100"),
         ("friction_presliding --blocks 6 --kinds drift", "--blocks 6 without loops; accepted: with --kinds loops"),
-        ("friction_rig_emulator --seed -1", "--seed is -1; accepted: 0 to 2147483647"),
+        ("friction_rig_emulator --seed -1", "argument --seed: '-1'; accepted: a whole number from 0 to 2147483647"),
         ("friction_rig_emulator --rig nothing.yaml", "no file 'nothing.yaml'"),
         ("friction_rig_emulator --link /dev/null", "/dev/null: cannot point to the emulated rig"),
         ("friction_rig_emulator --link /proc/rig", "/proc/rig: cannot point to the emulated rig"),
+        ("friction_bench check", "the following arguments are required: --port"),
+        ("friction_bench check --port nonsense://x", "nonsense://x: cannot be opened"),
+        (
+            "friction_bench check --port x --baud 5",
+            "argument --baud: '5'; accepted: a whole number from 1200",
+        ),
+        ("friction_bench check --port x --rig nothing.yaml", "no file 'nothing.yaml'"),
+        ("friction_bench check --port x --board uno", "invalid choice: 'uno'"),
+        ("friction_bench check --port x --ros-args -p seed:=1", "--ros-args -p seed:=1 with check; accepted: with the"),
+        ("friction_bench chek", "invalid choice: 'chek'"),
     ],
 )
 def test_mistakes_get_one_line(words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A user's mistake is answered by one line and exit code 2, and nothing is written."""
     command, *options = words.split()
-    output = [] if command == "friction_rig_emulator" else ["--output", str(tmp_path / "out")]
+    output = ["--output", str(tmp_path / "out")] if command in {"friction_ramp", "friction_presliding"} else []
     assert run(command, [*output, *options]) == 2
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in error
-    assert error.startswith(f"{command}: ")
+    assert re.match(rf"{command}(?: check)?: ", error)
     assert not (tmp_path / "out").exists() or "no break-away" in message
 
 
@@ -316,19 +319,11 @@ def test_latched_fault_is_named_and_cleared_by_option(
     assert run("friction_ramp", [*words, str(tmp_path / "b"), "--clear"]) == 0
 
 
-def rig_file(folder: Path, old: str = "omega_d: 0.05}", new: str = "omega_d: 0.05}") -> Path:
-    """Return the shipped rig file that sees presliding with a text replaced."""
-    text = config_path(PRESLIDING_RIG).read_text()
-    assert text.count(old) == 1
-    (folder / "rig.yaml").write_text(text.replace(old, new))
-    return folder / "rig.yaml"
-
-
 @pytest.fixture(scope="module", params=list(BRISTLES))
 def measured(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
     """Return law and folder of a measurement of presliding."""
     folder = tmp_path_factory.mktemp("presliding")
-    file = rig_file(folder, new=f"omega_d: 0.05{BRISTLES[request.param]}}}")
+    file = rig_file_with(folder, PRESLIDING_RIG, {"omega_d: 0.05}": f"omega_d: 0.05{BRISTLES[request.param]}}}"})
     words = ["--rig", str(file), *QUICK_PRESLIDING, "--output", str(folder / "run")]
     assert run("friction_presliding", words) == (0 if request.param == "LuGre" else 1)
     return request.param, folder / "run"
@@ -476,7 +471,7 @@ def test_a_joint_beyond_the_rigs_codes_gets_a_report_that_says_so(
 ) -> None:
     """Where the motor cannot break the joint away, or a code does, page and estimates say so; the exit code is 1."""
     monkeypatch.setattr(presliding_job, "RATES", (rate,))
-    file, out = rig_file(tmp_path, "tau_c: 2.0, tau_s: 2.5", torques), tmp_path / "run"
+    file, out = rig_file_with(tmp_path, PRESLIDING_RIG, {"tau_c: 2.0, tau_s: 2.5": torques}), tmp_path / "run"
     assert run("friction_presliding", ["--rig", str(file), "--kinds", "drift", "--output", str(out)]) == 1
     found, page = estimates(out), (out / "report.html").read_text()
     assert reason in found["not_used"][0]

@@ -359,21 +359,18 @@ def test_the_commands_staircase_does_not_bend_the_asymptote(rig: Rig) -> None:
     assert fit_asymptote(record, 0.1).a == pytest.approx(record.slope / 1e-3, rel=5e-5)
 
 
-def test_one_slope_gives_the_source_formula_alone(rig: Rig) -> None:
-    """With one slope there is no inertia, no exact value, and the best is the source's."""
-    found = identify_ramps(measure(rig, 3, 2, (0.02,)), rig.scale_uncertainty)
-    assert found.exact is None
-    assert found.best is found.source
-    assert found.source.inertia is None
-
-
 @pytest.mark.parametrize("loaded", [False, True])
 def test_one_ramp_gives_viscous_friction_within_two_per_cent(rig: Rig, loaded: bool) -> None:
-    """One ramp's m / a is f_v, without and with load: the source's fall by 13 % is no matter of single ramps."""
+    """One ramp's m / a is f_v, without and with load: the source's fall by 13 % is no matter of single ramps.
+
+    With one slope there is no inertia and no exact value, and the best is the source's.
+    """
     truth = shaft_of(rig, loaded).viscous
     for seed, slope in itertools.product(range(3), (0.02, 0.05)):
         found = identify_ramps(measure(rig, seed, 1, (slope,), 0.155, loaded), 0.0)
         assert found.best.viscous.value == pytest.approx(truth, rel=0.02)
+        assert (found.exact, found.source.inertia) == (None, None)
+        assert found.best is found.source
 
 
 def test_break_away_torque_is_found(rig: Rig) -> None:

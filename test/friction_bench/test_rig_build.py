@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rig_conformance import Player
+from rig_conformance import Player, armed
 
-from friction_bench.experiment.findings import BIPOLAR_BOARDS, BOARDS
+from friction_bench.experiment.dialogue import BIPOLAR_BOARDS, BOARDS
 from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort
 from friction_bench.rig.messages import CommandResult
 from friction_bench.rig.plant import RigPlant, Shaft, turn
@@ -97,83 +97,57 @@ def make(target: str, folder: Path, defines: str) -> subprocess.CompletedProcess
 
 
 def test_a_library_made_with_other_figures_follows_them(tmp_path: Path) -> None:
-    """Made with another torque limit and scale, the firmware greets with both, obeys code 100 and refuses 101."""
-    done = make("native", tmp_path, "-DTORQUE_LIMIT_CODE=100u -DDAC_FULL_SCALE=30000u -DWATCHDOG_TICKS=20u")
-    assert done.returncode == 0, done.stderr
-    player = Player(NativeBoard(library=tmp_path / "librig_native.so"))
-    player.do_greet(None)
-    assert player.hello is not None
-    assert (player.hello.torque_limit_code, player.hello.watchdog_ticks) == (100, 20)
-    assert player.hello.dac_full_scale == pytest.approx(0.3)
-    player.do_send("arm")
-    player.do_beat(60)
-    player.do_send({"torque": 100})
-    player.do_beat(60)
-    assert (player.board.dac, player.reports[-1].result) == (100, CommandResult.OK)
-    player.do_send({"torque": 101})
-    player.do_beat(60)
-    assert (player.board.dac, player.reports[-1].result) == (100, CommandResult.RANGE)
+    """Made anew with another torque limit and scale, the firmware greets with both, obeys code 100 and refuses 101.
+
+    A limit alone does not change the scale's unit; a library that was made with the same figures is left alone.
+    """
+    library, defines = tmp_path / "librig_native.so", "-DTORQUE_LIMIT_CODE=100u -DDAC_FULL_SCALE=30000u"
+    built = []
+    for figures, limit, scale in (("-DTORQUE_LIMIT_CODE=239u", 239, 0.2), (defines, 100, 0.3), (defines, 100, 0.3)):
+        done = make("native", tmp_path, figures)
+        assert done.returncode == 0, done.stderr
+        built.append(library.stat().st_mtime_ns)
+        player = armed(NativeBoard(library=library))
+        assert (player.hello.torque_limit_code, player.hello.dac_full_scale) == (limit, pytest.approx(scale))
+    assert built[0] != built[1] == built[2]
+    for code, result in ((100, CommandResult.OK), (101, CommandResult.RANGE)):
+        player.do_send({"torque": code})
+        player.do_beat(60)
+        assert (player.board.dac, player.reports[-1].result) == (100, result)
 
 
 @pytest.mark.parametrize(
-    "define",
+    ("target", "defines", "reason"),
     [
-        "TORQUE_LIMIT_CODE=241",
-        "CURRENT_LIMIT_CODE=255",
-        "WATCHDOG_TICKS=1",
-        "MAX_SPEED=0",
-        "SCALE_UNIT=50",
-        "BIPOLAR=1",
-        "BIPOLAR=2 -DCOUNTS_DOWN=1",
-        "COUNTS_DOWN=2",
-        "PULSED=2",
-        "COUNTS_PER_REV=70000",
+        *(
+            ("native", f"-D{define}", rf'#error "[^"]*{define.partition("=")[0]}[^"]*accepted')
+            for define in (
+                "TORQUE_LIMIT_CODE=241", "CURRENT_LIMIT_CODE=255", "WATCHDOG_TICKS=1", "MAX_SPEED=0", "SCALE_UNIT=50",
+                "BIPOLAR=1", "BIPOLAR=2 -DCOUNTS_DOWN=1", "COUNTS_DOWN=2", "PULSED=2", "COUNTS_PER_REV=70000",
+            )
+        ),
+        ("native", "-DTORQUE_LIMITCODE=100u", "DEFINES: TORQUE_LIMITCODE; accepted: .*TORQUE_LIMIT_CODE"),
+        *(
+            pytest.param("mcs51", defines, rf'#error "[^"]*{name}[^"]*accepted', marks=pytest.mark.firmware)
+            for name, defines in {
+                "ADC_PORT": "-DDAC_PORT=P2", "DIRECTION": "-DSTAGE_OFF=P3_3 -DCOUNTS_DOWN=1",
+                "FORWARD": "-DFORWARD=P3_4 -DBIPOLAR=1 -DCOUNTS_DOWN=1",
+                "HOLD_TICKS": "-DHOLD_TICKS=50 -DBIPOLAR=1 -DCOUNTS_DOWN=1",
+            }.items()
+        ),
     ],
-)
-def test_a_figure_out_of_range_ends_the_build_with_its_name(define: str, tmp_path: Path) -> None:
-    """A figure that the firmware could not keep is refused by the compiler with its name and what is accepted."""
-    done = make("native", tmp_path, f"-D{define}")
+)  # fmt: skip
+def test_a_figure_that_the_firmware_could_not_keep_ends_the_build(
+    target: str, defines: str, reason: str, tmp_path: Path
+) -> None:
+    """A figure out of range, a name that no source knows, or a pin for two signals is refused with what is accepted.
+
+    A misspelt name would leave the shipped limit in force, and two signals on one pin would drive against each other.
+    """
+    done = make(target, tmp_path, defines)
     assert done.returncode != 0
-    assert re.search(rf'#error "[^"]*{define.partition("=")[0]}[^"]*accepted', done.stderr)
-
-
-def test_a_misspelt_figure_ends_the_build(tmp_path: Path) -> None:
-    """A name that no source knows would leave the shipped limit in force: it is refused, with the names there are."""
-    done = make("native", tmp_path, "-DTORQUE_LIMITCODE=100u")
-    assert done.returncode != 0
-    assert re.search(r"DEFINES: TORQUE_LIMITCODE; accepted: .*TORQUE_LIMIT_CODE", done.stderr)
-    assert not list(tmp_path.iterdir())
-
-
-def test_other_figures_build_anew(tmp_path: Path) -> None:
-    """The library of a first build is replaced when the figures are others, and left alone when they are the same."""
-    library = tmp_path / "librig_native.so"
-    for defines, limit in (("", 229), ("-DTORQUE_LIMIT_CODE=100u", 100)):
-        assert make("native", tmp_path, defines).returncode == 0
-        player = Player(NativeBoard(library=library))
-        player.do_greet(None)
-        assert player.hello is not None
-        assert player.hello.torque_limit_code == limit
-    built = library.stat().st_mtime_ns
-    assert make("native", tmp_path, "-DTORQUE_LIMIT_CODE=100u").returncode == 0
-    assert library.stat().st_mtime_ns == built
-
-
-@pytest.mark.firmware
-@pytest.mark.parametrize(
-    ("defines", "name"),
-    [
-        ("-DDAC_PORT=P2", "ADC_PORT"),
-        ("-DSTAGE_OFF=P3_3 -DCOUNTS_DOWN=1", "DIRECTION"),
-        ("-DFORWARD=P3_4 -DBIPOLAR=1 -DCOUNTS_DOWN=1", "FORWARD"),
-        ("-DHOLD_TICKS=50 -DBIPOLAR=1 -DCOUNTS_DOWN=1", "HOLD_TICKS"),
-    ],
-)
-def test_a_pin_for_two_signals_ends_the_build(defines: str, name: str, tmp_path: Path) -> None:
-    """On the 8051, two signals on one pin or port, which would drive against each other, are refused by name."""
-    done = make("mcs51", tmp_path, defines)
-    assert done.returncode != 0
-    assert re.search(rf'#error "[^"]*{name}[^"]*accepted', done.stderr)
+    assert re.search(reason, done.stderr)
+    assert not list(tmp_path.glob("*.so"))
 
 
 @pytest.mark.parametrize(
@@ -190,26 +164,6 @@ def test_commands_of_the_pages_build_what_the_rig_files_ask_for(page: str, name:
     (words,) = (words for words in re.findall(r'make firmware DEFINES="([^"]*)"', text) if name in words)
     figures = {name: int(value) for name, value in re.findall(r"-D(\w+)=(\d+)u?", words)}
     assert figures == load_rig(ROOT / "config/rig" / rig_file).firmware_figures
-
-
-@pytest.mark.firmware
-def test_pins_move_in_both_binaries(tmp_path: Path) -> None:
-    """With other pins both boards' programs still build, as large as before, and are others."""
-    moved_8051 = "-DSTAGE_OFF=P3_6 -DFORWARD=P3_7"
-    assert make("all", tmp_path / "all", moved_8051).returncode == 0  # the AVR's pins have names of their own
-    pins = {
-        "mcs51": "-DSTAGE_OFF=P3_6 -DDIRECTION=P3_5 -DDAC_PORT=P2 -DADC_PORT=P1 -DCOUNTS_DOWN=1",
-        "avr": "-DSTAGE_PIN=15 -DADC_CHANNEL=6",
-    }
-    for target, defines in pins.items():
-        name = f"rig_{target}.ihx" if target == "mcs51" else "rig_avr.hex"
-        plain = "-DCOUNTS_DOWN=1" if target == "mcs51" else ""
-        for folder, figures in (("plain", plain), ("moved", defines)):
-            done = make(target, tmp_path / folder, figures)
-            assert done.returncode == 0, done.stderr
-        plain_program, moved = ((tmp_path / folder / name).read_text() for folder in ("plain", "moved"))
-        assert plain_program != moved
-        assert len(plain_program) == pytest.approx(len(moved), rel=0.01)
 
 
 LEVER = 0.1, 0.0981, 0.05
@@ -256,10 +210,7 @@ def test_known_weight_finds_the_scale_within_the_page_s_uncertainty(
 
 
 def at_torque(player: Player, code: int) -> None:
-    """Greet, arm and ask for a torque."""
-    player.do_greet(None)
-    player.do_send("arm")
-    player.do_beat(60)
+    """Ask an armed rig for a torque."""
     player.do_send({"torque": code})
     player.do_beat(60)
     assert player.reports[-1].result == CommandResult.OK
@@ -268,13 +219,15 @@ def at_torque(player: Player, code: int) -> None:
 @pytest.mark.firmware
 def test_moved_pins_of_the_8051_act_and_the_old_ones_do_not(tmp_path: Path, make_board: Callable[..., Any]) -> None:
     """In s51 the program drives DAC and stage and reads ADC and direction at the moved pins, none at the old ones."""
+    # The AVR's pins have names of their own.
+    assert make("all", tmp_path / "all", "-DSTAGE_OFF=P3_6 -DFORWARD=P3_7").returncode == 0
     defines = "-DSTAGE_OFF=P3_6 -DDIRECTION=P3_5 -DDAC_PORT=P2 -DADC_PORT=P1 -DCOUNTS_DOWN=1"
     assert make("mcs51", tmp_path, defines).returncode == 0
     board = make_board("mcs51", binary=tmp_path / "rig_mcs51.ihx")
     board.adc_port, board.dac_port, board.stage = 1, 2, 0x40
-    player = Player(board)
-    player.adc = 77
     assert board.port(3) & 0x40  # active low: off
+    player = armed(board)
+    player.adc = 77
     at_torque(player, 90)
     assert (board.port(2), board.port(1)) == (90, 0xFF)
     assert (board.port(3) & 0x40, board.port(3) & 0x10) == (0, 0x10)
@@ -303,12 +256,12 @@ def test_moved_pins_of_the_nano_act_and_the_old_ones_do_not(tmp_path: Path, make
     assert make("avr", tmp_path, "-DSTAGE_PIN=16 -DADC_CHANNEL=6").returncode == 0
     board = make_board("avr", binary=tmp_path / "rig_avr.hex")
     board.sense(6)
-    player = Player(board)
-    player.adc = 77
-    player.do_run(50)
+    Player(board).do_run(50)
     direction, port, direction_b = 0x27, 0x28, 0x24  # DDRC, PORTC, DDRB
     assert board.register(direction) & 4
     assert board.register(port) & 4  # active low: off
+    player = armed(board)
+    player.adc = 77
     at_torque(player, 90)
     assert board.register(port) & 4 == 0
     assert board.register(direction_b) & 0x10 == 0

@@ -5,19 +5,22 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 import time
 import tty
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import pytest
-from rig_bench import read_some
+from rig_bench import greeted, read_some, rig_file_with
 
 from friction_bench.experiment.asymptote import fit_asymptote
 from friction_bench.experiment.job import run_ramp
 from friction_bench.rig.client import COMMAND_TIMEOUT, STOP_SEQUENCES, RigClient, unwrap
-from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, native_library
 from friction_bench.rig.messages import (
     Command,
     Fault,
@@ -26,13 +29,17 @@ from friction_bench.rig.messages import (
     ResetCause,
     RigError,
     RigFaultError,
+    RigInputError,
     RigLostError,
     RigRefusedError,
     RigResetError,
     encode,
 )
-from friction_bench.rig.rig_file import Rig
+from friction_bench.rig.rig_file import Rig, load_rig
 from friction_bench.rig.serial_port import WRITE_TIMEOUT, SerialPort
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.share import config_path
+from rx90_common.friction.parts.bristles import ElastoPlastic
 
 
 @pytest.mark.parametrize("bits", [16, 24])
@@ -138,12 +145,58 @@ def test_host_that_stops_beating_loses_the_torque(client: RigClient, emulated: E
     assert run_ramp(client, 0.05, 0.1, False, "y").time.size > 50
 
 
-def test_wrong_rig_file_is_refused(emulated: EmulatedRig, rig: Rig) -> None:
-    """A rig whose firmware counts otherwise than the rig file is not greeted."""
-    client = RigClient(VirtualPort(emulated), replace(rig, counts_per_revolution=500))
-    with pytest.raises(RigError, match="counts_per_revolution is 500, the rig's firmware has 504"):
+@pytest.mark.parametrize(
+    ("changes", "figures", "message"),
+    [
+        ({"counts_per_revolution": 500}, {}, "counts_per_revolution is 500, the rig's firmware has 504"),
+        ({"stage": "bipolar", "counts_down": True}, {}, "stage is bipolar, the rig's firmware has unipolar"),
+        ({}, {"BIPOLAR": 1, "COUNTS_DOWN": 1}, "stage is unipolar, the rig's firmware has bipolar"),
+        ({}, {"COUNTS_DOWN": 1}, "counts_down is False, the rig's firmware has True"),
+        ({}, {"HOLD_TICKS": 50}, "ramps.hold, in ticks, is 0, the rig's firmware has 50"),
+        ({}, {"PULSED": 1}, "emulation.amplifier.off_time > 0 is False, the rig's firmware has True"),
+        ({}, {"SCALE_UNIT": 100}, "dac_full_scale is 0.2, the rig's firmware has 2.0"),
+        ({"dac_full_scale": 2.0}, {}, "dac_full_scale is 2.0, the rig's firmware has 0.2"),  # alike on the wire
+    ],
+)
+def test_a_firmware_built_for_other_figures_is_refused(
+    changes: dict[str, Any], figures: dict[str, int], message: str, rig: Rig
+) -> None:
+    """What the greeting says is compared with the rig file; the first difference is named with both values."""
+    emulated = EmulatedRig(rig, 0, NativeBoard(rig.baud, native_library(figures)))
+    client = RigClient(VirtualPort(emulated), replace(rig, **changes))
+    with pytest.raises(RigInputError, match=rf"gm8224\.yaml: {re.escape(message)}$"):
         client.connect()
     assert client.hello is None
+    assert not emulated.board.stage_on
+
+
+WARM = "{reference: 30, lowest: 0, highest: 90, start: 25, ambient: 25, capacity: 9, resistance: 1, viscous_scale: 20}"
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("bipolar", "counts_down: true\n", "", "counts_down is false; accepted with stage bipolar: true"),
+        ("bipolar", "stage: bipolar", "stage: both", "stage is 'both'; accepted: one of unipolar, bipolar"),
+        ("source", "dac_full_scale: 2.0", "dac_full_scale: 7.0",
+         "torque.dac_full_scale is 7; accepted with limit_lifted: at most 6.5535 Nm"),
+        ("gm8224_lugre", "\nemulation:\n", "\nemulation:\n  joint_spread: 0.05\n",
+         "emulation.joint_spread is 0.05; accepted: 0"),
+        ("gm8224_lugre", "omega_d: 1.0}", f"omega_d: 1.0, temperature: {WARM}}}",
+         "joint_friction.lugre.temperature: the emulated rig cannot hold this"),
+        ("gm8224_lugre", "omega_d: 1.0}", "omega_d: 1.0, bristles: {kind: elasto_plastic, break_away: 0.7}}", ""),
+    ],
+)  # fmt: skip
+def test_a_rig_file_that_describes_no_rig_is_refused(
+    file: str, old: str, new: str, message: str, tmp_path: Path
+) -> None:
+    """What does not go together is one line with the key; the joint may have other bristles than LuGre's."""
+    own = rig_file_with(tmp_path, f"rig/{file}.yaml", {old: new})
+    if message:
+        with pytest.raises(ConfigError, match=re.escape(message)):
+            load_rig(own)
+    else:
+        assert load_rig(own).plant.joint.bristles == ElastoPlastic(0.7)
 
 
 def test_interrupted_ramp_is_stopped_by_the_host(client: RigClient, emulated: EmulatedRig) -> None:
@@ -171,16 +224,19 @@ def test_interrupted_ramp_is_stopped_by_the_host(client: RigClient, emulated: Em
         assert client.last.report.fault == Fault.NONE
 
 
-@pytest.mark.parametrize("value", [0.19, 1e-5, math.nan, math.inf, -0.1])
-def test_a_ramp_beyond_the_firmware_is_refused_before_arming(
-    value: float, client: RigClient, emulated: EmulatedRig
-) -> None:
-    """An end torque or slope that the firmware would refuse is refused with what is accepted, on a rig at rest."""
-    with pytest.raises(RigError, match=r"end torque .* accepted by the firmware: 0.00078 to 0.18 Nm"):
-        run_ramp(client, 0.05, value, False, "x")
-    with pytest.raises(RigError, match=r"slope .* accepted: 0.00015 to 0.627 Nm/s"):
-        run_ramp(client, 5 * value if value > 0.1 else value, 0.15, False, "x")
-    assert not emulated.board.stage_on
+@pytest.mark.parametrize("value", [0.19, 1e-5, math.nan, math.inf, -0.1, -0.19])
+def test_a_ramp_beyond_the_firmware_is_refused_before_arming(value: float, rig: Rig) -> None:
+    """An end torque or slope that the firmware would refuse is refused with what is accepted, on a rig at rest.
+
+    A unipolar rig refuses every end torque below 0, a bipolar one those beyond its limit either way.
+    """
+    for of_rig in (rig, load_rig(config_path("rig/bipolar.yaml")))[: 1 + (abs(value) != 0.1)]:
+        client = greeted(of_rig)
+        with pytest.raises(RigError, match=r"end torque .* accepted by the firmware: 0.00078 to 0.18 Nm"):
+            run_ramp(client, 0.05, value, False, "x")
+        with pytest.raises(RigError, match=r"slope .* accepted: 0.00015 to 0.627 Nm/s"):
+            run_ramp(client, 5 * value if value > 0.1 else value, 0.15, False, "x")
+        assert not client.port.emulated.board.stage_on
 
 
 def test_stop_overtakes_a_command_under_way(client: RigClient, emulated: EmulatedRig) -> None:

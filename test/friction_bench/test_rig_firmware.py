@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import random
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rig_bench import greeted
-from rig_conformance import BIPOLAR_TRANSCRIPTS, TRANSCRIPTS, MismatchError, Player
+from rig_conformance import BIPOLAR_TRANSCRIPTS, TRANSCRIPTS, MismatchError, Player, armed
 
 from friction_bench.experiment.job import run_ramp
 from friction_bench.rig.emulated import NativeBoard, native_library
@@ -57,24 +57,6 @@ MUTANTS = {
     "loose_limits": ("core/rig.c", "distance > MAX_TRAVEL", "0"),
     "loose_speed": ("core/rig.c", "speed > MAX_SPEED", "0"),
 }
-
-
-@pytest.mark.parametrize("target", ALL)
-@pytest.mark.parametrize("transcript", TRANSCRIPTS, ids=lambda path: path.stem)
-def test_every_target_follows_the_transcript(target: str, transcript: Path, make_board: Callable[..., Any]) -> None:
-    """Native, 8051 and AVR firmware give the same answers, pins and timing in every scripted situation."""
-    Player(make_board(target)).play(transcript)
-
-
-@pytest.mark.parametrize("target", ALL)
-@pytest.mark.parametrize("transcript", BIPOLAR_TRANSCRIPTS, ids=lambda path: path.stem)
-def test_every_target_follows_the_bipolar_transcript(
-    target: str, transcript: Path, make_board: Callable[..., Any], bipolar_firmware: Callable[[str], Path]
-) -> None:
-    """Built for torque of both signs, all targets agree on torques, ramps through zero, faults and stops backward."""
-    Player(make_board(target, binary=bipolar_firmware(target))).play(transcript)
-
-
 BIPOLAR_MUTANTS = {
     "deaf direction": ("steer(frame_rx[3]);", ";"),
     "forward ramp": ("steer((frame_rx[5] & WAY_BACKWARD) != 0);", ";"),
@@ -86,22 +68,35 @@ BIPOLAR_MUTANTS = {
 }
 
 
-def noticed(board: Any, transcripts: Sequence[Path]) -> bool:
-    """Return whether a board fails a transcript, each from a reset on."""
+@pytest.mark.parametrize("target", ALL)
+@pytest.mark.parametrize(
+    "transcript", [*TRANSCRIPTS, *BIPOLAR_TRANSCRIPTS], ids=lambda path: f"{path.parent.stem}-{path.stem}"
+)
+def test_every_target_follows_the_transcript(
+    target: str, transcript: Path, make_board: Callable[..., Any], bipolar_firmware: Callable[[str], Path]
+) -> None:
+    """Native, 8051 and AVR firmware give the same answers, pins and timing in every scripted situation.
+
+    Built for torque of both signs they agree on torques, ramps through zero, faults and stops backward, too.
+    """
+    binary = bipolar_firmware(target) if transcript in BIPOLAR_TRANSCRIPTS else None
+    Player(make_board(target, binary=binary)).play(transcript)
+
+
+@pytest.mark.parametrize("name", [*MUTANTS, *BIPOLAR_MUTANTS])
+def test_transcripts_catch_the_mutant(name: str, mutant: Callable[..., Any]) -> None:
+    """A firmware with one rule of safety, or of directions, taken out fails a transcript."""
+    board, transcripts = mutant(*MUTANTS[name]) if name in MUTANTS else None, TRANSCRIPTS
+    if board is None:
+        board = mutant("core/rig.c", *BIPOLAR_MUTANTS[name], {"BIPOLAR": 1, "COUNTS_DOWN": 1})
+        transcripts = BIPOLAR_TRANSCRIPTS
     for transcript in transcripts:
         board.reset(1)
         try:
             Player(board).play(transcript)
         except MismatchError:
-            return True
-    return False
-
-
-@pytest.mark.parametrize("name", BIPOLAR_MUTANTS)
-def test_bipolar_transcripts_catch_the_mutant(name: str, mutant: Callable[..., Any]) -> None:
-    """A bipolar firmware with one rule of directions taken out fails a transcript."""
-    board = mutant("core/rig.c", *BIPOLAR_MUTANTS[name], {"BIPOLAR": 1, "COUNTS_DOWN": 1})
-    assert noticed(board, BIPOLAR_TRANSCRIPTS), f"no transcript notices the mutant {name}"
+            return
+    pytest.fail(f"no transcript notices the mutant {name}")
 
 
 @pytest.mark.firmware
@@ -110,10 +105,7 @@ def test_direction_changes_with_nothing_on_the_dac(
     target: str, make_board: Callable[..., Any], bipolar_firmware: Callable[[str], Path]
 ) -> None:
     """From +100 to -100 the direction line changes at code 0; the 8051's stage is off for 50 us before and after."""
-    player = Player(make_board(target, binary=bipolar_firmware(target)))
-    player.do_greet(None)
-    player.do_send("arm")
-    player.do_beat(55)
+    player = armed(make_board(target, binary=bipolar_firmware(target)))
     player.do_send({"torque": [100, 0]})
     player.do_beat(30)
     assert player.board.dac == 100
@@ -127,13 +119,6 @@ def test_direction_changes_with_nothing_on_the_dac(
         assert seen[changed][0] - off[0] > 50e-6
         assert off[-1] - seen[changed][0] > 50e-6
         assert off[-1] - off[0] < 300e-6
-
-
-@pytest.mark.parametrize("name", MUTANTS)
-def test_transcripts_catch_the_mutant(name: str, mutant: Callable[..., Any]) -> None:
-    """A firmware with one safety rule taken out fails at least one transcript."""
-    board = mutant(*MUTANTS[name])
-    assert noticed(board, TRANSCRIPTS), f"no transcript notices the mutant {name}"
 
 
 def test_firmware_counts_down_and_limits_travel_both_ways() -> None:
@@ -164,16 +149,15 @@ def time_at_full_scale(board: Any) -> float:
 
 
 @pytest.mark.firmware
-def test_8051_clears_the_dac_within_microseconds_of_power_up(make_board: Callable[..., Any]) -> None:
-    """The ports' reset value, a full-scale DAC, lasts less than 20 µs, and the stage is off meanwhile."""
+def test_8051_clears_the_dac_within_microseconds_of_power_up(
+    make_board: Callable[..., Any], make_mutant: Callable[..., Any]
+) -> None:
+    """The ports' reset value, a full-scale DAC, lasts less than 20 µs, and the stage is off meanwhile.
+
+    Of a binary that leaves the ports to the C start-up it lasts longer.
+    """
     assert time_at_full_scale(make_board("mcs51")) < 20e-6
-
-
-@pytest.mark.firmware
-def test_8051_without_its_early_clear_is_caught(make_mutant: Callable[..., Any]) -> None:
-    """A binary that leaves the ports to the C start-up shows a full-scale DAC for too long."""
-    board = make_mutant("mcs51", "mcs51/hal_mcs51.c", "    DAC_PORT = 0;\n", "")
-    assert time_at_full_scale(board) > 20e-6
+    assert time_at_full_scale(make_mutant("mcs51", "mcs51/hal_mcs51.c", "    DAC_PORT = 0;\n", "")) > 20e-6
 
 
 BOARD_MUTANTS = {
@@ -201,10 +185,7 @@ def test_8051_does_not_depend_on_what_ram_holds_at_power_up(make_board: Callable
     """Random RAM contents of three different seeds give the same bytes on the line."""
     transcripts = []
     for seed in (1, 2, 3):
-        player = Player(make_board("mcs51", seed))
-        player.do_greet(None)
-        player.do_send("arm")
-        player.do_beat(60)
+        player = armed(make_board("mcs51", seed))
         transcripts.append([(r.tick, r.dac, r.state, r.ack_sequence, r.result) for r in player.reports])
     assert transcripts[0] == transcripts[1] == transcripts[2]
 
@@ -244,10 +225,7 @@ def test_8051_ticks_are_exact_by_the_cycle(make_board: Callable[..., Any], firmw
 def test_random_damage_never_moves_the_rig(target: str, make_board: Callable[..., Any]) -> None:
     """Torque commands with bytes flipped, lost or doubled at random never reach the DAC of an armed rig."""
     random_ = random.Random(7)
-    player = Player(make_board(target))
-    player.do_greet(None)
-    player.do_send("arm")
-    player.do_beat(55)
+    player = armed(make_board(target))
     for number in range(400 if target == "native" else 25):
         sent = encode(Frame(Command.TORQUE, number % 100, bytes([99])))
         message = bytearray(sent)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from rig_bench import rig_file_with
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
 
@@ -17,26 +18,14 @@ from friction_bench.experiment.four_way import STICTION
 from friction_bench.experiment.job import run_ramp
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, native_library
-from friction_bench.rig.messages import RigInputError
 from friction_bench.rig.rig_file import load_rig
 from rx90_common.bags.reading import read_joint_states
-from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import SOURCE_RIG, config_path
 from rx90_emulator.cli.frame import run
 
 PUBLISHED = {"no-load": (949.5407, 227.8898, 0.1464), "loaded": (981.3603, 412.1713, 0.2310)}
 """The source's a and b, read in degrees, and f_c in Nm."""
 SPREADS = {"ramp_error: 0.02 ": "ramp_error: 0.0 ", "gain_error: 0.003": "gain_error: 0.0", "joint_spread: 0.05": ""}
-
-
-def changed(folder: Path, changes: dict[str, str]) -> Path:
-    """Return a copy of the source's rig file with some texts replaced."""
-    text = config_path(SOURCE_RIG).read_text()
-    for old, new in changes.items():
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    (folder / "own.yaml").write_text(text)
-    return folder / "own.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +79,15 @@ def test_the_four_velocities_differ_where_the_source_s_do(measured: Path) -> Non
 def test_without_spread_the_source_states_its_own_figures(tmp_path: Path, check_report: Callable[[Path], None]) -> None:
     """Where ramps do not differ, a and b are the published ones, and 0.231 - 0.147 = 0.084 Nm to a unit at the end."""
     out = tmp_path / "out"
-    words = ["--source", "--repeats", "4", "--rig", str(changed(tmp_path, SPREADS)), "--output", str(out)]
+    words = [
+        "--source",
+        "--repeats",
+        "4",
+        "--rig",
+        str(rig_file_with(tmp_path, SOURCE_RIG, SPREADS)),
+        "--output",
+        str(out),
+    ]
     assert run("friction_ramp", words) == 1
     found = by_source(out)
     for load, (a, b, coulomb) in PUBLISHED.items():
@@ -147,31 +144,3 @@ def test_stage_goes_off_for_a_moment_in_each_tick_of_a_ramp() -> None:
     ticks = sum(sample.report.dac > 0 for sample in heard)
     assert ticks == pytest.approx((1.0 + 1.0) / 0.02, abs=3)  # ramp and hold
     assert board.times == pytest.approx(ticks + 1, abs=3)
-
-
-def test_greeting_tells_this_firmware_from_the_shipped_one() -> None:
-    """The file refuses the shipped firmware, although a tenth of its scale reads alike on the wire."""
-    rig = load_rig(config_path(SOURCE_RIG))
-    with pytest.raises(RigInputError, match=r"dac_full_scale is 2\.0, the rig's firmware has 0\.2"):
-        RigClient(VirtualPort(EmulatedRig(rig, 0, NativeBoard(rig.baud))), rig).connect()
-
-
-def test_slopes_of_ones_own_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`--source` runs the rig file's slopes alone, and says so in one line before anything is written."""
-    assert run("friction_ramp", ["--source", "--slopes", "0.5", "--output", str(tmp_path / "out")]) == 2
-    assert "--slopes with --source; accepted: the rig file's" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_scale_that_the_greeting_cannot_state_is_refused(tmp_path: Path) -> None:
-    """A full scale above 6.5535 Nm is named with the largest that is accepted."""
-    with pytest.raises(ConfigError, match=r"torque\.dac_full_scale is 7; accepted with limit_lifted: at most 6\.5535"):
-        load_rig(changed(tmp_path, {"dac_full_scale: 2.0": "dac_full_scale: 7.0"}))
-
-
-def test_spread_of_a_lugre_joint_is_refused(tmp_path: Path) -> None:
-    """A LuGre joint has a scatter of its own, so `joint_spread` beside it is refused."""
-    text = config_path("rig/gm8224_lugre.yaml").read_text()
-    (tmp_path / "own.yaml").write_text(text.replace("\nemulation:\n", "\nemulation:\n  joint_spread: 0.05\n"))
-    with pytest.raises(ConfigError, match=r"emulation\.joint_spread is 0\.05; accepted: 0"):
-        load_rig(tmp_path / "own.yaml")

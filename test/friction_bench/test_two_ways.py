@@ -18,13 +18,11 @@ from friction_bench.experiment import two_way
 from friction_bench.experiment.job import SWING_TURNS, run_ramp
 from friction_bench.experiment.record import RampRecord, read_csv, write_csv
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, native_library
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.messages import (
     Answer,
     Frame,
     HelloReply,
-    RigError,
-    RigInputError,
     RigRefusedError,
     encode,
     parse_hello,
@@ -33,7 +31,6 @@ from friction_bench.rig.plant import RigPlant, Shaft, turn
 from friction_bench.rig.rig_file import JointFriction, Rig, load_rig
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path
 from rx90_emulator.cli.frame import run
 
@@ -116,36 +113,6 @@ def test_back_emf_limits_torque_with_the_motion_and_not_against_it(rig: Rig) -> 
     assert plant.motor_torque(-0.15, 1e-3) == pytest.approx(-(24.0 - 0.045 * 500.0) / 2.6 * 0.045)
 
 
-def test_a_lugre_joint_turns_round_as_scipy_integrates_it(bipolar: Rig) -> None:
-    """The shipped asymmetric LuGre joint, driven through zero in both directions, moves as equations 17 to 19 say."""
-    joint = bipolar.plant.joint
-    quiet = replace(bipolar.plant, gain_error=0.0, torque_noise=0.0, coulomb=0.0)
-    plant = RigPlant(replace(bipolar, plant=quiet), 0)
-    plant.load(True)
-    own = quiet.viscous * bipolar.gear_ratio * bipolar.joint_scale
-    inertia = quiet.load_inertia + quiet.joint_inertia + quiet.rotor_inertia * bipolar.gear_ratio * bipolar.joint_scale
-
-    def motion(_: float, state: Array, torque: float) -> list[float]:
-        _, v, z = state
-        coulomb, static = (2.0, 2.2) if v >= 0.0 else (1.7, 1.9)
-        steady = (coulomb + (static - coulomb) * math.exp(-abs(v) / 0.05)) / 4e3
-        z_dot = v - abs(v) / steady * z
-        friction = 4e3 * z + 50.0 * math.exp(-((v / 0.05) ** 2)) * z_dot + (1.0 + own) * v
-        return [v, (torque * bipolar.joint_scale - friction) / inertia, z_dot]
-
-    assert (joint.c0, joint.omega_s, joint.tau_s_negative) == (4e3, 0.05, 1.9)
-    state, found, expected = np.zeros(3), [], []
-    for torque in (0.09, -0.03, -0.09, 0.05, 0.09):  # Nm at the motor
-        for _ in range(80):
-            plant.advance(torque, 1e-3)
-        found.append(plant.angle / bipolar.gear_ratio)
-        solved = solve_ivp(motion, (0.0, 0.08), state, args=(torque,), rtol=1e-9, atol=1e-13, max_step=1e-3)
-        state = solved.y[:, -1]
-        expected.append(float(state[0]))
-    assert found == pytest.approx(expected, rel=5e-3, abs=1e-3 * float(np.ptp(expected)))
-    assert np.diff(found).min() < -1e-3
-
-
 @pytest.fixture(scope="module")
 def asymmetric(rig: Rig) -> tuple[Rig, list[RampRecord]]:
     """Return a rig with an asymmetric joint and no error of its gain, and ramps and swings of it."""
@@ -168,8 +135,8 @@ def test_friction_of_each_direction_lies_in_its_intervals(asymmetric: tuple[Rig,
     The intervals are no wider than a tenth of the differences, and no direction's holds the other direction's value.
     """
     rig, records = asymmetric
-    found = two_way.evaluate_both_ways(records, rig)
-    assert found.failures == ()
+    found = two_way.evaluate_all(records, rig)
+    assert found.failures == []
     truth = [friction_of(rig, backward) for backward in (False, True)]
     ramps = [side.parts[0][1].best for side in found.sides]
     swing = found.swings["loaded"]
@@ -185,7 +152,7 @@ def test_friction_of_each_direction_lies_in_its_intervals(asymmetric: tuple[Rig,
 
 
 def test_lag_is_the_time_to_the_friction_of_the_new_direction(asymmetric: tuple[Rig, list[RampRecord]]) -> None:
-    """A light shaft moves f_c / m after the torque's change of sign, and had stopped before it, in both directions."""
+    """A light shaft moves f_c / m after the torque's change of sign, in both directions."""
     rig, records = asymmetric
     swing = two_way.identify_swings([record for record in records if record.swing], rig.scale_uncertainty)
     assert len(swing.reversals) == 2 * SWING_TURNS
@@ -196,7 +163,7 @@ def test_lag_is_the_time_to_the_friction_of_the_new_direction(asymmetric: tuple[
         expected = friction_of(rig, backward)[0]
         assert lag.value == pytest.approx(expected / slope, abs=0.04)
         assert torque.value == pytest.approx(expected, abs=0.04 * slope)
-        assert all(one.stop < 0.0 < one.lag for one in swing.reversals)
+        assert all(one.lag > 0.0 for one in swing.reversals)
 
 
 def test_lag_of_a_heavy_shaft_is_that_of_its_inertia() -> None:
@@ -313,40 +280,6 @@ def test_whole_loops_show_the_law_of_the_joint(tmp_path: Path, check_report: Cal
     check_report(out / "report.html")
 
 
-def test_each_stage_refuses_the_other_s_firmware(rig: Rig, bipolar: Rig) -> None:
-    """A rig file of one stage refuses a firmware of the other before anything is armed, in one line that names both."""
-    shipped = EmulatedRig(rig, 0)
-    with pytest.raises(RigInputError, match=r"stage is bipolar, the rig's firmware has unipolar$"):
-        RigClient(VirtualPort(shipped), two_signs(rig)).connect()
-    assert not shipped.board.stage_on
-    other = EmulatedRig(bipolar, 0, NativeBoard(bipolar.baud, native_library(bipolar.firmware_figures)))
-    with pytest.raises(RigInputError, match=r"stage is unipolar, the rig's firmware has bipolar$"):
-        RigClient(VirtualPort(other), rig).connect()
-
-
-@pytest.mark.parametrize(
-    ("figures", "message"),
-    [
-        ({"COUNTS_DOWN": 1}, "counts_down is False, the rig's firmware has True"),
-        ({"HOLD_TICKS": 50}, "ramps.hold, in ticks, is 0, the rig's firmware has 50"),
-        ({"PULSED": 1}, "emulation.amplifier.off_time > 0 is False, the rig's firmware has True"),
-        ({"SCALE_UNIT": 100}, r"dac_full_scale is 0.2, the rig's firmware has 2.0"),
-    ],
-)
-def test_what_the_greeting_says_is_compared(rig: Rig, figures: dict[str, int], message: str) -> None:
-    """A firmware that was built otherwise than the rig file says is refused with both values."""
-    emulated = EmulatedRig(rig, 0, NativeBoard(rig.baud, native_library(figures)))
-    with pytest.raises(RigInputError, match=message):
-        RigClient(VirtualPort(emulated), rig).connect()
-
-
-def test_a_limit_code_does_not_change_the_unit_of_the_scales(rig: Rig) -> None:
-    """A firmware built with the limit code 239 alone greets with the same scale as any other."""
-    emulated = EmulatedRig(rig, 0, NativeBoard(rig.baud, native_library({"TORQUE_LIMIT_CODE": 239})))
-    hello = RigClient(VirtualPort(emulated), rig).connect()
-    assert (hello.torque_limit_code, hello.dac_full_scale) == (239, pytest.approx(0.2))
-
-
 def test_a_firmware_of_version_1_is_named(rig: Rig) -> None:
     """The shorter greeting of the protocol's first version is understood as far as its version, and refused."""
     old = bytes.fromhex("01 01 01 f801 204e 204e a861 e5 07")
@@ -361,30 +294,3 @@ def test_a_firmware_of_version_1_is_named(rig: Rig) -> None:
 
     with pytest.raises(RigRefusedError, match="speaks protocol version 1; accepted: 2"):
         RigClient(Old(EmulatedRig(rig, 0)), rig).connect()
-
-
-def test_torque_backward_takes_a_bipolar_rig(client: RigClient, bipolar: Rig) -> None:
-    """A unipolar rig refuses an end torque below 0, and a bipolar one beyond its limit either way."""
-    with pytest.raises(RigError, match=r"end torque -0\.1 Nm; accepted by the firmware: 0\.00078 to 0\.18"):
-        run_ramp(client, 0.05, -0.1, False, "x")
-    with pytest.raises(RigError, match=r"end torque -0\.19 Nm"):
-        run_ramp(greeted(bipolar), 0.05, -0.19, False, "x")
-
-
-def test_a_bipolar_rig_must_count_down(tmp_path: Path) -> None:
-    """A file with a bipolar stage and an encoder that counts up both ways is refused in one line."""
-    text = BIPOLAR_RIG.read_text(encoding="utf-8")
-    (tmp_path / "own.yaml").write_text(text.replace("counts_down: true\n", ""), encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"counts_down is false; accepted with stage bipolar: true"):
-        load_rig(tmp_path / "own.yaml")
-    (tmp_path / "own.yaml").write_text(text.replace("stage: bipolar", "stage: both"), encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"stage is 'both'; accepted: one of unipolar, bipolar"):
-        load_rig(tmp_path / "own.yaml")
-
-
-def test_the_source_s_experiment_needs_its_stage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`--source` on a bipolar rig is one line and exit code 2, before anything is written."""
-    out = tmp_path / "out"
-    assert run("friction_ramp", ["--source", "--rig", "rig/bipolar.yaml", "--output", str(out)]) == 2
-    assert "--source on bipolar.yaml, a bipolar rig; accepted: a unipolar one" in capsys.readouterr().err
-    assert not out.exists()

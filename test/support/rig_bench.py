@@ -17,9 +17,20 @@ from friction_bench.rig.link import RigLink
 from friction_bench.rig.messages import Command, FrameDecoder, ResetCause, State
 from friction_bench.rig.rig_file import Rig
 from friction_bench.rig.serial_port import SerialPort
+from rx90_common.base.share import config_path
 
 PATIENCE = 0.06
 """Silence of its host, s of its own time, that an armed rig bears before its time stands still; half the watchdog's."""
+
+
+def rig_file_with(folder: Path, shipped: str, changes: dict[str, str]) -> Path:
+    """Return a copy of a shipped rig file in which some texts, each of which stands there once, are replaced."""
+    text = config_path(shipped).read_text(encoding="utf-8")
+    for old, new in changes.items():
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    (folder / Path(shipped).name).write_text(text, encoding="utf-8")
+    return folder / Path(shipped).name
 
 
 def greeted(rig: Rig, seed: int = 1, loaded: bool = False, board: NativeBoard | None = None) -> RigClient:

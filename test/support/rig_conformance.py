@@ -41,6 +41,15 @@ def command_of(command: dict[str, Any] | str) -> tuple[Command, bytes]:
     return kind, payload_of(kind, *(value if isinstance(value, list) else [value]))
 
 
+def armed(board: Any) -> Player:
+    """Return a player of a board that has been greeted and armed."""
+    player = Player(board)
+    player.do_greet(None)
+    player.do_send("arm")
+    player.do_beat(60)
+    return player
+
+
 class Player:
     """One board and what it has said."""
 

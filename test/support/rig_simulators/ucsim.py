@@ -125,19 +125,16 @@ class UcsimBoard:
                 "step 4",
                 f"set hw port[3] {idle}",
             ]
-        lines += [
-            f"step {max(1, steps // (edges + 1))}",
-            "expr sim_ticks",
-            f"expr port{self.dac_port}_odr",
-            "expr port3_odr",
-        ]
+        self._look([*lines, f"step {max(1, steps // (edges + 1))}"])
+
+    def _look(self, lines: list[str]) -> None:
+        """Run console commands, then see what the clock, the DAC's port and P3 show."""
+        lines = [*lines, "expr sim_ticks", f"expr port{self.dac_port}_odr", "expr port3_odr"]
         *_, self._clock, self._dac, self._port3 = self._console(lines)
 
     def reset(self) -> None:
         """Pull the reset pin; uCsim's reset leaves the clock running."""
-        *_, self._clock, self._dac, self._port3 = self._console(
-            ["reset", "expr sim_ticks", f"expr port{self.dac_port}_odr", "expr port3_odr"]
-        )
+        self._look(["reset"])
         self._target = float(self._clock)
 
     def port(self, number: int) -> int:
@@ -146,9 +143,7 @@ class UcsimBoard:
 
     def instructions(self, count: int) -> None:
         """Execute single instructions, for a look at what happens within microseconds of power-up."""
-        lines = ["expr uart0_check_often=1", f"step {count}", "expr sim_ticks", f"expr port{self.dac_port}_odr"]
-        lines.append("expr port3_odr")
-        *_, self._clock, self._dac, self._port3 = self._console(lines)
+        self._look(["expr uart0_check_often=1", f"step {count}"])
         self._target = float(self._clock)
 
     def trace_until(self, done: Callable[[UcsimBoard], bool]) -> list[tuple[float, int, bool, bool]]:
