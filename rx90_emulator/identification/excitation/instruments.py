@@ -31,6 +31,7 @@ from scipy.stats import norm
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.filtering import FilteredRun
+from rx90_emulator.identification.excitation.fit import LinearFit, hac, solve
 from rx90_emulator.identification.excitation.friction import (
     FrictionSelection,
     linear_columns,
@@ -38,7 +39,6 @@ from rx90_emulator.identification.excitation.friction import (
     with_linear,
 )
 from rx90_emulator.identification.excitation.law import LINEAR
-from rx90_emulator.identification.excitation.least_squares import LinearFit, hac, solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, Motion, Prior
 
 _MAX_ROUNDS = 6

@@ -18,13 +18,13 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
 from rx90_emulator.identification.estimates import ElementEstimate, IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.excitation.bodies import Consistency
 from rx90_emulator.identification.excitation.choice import ModelRow
-from rx90_emulator.identification.excitation.consistency import Consistency
+from rx90_emulator.identification.excitation.fit import LinearFit
 from rx90_emulator.identification.excitation.friction import FrictionSelection
 from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
 from rx90_emulator.identification.excitation.known_payload import DriveGains, LoadParts
 from rx90_emulator.identification.excitation.law import overall
-from rx90_emulator.identification.excitation.least_squares import LinearFit
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.torques import (
     RunTorques,

@@ -12,7 +12,7 @@ from scipy.stats import t as student
 
 from rx90_common.base.arrays import Array, Index
 from rx90_emulator.identification.excitation.filtering import FilteredRun
-from rx90_emulator.identification.excitation.least_squares import time_blocks
+from rx90_emulator.identification.excitation.fit import time_blocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.options import ExcitationTolerances
 from rx90_emulator.identification.records import BagSource

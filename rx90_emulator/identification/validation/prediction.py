@@ -26,10 +26,8 @@ from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.tracing import prescribed_torque
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
-from rx90_emulator.identification.excitation.payload import Payload
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.excitation.recording import without_shocks
+from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record, without_shocks
+from rx90_emulator.identification.excitation.problem import ExcitationProblem, Payload
 from rx90_emulator.identification.options import (
     EMULATED,
     NO_TOLERANCES,

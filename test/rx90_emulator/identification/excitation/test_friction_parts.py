@@ -18,12 +18,20 @@ from scipy.signal import lfilter
 from benchmarks.random_arms import FrictionLaw
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.choice import PartKey, Selection, element_groups
-from rx90_emulator.identification.excitation.cross_validation import Scored, TimeBlocks, left_out
+from rx90_emulator.identification.excitation.choice import (
+    PartKey,
+    Scored,
+    Selection,
+    TimeBlocks,
+    element_groups,
+    left_out,
+)
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, fit_shapes, nonnegative
 from rx90_emulator.identification.excitation.friction import (
     FrictionSelection,
+    blur_shifts,
+    bounded_covariance,
     final_fit,
     identify_friction_parts,
     predicted_torque,
@@ -31,7 +39,6 @@ from rx90_emulator.identification.excitation.friction import (
 from rx90_emulator.identification.excitation.law import ElementMotion, ElementShape, Part, element_rows
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import simulated_elements
-from rx90_emulator.identification.excitation.unmodelled import blur_shifts, bounded_covariance
 from rx90_emulator.identification.options import MODEL_PARTS
 from rx90_emulator.identification.records import BagSource, JointRecord
 

@@ -19,11 +19,20 @@ from benchmarks.excitation_runs import NOTHING, Disturbances, FourierMotion, mea
 from benchmarks.random_arms import SyntheticArm
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.consistency import FAR, Consistency, base_information
+from rx90_emulator.identification.excitation.bodies import (
+    FAR,
+    BaseEstimate,
+    Consistency,
+    ConsistentInertias,
+    InertialPrior,
+    base_information,
+    central,
+    consistent_inertias,
+    inertial_parameters,
+    is_body,
+)
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
-from rx90_emulator.identification.excitation.least_squares import solve
-from rx90_emulator.identification.excitation.physical import BaseEstimate, ConsistentInertias, consistent_inertias
-from rx90_emulator.identification.excitation.prior import InertialPrior, central, inertial_parameters, is_body
+from rx90_emulator.identification.excitation.fit import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 Array = NDArray[np.float64]

@@ -15,10 +15,17 @@ from benchmarks.excitation_runs import NOISE, NOTHING, Disturbances, FourierMoti
 from benchmarks.random_arms import SyntheticArm
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
-from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record, least_bandwidth, smoothed_above
-from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
+from rx90_emulator.identification.excitation.filtering import (
+    Bandwidths,
+    filter_record,
+    least_bandwidth,
+    recording_notes,
+    smoothed_above,
+    without_shocks,
+)
+from rx90_emulator.identification.excitation.fit import LinearFit, solve
+from rx90_emulator.identification.excitation.identify import short_note
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.excitation.recording import recording_notes, short_note, without_shocks
 from rx90_emulator.identification.records import JointRecord
 
 ARM = plain_arm(7, 2, coupled=False)
