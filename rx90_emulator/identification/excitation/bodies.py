@@ -1,13 +1,12 @@
-"""Where the search for bodies that can exist begins: the <inertial> of the URDF, or the geometry of the arm.
+"""The links, rotors and springs that can exist nearest to identified base parameters: what the files hold.
 
-Pseudo-inertia matrices: the mass distribution of a body as one symmetric matrix of order 4.
+Where the search begins (the <inertial> of the URDF, or the geometry of the arm), the search, and what the bodies cost
+beside the base parameters. The mass distribution of a body is one symmetric matrix of order 4, its pseudo-inertia.
 
     P = [[S, h], [h^T, m]],   S = integral of r r^T = tr(I) / 2 - I,   h = m c,   I the inertia about the origin.
 
 A body of positive density exists for m, h and I if and only if P is positive definite (Wensing, Kim and Slotine 2018).
 In another frame the same body has T P T^T, with T the homogeneous transform of its old frame to the new one.
-
-The links, rotors and springs that can exist nearest to identified base parameters.
 
 With y the base parameters, K the mapping from all parameters theta to base parameters, and R^T R the information of the
 weighted rows on y, the sum
@@ -31,8 +30,6 @@ A body is kept as its Cholesky factor, P = L L^T, and a step of the search chang
 order as log-Cholesky parameters do (Rucker and Wensing 2022, "Smooth parameterization of rigid-body inertia"), but
 along a straight line in P: of sharp data some sums are known to 1e-3 and others not at all, and the valley that this
 makes is straight in P and bent in a factor's logarithms, where searches crawl along it.
-
-The bodies that the files hold: what they cost beside the base parameters, and what a reader is told of it.
 """
 
 from __future__ import annotations
@@ -44,6 +41,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
@@ -51,7 +49,6 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed, quoted
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.description.rotations import rpy_rotation
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.fit import LinearFit
 from rx90_emulator.identification.excitation.friction import FrictionSelection, linear_columns
@@ -133,48 +130,39 @@ def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], A
         IdentificationError: for a joint that the URDF does not have.
     """
     root = ET.fromstring(urdf)
-    above = {_end(joint, "child"): joint for joint in root.findall("joint")}
-    own = {str(joint.get("name")): link for link, joint in above.items()}
+    own = {
+        str(one.get("name")): child.get("link")
+        for one in root.iter("joint")
+        if (child := one.find("child")) is not None
+    }
     for name in joints:
         if name not in own:
             raise IdentificationError(f"no joint {quoted(name)} in the URDF; accepted: {listed(own)}")
-
-    def place(link: str) -> tuple[int | None, Array]:
-        """Return the joint that a link moves with, None if it does not move, and its frame in that of the joint."""
-        frame = np.eye(4)
-        while link in above:
-            if above[link].get("name") in joints:
-                return joints.index(str(above[link].get("name"))), frame
-            frame, link = _origin(above[link]) @ frame, _end(above[link], "parent")
-        return None, frame
-
-    bodies = []
+    model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
+    held = [k for k in range(1, model.njoints) if model.names[k] not in joints]
+    model = pin.buildReducedModel(model, held, pin.neutral(model))
+    number = [joints.index(name) if name in joints else -1 for name in model.names]
+    bodies, places = [], list(zip(model.parents, model.jointPlacements, strict=True))
     for element in root.findall("link"):
-        link, inertial = element.get("name", ""), element.find("inertial")
-        joint, frame = place(link)
-        if joint is not None:
+        frame, inertial = (
+            model.frames[model.getFrameId(element.get("name", ""), pin.FrameType.BODY)],
+            element.find("inertial"),
+        )
+        places.append((frame.parentJoint, frame.placement))
+        if frame.parentJoint:
             pseudo = np.zeros((4, 4))
             if inertial is not None:
                 mass, inertia = inertial.find("mass"), inertial.find("inertia")
                 weight = 0.0 if mass is None else float(mass.get("value", "0"))
                 moments = [0.0 if inertia is None else float(inertia.get(key, "0")) for key in _URDF_MOMENTS]
-                to_joint = frame @ _origin(inertial)
+                to_joint = frame.placement.homogeneous @ _origin(inertial)
                 pseudo = to_joint @ _about_center(weight, np.zeros(3), np.reshape(moments, (3, 3))) @ to_joint.T
-            bodies.append(MovingBody(link, joint, frame, pseudo))
+            bodies.append(MovingBody(frame.name, number[frame.parentJoint], frame.placement.homogeneous, pseudo))
     ends = np.zeros((len(joints), 3))
-    for link, joint_above in above.items():
-        joint, frame = place(link)
-        if joint_above.get("name") in joints:
-            joint, frame = place(_end(joint_above, "parent"))
-            frame = frame @ _origin(joint_above)
-        if joint is not None and np.linalg.norm(frame[:3, 3]) > np.linalg.norm(ends[joint]):
-            ends[joint] = frame[:3, 3]
+    for joint, place in places:
+        if joint and np.linalg.norm(place.translation) > np.linalg.norm(ends[number[joint]]):
+            ends[number[joint]] = place.translation
     return sorted(bodies, key=lambda body: (body.joint, body.link != own[joints[body.joint]])), ends
-
-
-def _end(joint: ET.Element, end: str) -> str:
-    element = joint.find(end)
-    return "" if element is None else element.get("link", "")
 
 
 def _origin(parent: ET.Element) -> Array:
@@ -182,9 +170,7 @@ def _origin(parent: ET.Element) -> Array:
     origin = parent.find("origin")
     given = {} if origin is None else origin.attrib
     xyz, rpy = ([float(word) for word in given.get(key, "0 0 0").split()] for key in ("xyz", "rpy"))
-    transform = np.eye(4)
-    transform[:3, :3], transform[:3, 3] = rpy_rotation(rpy), xyz
-    return transform
+    return np.asarray(pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)).homogeneous)
 
 
 _DENSITY = 1500.0  # kg/m^3: castings with motors in them, and with room left
@@ -334,9 +320,25 @@ class BaseEstimate:
     information: Array
     determined: Mask
 
-    def distance(self, shift: Array) -> float:
-        """Return the length of a shift, shape (p,), in standard deviations: RMS over what the data determine."""
-        return float(np.linalg.norm(self.information @ shift)) / math.sqrt(int(self.determined.sum()))
+    @classmethod
+    def of(cls, problem: ExcitationProblem, friction: Array, fit: LinearFit) -> BaseEstimate:
+        """Return those of a fit, with the information of the weighted rows, friction as it is.
+
+        Neighbouring rows share their errors: it is scaled to variances that are those of the covariance, in the median.
+
+        Args:
+            problem: r rows.
+            friction: columns of the friction, shape (r, f).
+            fit: of base parameters and friction.
+        """
+        count = len(problem.names)
+        weight = np.sqrt(fit.weights) / fit.sigma[problem.joint]
+        root = np.asarray(np.linalg.qr(np.hstack([problem.regressor, friction]) * weight[:, None], mode="r"))
+        variance = np.diag(fit.covariance)[:count]
+        white = np.sum(np.linalg.pinv(root)[:count] ** 2, axis=1)
+        share = np.median((white / variance)[np.isfinite(variance)])
+        information = np.asarray(root[:count, :count] * math.sqrt(min(1.0, float(share))))
+        return cls(problem.base.combination, fit.value[:count], information, fit.determined[:count])
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,7 +403,7 @@ def consistent_inertias(
         parameters=search.parameters,
         base=base,
         shift=shift,
-        distance=estimate.distance(shift),
+        distance=float(np.linalg.norm(estimate.information @ shift)) / math.sqrt(int(estimate.determined.sum())),
         alone=alone,
         open=search.open_masses(weight),
     )
@@ -576,44 +578,21 @@ def make_consistent(
     Raises:
         IdentificationError: if there are none.
     """
-    count, arm, fit = len(problem.names), problem.arm, friction.fit
+    arm, n = problem.arm, len(problem.arm.names)
     description: Path | str = Path(str(options.urdf))
-    n = len(arm.names)
     rotors: ArrayLike | None = problem.columns.values()[10 * n : 11 * n] if problem.columns.rotors else None
     known: tuple[str, ...] = ()
     if robot.setup is not None:
         description, rotors = robot.setup.robot.urdf, robot.setup.drives.rotor_inertia
         known = () if (robot.setup.files or RobotFiles()).tool is None else (_TOOL,)
     prior = InertialPrior.of_urdf(description, arm.names, rotors, arm.spring[problem.columns.springs], known)
-    information = base_information(problem, linear_columns(friction, problem)[1], fit)
-    estimate = BaseEstimate(problem.base.combination, fit.value[:count], information, fit.determined[:count])
+    estimate = BaseEstimate.of(problem, linear_columns(friction, problem)[1], friction.fit)
     inertias = consistent_inertias(estimate, prior)
     residual, change = problem.torque - friction.predicted, problem.regressor @ inertias.shift
-    rows = np.maximum(np.bincount(problem.joint, minlength=len(arm.names)), 1)
-    squares = [np.bincount(problem.joint, one**2, len(arm.names)) for one in (change, residual, residual - change)]
-    size = float(np.linalg.norm(problem.torque))
-    shares = float(np.linalg.norm(residual)) / size, float(np.linalg.norm(residual - change)) / size
-    added, before, after = (np.sqrt(one / rows) for one in squares)
-    return Consistency(inertias, shares, added, before, after)
-
-
-def base_information(problem: ExcitationProblem, friction: Array, fit: LinearFit) -> Array:
-    """Return a root of the information of the weighted rows on the b base parameters, friction as it is, shape (b, b).
-
-    Neighbouring rows share their errors: it is scaled to variances that are those of the covariance, in the median.
-
-    Args:
-        problem: r rows.
-        friction: columns of the friction, shape (r, f).
-        fit: of base parameters and friction.
-    """
-    count = len(problem.names)
-    weight = np.sqrt(fit.weights) / fit.sigma[problem.joint]
-    root = np.asarray(np.linalg.qr(np.hstack([problem.regressor, friction]) * weight[:, None], mode="r"))
-    variance = np.diag(fit.covariance)[:count]
-    white = np.sum(np.linalg.pinv(root)[:count] ** 2, axis=1)
-    share = np.median((white / variance)[np.isfinite(variance)])
-    return np.asarray(root[:count, :count] * math.sqrt(min(1.0, float(share))))
+    rows = np.maximum(np.bincount(problem.joint, minlength=n), 1)
+    squares = [np.bincount(problem.joint, one**2, n) for one in (change, residual, residual - change)]
+    before, after = (math.sqrt(float(one.sum() / np.sum(problem.torque**2))) for one in squares[1:])
+    return Consistency(inertias, (before, after), *(np.sqrt(one / rows) for one in squares))
 
 
 def written_arm(problem: ExcitationProblem, consistency: Consistency) -> RigidArm:

@@ -50,10 +50,11 @@ from rx90_emulator.identification.excitation.problem import (
 )
 from rx90_emulator.identification.excitation.result import (
     ExcitationIdentification,
+    TorqueValidation,
     base_parameters,
     simulated_elements,
+    trends,
 )
-from rx90_emulator.identification.excitation.torques import TorqueValidation, run_torques, trends
 from rx90_emulator.identification.identify import check_given_once, read_records, with_friction
 from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions, model_parts
 from rx90_emulator.identification.records import JointRecord
@@ -64,6 +65,7 @@ from rx90_emulator.identification.validation.prediction import (
     validation_bandwidths,
     written_torque,
 )
+from rx90_emulator.identification.validation.verdict import run_torques
 
 _NO_PAYLOADS: Mapping[str, Payload] = MappingProxyType({})
 _DEFAULT_ROBOT = RobotOptions()

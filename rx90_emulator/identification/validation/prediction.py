@@ -44,7 +44,13 @@ from rx90_emulator.identification.validation.measured import (
     run_along,
     setpoint_rows,
 )
-from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest, torque_criteria
+from rx90_emulator.identification.validation.verdict import (
+    Criterion,
+    TorquePrediction,
+    largest,
+    run_torques,
+    torque_criteria,
+)
 from rx90_emulator.identification.zeros import ZeroCheck, check_zeros, record_instants
 
 _NO_PAYLOADS: Mapping[Path, Payload | None] = MappingProxyType({})
@@ -218,22 +224,6 @@ def element_torque(elements: Sequence[FrictionElement], velocity: Array, step: f
     return np.concatenate([mean[:1, 0], 0.5 * (mean[:-1, -1] + mean[1:, 0]), mean[-1:, -1]])
 
 
-def torque_prediction(problem: ExcitationProblem, predicted: Array) -> TorquePrediction:
-    """Return recorded and predicted torques of a problem's rows as series of its identified joints.
-
-    Args:
-        problem: r rows.
-        predicted: torque of each, known payloads left out, Nm, shape (r,).
-    """
-    time = np.concatenate([run.time[run.rows] for run in problem.runs])
-    shape, at = (len(time), len(problem.arm.names)), (problem.sample, problem.joint)
-    recorded = np.concatenate([run.parallel(run.torque) for run in problem.runs])
-    known, compared = recorded.copy(), np.zeros(shape, dtype=np.bool_)
-    recorded[at], known[at], compared[at] = problem.torque + problem.payload, predicted + problem.payload, True
-    own = problem.arm.identified
-    return TorquePrediction(time, recorded[:, own], known[:, own], compared[:, own])
-
-
 def validate(
     robot: RecordedRobot,
     elements: tuple[FrictionElement, ...],
@@ -270,7 +260,7 @@ def validate(
         tolerances = replace(EMULATED if len(distance) else RECORDED, **tolerances)
     # With sweeps, these have been asked already.
     zeros = check_zeros(record_instants(record, robot.arm), robot.arm, robot.zero) if sliding is None else None
-    torque = torque_prediction(problem, predicted)
+    (torque,) = run_torques(problem, predicted)
     names = tuple(name for name in record.names if name not in robot.followed)
     return Validation(names, torque, tip_time, distance, tolerances, str(record.source), zeros, record.unit, notes)
 

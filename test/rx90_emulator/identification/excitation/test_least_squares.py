@@ -19,7 +19,7 @@ from rx90_emulator.identification.excitation.fit import hac, outside_residuals, 
 from rx90_emulator.identification.excitation.friction import identify_friction_parts
 from rx90_emulator.identification.excitation.instruments import check_closed_loop
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.excitation.torques import misfits, residuals_by_speed
+from rx90_emulator.identification.excitation.result import misfits, residuals_by_speed
 
 
 @pytest.fixture(scope="module")
