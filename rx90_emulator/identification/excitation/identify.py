@@ -1,6 +1,6 @@
 """From bags of excitation runs to an arm's dynamics, for Python users and the command alike.
 
-What an identification of one's own is built on: regressor, equations of recorded runs, torques by given files.
+Beside `identify_excitation`, what an identification of one's own is built on: regressor, equations, torques by files.
 
 columns = rx.regressor(rx.RigidArm.from_urdf("arm.urdf"), position, velocity, acceleration)
 problem = rx.excitation_problem(["run.csv"], rx.RobotOptions(urdf="arm.urdf"))
@@ -22,7 +22,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
-from rx90_emulator.identification.excitation.bodies import Consistency, make_consistent, written_arm
+from rx90_emulator.identification.excitation.bodies import make_consistent, written_arm
 from rx90_emulator.identification.excitation.checks import check_signs, check_zeros
 from rx90_emulator.identification.excitation.choice import stages
 from rx90_emulator.identification.excitation.filtering import Bandwidths, recording_notes, without_shocks
@@ -125,21 +125,17 @@ def identify_excitation(
     check_given_once(by_use)
     parts, fixed = _asked(bristles, model)
     carried = payloads_of(everything, payloads)
-    if robot.torque_delay:
-        raise IdentificationError(
-            f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
-        )
-    _check_rotors(robot, rotors=rotors)
+    _check_robot(robot, rotors=rotors)
     source = RecordedRobot.load(robot, everything, massless=True, follow=True)
     records = read_records(by_use, source, progress, currents=True)
     progress("filters and equations")
-    records, notes = _shocks_left_out(records, source)
+    notes = _leave_shocks_out(records, source)
 
     def equations(some: Sequence[JointRecord], bandwidths: Bandwidths) -> ExcitationProblem:
         return recorded_equations(some, source, bandwidths, carried, rotors=rotors)
 
     bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
-    notes = (*notes, *recording_notes(records["excitation"], bandwidths), *short_note(problem), *_held_note(source))
+    notes += [*recording_notes(records["excitation"], bandwidths), *log_warnings(problem, source.held)]
     check_signs(problem, replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source)))
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
@@ -170,9 +166,12 @@ def identify_excitation(
         other = equations([record], validation_bandwidths(record, bandwidths))
         for change in changes:
             other = change(other)
+        identified = predicted_torque(friction, other)
+        with_bodies = identified + other.regressor @ consistency.inertias.shift
         by_files = written_torque(other, written, [one.element for one in elements])
-        checks.append(_unseen(other, predicted_torque(friction, other), consistency, by_files, tolerances))
-    torques = run_torques(problem, friction.predicted)
+        torques, consistent, files = (run_torques(other, one)[0] for one in (identified, with_bodies, by_files))
+        checks.append(TorqueValidation(torques, consistent, tolerances, files))
+    fitted = run_torques(problem, friction.predicted)
     return ExcitationIdentification(
         robot=source,
         options=robot,
@@ -181,44 +180,40 @@ def identify_excitation(
         elements=elements,
         base=base_parameters(problem, friction, consistency, closed_loop),
         consistency=consistency,
-        torques=torques,
+        torques=fitted,
         validations=tuple(checks),
-        trends=trends(torques, friction.blocks.length),
+        trends=trends(fitted, friction.blocks.length),
         instruments=closed_loop,
         zeros=zeros,
         gains=gains,
         loads=loads,
-        notes=notes,
+        notes=tuple(notes),
         bags=tuple((use, record.bag) for use, some in records.items() for record in some),
     )
 
 
-def _shocks_left_out(
-    records: Mapping[str, Sequence[JointRecord]], robot: RecordedRobot
-) -> tuple[dict[str, list[JointRecord]], tuple[str, ...]]:
-    """Return the records of each use with the times of their shocks, and in words what was found."""
-    found = {use: [without_shocks(one, robot.arm.element_matrix) for one in some] for use, some in records.items()}
-    texts = tuple(text for pairs in found.values() for _, said in pairs for text in said)
-    return {use: [record for record, _ in pairs] for use, pairs in found.items()}, texts
+def _leave_shocks_out(records: Mapping[str, list[JointRecord]], robot: RecordedRobot) -> list[str]:
+    """Put into the records of each use the times of their shocks, and return in words what was found."""
+    texts: list[str] = []
+    for some in records.values():
+        for k, record in enumerate(some):
+            some[k], said = without_shocks(record, robot.arm.element_matrix)
+            texts += said
+    return texts
 
 
-def short_note(problem: ExcitationProblem) -> tuple[str, ...]:
-    """Return a warning where there are fewer instants than parameters: nothing averages out over so few."""
-    instants = len(np.unique(problem.sample))
-    parameters = len(problem.names) + 2 * len(problem.arm.element_names)
-    if instants >= parameters:
-        return ()
-    return (
-        f"warning: a short log, {instants} instants for {parameters} parameters: it does not tell single bodies, which "
-        "stay near the description's, nor parts of friction beside Coulomb and viscous; deviations are rough",
-    )
-
-
-def _held_note(robot: RecordedRobot) -> tuple[str, ...]:
-    """Return a warning where joints are held at 0 of which a log of motors has the motion."""
-    if not robot.held:
-        return ()
-    return (f"warning: held at 0, though the log has them, for their gears are not known: {', '.join(robot.held)}",)
+def log_warnings(problem: ExcitationProblem, held: Sequence[str] = ()) -> list[str]:
+    """Return warnings of fewer instants than parameters, over which nothing averages out, and of joints held at 0."""
+    instants, parameters = len(np.unique(problem.sample)), len(problem.names) + 2 * len(problem.arm.element_names)
+    found = []
+    if instants < parameters:
+        found.append(
+            f"warning: a short log, {instants} instants for {parameters} parameters: it does not tell single bodies, "
+            "which stay near the description's, nor parts of friction beside Coulomb and viscous; deviations are rough"
+        )
+    if held:
+        found.append(f"warning: held at 0, though the log has them, for their gears are not known: {', '.join(held)}")
+    return found
 
 
 def count_steps(
@@ -243,24 +238,15 @@ def _asked(bristles: bool, model: Sequence[str] | None) -> tuple[tuple[Part, ...
     return ALL_PARTS if bristles else WITHOUT_BRISTLES, False
 
 
-def _check_rotors(robot: RobotOptions, *, rotors: bool) -> None:
-    """Refuse a model without rotors for an arm whose drives' torques move them."""
+def _check_robot(robot: RobotOptions, *, rotors: bool) -> None:
+    """Refuse late torques, and a model without rotors for an arm whose drives' torques move them."""
+    if robot.torque_delay:
+        raise IdentificationError(
+            f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
+        )
     if not rotors and (robot.urdf is None or robot.rotor_inertia is not None):
         given = "without --urdf" if robot.urdf is None else "with --rotor-inertia"
         raise IdentificationError(f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears")
-
-
-def _unseen(
-    problem: ExcitationProblem,
-    predicted: Array,
-    consistency: Consistency,
-    files: Array,
-    limits: ExcitationTolerances,
-) -> TorqueValidation:
-    """Return the verdict of a run by three predictions of its r rows: identified, with consistent bodies, by files."""
-    kinds = predicted, predicted + problem.regressor @ consistency.inertias.shift, files
-    identified, consistent, written = (run_torques(problem, torque)[0] for torque in kinds)
-    return TorqueValidation(identified, consistent, limits, written)
 
 
 def _gears(layout: BagLayout, robot: RecordedRobot) -> list[float] | None:

@@ -156,10 +156,19 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
     bag = np.repeat(paths, [len(run.rows) for run in runs])
     found = []
     for path in dict.fromkeys(paths.tolist()):
-        series = (values[bag == path][:, own] for values in (recorded, known, compared, velocity))
-        source, spread = runs[int(np.argmax(paths == path))].source, np.sqrt(np.mean(noise[paths == path] ** 2, axis=0))
-        *torques, moving = series
-        found.append(RunTorques(time[bag == path], *torques, names, source, moving, spread[own]))
+        here, pieces = bag == path, np.flatnonzero(paths == path)
+        found.append(
+            RunTorques(
+                time=time[here],
+                recorded=recorded[here][:, own],
+                predicted=known[here][:, own],
+                compared=compared[here][:, own],
+                names=names,
+                source=runs[int(pieces[0])].source,
+                velocity=velocity[here][:, own],
+                noise=np.sqrt(np.mean(noise[pieces] ** 2, axis=0))[own],
+            )
+        )
     return tuple(found)
 
 
