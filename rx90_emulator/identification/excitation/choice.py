@@ -1,9 +1,4 @@
-"""How well a model predicts what it was not fitted to: blocks of time, and whole runs.
-
-A block is long against the autocorrelation of the residuals, and what is near it is left out with it. The model without
-a block is a Gauss-Newton step away from that of all rows, so that no fit is repeated.
-
-Which parts the friction of each element has: those with which the model predicts better what it was not fitted to.
+"""Which parts the friction of each element has: those with which the model predicts better what it was not fitted to.
 
 From Coulomb and viscous friction on, parts are tried in the order of their physical plausibility: viscous exponent,
 Stribeck rise, bristle, bristle damping. A part is given to all elements at once, since a part missing on one joint
@@ -14,7 +9,9 @@ A Stribeck rise and a bristle are both in the rows after a reversal, and alone e
 own: bristle, damping and rise are tried together. Asked for or not, bristles are tried where a rise shows, and where
 rows of reversals fit worse than others: left out, a bristle biases all that is fitted.
 
-What predicts better is asked of blocks of time and whole runs that were left out (cross_validation.py).
+What predicts better is asked of blocks of time and whole runs that were left out. A block is long against the
+autocorrelation of the residuals, and what is near it is left out with it. The model without a block is a Gauss-Newton
+step away from that of all rows, so that no fit is repeated.
 
 A viscous exponent near the lower bound of its range makes the viscous torque nearly a Coulomb torque, and the runs do
 not tell one from the other: such an exponent is not kept. Where a person names the parts, every element has them, and

@@ -1,4 +1,4 @@
-"""Weighted, robust least squares, with or without instruments, and deviations that hold under misfit.
+"""Least squares of the rows: robust ones with deviations that hold under misfit, and separable non-linear ones.
 
 Every linear fit of excitation runs is one call of `solve`: the base fit, drive gains, load parts, exponents that are
 left open, parts that may be there, load dependence.
@@ -13,7 +13,7 @@ The residuals of a fit are smaller than the errors that they stand for, and most
 columns consist of. Each block of time is therefore judged by the fit to all other blocks (as in the jackknife of Bell
 and McCaffrey 2002, there for clusters); without that, 95 % intervals of random arms hold 91 to 93 % of the true values.
 
-Separable non-linear least squares: the linear parameters are eliminated, SciPy optimises the others.
+Where shapes of friction are sought, the linear parameters are eliminated, and SciPy optimises the others.
 
 Variable projection (Golub and Pereyra 1973) with Kaufman's derivatives (1975). All joints and elements are fitted
 together, so that a friction parameter answers for the inertias with which it is correlated. The search works on inner

@@ -203,15 +203,19 @@ def _steady_law(friction: FrictionSelection, names: tuple[str, ...], values: Arr
     A simulation asks for it at every step: it is read off a table of speeds.
     """
     known = dict(zip(names, values.tolist(), strict=True))
-    speeds = np.arange(0.0, _TABLE_END, _TABLE_STEP)
-    table = [  # just above rest, where the sign counts already
-        steady_columns(one.shape, speeds + 1e-9)[0] @ [known.get(f"{one.element}.{name}", 0.0) for name in LINEAR]
+    speeds = np.arange(0.0, _TABLE_END, _TABLE_STEP) + 1e-9  # just above rest, where the sign counts already
+    table = np.array([
+        steady_columns(one.shape, speeds)[0] @ [known.get(f"{one.element}.{name}", 0.0) for name in LINEAR]
         for one in friction.fitted
-    ]
+    ])  # fmt: skip
+    element = np.arange(len(table))
 
     def law(velocity: Array) -> Array:
-        torques = [np.interp(speed, speeds, row) for speed, row in zip(np.abs(velocity), table, strict=True)]
-        return np.asarray(np.sign(velocity) * torques)
+        place = np.minimum(np.abs(velocity) / _TABLE_STEP, len(speeds) - 1.001)
+        low = place.astype(np.intp)
+        share = place - low
+        torque = (1.0 - share) * table[element, low] + share * table[element, low + 1]
+        return np.asarray(np.sign(velocity) * torque)
 
     return law
 

@@ -1,6 +1,4 @@
-"""A payload of known inertia at the last link: the one torque in a run that needs no drive gain to be known.
-
-The stacked equations of excitation runs: what each joint's torque was, and what it is linear in.
+"""The stacked equations of excitation runs: what each joint's torque was, and what it is linear in.
 
 Friction apart, the torque is linear in standard parameters: those of links, rotors, springs and offsets. Base
 parameters are the combinations of them that it depends on (Gautier 1991, "Numerical calculation of the base inertial
@@ -12,6 +10,8 @@ Torque and columns pass the same low-pass and are kept some two times per period
 an instant is left out while an element that acts on the joint stands still: its torque is then anything up to its
 break-away value. Reversals, in which an element passes through rest, are kept: around them alone the bristles show, and
 Coulomb columns, filtered like the torque, have their step at the right time.
+
+A payload of known inertia at the last link gives the one torque in a run that needs no drive gain to be known.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter1d
 from scipy.signal import correlate
 
 from rx90_common.base.arrays import Array, Index, Mask
@@ -35,7 +36,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import listed, quoted
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.filtering import FilteredRun
+from rx90_emulator.identification.excitation.filtering import SLOW_SHARE, SLOW_SPEED, FilteredRun, stretches
 
 PAYLOADS = Entries(
     "What was fixed to the last link in each loaded run, by name or path of the bag.",
@@ -472,8 +473,6 @@ class ExcitationProblem:
         return regressor, payload
 
 
-_SLOW_SPEED = 0.05  # rad/s: on real arms rows below it pull Coulomb friction 10 to 25 % low
-_SLOW_SHARE = 0.1  # of the speed that an element exceeds in a tenth of the run
 _MIN_SLOW_SPEED = 1e-3  # rad/s: an element that is never faster stands
 _PAUSE_SHARE = 0.5  # share of a slow stretch below a quarter of the threshold: a pause; a reversal has a quarter
 _STOP_SHARE = 0.1  # of the threshold: below it an element that does not change its direction has stopped for an instant
@@ -495,12 +494,10 @@ def element_states(run: FilteredRun, elements: Array) -> tuple[Mask, Mask]:
     states = np.empty((2, len(run.rows), len(elements)), dtype=np.bool_)
     for e, velocity in enumerate((run.velocity @ elements.T).T):
         usual = float(np.quantile(np.abs(velocity), 0.9))
-        threshold = max(min(_SLOW_SPEED, _SLOW_SHARE * usual), _MIN_SLOW_SPEED)
+        threshold = max(min(SLOW_SPEED, SLOW_SHARE * usual), _MIN_SLOW_SPEED)
         rests, passes = _slow_stretches(velocity, threshold)
         rests |= _slow_stretches(velocity, _STOP_SHARE * threshold)[0]
-        # Samples within `reach` of one at rest.
-        count = np.cumsum(np.concatenate([np.zeros(reach + 1), rests, np.zeros(reach)]))
-        near = count[2 * reach + 1 :] - count[: -2 * reach - 1] > 0.0
+        near = maximum_filter1d(rests, 2 * reach + 1, mode="constant")
         states[:, :, e] = near[run.rows], (passes & ~near)[run.rows]
     return states[0], states[1]
 
@@ -508,9 +505,8 @@ def element_states(run: FilteredRun, elements: Array) -> tuple[Mask, Mask]:
 def _slow_stretches(velocity: Array, threshold: float) -> tuple[Mask, Mask]:
     """Return where an element rests and where it passes through rest, each of shape (m,)."""
     slow = np.abs(velocity) < threshold
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(np.int8)))
     rests, passes = np.zeros_like(slow), np.zeros_like(slow)
-    for start, stop in edges.reshape(-1, 2).tolist():
+    for start, stop in stretches(slow):
         inner = float(np.mean(np.abs(velocity[start:stop]) < 0.25 * threshold))
         whole = start > 0 and stop < len(velocity)
         # A single sample tells no share.
