@@ -28,8 +28,13 @@ from rx90_common.description.rigid_torque import rigid_torque
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.excitation.known_payload import LoadParts, identify_load_parts
-from rx90_emulator.identification.excitation.payload import Payload
-from rx90_emulator.identification.excitation.problem import BaseGroups, ExcitationProblem, Motion, StandardColumns
+from rx90_emulator.identification.excitation.problem import (
+    BaseGroups,
+    ExcitationProblem,
+    Motion,
+    Payload,
+    StandardColumns,
+)
 from rx90_emulator.identification.experiments.excitation import plan_excitation
 from rx90_emulator.identification.options import ExcitationOptions
 from rx90_emulator.identification.records import JointRecord

@@ -26,10 +26,9 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
 from rx90_emulator.identification.excitation.checks import check_signs
-from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
+from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record, without_shocks
 from rx90_emulator.identification.excitation.friction import identify_friction_parts, predicted_torque
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.excitation.recording import without_shocks
 from rx90_emulator.identification.records import JointRecord
 
 CONDITIONS = ("good", "jitter", "gaps", "low rate", "few instants", "dead joint", "negated torque")

@@ -110,13 +110,13 @@ if TYPE_CHECKING:
     from rx90_emulator.identification.excitation.friction import identify_friction_parts as identify_friction_parts
     from rx90_emulator.identification.excitation.identify import identify_excitation as identify_excitation
     from rx90_emulator.identification.excitation.law import Part as Part
-    from rx90_emulator.identification.excitation.own import (
+    from rx90_emulator.identification.excitation.identify import (
         Regressor as Regressor,
         excitation_problem as excitation_problem,
         predict_torque as predict_torque,
         regressor as regressor,
     )
-    from rx90_emulator.identification.excitation.payload import Payload as Payload, read_payloads as read_payloads
+    from rx90_emulator.identification.excitation.problem import Payload as Payload, read_payloads as read_payloads
     from rx90_emulator.identification.excitation.problem import ExcitationProblem as ExcitationProblem
     from rx90_emulator.identification.excitation.result import (
         BaseParameter as BaseParameter,

@@ -20,7 +20,7 @@ from rx90_controller.law.parameters import CONTROLLER, load_controller
 from rx90_controller.lines.task import TASK, load_task
 from rx90_emulator.conformance.quantities import CHECK_LIMITS, CheckLimits
 from rx90_emulator.correction.file import CORRECTION, load_correction
-from rx90_emulator.identification.excitation.payload import PAYLOADS, read_payloads
+from rx90_emulator.identification.excitation.problem import PAYLOADS, read_payloads
 from rx90_emulator.identification.experiments.plan import EXPERIMENTS, POSES, Poses, read_index
 from rx90_emulator.loop.path_file import PATH, load_path
 from rx90_emulator.loop.trajectory_file import TRAJECTORY, load_trajectory

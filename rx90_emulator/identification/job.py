@@ -16,7 +16,7 @@ from rx90_common.base.sources import versions
 from rx90_common.description.robot_files import FILES, MODEL_FILES, RobotFiles
 from rx90_common.process.files import write_all, write_text
 from rx90_emulator.identification.excitation.identify import count_steps, identify_excitation
-from rx90_emulator.identification.excitation.payload import read_payloads
+from rx90_emulator.identification.excitation.problem import read_payloads
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.experiments.plan import IdentificationBags, read_index
 from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction

@@ -26,7 +26,7 @@ from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.checks import coulomb_viscous
 from rx90_emulator.identification.excitation.filtering import Bandwidths, least_bandwidth
-from rx90_emulator.identification.excitation.least_squares import solve, time_blocks
+from rx90_emulator.identification.excitation.fit import solve, time_blocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.records import JointRecord
 

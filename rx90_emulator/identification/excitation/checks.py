@@ -21,9 +21,8 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.excitation.fit import nonnegative
+from rx90_emulator.identification.excitation.fit import nonnegative, solve, time_blocks
 from rx90_emulator.identification.excitation.law import COULOMB, VISCOUS, ElementShape, joint_columns
-from rx90_emulator.identification.excitation.least_squares import solve, time_blocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.zeros import ROUNDS, SMALLEST, Left, ZeroCheck, find_zeros, is_error

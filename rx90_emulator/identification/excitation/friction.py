@@ -16,9 +16,14 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.estimates import ElementEstimate, ParameterEstimate
-from rx90_emulator.identification.excitation.choice import ModelRow, Selection, select_parts
-from rx90_emulator.identification.excitation.cross_validation import TimeBlocks
-from rx90_emulator.identification.excitation.fit import Key
+from rx90_emulator.identification.excitation.choice import (
+    ModelRow,
+    Selection,
+    TimeBlocks,
+    select_parts,
+)
+from rx90_emulator.identification.excitation.final_fit import FinalFit
+from rx90_emulator.identification.excitation.fit import Key, LinearFit
 from rx90_emulator.identification.excitation.law import (
     FITTED,
     LINEAR,
@@ -31,15 +36,7 @@ from rx90_emulator.identification.excitation.law import (
     joint_columns,
     viscous,
 )
-from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, Prior
-from rx90_emulator.identification.excitation.unmodelled import (
-    Unbounded,
-    blur_shifts,
-    load_dependence,
-    undecided_parts,
-    without_bounds,
-)
 from rx90_emulator.identification.records import BagSource
 
 NORMAL_95 = 1.96
@@ -195,34 +192,51 @@ def identify_friction_parts(
         The selection. Parameters that the runs do not tell are unknown, with a reason.
     """
     selected = select_parts(problem, parts, progress, fixed=fixed)
-    inner, final, rises, free, remarks = final_fit(selected, parts, prior)
-    names, shapes, linear = problem.arm.element_names, list(selected.fit.shapes), selected.fit.linear.copy()
-    moved = [shape.values for shape in shapes]
-    for (e, name), value in zip(inner, final.value[len(problem.names) :].tolist(), strict=True):
-        if name in LINEAR:
-            linear[e, LINEAR.index(name)] = value
-        elif name in shapes[e].free:
-            moved[e][shapes[e].free.index(name)] += value
-    fitted = tuple(
-        FittedElement(name, shape.with_values(values), own, _block(e, inner, final.covariance), rows.speeds)
-        for e, (name, shape, values, own, rows) in enumerate(
-            zip(names, shapes, moved, linear, selected.weighted.elements, strict=True)
-        )
-    )
+    final = FinalFit(selected, parts, prior)
+    names, models = problem.arm.element_names, zip(selected.fit.shapes, selected.weighted.elements, strict=True)
+    nothing = np.zeros(len(LINEAR)), np.zeros((len(FITTED),) * 2)
+    begun = [
+        FittedElement(name, shape, *nothing, rows.speeds) for name, (shape, rows) in zip(names, models, strict=True)
+    ]
+    fitted = _with_values(begun, final.inner, final.fit.value, final.fit.covariance)
     sources = tuple(run.source for run in problem.runs)
-    refusals = [_refusal(selected, e, parts, rises.get(e)) for e in range(len(fitted))]
-    reasons = [_torque_reasons(selected, e, free) for e in range(len(fitted))]
+    refusals = [_refusal(selected, e, parts, final.rises.get(e)) for e in range(len(fitted))]
+    reasons = [_torque_reasons(selected, e, final.unbounded) for e in range(len(fitted))]
     return FrictionSelection(
         models=tuple(selected.rows),
         blocks=selected.blocks,
         fitted=fitted,
         elements=tuple(element_estimate(*three, sources) for three in zip(fitted, refusals, reasons, strict=True)),
-        fit=final,
-        names=(*problem.names, *(f"{names[e]}.{name}" for e, name in inner)),
-        predicted=problem.torque - final.residual,
-        remarks=(*_constant_remarks(problem, selected, final), *remarks),
-        warnings=free.remarks,
+        fit=final.fit,
+        names=(*problem.names, *(f"{names[e]}.{name}" for e, name in final.inner)),
+        predicted=problem.torque - final.fit.residual,
+        remarks=(*_constant_remarks(problem, selected, final.fit), *final.remarks),
+        warnings=tuple(final.warnings),
     )
+
+
+def _with_values(
+    elements: Sequence[FittedElement], inner: Sequence[Key], values: Array, covariance: Array
+) -> tuple[FittedElement, ...]:
+    """Return elements with the linear parameters of a fit, 0 for others, and with its changes of their shapes.
+
+    Args:
+        elements: with the shapes around which the fit is linear.
+        inner: the friction's parameters, the last ones of the fit.
+        values: of the fit, shape (q,).
+        covariance: of these, shape (q, q).
+    """
+    found, first = [], len(values) - len(inner)
+    for e, one in enumerate(elements):
+        rows = [first + k for k, (element, _) in enumerate(inner) if element == e]
+        names = [inner[row - first][1] for row in rows]
+        places, known = [FITTED.index(name) for name in names], dict(zip(names, values[rows].tolist(), strict=True))
+        block = np.zeros((len(FITTED), len(FITTED)))
+        block[np.ix_(places, places)] = covariance[np.ix_(rows, rows)]
+        shape = one.shape.with_values(one.shape.values + np.array([known.get(name, 0.0) for name in one.shape.free]))
+        linear = np.array([known.get(name, 0.0) for name in LINEAR])
+        found.append(replace(one, shape=shape, linear=linear, covariance=block))
+    return tuple(found)
 
 
 def predicted_torque(selection: FrictionSelection, problem: ExcitationProblem) -> Array:
@@ -266,76 +280,18 @@ def with_linear(
     value[places] = fit.value
     pairs = [name.rpartition(".") for name in selection.names[len(problem.names) :]]
     inner = [(problem.arm.element_names.index(element), name) for element, _, name in pairs]
-    linear = np.zeros((len(selection.fitted), len(LINEAR)))
-    for (e, name), own in zip(inner, value[len(problem.names) :].tolist(), strict=True):
-        if name in LINEAR:
-            linear[e, LINEAR.index(name)] = own
-    fitted, elements = [], []
-    for e, (one, old) in enumerate(zip(selection.fitted, selection.elements, strict=True)):
-        fitted.append(replace(one, linear=linear[e], covariance=_block(e, inner, covariance)))
+    fitted, elements = _with_values(selection.fitted, inner, value, covariance), []
+    for one, old in zip(fitted, selection.elements, strict=True):
         reasons = {part: old.parameters[name].reason for name, part in _PART_OF.items()}
         torques = {name: old.parameters[f"{name}_positive" if name == "tau_c" else name].reason for name in LINEAR[:2]}
-        elements.append(element_estimate(fitted[-1], reasons.__getitem__, torques, old.sources))
-    other = replace(selection, fitted=tuple(fitted), elements=tuple(elements), fit=replace(fit, value=value))
+        elements.append(element_estimate(one, reasons.__getitem__, torques, old.sources))
+    other = replace(selection, fitted=fitted, elements=tuple(elements), fit=replace(fit, value=value))
     predicted = predicted_torque(other, problem)
     whole = replace(other.fit, covariance=covariance, residual=problem.torque - predicted)
     return replace(other, fit=whole, predicted=predicted)
 
 
-_MAX_EXPONENT_STEP = 0.8  # of an exponent from 1
 _CONSTANT_RESIDUAL = 1e-6  # share of a constant torque that the regressor may leave, to explain it
-
-
-def final_fit(
-    selected: Selection, parts: Sequence[Part], prior: Prior | None = None
-) -> tuple[tuple[Key, ...], LinearFit, dict[int, tuple[float, float]], Unbounded, tuple[str, ...]]:
-    """Return the friction's parameters and the fit of the whole model, linear around the one selected.
-
-    Exponents that were tried and not kept stay at 1, but the covariance is that with them free: the runs say no more of
-    tau_c and c2 because an exponent was left out; the same holds for a Stribeck rise, or the damping of a bristle, that
-    may be there. What the values shift with these exponents, with a growth of friction with the load, and with a motion
-    that is known less sharply, widens the covariance, too.
-
-    Returns:
-        The parameters, whose values follow those of the base in the fit; the fit; value and standard deviation over
-        tau_c of Stribeck rises that may be there, by element; what torques at their bound 0 would be; remarks.
-    """
-    weighted, fit = selected.weighted, selected.fit
-    problem, inner = weighted.problem, fit.inner()
-    opened = tuple(
-        (e, "alpha")
-        for e, shape in enumerate(fit.shapes)
-        if Part.EXPONENT in parts and Part.EXPONENT not in shape.parts and fit.linear[e, VISCOUS] > 0.0
-    )
-    keys = (*inner, *opened)
-    columns = weighted.tangent(fit, keys)
-    final = wide = solve(problem, columns, prior=prior)
-    if opened:
-        narrow = solve(problem, columns[:, : -len(opened)], prior=prior)
-        value = np.append(narrow.value, np.zeros(len(opened)))
-        final = replace(wide, value=value, residual=narrow.residual, sigma=narrow.sigma, weights=narrow.weights)
-    closed = np.where(wide.determined, wide.value - final.value, 0.0)
-    # An exponent that would leave its range is not told by the runs: what it shifts has no meaning.
-    steps = zip(opened, closed[len(closed) - len(opened) :].tolist(), strict=True)
-    lost = {e for (e, _), step in steps if abs(step) > _MAX_EXPONENT_STEP}
-    if lost:
-        closed[: len(problem.names)] = 0.0
-        closed[len(problem.names) + np.flatnonzero([e in lost for e, _ in keys])] = 0.0
-    loaded, remarks = load_dependence(selected, columns, wide, prior)
-    rises, covariance = undecided_parts(selected, columns, prior)
-    free = without_bounds(selected, columns, wide, prior)
-    shifts = np.column_stack([loaded, closed, free.shift, *blur_shifts(weighted, fit, columns)])
-    known = final.covariance if covariance is None else covariance
-    return keys, replace(final, covariance=known + shifts @ shifts.T), rises, free, remarks
-
-
-def _block(element: int, inner: Sequence[Key], covariance: Array) -> Array:
-    """Return the covariance of an element's parameters in FITTED, shape (8, 8); 0 for what is not fitted."""
-    result, offset = np.zeros((len(FITTED), len(FITTED))), len(covariance) - len(inner)
-    rows = [offset + k for k, (e, _) in enumerate(inner) if e == element]
-    places = [FITTED.index(name) for e, name in inner if e == element]
-    result[np.ix_(places, places)] = covariance[np.ix_(rows, rows)]
-    return result
 
 
 def _refusal(selected: Selection, element: int, parts: Sequence[Part], rise: tuple[float, float] | None) -> Refusal:
@@ -358,11 +314,13 @@ def _refusal(selected: Selection, element: int, parts: Sequence[Part], rise: tup
     return reason
 
 
-def _torque_reasons(selected: Selection, element: int, free: Unbounded) -> Mapping[str, str]:
+def _torque_reasons(
+    selected: Selection, element: int, unbounded: Mapping[Key, tuple[float, float]]
+) -> Mapping[str, str]:
     """Return why an element has no Coulomb or no viscous torque, by parameter; none for one that it has."""
     if not len(selected.weighted.elements[element].rows):
         return dict.fromkeys(LINEAR[:2], "at rest in all runs")
-    sizes = {name: free.sizes[element, name] for name in LINEAR[:2] if (element, name) in free.sizes}
+    sizes = {name: unbounded[element, name] for name in LINEAR[:2] if (element, name) in unbounded}
     texts = {name: f"{value:.3g} +- {deviation:.2g}" for name, (value, deviation) in sizes.items()}
     if selected.fit.linear[element].any():
         words = {"tau_c": "Coulomb", "c2": "viscous"}

@@ -1,21 +1,31 @@
-"""From bags of excitation runs to an arm's dynamics, for Python users and the command alike."""
+"""From bags of excitation runs to an arm's dynamics, for Python users and the command alike.
+
+Beside `identify_excitation`, what an identification of one's own is built on: regressor, equations, torques by files.
+
+columns = rx.regressor(rx.RigidArm.from_urdf("arm.urdf"), position, velocity, acceleration)
+problem = rx.excitation_problem(["run.csv"], rx.RobotOptions(urdf="arm.urdf"))
+torque = rx.predict_torque("friction.yaml", time, position, robot=rx.RobotOptions(urdf="arm.urdf"))
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_common.friction.friction_file import FrictionFile
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
+from rx90_emulator.identification.excitation.bodies import make_consistent, written_arm
 from rx90_emulator.identification.excitation.checks import check_signs, check_zeros
 from rx90_emulator.identification.excitation.choice import stages
-from rx90_emulator.identification.excitation.consistency import Consistency, make_consistent, written_arm
-from rx90_emulator.identification.excitation.filtering import Bandwidths
+from rx90_emulator.identification.excitation.filtering import Bandwidths, recording_notes, without_shocks
 from rx90_emulator.identification.excitation.friction import (
     ALL_PARTS,
     WITHOUT_BRISTLES,
@@ -30,20 +40,32 @@ from rx90_emulator.identification.excitation.known_payload import (
     identify_load_parts,
 )
 from rx90_emulator.identification.excitation.law import Part
-from rx90_emulator.identification.excitation.payload import Payload, payloads_of
-from rx90_emulator.identification.excitation.problem import ExcitationProblem, described_inertials
-from rx90_emulator.identification.excitation.recording import recording_notes, short_note, without_shocks
+from rx90_emulator.identification.excitation.problem import (
+    BaseGroups,
+    ExcitationProblem,
+    Payload,
+    StandardColumns,
+    described_inertials,
+    payloads_of,
+)
 from rx90_emulator.identification.excitation.result import (
     ExcitationIdentification,
+    TorqueValidation,
     base_parameters,
     simulated_elements,
+    trends,
 )
-from rx90_emulator.identification.excitation.torques import TorqueValidation, run_torques, trends
-from rx90_emulator.identification.identify import check_given_once, read_records
+from rx90_emulator.identification.identify import check_given_once, read_records, with_friction
 from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions, model_parts
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import BagLayout, RecordedRobot
-from rx90_emulator.identification.validation.prediction import recorded_equations, validation_bandwidths, written_torque
+from rx90_emulator.identification.validation.prediction import (
+    drive_torque,
+    recorded_equations,
+    validation_bandwidths,
+    written_torque,
+)
+from rx90_emulator.identification.validation.verdict import run_torques
 
 _NO_PAYLOADS: Mapping[str, Payload] = MappingProxyType({})
 _DEFAULT_ROBOT = RobotOptions()
@@ -103,21 +125,17 @@ def identify_excitation(
     check_given_once(by_use)
     parts, fixed = _asked(bristles, model)
     carried = payloads_of(everything, payloads)
-    if robot.torque_delay:
-        raise IdentificationError(
-            f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
-        )
-    _check_rotors(robot, rotors=rotors)
+    _check_robot(robot, rotors=rotors)
     source = RecordedRobot.load(robot, everything, massless=True, follow=True)
     records = read_records(by_use, source, progress, currents=True)
     progress("filters and equations")
-    records, notes = _shocks_left_out(records, source)
+    notes = _leave_shocks_out(records, source)
 
     def equations(some: Sequence[JointRecord], bandwidths: Bandwidths) -> ExcitationProblem:
         return recorded_equations(some, source, bandwidths, carried, rotors=rotors)
 
     bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
-    notes = (*notes, *recording_notes(records["excitation"], bandwidths), *short_note(problem), *_held_note(source))
+    notes += [*recording_notes(records["excitation"], bandwidths), *log_warnings(problem, source.held)]
     check_signs(problem, replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source)))
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
@@ -148,9 +166,12 @@ def identify_excitation(
         other = equations([record], validation_bandwidths(record, bandwidths))
         for change in changes:
             other = change(other)
+        identified = predicted_torque(friction, other)
+        with_bodies = identified + other.regressor @ consistency.inertias.shift
         by_files = written_torque(other, written, [one.element for one in elements])
-        checks.append(_unseen(other, predicted_torque(friction, other), consistency, by_files, tolerances))
-    torques = run_torques(problem, friction.predicted)
+        torques, consistent, files = (run_torques(other, one)[0] for one in (identified, with_bodies, by_files))
+        checks.append(TorqueValidation(torques, consistent, tolerances, files))
+    fitted = run_torques(problem, friction.predicted)
     return ExcitationIdentification(
         robot=source,
         options=robot,
@@ -159,32 +180,40 @@ def identify_excitation(
         elements=elements,
         base=base_parameters(problem, friction, consistency, closed_loop),
         consistency=consistency,
-        torques=torques,
+        torques=fitted,
         validations=tuple(checks),
-        trends=trends(torques, friction.blocks.length),
+        trends=trends(fitted, friction.blocks.length),
         instruments=closed_loop,
         zeros=zeros,
         gains=gains,
         loads=loads,
-        notes=notes,
+        notes=tuple(notes),
         bags=tuple((use, record.bag) for use, some in records.items() for record in some),
     )
 
 
-def _shocks_left_out(
-    records: Mapping[str, Sequence[JointRecord]], robot: RecordedRobot
-) -> tuple[dict[str, list[JointRecord]], tuple[str, ...]]:
-    """Return the records of each use with the times of their shocks, and in words what was found."""
-    found = {use: [without_shocks(one, robot.arm.element_matrix) for one in some] for use, some in records.items()}
-    texts = tuple(text for pairs in found.values() for _, said in pairs for text in said)
-    return {use: [record for record, _ in pairs] for use, pairs in found.items()}, texts
+def _leave_shocks_out(records: Mapping[str, list[JointRecord]], robot: RecordedRobot) -> list[str]:
+    """Put into the records of each use the times of their shocks, and return in words what was found."""
+    texts: list[str] = []
+    for some in records.values():
+        for k, record in enumerate(some):
+            some[k], said = without_shocks(record, robot.arm.element_matrix)
+            texts += said
+    return texts
 
 
-def _held_note(robot: RecordedRobot) -> tuple[str, ...]:
-    """Return a warning where joints are held at 0 of which a log of motors has the motion."""
-    if not robot.held:
-        return ()
-    return (f"warning: held at 0, though the log has them, for their gears are not known: {', '.join(robot.held)}",)
+def log_warnings(problem: ExcitationProblem, held: Sequence[str] = ()) -> list[str]:
+    """Return warnings of fewer instants than parameters, over which nothing averages out, and of joints held at 0."""
+    instants, parameters = len(np.unique(problem.sample)), len(problem.names) + 2 * len(problem.arm.element_names)
+    found = []
+    if instants < parameters:
+        found.append(
+            f"warning: a short log, {instants} instants for {parameters} parameters: it does not tell single bodies, "
+            "which stay near the description's, nor parts of friction beside Coulomb and viscous; deviations are rough"
+        )
+    if held:
+        found.append(f"warning: held at 0, though the log has them, for their gears are not known: {', '.join(held)}")
+    return found
 
 
 def count_steps(
@@ -209,24 +238,15 @@ def _asked(bristles: bool, model: Sequence[str] | None) -> tuple[tuple[Part, ...
     return ALL_PARTS if bristles else WITHOUT_BRISTLES, False
 
 
-def _check_rotors(robot: RobotOptions, *, rotors: bool) -> None:
-    """Refuse a model without rotors for an arm whose drives' torques move them."""
+def _check_robot(robot: RobotOptions, *, rotors: bool) -> None:
+    """Refuse late torques, and a model without rotors for an arm whose drives' torques move them."""
+    if robot.torque_delay:
+        raise IdentificationError(
+            f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
+        )
     if not rotors and (robot.urdf is None or robot.rotor_inertia is not None):
         given = "without --urdf" if robot.urdf is None else "with --rotor-inertia"
         raise IdentificationError(f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears")
-
-
-def _unseen(
-    problem: ExcitationProblem,
-    predicted: Array,
-    consistency: Consistency,
-    files: Array,
-    limits: ExcitationTolerances,
-) -> TorqueValidation:
-    """Return the verdict of a run by three predictions of its r rows: identified, with consistent bodies, by files."""
-    kinds = predicted, predicted + problem.regressor @ consistency.inertias.shift, files
-    identified, consistent, written = (run_torques(problem, torque)[0] for torque in kinds)
-    return TorqueValidation(identified, consistent, limits, written)
 
 
 def _gears(layout: BagLayout, robot: RecordedRobot) -> list[float] | None:
@@ -236,3 +256,111 @@ def _gears(layout: BagLayout, robot: RecordedRobot) -> list[float] | None:
     largest = np.argmax(np.abs(robot.arm.coupling), axis=1)[:, None]
     gears = (np.take_along_axis(values, largest, 1)[:, 0] for values in (layout.turns, robot.arm.coupling))
     return (next(gears) / next(gears)).tolist()  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True, eq=False)
+class Regressor:
+    """The torque of an arm without friction per unit of each base parameter along a motion.
+
+    Attributes:
+        values: Nm per unit of the parameter, shape (m, n, b): torque = values @ parameters.
+        base: the b base parameters; `base.names`, `base.groups` and `base.combination` say what they are made of.
+        described: their values by the arm's description, SI units, shape (b,); of offsets 0.
+    """
+
+    values: Array
+    base: BaseGroups
+    described: Array
+
+
+def regressor(arm: RigidArm, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Regressor:
+    """Return the columns that the rigid-body torque is linear in: links, rotors, springs and offsets, grouped.
+
+    Base parameters are the combinations of inertial parameters that the torque depends on (Gautier 1991).
+
+    Args:
+        arm: of n joints; `RigidArm.from_urdf(file)` or `RigidArm.from_setup(setup)`.
+        position: rad, shape (m, n).
+        velocity: rad/s, shape (m, n).
+        acceleration: rad/s^2, shape (m, n).
+
+    Raises:
+        IdentificationError: for arrays of another shape.
+    """
+    motion = tuple(np.asarray(values, dtype=np.float64) for values in (position, velocity, acceleration))
+    for name, values in zip(("position", "velocity", "acceleration"), motion, strict=True):
+        if values.ndim != 2 or values.shape != (len(motion[0]), len(arm.names)):
+            raise IdentificationError(f"{name} has shape {values.shape}; accepted: (m, {len(arm.names)}), all the same")
+    columns = StandardColumns(arm)
+    base = BaseGroups.of(columns)
+    values = columns.torque(*motion)[:, :, list(base.leading)]
+    return Regressor(values, base, base.combination @ columns.values())
+
+
+def excitation_problem(
+    bags: Sequence[Path | str], robot: RobotOptions = _DEFAULT_ROBOT, bandwidths: Bandwidths | None = None
+) -> ExcitationProblem:
+    """Return the equations of recorded runs, as `identify_excitation` begins with: filtered torque, regressor, rows.
+
+    Shocks are not left out here, and the bandwidths of the spectra are not checked against prediction.
+    `identify_friction_parts(problem, parts=())` fits the simplest friction to them, other parts by name more.
+
+    Args:
+        bags: bags or tables.
+        robot: that they come from; by default this project's.
+        bandwidths: of the filters; by default those that the runs' spectra ask for. Those of `identify_excitation` are
+            `result.problem.runs[0].bandwidths`.
+
+    Raises:
+        IdentificationError: for runs that do not fit or in which no joint moves.
+        BagError: for a bag that cannot be read.
+    """
+    paths = {"excitation": [Path(bag) for bag in bags], "validation": []}
+    if not bags:
+        raise IdentificationError("no excitation run; accepted: one or more")
+    check_given_once(paths)
+    source = RecordedRobot.load(robot, paths["excitation"], massless=True, follow=True)
+    records = read_records(paths, source, lambda _: None, currents=True)["excitation"]
+    return recorded_equations(records, source, bandwidths or Bandwidths.of(records))
+
+
+def predict_torque(
+    friction: FrictionFile | Path | str,
+    time: ArrayLike,
+    position: ArrayLike,
+    velocity: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    *,
+    robot: RobotOptions = _DEFAULT_ROBOT,
+) -> Array:
+    """Return the torque that the drives give at the joints along a motion, by a friction file and an arm's description.
+
+    As in `check_friction`, offsets in the file's `joints` are added, and rotors and springs there take the place of the
+    robot's.
+
+    Args:
+        friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's, and
+            bristles begin undeflected.
+        time: s, even, shape (m,).
+        position: rad, shape (m, n).
+        velocity: rad/s, shape (m, n); by default differences of the positions.
+        acceleration: rad/s^2, shape (m, n); by default differences of the velocities.
+        robot: links, rotors, coupling and spring; by default this project's robot.
+
+    Returns:
+        Nm, shape (m, n).
+
+    Raises:
+        IdentificationError: for times that are not even, arrays of another shape, and a file of another arm.
+        ConfigError: for a file that cannot be used.
+    """
+    arm, at, angle = RecordedRobot.load(robot).arm, np.asarray(time, dtype=np.float64), np.asarray(position, np.float64)
+    if at.ndim != 1 or len(at) < 3 or not np.allclose(np.diff(at), at[1] - at[0], rtol=1e-3) or at[1] <= at[0]:
+        raise IdentificationError(f"time has shape {at.shape}; accepted: three or more even, increasing times")
+    speed = np.gradient(angle, at, axis=0) if velocity is None else np.asarray(velocity, dtype=np.float64)
+    change = np.gradient(speed, at, axis=0) if acceleration is None else np.asarray(acceleration, dtype=np.float64)
+    for name, values in (("position", angle), ("velocity", speed), ("acceleration", change)):
+        if values.shape != (len(at), len(arm.names)):
+            raise IdentificationError(f"{name} has shape {values.shape}; accepted: ({len(at)}, {len(arm.names)})")
+    _, elements, held = with_friction(arm, friction, "a prediction of torques")
+    return drive_torque(held, elements, (angle, speed, change), float(at[1] - at[0]))

@@ -21,7 +21,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -30,7 +29,9 @@ from scipy.stats import norm
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import FilteredRun
+from rx90_emulator.identification.excitation.fit import LinearFit, hac, solve
 from rx90_emulator.identification.excitation.friction import (
     FrictionSelection,
     linear_columns,
@@ -38,7 +39,6 @@ from rx90_emulator.identification.excitation.friction import (
     with_linear,
 )
 from rx90_emulator.identification.excitation.law import LINEAR
-from rx90_emulator.identification.excitation.least_squares import LinearFit, hac, solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, Motion, Prior
 
 _MAX_ROUNDS = 6
@@ -113,11 +113,8 @@ def check_closed_loop(
         rounds += 1
         law = _steady_law(friction, linear, fit.value[size:])
         try:
-            model, rotor = _arm(problem, fit.value[:size])
-            motions = [
-                _simulated(model, rotor, problem.arm.element_matrix, law, target, run, bandwidth)
-                for target, run in pairs
-            ]
+            arm = _arm(problem, fit.value[:size])
+            motions = [_simulated(arm, law, target, run, bandwidth) for target, run in pairs]
         except IdentificationError:
             break
     biased, reason = _hausman_test(names, plain, fit, _strength(problem, columns, instruments, fit), recorded=recorded)
@@ -223,8 +220,8 @@ def _steady_law(friction: FrictionSelection, names: tuple[str, ...], values: Arr
     return law
 
 
-def _arm(problem: ExcitationProblem, parameters: Array) -> tuple[Any, Array]:
-    """Return a model that moves as the base parameters say, and the rotors' share of its mass matrix.
+def _arm(problem: ExcitationProblem, parameters: Array) -> RigidArm:
+    """Return an arm that moves as the base parameters say.
 
     Standard parameters are those of the description, the leading ones of each group corrected such that the group has
     the identified value. Single links need not be possible; the mass matrix is that of the base parameters.
@@ -234,13 +231,10 @@ def _arm(problem: ExcitationProblem, parameters: Array) -> tuple[Any, Array]:
     standard[list(base.leading)] += parameters - base.combination @ standard
     masses = standard[: 10 * n : 10]
     np.maximum(masses, _MIN_MASS, out=masses)
-    arm = problem.arm.with_bodies(standard[: 10 * n], standard[10 * n : 11 * n])
-    return arm.model, arm.rotor
+    return problem.arm.with_bodies(standard[: 10 * n], standard[10 * n : 11 * n])
 
 
-def _simulated(
-    model: Any, rotor: Array, elements: Array, friction: Friction, target: Array, run: FilteredRun, bandwidth: float
-) -> Motion:
+def _simulated(arm: RigidArm, friction: Friction, target: Array, run: FilteredRun, bandwidth: float) -> Motion:
     """Return position, velocity and acceleration of one run, at its samples.
 
     The step is implicit in friction and control, so that neither limits it:
@@ -249,7 +243,7 @@ def _simulated(
     Raises:
         IdentificationError: if the simulation diverges, as with inertias that no arm has.
     """
-    omega = 2.0 * math.pi * bandwidth
+    model, elements, omega = arm.model, arm.element_matrix, 2.0 * math.pi * bandwidth
     count = math.ceil((run.time[-1] - run.time[0]) / _MAX_STEP)
     grid = np.linspace(run.time[0], run.time[-1], count + 1)
     h = float(grid[1] - grid[0])
@@ -262,7 +256,7 @@ def _simulated(
     result[0, 0], result[1, 0] = q, v
     for k in range(1, count + 1):
         upper = np.triu(pin.crba(model, data, q if turning else pin.integrate(model, pin.neutral(model), q)))
-        mass = upper + np.triu(upper, 1).T + rotor
+        mass = upper + np.triu(upper, 1).T + arm.rotor
         inputs = elements @ v
         inputs = np.where(np.abs(inputs) < _REST_SPEED, np.where(inputs < 0.0, -_REST_SPEED, _REST_SPEED), inputs)
         damping = (elements.T * (friction(inputs) / inputs)) @ elements

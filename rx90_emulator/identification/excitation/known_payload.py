@@ -43,16 +43,14 @@ from rx90_common.base.quoting import listed
 from rx90_common.friction.parts.load import DIRECTIONS, LARGEST_COEFFICIENT, LoadPart
 from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.excitation.checks import coulomb_viscous
-from rx90_emulator.identification.excitation.choice import select_parts
-from rx90_emulator.identification.excitation.cross_validation import Scored, TimeBlocks
-from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, fit_shapes
+from rx90_emulator.identification.excitation.choice import Scored, TimeBlocks, select_parts
+from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, fit_shapes, solve
 from rx90_emulator.identification.excitation.friction import (
     WITHOUT_BRISTLES,
     identify_friction_parts,
     linear_columns,
 )
 from rx90_emulator.identification.excitation.law import Part
-from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 PLAUSIBLE = (0.75, 1.33)

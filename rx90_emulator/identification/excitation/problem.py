@@ -10,24 +10,133 @@ Torque and columns pass the same low-pass and are kept some two times per period
 an instant is left out while an element that acts on the joint stands still: its torque is then anything up to its
 break-away value. Reversals, in which an element passes through rest, are kept: around them alone the bristles show, and
 Coulomb columns, filtered like the torque, have their step at the right time.
+
+A payload of known inertia at the last link gives the one torque in a run that needs no drive gain to be known.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter1d
 from scipy.signal import correlate
 
 from rx90_common.base.arrays import Array, Index, Mask
+from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import Number, Numbers
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.groups import Entries, Group
+from rx90_common.base.quoting import listed, quoted
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.filtering import FilteredRun
-from rx90_emulator.identification.excitation.payload import Payload
+from rx90_emulator.identification.excitation.filtering import SLOW_SHARE, SLOW_SPEED, FilteredRun, stretches
+
+PAYLOADS = Entries(
+    "What was fixed to the last link in each loaded run, by name or path of the bag.",
+    of=Group(
+        "A rigid body.",
+        keys={
+            "mass": Number("Mass.", "kg", low=0.0, above=True),
+            "centre": Numbers("Centre of mass in the frame of the last joint.", "m", count=3),
+            "inertia": Numbers(
+                "About the centre of mass, along the axes of that frame: ixx, ixy, ixz, iyy, iyz, izz.",
+                "kg m^2", count=6,
+            ),
+        },
+    ),
+)  # fmt: skip
+"""What a payload file holds."""
+_MOMENTS = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]  # which of the six moments of a file each entry of the inertia is
+
+
+@dataclass(frozen=True, eq=False)
+class Payload:
+    """A rigid body that is fixed to the last link during a run.
+
+    Attributes:
+        mass: kg.
+        centre: of mass, in the frame of the last joint, m, shape (3,).
+        inertia: about the centre of mass, along the axes of that frame, kg m^2, shape (3, 3).
+
+    Raises:
+        IdentificationError: for a mass that is not positive, a shape that does not fit, and an inertia that no body
+            has.
+    """
+
+    mass: float
+    centre: ArrayLike
+    inertia: ArrayLike
+
+    def __post_init__(self) -> None:
+        centre, inertia = np.asarray(self.centre, dtype=np.float64), np.asarray(self.inertia, dtype=np.float64)
+        if not 0.0 < self.mass < np.inf:
+            raise IdentificationError(f"payload of {self.mass} kg; accepted: a mass above 0")
+        if centre.shape != (3,) or not np.isfinite(centre).all():
+            raise IdentificationError(f"payload's centre of mass: {centre.tolist()}; accepted: 3 numbers, m")
+        if inertia.shape != (3, 3) or not np.isfinite(inertia).all() or not np.allclose(inertia, inertia.T):
+            said = f"payload's inertia: {inertia.tolist()}; accepted: a symmetric 3 x 3 matrix, kg m^2"
+            raise IdentificationError(said)
+        moments = np.linalg.eigvalsh(inertia)
+        if moments[0] < 0.0 or 2.0 * moments[2] > moments.sum() * (1.0 + 1e-9):
+            raise IdentificationError(
+                f"payload's principal moments: {moments.tolist()} kg m^2; accepted: not negative, and none above the "
+                "sum of the others"
+            )
+
+    def parameters(self) -> Array:
+        """Return mass, first moment and inertia about the joint in Pinocchio's order, shape (10,)."""
+        body = pin.Inertia(self.mass, np.asarray(self.centre, float), np.asarray(self.inertia, float))
+        return np.array(body.toDynamicParameters())
+
+
+def read_payloads(path: Path | str) -> dict[str, Payload]:
+    """Return what runs carried, by the names or paths of their bags.
+
+    The file has an entry for each loaded bag: `mass`, kg, `centre` of mass in the frame of the last link, m, and
+    `inertia` about the centre of mass, kg m^2: ixx, ixy, ixz, iyy, iyz, izz, as a URDF has them.
+
+    Raises:
+        ConfigError: for a file that cannot be used.
+        IdentificationError: for a body that cannot be.
+    """
+    file, found = load_yaml(Path(path)), {}
+    for name, body in PAYLOADS.read(file).items():
+        try:
+            found[name] = Payload(body["mass"], body["centre"], np.array(body["inertia"])[_MOMENTS])
+        except IdentificationError as error:
+            raise IdentificationError(f"{file.where(name)}: {error}") from None
+    return found
+
+
+def payloads_of(bags: Sequence[Path], payloads: Mapping[str, Payload]) -> dict[Path, Payload | None]:
+    """Return what each bag carried, by its path; None for those that are not named.
+
+    Args:
+        bags: of all runs.
+        payloads: by name or path of the bag.
+
+    Raises:
+        IdentificationError: for a name that is that of no bag, or of several.
+    """
+    carried: dict[Path, Payload | None] = dict.fromkeys(bags)
+    for name, body in payloads.items():
+        meant = [bag for bag in bags if name == bag.name or Path(name).resolve() == bag.resolve()]
+        if len(meant) != 1 or carried[meant[0]] is not None:
+            how = "two bags are called so, or it is named twice" if meant else "no such run"
+            there = listed(bag.name for bag in bags)
+            raise IdentificationError(
+                f"payload of {quoted(name)}: {how}; accepted: each of {there} once, by name or path"
+            )
+        carried[meant[0]] = body
+    return carried
+
 
 _LINK = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 
@@ -229,6 +338,7 @@ class ExcitationProblem:
         payloads: Sequence[Payload | None] | None = None,
         *,
         rotors: bool = True,
+        regressor: bool = True,
     ) -> ExcitationProblem:
         """Stack the equations of runs.
 
@@ -237,27 +347,10 @@ class ExcitationProblem:
             runs: of this arm.
             payloads: of each run; by default none.
             rotors: as in `StandardColumns`.
+            regressor: whether columns are computed; without, payloads stay in the torque.
 
         Raises:
             IdentificationError: for runs of other joints, and if no joint moves.
-        """
-        bare = cls.without_columns(arm, runs, payloads, rotors=rotors)
-        regressor, payload = bare.through(np.eye(len(arm.names)))
-        return replace(bare, torque=bare.torque - payload, payload=payload, regressor=regressor)
-
-    @classmethod
-    def without_columns(
-        cls,
-        arm: RigidArm,
-        runs: Sequence[FilteredRun],
-        payloads: Sequence[Payload | None] | None = None,
-        *,
-        rotors: bool = True,
-    ) -> ExcitationProblem:
-        """Return the rows of runs with their torque, payloads included, and no regressor; arguments as in `of`.
-
-        Raises:
-            IdentificationError: as `of`.
         """
         for one in runs:
             if one.names != arm.names:
@@ -278,7 +371,11 @@ class ExcitationProblem:
         empty = np.empty((len(run), 0))
         bare = cls(arm, tuple(runs), columns, BaseGroups.of(columns), run, joint, place, time, reversal,
                    carried, np.zeros(len(run)), empty, empty, empty)  # fmt: skip
-        return replace(bare, torque=bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0])
+        bare = replace(bare, torque=bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0])
+        if not regressor:
+            return bare
+        columns_of_base, payload = bare.through(np.eye(len(arm.names)))
+        return replace(bare, torque=bare.torque - payload, payload=payload, regressor=columns_of_base)
 
     def __len__(self) -> int:
         return len(self.run)
@@ -376,8 +473,6 @@ class ExcitationProblem:
         return regressor, payload
 
 
-_SLOW_SPEED = 0.05  # rad/s: on real arms rows below it pull Coulomb friction 10 to 25 % low
-_SLOW_SHARE = 0.1  # of the speed that an element exceeds in a tenth of the run
 _MIN_SLOW_SPEED = 1e-3  # rad/s: an element that is never faster stands
 _PAUSE_SHARE = 0.5  # share of a slow stretch below a quarter of the threshold: a pause; a reversal has a quarter
 _STOP_SHARE = 0.1  # of the threshold: below it an element that does not change its direction has stopped for an instant
@@ -399,12 +494,10 @@ def element_states(run: FilteredRun, elements: Array) -> tuple[Mask, Mask]:
     states = np.empty((2, len(run.rows), len(elements)), dtype=np.bool_)
     for e, velocity in enumerate((run.velocity @ elements.T).T):
         usual = float(np.quantile(np.abs(velocity), 0.9))
-        threshold = max(min(_SLOW_SPEED, _SLOW_SHARE * usual), _MIN_SLOW_SPEED)
+        threshold = max(min(SLOW_SPEED, SLOW_SHARE * usual), _MIN_SLOW_SPEED)
         rests, passes = _slow_stretches(velocity, threshold)
         rests |= _slow_stretches(velocity, _STOP_SHARE * threshold)[0]
-        # Samples within `reach` of one at rest.
-        count = np.cumsum(np.concatenate([np.zeros(reach + 1), rests, np.zeros(reach)]))
-        near = count[2 * reach + 1 :] - count[: -2 * reach - 1] > 0.0
+        near = maximum_filter1d(rests, 2 * reach + 1, mode="constant")
         states[:, :, e] = near[run.rows], (passes & ~near)[run.rows]
     return states[0], states[1]
 
@@ -412,9 +505,8 @@ def element_states(run: FilteredRun, elements: Array) -> tuple[Mask, Mask]:
 def _slow_stretches(velocity: Array, threshold: float) -> tuple[Mask, Mask]:
     """Return where an element rests and where it passes through rest, each of shape (m,)."""
     slow = np.abs(velocity) < threshold
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(np.int8)))
     rests, passes = np.zeros_like(slow), np.zeros_like(slow)
-    for start, stop in edges.reshape(-1, 2).tolist():
+    for start, stop in stretches(slow):
         inner = float(np.mean(np.abs(velocity[start:stop]) < 0.25 * threshold))
         whole = start > 0 and stop < len(velocity)
         # A single sample tells no share.

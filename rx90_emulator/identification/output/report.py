@@ -19,8 +19,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Mark, Panel, Plot, Scale
-from rx90_emulator.identification.excitation.result import ExcitationIdentification
-from rx90_emulator.identification.excitation.torques import JointTorque, RunTorques, misfits
+from rx90_emulator.identification.excitation.result import ExcitationIdentification, misfits
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.output import summary
 from rx90_emulator.identification.output.robot_files import torque_constants
@@ -30,6 +29,7 @@ from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.sliding.quality import CurvePoints
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
+from rx90_emulator.identification.validation.verdict import JointTorque, RunTorques
 
 _DRAWN_S = 60.0  # s of a run that are drawn: more would blur
 _RECORDED, _PREDICTED, _DIFFERENCE = COLOURS[5], COLOURS[1], COLOURS[6]

@@ -32,14 +32,14 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_emulator.identification.arm import RigidArm, all_joints
 from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate, digits
-from rx90_emulator.identification.excitation.cross_validation import CrossValidation
-from rx90_emulator.identification.excitation.prior import central
-from rx90_emulator.identification.excitation.result import ASSUMED, ExcitationIdentification
-from rx90_emulator.identification.excitation.torques import RunTorques, misfits
+from rx90_emulator.identification.excitation.bodies import central
+from rx90_emulator.identification.excitation.choice import CrossValidation
+from rx90_emulator.identification.excitation.result import ASSUMED, ExcitationIdentification, misfits
 from rx90_emulator.identification.output.assumed_files import assumed_files
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.summary import bodies_warnings, gain_warnings, in_currents
 from rx90_emulator.identification.records import in_unit
+from rx90_emulator.identification.validation.verdict import RunTorques
 
 
 class Identified(NamedTuple):

@@ -12,8 +12,7 @@ from typing import TypeVar
 from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.excitation.known_payload import PLAUSIBLE
 from rx90_emulator.identification.excitation.law import Part
-from rx90_emulator.identification.excitation.result import ExcitationIdentification
-from rx90_emulator.identification.excitation.torques import TorqueValidation, misfits
+from rx90_emulator.identification.excitation.result import ExcitationIdentification, TorqueValidation, misfits
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.validation.measured import MeasuredComparison

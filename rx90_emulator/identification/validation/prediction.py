@@ -18,18 +18,14 @@ from types import MappingProxyType
 import numpy as np
 
 from rx90_common.bags.mapping import is_table
-from rx90_common.bags.reading import read_joint_states
-from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.tracing import prescribed_torque
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
-from rx90_emulator.identification.excitation.payload import Payload
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.excitation.recording import without_shocks
+from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record, without_shocks
+from rx90_emulator.identification.excitation.problem import ExcitationProblem, Payload
 from rx90_emulator.identification.options import (
     EMULATED,
     NO_TOLERANCES,
@@ -38,15 +34,20 @@ from rx90_emulator.identification.options import (
     ValidationTolerances,
 )
 from rx90_emulator.identification.records import JointRecord
-from rx90_emulator.identification.robot import RecordedRobot, topic_names
+from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.sliding.fit import SlidingFit
 from rx90_emulator.identification.validation.measured import (
-    REFERENCE,
     read_setpoints,
     run_along,
     setpoint_rows,
 )
-from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest, torque_criteria
+from rx90_emulator.identification.validation.verdict import (
+    Criterion,
+    TorquePrediction,
+    largest,
+    run_torques,
+    torque_criteria,
+)
 from rx90_emulator.identification.zeros import ZeroCheck, check_zeros, record_instants
 
 _NO_PAYLOADS: Mapping[Path, Payload | None] = MappingProxyType({})
@@ -120,11 +121,10 @@ class Validation:
 
 def filtered_runs(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths) -> tuple[FilteredRun, ...]:
     """Return the runs of a record; of this project's plant with set-points, which real arms and tables do not have."""
-    simulated = not is_table(record.source) and absolute(REFERENCE) in topic_names(record.source)
-    if robot.plant_period is None or not simulated:
-        return filter_record(record, bandwidths)
+    simulated, reference = _reference(record, robot)
     # A torque of this project's plant is that of the tick that ends at its stamp; a real arm's is not.
-    return filter_record(record, bandwidths, _reference(record), 0.5 * robot.plant_period)
+    lead = 0.0 if robot.plant_period is None or not simulated else 0.5 * robot.plant_period
+    return filter_record(record, bandwidths, reference, lead)
 
 
 def recorded_equations(
@@ -145,16 +145,22 @@ def recorded_equations(
 
 
 @lru_cache(8)  # equations are made of the same records for several bandwidths
-def _reference(record: JointRecord) -> Array | None:
-    """Return a simulated bag's set-points at the record's times, shape (m, n); None where they do not cover it."""
-    series = read_joint_states(record.source, REFERENCE, record.names)
-    if series.position is None or len(series.time) < 2:
-        return None
+def _reference(record: JointRecord, robot: RecordedRobot) -> tuple[bool, Array | None]:
+    """Return whether a simulation wrote a bag, and its set-points at the record's times, shape (m, n).
+
+    They are None where they do not cover it, as for real arms and tables, which have none.
+    """
+    found = None
+    if robot.plant_period is not None and not is_table(record.source):
+        found = read_setpoints(record.source, record.names, robot.zero)
+    if found is None:
+        return False, None
+    (series, position, _), time = found, record.time
     # Stamps of averaged motor states end between two set-points.
-    step = float(np.median(np.diff(series.time)))
-    if series.time[0] > record.time[0] + step or series.time[-1] < record.time[-1] - step:
-        return None
-    return np.column_stack([np.interp(record.time, series.time, column) for column in series.position.T])
+    step = float(np.median(np.diff(series.time))) if len(series.time) > 1 else -np.inf
+    if series.time[0] > time[0] + step or series.time[-1] < time[-1] - step:
+        return True, None
+    return True, np.column_stack([np.interp(time, series.time, column) for column in position.T])
 
 
 def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Bandwidths:
@@ -220,22 +226,6 @@ def element_torque(elements: Sequence[FrictionElement], velocity: Array, step: f
     return np.concatenate([mean[:1, 0], 0.5 * (mean[:-1, -1] + mean[1:, 0]), mean[-1:, -1]])
 
 
-def torque_prediction(problem: ExcitationProblem, predicted: Array) -> TorquePrediction:
-    """Return recorded and predicted torques of a problem's rows as series of its identified joints.
-
-    Args:
-        problem: r rows.
-        predicted: torque of each, known payloads left out, Nm, shape (r,).
-    """
-    time = np.concatenate([run.time[run.rows] for run in problem.runs])
-    shape, at = (len(time), len(problem.arm.names)), (problem.sample, problem.joint)
-    recorded = np.concatenate([run.parallel(run.torque) for run in problem.runs])
-    known, compared = recorded.copy(), np.zeros(shape, dtype=np.bool_)
-    recorded[at], known[at], compared[at] = problem.torque + problem.payload, predicted + problem.payload, True
-    own = problem.arm.identified
-    return TorquePrediction(time, recorded[:, own], known[:, own], compared[:, own])
-
-
 def validate(
     robot: RecordedRobot,
     elements: tuple[FrictionElement, ...],
@@ -263,7 +253,7 @@ def validate(
     if sliding is None:
         record, notes = without_shocks(record, robot.arm.element_matrix)
     runs = filtered_runs(record, robot, validation_bandwidths(record, bandwidths))
-    problem = ExcitationProblem.without_columns(robot.arm, runs)
+    problem = ExcitationProblem.of(robot.arm, runs, regressor=False)
     predicted = written_torque(problem, robot.arm, elements)
     if sliding is not None:
         predicted = predicted + _error_of_weights(robot.arm, sliding, problem)
@@ -272,7 +262,7 @@ def validate(
         tolerances = replace(EMULATED if len(distance) else RECORDED, **tolerances)
     # With sweeps, these have been asked already.
     zeros = check_zeros(record_instants(record, robot.arm), robot.arm, robot.zero) if sliding is None else None
-    torque = torque_prediction(problem, predicted)
+    (torque,) = run_torques(problem, predicted)
     names = tuple(name for name in record.names if name not in robot.followed)
     return Validation(names, torque, tip_time, distance, tolerances, str(record.source), zeros, record.unit, notes)
 

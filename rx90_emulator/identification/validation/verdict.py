@@ -1,17 +1,23 @@
-"""Recorded against predicted torques, and the verdict on them: each quantity with its joint, value and limit.
+"""Recorded against predicted torques of bags, and the verdict on them: each quantity with its joint, value and limit.
 
 Joints are compared where they move: the torque of a joint at rest depends on vibrations that no bag shows.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
 from rx90_common.base.arrays import Array, Mask
+from rx90_emulator.identification.excitation.filtering import FilteredRun
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.records import BagSource
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +72,114 @@ class TorquePrediction:
         count = self.compared.sum(axis=0)
         squares = np.where(self.compared, values, 0.0) ** 2
         return np.asarray(np.sqrt(squares.sum(axis=0) / np.where(count, count, np.nan)))
+
+
+_DIFFERENCES, _DIFFERENCE_GAIN = 3, 20.0  # the third difference 1, -3, 3, -1 has 20 times the variance of white noise
+_NORMAL_MAD = 0.6745  # median of a standard normal's size
+_MAX_CHI_SQUARE = 1e4  # chi^2 up to which it tells something
+
+
+class JointTorque(NamedTuple):
+    """One joint in one run where it moves; filtered, each of shape (k,).
+
+    Attributes:
+        time: s.
+        velocity: rad/s.
+        recorded: Nm.
+        predicted: Nm.
+    """
+
+    time: Array
+    velocity: Array
+    recorded: Array
+    predicted: Array
+
+    @property
+    def residual(self) -> Array:
+        """Return recorded less predicted torque, Nm, shape (k,)."""
+        return self.recorded - self.predicted
+
+
+@dataclass(frozen=True, eq=False)
+class RunTorques(TorquePrediction):
+    """Recorded against predicted torques of one bag.
+
+    Attributes:
+        names: n joints.
+        source: the bag.
+        velocity: of the joints, filtered as the torques are, rad/s, shape (m, n).
+        noise: of the filtered torque, standard deviation if the noise is white, Nm, shape (n,).
+    """
+
+    names: tuple[str, ...]
+    source: BagSource
+    velocity: Array
+    noise: Array
+
+    share = property(attrgetter("rms_share"), doc="RMS difference over RMS recorded torque, shape (n,).")
+
+    @cached_property
+    def joints(self) -> tuple[JointTorque, ...]:
+        """Return the series of each joint where it moves; empty arrays for one that stands still."""
+        columns = zip(self.compared.T, self.velocity.T, self.recorded.T, self.predicted.T, strict=True)
+        return tuple(JointTorque(*(one[there] for one in (self.time, *series))) for there, *series in columns)
+
+    @property
+    def chi_square(self) -> Array:
+        """Return the mean square difference over that of the noise, shape (n,): 1 where the model fits.
+
+        NaN for a joint that stands still or whose torque shows no noise.
+        """
+        return np.asarray((self.rms / np.where(self.noise > 0.0, self.noise, np.nan)) ** 2)
+
+    @property
+    def noiseless(self) -> Array:
+        """Return whether the noise is below a hundredth of the difference, shape (n,): chi^2 then tells nothing."""
+        return np.asarray((self.rms > 0.0) & (self.noise < self.rms / math.sqrt(_MAX_CHI_SQUARE)))
+
+
+def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorques, ...]:
+    """Return the torques of each bag of a problem, of its identified joints; pieces of a bag are put together.
+
+    Args:
+        problem: r rows.
+        predicted: torque of each, known payloads left out, Nm, shape (r,).
+    """
+    runs, own, at = problem.runs, problem.arm.identified, (problem.sample, problem.joint)
+    time = np.concatenate([run.time[run.rows] for run in runs])
+    velocity, recorded = (np.concatenate([run.parallel(getattr(run, name)) for run in runs])
+                          for name in ("velocity", "torque"))  # fmt: skip
+    known, compared = recorded.copy(), np.zeros(recorded.shape, dtype=np.bool_)
+    recorded[at], known[at], compared[at] = problem.torque + problem.payload, predicted + problem.payload, True
+    names = tuple(name for name, one in zip(problem.arm.names, own.tolist(), strict=True) if one)
+    noise, paths = np.array([torque_noise(run) for run in runs]), np.array([str(run.source.path) for run in runs])
+    bag = np.repeat(paths, [len(run.rows) for run in runs])
+    found = []
+    for path in dict.fromkeys(paths.tolist()):
+        here, pieces = bag == path, np.flatnonzero(paths == path)
+        found.append(
+            RunTorques(
+                time=time[here],
+                recorded=recorded[here][:, own],
+                predicted=known[here][:, own],
+                compared=compared[here][:, own],
+                names=names,
+                source=runs[int(pieces[0])].source,
+                velocity=velocity[here][:, own],
+                noise=np.sqrt(np.mean(noise[pieces] ** 2, axis=0))[own],
+            )
+        )
+    return tuple(found)
+
+
+def torque_noise(run: FilteredRun) -> Array:
+    """Return the standard deviation of the noise of the filtered torque, Nm, shape (n,).
+
+    The median third difference of the recorded torque tells the noise of a sample: motion is smooth between samples,
+    and the steps of friction are rare. Of white noise the filter passes the sum of its squared taps.
+    """
+    size = np.median(np.abs(np.diff(run.torque, _DIFFERENCES, axis=0)), axis=0)
+    return np.asarray(size / (_NORMAL_MAD * math.sqrt(_DIFFERENCE_GAIN)) * math.sqrt(np.sum(run.taps**2)))
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,13 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.excitation.bodies import (
+    BaseEstimate,
+    ConsistentInertias,
+    InertialPrior,
+    consistent_inertias,
+)
 from rx90_emulator.identification.excitation.filtering import Bandwidths
-from rx90_emulator.identification.excitation.physical import BaseEstimate, ConsistentInertias, consistent_inertias
-from rx90_emulator.identification.excitation.prior import InertialPrior
 from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot_files import (

@@ -18,20 +18,25 @@ from scipy.signal import lfilter
 from benchmarks.random_arms import FrictionLaw
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.choice import PartKey, Selection, element_groups
-from rx90_emulator.identification.excitation.cross_validation import Scored, TimeBlocks, left_out
+from rx90_emulator.identification.excitation.choice import (
+    PartKey,
+    Scored,
+    Selection,
+    TimeBlocks,
+    element_groups,
+    left_out,
+)
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
+from rx90_emulator.identification.excitation.final_fit import FinalFit, blur_shifts, bounded_covariance
 from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, fit_shapes, nonnegative
 from rx90_emulator.identification.excitation.friction import (
     FrictionSelection,
-    final_fit,
     identify_friction_parts,
     predicted_torque,
 )
 from rx90_emulator.identification.excitation.law import ElementMotion, ElementShape, Part, element_rows
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import simulated_elements
-from rx90_emulator.identification.excitation.unmodelled import blur_shifts, bounded_covariance
 from rx90_emulator.identification.options import MODEL_PARTS
 from rx90_emulator.identification.records import BagSource, JointRecord
 
@@ -203,10 +208,10 @@ def test_a_bristle_without_its_damping_has_the_deviation_of_what_it_hides(arm: R
     weighted = weighted_of(problem_of(arm, record((along(damped), LAWS[1]), 4)), 1.0 / NOISE)
     fit = fit_shapes(weighted, [ElementShape(frozenset({Part.BRISTLE}), stiffness=100.0), ElementShape()])
     tried = selected(weighted, fit, (0, Part.DAMPING))
-    (inner, final, *_), (_, without, *_) = final_fit(tried, ()), final_fit(selected(weighted, fit), ())
-    place = len(weighted.problem.names) + inner.index((0, "stiffness"))
-    off = fit.shapes[0].values[0] + final.value[place] - np.log(damped.c0 / damped.coulomb)
-    assert 3.0 * without.deviation[place] < abs(off) < 1.96 * final.deviation[place]
+    final, without = FinalFit(tried, ()), FinalFit(selected(weighted, fit), ())
+    place = len(weighted.problem.names) + final.inner.index((0, "stiffness"))
+    off = fit.shapes[0].values[0] + final.fit.value[place] - np.log(damped.c0 / damped.coulomb)
+    assert 3.0 * without.fit.deviation[place] < abs(off) < 1.96 * final.fit.deviation[place]
 
 
 def test_a_rise_that_may_be_there_lies_between_bounds() -> None:
@@ -412,22 +417,22 @@ def test_a_rise_that_may_be_there_widens_the_deviations(
     fit = fit_shapes(weighted, [exponent, ElementShape()])
     tried = selected(weighted, fit, (0, Part.STRIBECK))
     parts, coulomb = (Part.EXPONENT, Part.STRIBECK), len(weighted.problem.names)
-    (_, final, rises, *_), (_, without, *_) = final_fit(tried, parts), final_fit(selected(weighted, fit), parts)
-    assert set(rises) == open_ones
-    factor = final.deviation[coulomb] / without.deviation[coulomb]
+    final, without = FinalFit(tried, parts), FinalFit(selected(weighted, fit), parts)
+    assert set(final.rises) == open_ones
+    factor = final.fit.deviation[coulomb] / without.fit.deviation[coulomb]
     assert (factor > 1.1) if open_ones else (factor == 1.0)
-    for value, deviation in rises.values():
+    for value, deviation in final.rises.values():
         assert abs(value - 0.5) < 3.0 * deviation
 
 
 def test_an_exponent_left_at_1_has_the_deviation_of_what_it_hides(weighted: WeightedProblem) -> None:
     """Where an exponent of 0.7 is left out, the intervals of alpha and tau_c reach the true values."""
     fit = fit_shapes(weighted, [ElementShape(), ElementShape()])
-    inner, final, *_ = final_fit(selected(weighted, fit), (Part.EXPONENT,))
+    final = FinalFit(selected(weighted, fit), (Part.EXPONENT,))
     for key, true in {(0, "alpha"): 0.7, (0, "tau_c"): 3.0}.items():
-        place = len(weighted.problem.names) + inner.index(key)
-        found = 1.0 if key[1] == "alpha" else final.value[place]
-        assert abs(found - true) < 1.96 * final.deviation[place]
+        place = len(weighted.problem.names) + final.inner.index(key)
+        found = 1.0 if key[1] == "alpha" else final.fit.value[place]
+        assert abs(found - true) < 1.96 * final.fit.deviation[place]
 
 
 def test_a_column_of_mere_rounding_gets_no_share() -> None:

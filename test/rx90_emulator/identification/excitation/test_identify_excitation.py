@@ -26,16 +26,11 @@ from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
 from rx90_emulator.identification.excitation.law import Part
-from rx90_emulator.identification.excitation.torques import (
-    JointTorque,
-    RunTorques,
-    TorqueValidation,
-    torque_noise,
-    trends,
-)
+from rx90_emulator.identification.excitation.result import TorqueValidation, trends
 from rx90_emulator.identification.output.summary import unseen_verdict
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.robot import RecordedRobot
+from rx90_emulator.identification.validation.verdict import RunTorques, torque_noise
 
 RATE = 100.0
 NAMES = ["shoulder", "elbow"]
@@ -460,8 +455,9 @@ def series(friction: Array, noise: float, rng: np.random.Generator) -> RunTorque
     time = np.arange(0.0, 120.0, 0.1)
     velocity = np.sin(time)
     recorded = 10.0 * velocity + np.sign(velocity) * friction + noise * rng.normal(size=len(time))
-    joint = JointTorque(time, velocity, recorded, 10.0 * velocity + 5.0 * np.sign(velocity))
-    return RunTorques(("hinge",), BagSource(Path("run"), "", 120.0, 0, 0), (joint,), np.array([noise]))
+    columns = (values[:, None] for values in (recorded, 10.0 * velocity + 5.0 * np.sign(velocity), time >= 0.0))
+    source = BagSource(Path("run"), "", 120.0, 0, 0)
+    return RunTorques(time, *columns, ("hinge",), source, velocity[:, None], np.array([noise]))
 
 
 def test_a_drift_is_told_from_noise() -> None:
@@ -479,8 +475,8 @@ def test_shares_and_chi_square_are_those_of_the_noise() -> None:
     run = series(np.full(1200, 5.0), 0.5, np.random.default_rng(6))
     assert run.chi_square[0] == pytest.approx(1.0, abs=0.15)
     assert run.share[0] == pytest.approx(0.5 / np.std(run.joints[0].recorded), rel=0.1)
-    empty = JointTorque(*np.empty((4, 0)))
-    both = RunTorques(("hinge", "rest"), run.source, (*run.joints, empty), np.array([0.5, 0.5]))
+    twice = {name: np.tile(getattr(run, name), 2) for name in ("recorded", "predicted", "velocity", "noise")}
+    both = replace(run, names=("hinge", "rest"), compared=run.compared & [True, False], **twice)
     assert np.isnan(both.share[1])
     assert both.total_share == pytest.approx(run.share[0])
     assert TorqueValidation(both, both, rx.ExcitationTolerances(), both).passed

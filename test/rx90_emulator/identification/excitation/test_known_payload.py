@@ -28,8 +28,9 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.excitation import filtering, identify, instruments
 from rx90_emulator.identification.excitation.checks import coulomb_viscous
-from rx90_emulator.identification.excitation.cross_validation import Scored
+from rx90_emulator.identification.excitation.choice import Scored
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
+from rx90_emulator.identification.excitation.fit import solve
 from rx90_emulator.identification.excitation.friction import identify_friction_parts
 from rx90_emulator.identification.excitation.identify import identify_excitation
 from rx90_emulator.identification.excitation.known_payload import (
@@ -40,9 +41,7 @@ from rx90_emulator.identification.excitation.known_payload import (
     transmitted_torques,
     trimmed,
 )
-from rx90_emulator.identification.excitation.least_squares import solve
-from rx90_emulator.identification.excitation.payload import Payload, payloads_of, read_payloads
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.problem import ExcitationProblem, Payload, payloads_of, read_payloads
 from rx90_emulator.identification.excitation.result import base_parameters, simulated_elements
 from rx90_emulator.identification.output.robot_files import torque_constants
 from rx90_emulator.identification.records import JointRecord

@@ -15,11 +15,11 @@ from benchmarks.excitation_runs import MISFIT, NOISE, Disturbances
 from benchmarks.random_arms import random_arm
 from rx90_emulator.identification.excitation import instruments
 from rx90_emulator.identification.excitation.filtering import Bandwidths
+from rx90_emulator.identification.excitation.fit import hac, outside_residuals, solve, time_blocks
 from rx90_emulator.identification.excitation.friction import identify_friction_parts
 from rx90_emulator.identification.excitation.instruments import check_closed_loop
-from rx90_emulator.identification.excitation.least_squares import hac, outside_residuals, solve, time_blocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.excitation.torques import misfits, residuals_by_speed
+from rx90_emulator.identification.excitation.result import misfits, residuals_by_speed
 
 
 @pytest.fixture(scope="module")

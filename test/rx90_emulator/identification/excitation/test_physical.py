@@ -19,11 +19,19 @@ from benchmarks.excitation_runs import NOTHING, Disturbances, FourierMotion, mea
 from benchmarks.random_arms import SyntheticArm
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.consistency import FAR, Consistency, base_information
+from rx90_emulator.identification.excitation.bodies import (
+    FAR,
+    BaseEstimate,
+    Consistency,
+    ConsistentInertias,
+    InertialPrior,
+    central,
+    consistent_inertias,
+    inertial_parameters,
+    is_body,
+)
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
-from rx90_emulator.identification.excitation.least_squares import solve
-from rx90_emulator.identification.excitation.physical import BaseEstimate, ConsistentInertias, consistent_inertias
-from rx90_emulator.identification.excitation.prior import InertialPrior, central, inertial_parameters, is_body
+from rx90_emulator.identification.excitation.fit import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 Array = NDArray[np.float64]
@@ -229,8 +237,7 @@ def test_bodies_predict_unseen_runs_better_than_least_squares(tmp_path: Path) ->
             for k, worse in ((0, Disturbances(coloured=0.05, ripple=0.05, load=0.2)), (7, Disturbances()))
         )
         fit, count = solve(seen, all_columns(seen)[1]), len(seen.names)
-        information = base_information(seen, all_columns(seen)[1][:, count:], fit)
-        estimate = BaseEstimate(seen.base.combination, fit.value[:count], information, fit.determined[:count])
+        estimate = BaseEstimate.of(seen, all_columns(seen)[1][:, count:], fit)
         prior = InertialPrior.of_urdf(arm.urdf(0.5), arm.names, arm.rotor, arm.spring[arm.spring != 0.0])
         base = consistent_inertias(estimate, prior).base
         true, size = truth(seen, arm)[:count], np.linalg.norm(unseen.torque)
@@ -263,9 +270,7 @@ def test_few_instants_of_seven_joints_tell_plausible_bodies(tmp_path: Path, spee
     arm, seen, unseen, fit, prior = few_instants(tmp_path, speed)
     count = len(seen.names)
     assert np.linalg.matrix_rank(fit.covariance) < len(fit.value)
-    information = base_information(seen, all_columns(seen)[1][:, count:], fit)
-    estimate = BaseEstimate(seen.base.combination, fit.value[:count], information, fit.determined[:count])
-    found = consistent_inertias(estimate, prior)
+    found = consistent_inertias(BaseEstimate.of(seen, all_columns(seen)[1][:, count:], fit), prior)
     errors = [
         np.linalg.norm(unseen.torque - all_columns(unseen)[1] @ np.append(base, fit.value[count:]))
         for base in (fit.value[:count], found.base)
@@ -324,8 +329,7 @@ def test_a_model_without_rotors_has_none(tmp_path: Path) -> None:
     assert any("Ia" in group for group in ExcitationProblem.of(rigid, runs).base.groups)
     fit, count = solve(without, all_columns(without)[1]), len(without.names)
     assert np.linalg.norm(fit.residual) < 5e-3 * np.linalg.norm(without.torque)
-    information = base_information(without, all_columns(without)[1][:, count:], fit)
-    estimate = BaseEstimate(without.base.combination, fit.value[:count], information, fit.determined[:count])
+    estimate = BaseEstimate.of(without, all_columns(without)[1][:, count:], fit)
     prior = InertialPrior.of_urdf(arm.urdf(0.5), arm.names, None, arm.spring[arm.spring != 0.0])
     found = consistent_inertias(estimate, prior)
     assert not found.rotors.any()

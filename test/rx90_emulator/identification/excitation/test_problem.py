@@ -18,11 +18,11 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation import filtering
 from rx90_emulator.identification.excitation.checks import check_zeros, coulomb_viscous
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record, low_pass_taps
-from rx90_emulator.identification.excitation.least_squares import solve
-from rx90_emulator.identification.excitation.payload import Payload
+from rx90_emulator.identification.excitation.fit import solve
 from rx90_emulator.identification.excitation.problem import (
     BaseGroups,
     ExcitationProblem,
+    Payload,
     StandardColumns,
     described_inertials,
     element_states,

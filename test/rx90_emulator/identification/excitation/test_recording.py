@@ -15,10 +15,17 @@ from benchmarks.excitation_runs import NOISE, NOTHING, Disturbances, FourierMoti
 from benchmarks.random_arms import SyntheticArm
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
-from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record, least_bandwidth, smoothed_above
-from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
+from rx90_emulator.identification.excitation.filtering import (
+    Bandwidths,
+    filter_record,
+    least_bandwidth,
+    recording_notes,
+    smoothed_above,
+    without_shocks,
+)
+from rx90_emulator.identification.excitation.fit import LinearFit, solve
+from rx90_emulator.identification.excitation.identify import log_warnings
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.excitation.recording import recording_notes, short_note, without_shocks
 from rx90_emulator.identification.records import JointRecord
 
 ARM = plain_arm(7, 2, coupled=False)
@@ -201,7 +208,7 @@ def test_slow_and_short_logs_carry_a_warning(equations: Equations) -> None:
     (note,) = recording_notes([slow], Bandwidths(10.0, 3.0))
     assert note.startswith("warning: ")
     assert "40 samples per second do not tell motion above 12 Hz" in note
-    assert short_note(equations([slow], Bandwidths(10.0, 3.0))) == ()
+    assert log_warnings(equations([slow], Bandwidths(10.0, 3.0))) == []
     few = replace(slow, **{name: getattr(slow, name)[:200] for name in ("time", "position", "velocity", "torque")})
-    (note,) = short_note(equations([few], Bandwidths(5.0, 1.5)))
+    (note,) = log_warnings(equations([few], Bandwidths(5.0, 1.5)))
     assert "warning: a short log" in note

@@ -1,0 +1,604 @@
+"""The links, rotors and springs that can exist nearest to identified base parameters: what the files hold.
+
+Where the search begins (the <inertial> of the URDF, or the geometry of the arm), the search, and what the bodies cost
+beside the base parameters. The mass distribution of a body is one symmetric matrix of order 4, its pseudo-inertia.
+
+    P = [[S, h], [h^T, m]],   S = integral of r r^T = tr(I) / 2 - I,   h = m c,   I the inertia about the origin.
+
+A body of positive density exists for m, h and I if and only if P is positive definite (Wensing, Kim and Slotine 2018).
+In another frame the same body has T P T^T, with T the homogeneous transform of its old frame to the new one.
+
+With y the base parameters, K the mapping from all parameters theta to base parameters, and R^T R the information of the
+weighted rows on y, the sum
+
+    |R (K theta - y)|^2 + w |distance from the prior|^2
+
+is minimised. The first term is what the shift adds to the weighted squares of the torque, with the friction as it was
+identified: that is what the files hold beside the bodies. The second one decides what the data leave open. The prior
+is the <inertial> of the URDF, or the geometry of the arm where it has none.
+
+With P0 of the prior, the squared distance of a body is twice the Bregman divergence of -log det (Lee, Wensing and Park
+2020, "Geometric robot dynamic identification: a convex programming approach"),
+
+    2 (tr(P0^-1 P) - log det(P0^-1 P) - 4),
+
+near the prior the sum of the squared entries of log(P0^-1 P). It does not depend on units or frames, grows without
+bound towards what no body can be, and in proportion to a mass that is too large. A rotor or spring is a matrix of order
+1. The whole sum is convex in the parameters: it has one minimum.
+
+A body is kept as its Cholesky factor, P = L L^T, and a step of the search changes the factor about itself, to first
+order as log-Cholesky parameters do (Rucker and Wensing 2022, "Smooth parameterization of rigid-body inertia"), but
+along a straight line in P: of sharp data some sums are known to 1e-3 and others not at all, and the valley that this
+makes is straight in P and bent in a factor's logarithms, where searches crawl along it.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq
+
+from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import listed, quoted
+from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.excitation.fit import LinearFit
+from rx90_emulator.identification.excitation.friction import FrictionSelection, linear_columns
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.options import RobotOptions
+from rx90_emulator.identification.robot import RecordedRobot
+
+_MOMENTS = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])
+"""Rows and columns of Ixx, Ixy, Iyy, Ixz, Iyz, Izz, in Pinocchio's order."""
+_MIN_EIGENVALUE = 1e-12  # of P scaled to ones on its diagonal: less is rounding
+
+
+def inertial_parameters(pseudo: Array) -> Array:
+    """Return m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz, shape (..., 10), of pseudo-inertias, shape (..., 4, 4).
+
+    They are about the origin of the frame, and linear in the pseudo-inertias.
+    """
+    inertia = _other(pseudo[..., :3, :3], 1.0)[..., _MOMENTS[0], _MOMENTS[1]]
+    return np.concatenate([pseudo[..., 3, 3][..., None], pseudo[..., :3, 3], inertia], axis=-1)
+
+
+def _other(matrix: Array, share: float) -> Array:
+    """Return share tr(M) - M: S of an inertia for a share of 1/2, the inertia of S for 1."""
+    trace = np.trace(matrix, axis1=-2, axis2=-1)
+    return np.asarray(share * trace[..., None, None] * np.eye(3) - matrix)
+
+
+def _about_center(mass: float, center: Array, inertia: Array) -> Array:
+    """Return P, shape (4, 4), of a mass with its centre, shape (3,), and inertia about it, shape (3, 3)."""
+    place = np.append(center, 1.0)
+    pseudo = mass * np.outer(place, place)
+    pseudo[:3, :3] += _other(inertia, 0.5)
+    return pseudo
+
+
+def central(pseudo: Array) -> tuple[float, Array, Array]:
+    """Return mass, centre of mass (3,) and inertia about it (3, 3) of a positive definite P, shape (4, 4)."""
+    mass = float(pseudo[3, 3])
+    center = pseudo[:3, 3] / mass
+    spread = pseudo[:3, :3] - mass * np.outer(center, center)
+    return mass, center, _other(0.5 * (spread + spread.T), 1.0)
+
+
+def is_body(pseudo: Array) -> bool:
+    """Tell whether a body of positive density has this P, shape (4, 4), finite and positive definite."""
+    if not np.isfinite(pseudo).all() or not (np.diag(pseudo) > 0.0).all():
+        return False
+    scale = np.sqrt(np.diag(pseudo))
+    return bool(np.linalg.eigvalsh(pseudo / np.outer(scale, scale))[0] > _MIN_EIGENVALUE)
+
+
+@dataclass(frozen=True, eq=False)
+class MovingBody:
+    """One link of a URDF that moves with a joint.
+
+    Attributes:
+        link: its name.
+        joint: which of the joints it moves with, from 0.
+        frame: its frame in the frame of that joint, homogeneous, shape (4, 4).
+        pseudo: pseudo-inertia by the URDF in the joint's frame, shape (4, 4); zeros without <inertial>.
+    """
+
+    link: str
+    joint: int
+    frame: Array
+    pseudo: Array
+
+
+_URDF_MOMENTS = ("ixx", "ixy", "ixz", "ixy", "iyy", "iyz", "ixz", "iyz", "izz")
+
+
+def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], Array]:
+    """Return the links that move, and the frame farthest from each joint that moves with it, m, shape (n, 3).
+
+    Pinocchio, and so the regressor, takes all links that are fixed to each other for one body; a URDF has them apart.
+    Each joint's own link stands before those that are fixed to it. The farthest frame may be that of the next joint.
+
+    Raises:
+        IdentificationError: for a joint that the URDF does not have.
+    """
+    root = ET.fromstring(urdf)
+    own = {
+        str(one.get("name")): child.get("link")
+        for one in root.iter("joint")
+        if (child := one.find("child")) is not None
+    }
+    for name in joints:
+        if name not in own:
+            raise IdentificationError(f"no joint {quoted(name)} in the URDF; accepted: {listed(own)}")
+    model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
+    held = [k for k in range(1, model.njoints) if model.names[k] not in joints]
+    model = pin.buildReducedModel(model, held, pin.neutral(model))
+    number = [joints.index(name) if name in joints else -1 for name in model.names]
+    bodies, places = [], list(zip(model.parents, model.jointPlacements, strict=True))
+    for element in root.findall("link"):
+        frame, inertial = (
+            model.frames[model.getFrameId(element.get("name", ""), pin.FrameType.BODY)],
+            element.find("inertial"),
+        )
+        places.append((frame.parentJoint, frame.placement))
+        if frame.parentJoint:
+            pseudo = np.zeros((4, 4))
+            if inertial is not None:
+                mass, inertia = inertial.find("mass"), inertial.find("inertia")
+                weight = 0.0 if mass is None else float(mass.get("value", "0"))
+                moments = [0.0 if inertia is None else float(inertia.get(key, "0")) for key in _URDF_MOMENTS]
+                to_joint = frame.placement.homogeneous @ _origin(inertial)
+                pseudo = to_joint @ _about_center(weight, np.zeros(3), np.reshape(moments, (3, 3))) @ to_joint.T
+            bodies.append(MovingBody(frame.name, number[frame.parentJoint], frame.placement.homogeneous, pseudo))
+    ends = np.zeros((len(joints), 3))
+    for joint, place in places:
+        if joint and np.linalg.norm(place.translation) > np.linalg.norm(ends[number[joint]]):
+            ends[number[joint]] = place.translation
+    return sorted(bodies, key=lambda body: (body.joint, body.link != own[joints[body.joint]])), ends
+
+
+def _origin(parent: ET.Element) -> Array:
+    """Return the homogeneous transform of an <origin>, shape (4, 4)."""
+    origin = parent.find("origin")
+    given = {} if origin is None else origin.attrib
+    xyz, rpy = ([float(word) for word in given.get(key, "0 0 0").split()] for key in ("xyz", "rpy"))
+    return np.asarray(pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)).homogeneous)
+
+
+_DENSITY = 1500.0  # kg/m^3: castings with motors in them, and with room left
+_SLENDERNESS = 6.0  # length over radius of a link without <inertial>
+_MIN_RADIUS_SHARE = 0.05  # its least radius, as a share of the arm's reach
+_END_RADIUS = 0.2  # radius of one that ends at its joint, as a share of the others' mean length
+_DEFAULT_REACH = 0.5  # m, of an arm whose joints all have one origin
+_MIN_EQUAL_LINKS = 3  # so many links with the same <inertial> are no chance
+_EQUAL = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class InertialPrior:
+    """Mass distributions and rotors to begin with, and to stay near to where the data say nothing.
+
+    Attributes:
+        joints: names of the n joints.
+        bodies: the links that share the parameters, at least one for each joint; their pseudo-inertias are positive
+            definite.
+        known: parameters of the bodies that stay, summed for each joint, shape (n, 10).
+        rotors: inertia of each rotor that has a column, seen at its joint, kg m^2, shape (k,); 0 for all of them
+            where the torque has no part of theirs.
+        springs: amplitude of each spring that has a column, Nm, shape (s,); 0 for one of which nothing is known.
+        guessed: which bodies, and then rotors, the description does not have, shape (b + k,).
+        replaced: in words, what is not taken from the URDF, and what stands in its place.
+        dropped: links whose <inertial> no body can have; the other links of their joint take their share.
+    """
+
+    joints: tuple[str, ...]
+    bodies: tuple[MovingBody, ...]
+    known: Array
+    rotors: Array
+    springs: Array
+    guessed: Mask
+    replaced: tuple[str, ...]
+    dropped: tuple[str, ...]
+
+    @classmethod
+    def of_urdf(
+        cls,
+        urdf: Path | str,
+        joints: Sequence[str],
+        rotors: ArrayLike | None = (),
+        springs: ArrayLike = (),
+        known: Collection[str] = (),
+    ) -> InertialPrior:
+        """Return the prior of an arm.
+
+        Args:
+            urdf: file, or its text.
+            joints: n names from base to tip.
+            rotors: inertia of the rotors of the first k joints, seen at these, kg m^2, shape (k,); 0 for one of which
+                nothing is known: it begins at the mean moment of inertia of its joint's body. None for torques that
+                hold nothing of rotors.
+            springs: as the attribute.
+            known: links whose <inertial> is known and stays, such as a tool that was weighed.
+
+        Raises:
+            IdentificationError: for a joint that is not there, and rotors or springs that are negative or too many.
+        """
+        names, text = tuple(joints), urdf.read_text(encoding="utf-8") if isinstance(urdf, Path) else urdf
+        links, ends = _moving_links(text, names)
+        stay, free = np.zeros((len(names), 10)), [body for body in links if body.link not in known]
+        for body in links:
+            if body.link in known:
+                stay[body.joint] += inertial_parameters(body.pseudo)
+        own = [next(body for body in free if body.joint == joint) for joint in range(len(names))]
+        # As exporters fill it in: all joints' own links the same.
+        same = all(np.abs(one.pseudo - own[0].pseudo).max() <= _EQUAL for one in own)
+        filled = len(own) >= _MIN_EQUAL_LINKS and bool(own[0].pseudo.any()) and same
+        bodies: list[MovingBody] = []
+        guessed, words = [], []
+        for joint, name in enumerate(names):
+            mine = [body for body in free if body.joint == joint]
+            real = [] if filled else [body for body in mine if is_body(body.pseudo)]
+            guessed += [False] * len(real) or [True]
+            bodies += real
+            if not real:
+                bodies.append(_by_geometry(mine[0], ends))
+                given = any(one.pseudo.any() for one in mine)
+                why = "the same for all links" if filled else "none that a body can have" if given else "missing"
+                words.append(
+                    f"{mine[0].link} at {name}: <inertial> is {why}; begins as an ellipsoid of {_DENSITY:g} kg/m^3 "
+                    f"along the link, {bodies[-1].pseudo[3, 3]:.3g} kg"
+                )
+        kept = {body.link for body in bodies}
+        dropped = tuple(body.link for body in free if body.pseudo.any() and body.link not in kept)
+        sizes: ArrayLike = np.zeros(len(names)) if rotors is None else rotors
+        begun, amplitudes = (np.array(values, dtype=np.float64).reshape(-1) for values in (sizes, springs))
+        for what, values in (("rotor inertias", begun), ("springs", amplitudes)):
+            if len(values) > len(names) or not np.isfinite(values).all() or (values < 0.0).any():
+                accepted = f"finite numbers >= 0, at most {len(names)}"
+                raise IdentificationError(f"{what} {values.tolist()}; accepted: {accepted}")
+        unknown = (begun == 0.0) if rotors is not None else np.zeros(len(begun), dtype=np.bool_)
+        guesses = np.append(np.array(guessed, dtype=bool), unknown)
+        for i in np.flatnonzero(unknown).tolist():
+            total = np.sum([inertial_parameters(body.pseudo) for body in bodies if body.joint == i], axis=0)
+            begun[i] = total[[4, 6, 9]].mean()
+            words.append(f"rotor of {names[i]}: begins at {begun[i]:.3g} kg m^2, the mean moment of its link")
+        return cls(names, tuple(bodies), stay, begun, amplitudes, guesses, tuple(words), dropped)
+
+
+def _by_geometry(body: MovingBody, ends: Array) -> MovingBody:
+    """Return a link as a solid ellipsoid from its joint to the farthest frame that moves with it."""
+    end = ends[body.joint]
+    length = float(np.linalg.norm(end))
+    reach = float(np.linalg.norm(ends, axis=1).sum()) or _DEFAULT_REACH
+    others = max(1, int(ends.any(axis=1).sum()))
+    radius = max(length / _SLENDERNESS, _MIN_RADIUS_SHARE * reach) if length else _END_RADIUS * reach / others
+    half = max(0.5 * length, radius)
+    along = end / length if length > 0.0 else np.zeros(3)
+    mass = _DENSITY * 4.0 / 3.0 * np.pi * half * radius**2
+    spread = mass / 5.0 * (radius**2 * np.eye(3) + (half**2 - radius**2) * np.outer(along, along))
+    return replace(body, pseudo=_about_center(mass, 0.5 * end, _other(spread, 1.0)))
+
+
+_PRIOR_WEIGHT = 1.0  # of logarithms with a deviation of 1: a description is right but for factors of some e
+_GUESS_WEIGHT = 0.1  # of what the description does not have: right but for factors of some 20
+_MAX_STEPS = 50  # for each weight of the prior
+_DECREMENT = 1e-12  # of what is minimised, relative: a step that gains less is the last one
+_STEP_SHARE = 0.99  # of the way to where a body would lose a dimension, at most
+_LONGEST_STEP = 2.0  # in Newton steps
+_MAX_NULL_ENTRY = 1e-6  # of a parameter in the mapping's null space, to be determined by itself
+_MIN_SINGULAR_VALUE = 1e-9  # of the mapping, relative: less is rounding
+_MIN_STEP_VALUE = 1e-14  # the same of the equations of a step
+_OPEN_SHARE = 0.5  # of the prior's variance of a mass: where the runs leave more of it, the prior decides
+_ROWS, _COLUMNS = np.tril_indices(4)
+_BASIS = np.zeros((10, 4, 4))  # of symmetric matrices: the sum of an element's squares is that of its entries
+_BASIS[range(10), _ROWS, _COLUMNS] = _BASIS[range(10), _COLUMNS, _ROWS] = np.where(_ROWS == _COLUMNS, 1.0, 0.5**0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class BaseEstimate:
+    """Identified base parameters.
+
+    Attributes:
+        mapping: K, shape (p, P), from P standard parameters to the base parameters: ten of each joint's body in
+            Pinocchio's order, the inertias of k rotors, the amplitudes of s springs, and others, such as offsets. Those
+            others, and springs without a prior, may be anything.
+        value: SI units, shape (p,).
+        information: R, shape (m, p): R^T R is the information on them.
+        determined: which parameters the data determine, shape (p,).
+    """
+
+    mapping: Array
+    value: Array
+    information: Array
+    determined: Mask
+
+    @classmethod
+    def of(cls, problem: ExcitationProblem, friction: Array, fit: LinearFit) -> BaseEstimate:
+        """Return those of a fit, with the information of the weighted rows, friction as it is.
+
+        Neighbouring rows share their errors: it is scaled to variances that are those of the covariance, in the median.
+
+        Args:
+            problem: r rows.
+            friction: columns of the friction, shape (r, f).
+            fit: of base parameters and friction.
+        """
+        count = len(problem.names)
+        weight = np.sqrt(fit.weights) / fit.sigma[problem.joint]
+        root = np.asarray(np.linalg.qr(np.hstack([problem.regressor, friction]) * weight[:, None], mode="r"))
+        variance = np.diag(fit.covariance)[:count]
+        white = np.sum(np.linalg.pinv(root)[:count] ** 2, axis=1)
+        share = np.median((white / variance)[np.isfinite(variance)])
+        information = np.asarray(root[:count, :count] * math.sqrt(min(1.0, float(share))))
+        return cls(problem.base.combination, fit.value[:count], information, fit.determined[:count])
+
+
+@dataclass(frozen=True, eq=False)
+class ConsistentInertias:
+    """Bodies and rotors that can exist, near to what was identified.
+
+    Attributes:
+        prior: where they began.
+        pseudo: of each body, in the frame of its joint, shape (b, 4, 4).
+        rotors: kg m^2, > 0 where the torque holds theirs, else 0, shape (k,).
+        parameters: the standard parameters, bodies that stay included, shape (P,).
+        base: their base parameters, shape (p,).
+        shift: base parameters less the identified ones, shape (p,).
+        distance: length of the shift in standard deviations, RMS: at most about 1 within the noise.
+        alone: which standard parameters the data determine by themselves, not only as part of a sum, shape (P,).
+        open: joints of which the prior, rather than the data, decides the mass of the bodies, shape (n,).
+    """
+
+    prior: InertialPrior
+    pseudo: Array
+    rotors: Array
+    parameters: Array
+    base: Array
+    shift: Array
+    distance: float
+    alone: Mask
+    open: Mask
+
+
+def consistent_inertias(
+    estimate: BaseEstimate, prior: InertialPrior, weight: float = _PRIOR_WEIGHT
+) -> ConsistentInertias:
+    """Return the consistent inertias nearest to the identified base parameters and to the prior.
+
+    Args:
+        estimate: of the base parameters.
+        prior: of links and rotors.
+        weight: w, of the prior.
+
+    Raises:
+        IdentificationError: if nothing is determined.
+    """
+    if not estimate.determined.any():
+        count = len(estimate.determined)
+        raise IdentificationError(f"none of {count} base parameters is determined; accepted: runs that determine some")
+    mapping, known = estimate.mapping, estimate.mapping[estimate.determined]
+    search = _Search(prior, estimate.information @ mapping, estimate.information @ estimate.value)
+    # Sharp data would end the first steps where a body loses a dimension: the prior begins with a weight as sharp.
+    squares = float(np.sum(search.residual**2))
+    for decade in range(max(0, math.ceil(math.log10(max(squares, 1.0) / weight))), -1, -1):
+        search.minimise(weight * 10.0**decade)
+    base = mapping @ search.parameters
+    # Those that the null space of the mapping has not are determined by themselves.
+    _, sizes, rows = np.linalg.svd(known / np.maximum(np.linalg.norm(known, axis=0), 1e-300))
+    null = rows[int((sizes > _MIN_SINGULAR_VALUE * sizes[0]).sum()) :]
+    alone = np.asarray(np.linalg.norm(null, axis=0) < _MAX_NULL_ENTRY)
+    shift = base - estimate.value
+    return ConsistentInertias(
+        prior=prior,
+        pseudo=search.pseudo,
+        rotors=search.behind[: len(prior.rotors)],
+        parameters=search.parameters,
+        base=base,
+        shift=shift,
+        distance=float(np.linalg.norm(estimate.information @ shift)) / math.sqrt(int(estimate.determined.sum())),
+        alone=alone,
+        open=search.open_masses(weight),
+    )
+
+
+class _Search:
+    """Newton's method for bodies and what stands behind them in the parameters, from the prior on.
+
+    Attributes:
+        pseudo: of the bodies, shape (b, 4, 4).
+        behind: rotors, springs and others, shape (P - 10 n,).
+    """
+
+    def __init__(self, prior: InertialPrior, whitened: Array, target: Array) -> None:
+        self._joint, self._known = [body.joint for body in prior.bodies], prior.known.ravel()
+        self._whitened, self._target = whitened, target
+        self.pseudo = np.array([body.pseudo for body in prior.bodies])
+        begun = np.concatenate([prior.rotors, prior.springs])
+        self.behind = np.append(begun, np.zeros(whitened.shape[1] - len(self._known) - len(begun)))
+        self._positive = self.behind > 0.0
+        self._inverse, self._begun = np.linalg.inv(self.pseudo), np.where(self._positive, self.behind, 1.0)
+        share = np.where(prior.guessed, _GUESS_WEIGHT, 1.0)
+        rest = np.append(share[len(self.pseudo) :], np.ones(len(self.behind) - len(prior.rotors)))
+        self._share = np.append(np.repeat(share[: len(self.pseudo)], 10), np.where(self._positive, rest, 0.0))
+
+    @property
+    def parameters(self) -> Array:
+        """Return all standard parameters, shape (P,)."""
+        links = self._known.copy().reshape(-1, 10)
+        np.add.at(links, self._joint, inertial_parameters(self.pseudo))
+        return np.append(links, self.behind)
+
+    @property
+    def residual(self) -> Array:
+        """Return what is left of the data, in standard deviations, shape (m,)."""
+        return np.asarray(self._whitened @ self.parameters - self._target)
+
+    def _tangent(self, factors: Array) -> Array:
+        """Return the derivatives of the residual by a step: ten for each body, then one each; shape (m, 10 b + ...)."""
+        moves = inertial_parameters(factors[:, None] @ _BASIS @ np.swapaxes(factors, 1, 2)[:, None])
+        links = self._whitened[:, : len(self._known)].reshape(len(self._target), -1, 10)[:, self._joint]
+        bodies = np.einsum("mbp,bkp->mbk", links, moves).reshape(len(self._target), -1)
+        behind = self._whitened[:, len(self._known) :] * np.where(self._positive, self.behind, 1.0)
+        return np.hstack([bodies, behind])
+
+    def minimise(self, weight: float) -> None:
+        """Go to the minimum with this weight of the prior."""
+        count, weights = 10 * len(self.pseudo), weight * self._share
+        near = np.sqrt(weights)
+        for _ in range(_MAX_STEPS):
+            factors, residual = np.linalg.cholesky(self.pseudo), self.residual
+            turned = np.swapaxes(factors, 1, 2)
+            slopes = np.einsum("kij,bij->bk", _BASIS, turned @ self._inverse @ factors - np.eye(4)).ravel()
+            slopes = np.append(slopes, np.where(self._positive, self.behind / self._begun - 1.0, 0.0))
+            tangent = self._tangent(factors)
+            rows, sides = np.vstack([tangent, np.diag(near)]), np.append(residual, near * slopes)
+            size, step = np.linalg.norm(rows, axis=0), np.zeros(rows.shape[1])
+            there = size > 0.0  # all but the rotors and offsets that no row holds
+            step[there] = -np.linalg.lstsq(rows[:, there] / size[there], sides, rcond=_MIN_STEP_VALUE)[0] / size[there]
+            moves = np.tensordot(step[:count].reshape(-1, 10), _BASIS, 1)
+            stretch = np.append(np.linalg.eigvalsh(moves), step[count:])
+            own = np.append(np.repeat(weights[:count:10], 4), weights[count:])
+            change = tangent @ step
+            gain = -float(residual @ change + (weights * slopes) @ step)
+            length = _best_length(gain, float(change @ change), own, stretch)
+            shares = np.where(self._positive, self.behind, 1.0)
+            self.pseudo = factors @ (np.eye(4) + length * moves) @ turned
+            self.pseudo = 0.5 * (self.pseudo + np.swapaxes(self.pseudo, 1, 2))
+            self.behind = self.behind + length * shares * step[count:]
+            if gain < _DECREMENT * float(residual @ residual + weights.sum()):
+                break
+
+    def open_masses(self, weight: float) -> Mask:
+        """Return at which joints the data leave more than half of the variance that the prior gives the mass alone."""
+        factors, near = np.linalg.cholesky(self.pseudo), np.sqrt(weight * self._share)
+        inverse = np.linalg.pinv(np.vstack([self._tangent(factors), np.diag(near)]))
+        # A step's change of the mass that moves with each joint.
+        masses = (factors[:, None] @ _BASIS @ np.swapaxes(factors, 1, 2)[:, None])[:, :, 3, 3]
+        moved = np.zeros((len(self._known) // 10, len(near)))
+        for b, joint in enumerate(self._joint):
+            moved[joint, 10 * b : 10 * b + 10] = masses[b]
+        count = 10 * len(self._joint)
+        alone = np.sum((moved[:, :count] / near[:count]) ** 2, axis=1)
+        return np.asarray(np.sum((moved @ inverse) ** 2, axis=1) > _OPEN_SHARE * alone)
+
+
+def _best_length(gain: float, square: float, weights: Array, stretch: Array) -> float:
+    """Return how far to go in a direction, in Newton steps.
+
+    Args:
+        gain: minus the slope of the minimised sum where it begins.
+        square: of the change of the residual over one step.
+        weights: of the logarithms, shape (k,).
+        stretch: change over one step of what these are of, 1 where it begins, shape (k,).
+    """
+
+    def slope(length: float) -> float:
+        return float(length * square - gain + weights @ (length * stretch**2 / (1.0 + length * stretch)))
+
+    shrinks = -float(np.min(stretch[weights > 0.0], initial=0.0))
+    longest = min(_LONGEST_STEP, _STEP_SHARE / max(shrinks, 1e-300))
+    return longest if slope(longest) <= 0.0 else float(brentq(slope, 0.0, longest))
+
+
+FAR = 2.0
+"""Standard deviations, RMS, from which on bodies are far from the base parameters."""
+_TOOL = "tool"  # the link that a tool file adds: its inertial is known
+
+
+@dataclass(frozen=True, eq=False)
+class Consistency:
+    """Inertias that bodies can have, and what they cost: RMS along the runs at each of n joints, Nm, shape (n,).
+
+    Attributes:
+        inertias: nearest to the identified base parameters.
+        shares: RMS residual over RMS torque, all joints together: with the base parameters, with the inertias.
+        added: torque that the shift of the base parameters adds; 0 for a joint without rows, here and below.
+        before: residuals with the base parameters as identified.
+        after: residuals with the shifted ones.
+    """
+
+    inertias: ConsistentInertias
+    shares: tuple[float, float]
+    added: Array
+    before: Array
+    after: Array
+
+    @property
+    def text(self) -> str:
+        """Return in words how far the bodies are from the base parameters, and what that costs."""
+        before, after = self.shares
+        return (
+            f"bodies in the files: {self.inertias.distance:.2g} standard deviations from the base parameters (RMS; up "
+            f"to about 1 is noise); torque RMS of the fitted runs {after:.1%} with them, {before:.1%} without"
+        )
+
+    @property
+    def open_text(self) -> str:
+        """Return in words at which joints the runs tell no mass, and where it stays; "" if there are none."""
+        prior, words = self.inertias.prior, []
+        real = {body.joint for body, guess in zip(prior.bodies, prior.guessed, strict=False) if not guess}
+        for described, near in ((True, "the description's"), (False, "plausible ones, ellipsoids along the links")):
+            joints = [name for k, name in enumerate(prior.joints) if self.inertias.open[k] and (k in real) == described]
+            words += [f"what {listed(joints)} move{'s' * (len(joints) == 1)} stays near {near}"] if joints else []
+        return f"masses that the runs do not tell: {'; '.join(words)}" if words else ""
+
+    @property
+    def warning(self) -> str:
+        """Return a warning if the bodies are far from the base parameters, else ""."""
+        if self.inertias.distance <= FAR:
+            return ""
+        before, after = self.shares
+        return (
+            f"the bodies in the files are {self.inertias.distance:.3g} standard deviations from the base parameters "
+            f"(RMS; up to {FAR:g} passes): torque RMS {after:.1%} in place of {before:.1%}. No bodies near the "
+            "description have these: is a known tool, a payload, a zero or the sign of a torque another one, or do "
+            "the torques hold no rotors (--no-rotors)?"
+        )
+
+
+def make_consistent(
+    problem: ExcitationProblem, friction: FrictionSelection, robot: RecordedRobot, options: RobotOptions
+) -> Consistency:
+    """Return the consistent inertias nearest to the base parameters of a fit.
+
+    Args:
+        problem: the equations.
+        friction: the fit.
+        robot: whose description says where inertias, rotors and springs begin.
+        options: that describe it.
+
+    Raises:
+        IdentificationError: if there are none.
+    """
+    arm, n = problem.arm, len(problem.arm.names)
+    description: Path | str = Path(str(options.urdf))
+    rotors: ArrayLike | None = problem.columns.values()[10 * n : 11 * n] if problem.columns.rotors else None
+    known: tuple[str, ...] = ()
+    if robot.setup is not None:
+        description, rotors = robot.setup.robot.urdf, robot.setup.drives.rotor_inertia
+        known = () if (robot.setup.files or RobotFiles()).tool is None else (_TOOL,)
+    prior = InertialPrior.of_urdf(description, arm.names, rotors, arm.spring[problem.columns.springs], known)
+    estimate = BaseEstimate.of(problem, linear_columns(friction, problem)[1], friction.fit)
+    inertias = consistent_inertias(estimate, prior)
+    residual, change = problem.torque - friction.predicted, problem.regressor @ inertias.shift
+    rows = np.maximum(np.bincount(problem.joint, minlength=n), 1)
+    squares = [np.bincount(problem.joint, one**2, n) for one in (change, residual, residual - change)]
+    before, after = (math.sqrt(float(one.sum() / np.sum(problem.torque**2))) for one in squares[1:])
+    return Consistency(inertias, (before, after), *(np.sqrt(one / rows) for one in squares))
+
+
+def written_arm(problem: ExcitationProblem, consistency: Consistency) -> RigidArm:
+    """Return the arm that the files hold, with the offsets of its torques."""
+    arm, columns, values = problem.arm, problem.columns, consistency.inertias.parameters
+    n, spring = len(arm.names), arm.spring.copy()
+    spring[columns.springs] = values[11 * n : 11 * n + len(columns.springs)]
+    bodies = arm.with_bodies(values[: 10 * n], values[10 * n : 11 * n])
+    return replace(bodies, spring=spring, offset=values[-n:])
