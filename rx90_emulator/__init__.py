@@ -77,7 +77,7 @@ if TYPE_CHECKING:
     from rx90_controller.lines.plan import LinePlan as LinePlan
     from rx90_controller.lines.task import LineTask as LineTask, load_task as load_task
     from rx90_controller.paths.path import Path as Path
-    from rx90_controller.paths.segment import Segment as Segment
+    from rx90_controller.paths.path import Segment as Segment
     from rx90_controller.trajectory import TrajectoryPoints as TrajectoryPoints
     from rx90_emulator.export.export import (
         Export as Export,
@@ -101,11 +101,12 @@ if TYPE_CHECKING:
         LearnedCorrection as LearnedCorrection,
         Learner as Learner,
         learn_correction as learn_correction,
+        learn_from_record as learn_from_record,
     )
     from rx90_emulator.correction.methods import Filtered as Filtered, NormOptimal as NormOptimal
     from rx90_emulator.correction.path import TrajectoryPath as TrajectoryPath
     from rx90_emulator.correction.precompensation import precompensate as precompensate
-    from rx90_emulator.correction.recorded import learn_from_record as learn_from_record, measured as measured
+    from rx90_emulator.correction.recorded import measured as measured
     from rx90_emulator.identification.arm import RigidArm as RigidArm
     from rx90_emulator.identification.excitation.friction import identify_friction_parts as identify_friction_parts
     from rx90_emulator.identification.excitation.identify import identify_excitation as identify_excitation

@@ -2,15 +2,16 @@
 
 A trial plays a correction and measures the error. It is kept if the worst distance from the path is no larger than with
 the best correction before, but for noise; the next correction goes on from the best one. After a trial that made it
-worse it goes on with half the gain. Learning has failed where trial after trial makes it worse.
+worse half of the step from the best one is tried, and the gain halved. Learning has failed where trial after trial
+makes it worse.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
+
+if TYPE_CHECKING:
+    from rx90_emulator.correction.file import CorrectionFile
 
 NOISE = 1e-6
 """By how much the worst distance may grow, m, unless another noise is given: of about encoder counts."""
@@ -114,14 +118,24 @@ class Learner:
         if not path.points.times[-1] <= _LONGEST * period:
             raise ConfigError(f"a path of {path.points.times[-1]:g} s; accepted: up to {_LONGEST * period:g} s")
         self.nominal = Nominal.of(setup, path.points, path.counted)
-        count = len(self.nominal.counts)
-        shape = count, len(setup.robot.joint_names)
+        shape = len(self.nominal.counts), len(setup.robot.joint_names)
         self.offsets = np.zeros(shape) if previous is None else np.array(previous, dtype=np.float64)
         if self.offsets.shape != shape:
             raise ConfigError(f"offsets of shape {self.offsets.shape}; accepted: {shape}")
         self.best, self.trials = self.offsets, list[TrialRecord]()
         self._update = self.method.prepare(setup, self.nominal, tip=tip)
-        self._error, self._gain, self._worse = np.zeros(0), 1.0, 0
+        self._least, self._gain, self._worse = math.inf, 1.0, 0
+
+    def go_on(self, best: Array, worst: Sequence[float]) -> None:
+        """Judge the next trial by those before it, which a correction file has.
+
+        Args:
+            best: offsets of the best of them, rad, shape (n, j).
+            worst: their largest distances from the path, m, of trials that were measured as the next one is.
+        """
+        self._least, self.best = min(worst), np.asarray(best)
+        self._worse = len(worst) - 1 - max(k for k, one in enumerate(worst) if one <= self._least + self.noise)
+        self._gain = 0.5**self._worse
 
     @property
     def correction(self) -> Correction:
@@ -144,6 +158,8 @@ class Learner:
     def take(self, measured: Measured) -> TrialRecord:
         """Judge what a trial with `offsets` has left, and make the next offsets.
 
+        After a trial that is worse than the best one the next offsets lie in the middle between those of both.
+
         Raises:
             ConfigError: if the tip is to be learned from and was not measured, or a number is not finite.
             CorrectionError: if trial after trial has made it worse.
@@ -158,27 +174,22 @@ class Learner:
             )
         distance = self.distance(measured)
         worst, rms = float(distance.max()), math.sqrt(float(np.mean(distance**2)))
-        least = min((trial.worst for trial in self.trials), default=math.inf)
-        kept = worst <= least + self.noise
+        kept = worst <= self._least + self.noise
         trial = TrialRecord(worst, rms, kept, self._gain, distance)
         self.trials.append(trial)
         if kept:
-            self.best, self._error, self._worse = self.offsets, error, 0
-            self._gain = min(1.0, 2.0 * self._gain) if len(self.trials) > 1 else 1.0
-        else:
-            self._worse, self._gain = self._worse + 1, 0.5 * self._gain
-            if self._worse >= MOST_WORSE:
-                raise CorrectionError(
-                    f"{self._worse} trials in a row have made the path worse, the last one {worst * 1e3:.4f} mm after "
-                    f"{least * 1e3:.4f} mm; accepted: the correction of trial {self._best_number}, or another model, "
-                    "method or gain"
-                )
-        self.offsets = self._update(self.best, self._error, self._gain)
+            self._least, self._gain, self._worse = min(self._least, worst), min(1.0, 2.0 * self._gain), 0
+            self.best = self.offsets
+            self.offsets = self._update(self.best, error, self._gain)
+            return trial
+        self._worse, self._gain = self._worse + 1, 0.5 * self._gain
+        if self._worse >= MOST_WORSE:
+            raise CorrectionError(
+                f"{self._worse} trials in a row have made the path worse, the last one {worst * 1e3:.4f} mm after "
+                f"{self._least * 1e3:.4f} mm; accepted: another model, method or gain"
+            )
+        self.offsets = 0.5 * (self.best + self.offsets)
         return trial
-
-    @property
-    def _best_number(self) -> int:
-        return max(k for k, trial in enumerate(self.trials) if trial.kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,10 +250,43 @@ def learn(
             told(learner.trials[-1])
         if remark:
             break
-    best, seen = Correction(learner.best, learner.nominal.period), f"{TIP if learner.tip else ENCODERS}, {where}"
+    return _learned(learner, where, learner.best, remark)
+
+
+def learn_from_record(
+    learner: Learner, found: Measured, earlier: CorrectionFile | None = None
+) -> tuple[LearnedCorrection, str]:
+    """Learn from one trial that was recorded, and return the correction of the next one.
+
+    It is compared with the trials before that were measured alike: not with those of the engine, whose arm is another.
+
+    Args:
+        learner: with what was played, if anything, as `previous`.
+        found: what the trial has left.
+        earlier: the file of what was played.
+
+    Returns:
+        The correction, and why the trial was not kept; empty where it was.
+
+    Raises:
+        ConfigError, CorrectionError: as `Learner.take`.
+    """
+    before = () if earlier is None else earlier.last_seen(_seen(learner, RECORD))
+    if earlier is not None and before:
+        learner.go_on(earlier.best, before)
+    why = "" if learner.take(found).kept else f"worse than {min(before) * 1e3:.4f} mm before"
+    return _learned(learner, RECORD, learner.offsets), why
+
+
+def _seen(learner: Learner, where: str) -> str:
+    return f"{TIP if learner.tip else ENCODERS}, {where}"
+
+
+def _learned(learner: Learner, where: str, offsets: Array, remark: str = "") -> LearnedCorrection:
     return LearnedCorrection(
-        learner.setup, learner.path, learner.method, seen, best, tuple(learner.trials), learner.best, remark
-    )
+        learner.setup, learner.path, learner.method, _seen(learner, where),
+        Correction(offsets, learner.nominal.period), tuple(learner.trials), learner.best, remark,
+    )  # fmt: skip
 
 
 def run_corrected(

@@ -23,9 +23,8 @@ from rx90_common.base.errors import LineError, Rx90Error
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.plan import check_plan, describe_line, plan_line
 from rx90_controller.lines.task import TrapezoidalProfile
-from rx90_controller.paths.path import Path
+from rx90_controller.paths.path import Path, Segment
 from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
-from rx90_controller.paths.segment import Segment
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.arms import robot_of_urdf
 from rx90_emulator.loop.line import path_accuracy, plan_path, run_path
