@@ -33,7 +33,7 @@ from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import scene
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.player import BagPlayer, _difference_text, _recording_text, open_player
-from rx90_emulator.view.recording import Recording, Track, difference, open_recording, path_error_track, tip_path
+from rx90_emulator.view.recording import Recording, Track, difference, open_recording, path_errors, tip_path
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reference" / "reference_task"
 JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
@@ -81,8 +81,9 @@ def test_a_bag_of_the_suite_is_read_whole(shipped: Setup, monkeypatch: pytest.Mo
 def test_the_path_error_of_a_bag_is_that_of_the_run(shipped: Setup) -> None:
     """The page's largest path error of the reference line is the one that `rx90_run` gives for the same states."""
     recording = opened(REFERENCE, shipped)
-    found = path_error_track(recording.arm, recording.reference, shipped.robot.chain)
-    assert found is not None
+    errors = path_errors(recording.arm, recording.reference, shipped.robot)
+    assert errors is not None
+    found = errors.distance
     times = recording.arm.stamp_ns * 1e-9
     run = path_accuracy(shipped.robot, load_task(), times, recording.arm.fields["position"])
     error = found.fields["position"][:, 0]
@@ -377,8 +378,9 @@ def test_path_error_is_the_distance_across_the_path(shipped: Setup, tmp_path: Pa
     ]
     write_joint_states(tmp_path / "bag", series)
     recording = opened(tmp_path / "bag", shipped)
-    found = path_error_track(recording.arm, recording.reference, shipped.robot.chain)
-    assert found is not None
+    errors = path_errors(recording.arm, recording.reference, shipped.robot)
+    assert errors is not None
+    found = errors.distance
     error = found.fields["position"][:, 0]
     lag = np.linalg.norm(tip(shipped, arm[100]) - tip(shipped, target[100]))
     assert lag > 3e-4
