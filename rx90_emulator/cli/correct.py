@@ -50,8 +50,8 @@ def main(options: argparse.Namespace) -> int | None:
 
 def _add_learn(learn: argparse.ArgumentParser) -> None:
     learn.set_defaults(interrupted="nothing was written")
-    learn.add_argument("path", metavar="PATH", help="task file of a line, or a trajectory (YAML, as rx90_line --output "
-                       "writes it)")  # fmt: skip
+    learn.add_argument("path", metavar="PATH", help="path file, task file of a line, or a trajectory (YAML, as "
+                       "rx90_line --output writes it)")  # fmt: skip
     learn.add_argument("--output", type=place, metavar="FILE", required=True, help="correction file to write, .yaml")
     learn.add_argument("--force", action="store_true", help="replace a correction file that exists")
     learn.add_argument("--trials", type=whole_number, metavar="N", help="after the first (4)")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Iterator
@@ -171,7 +172,12 @@ class CorrectionFile:
         Raises:
             ConfigError: for another robot, arm, speed or path, with the numbers.
         """
-        here = identity_of(setup, path)
+        here, period = identity_of(setup, path), setup.rates.position_period
+        if not math.isclose(self.correction.period, period):
+            raise ConfigError(
+                f"{plain(self.file)} has offsets every {self.correction.period:g} s, the controller a set-point every "
+                f"{period:g} s; accepted: the same"
+            )
         for refusal in _refusals(self.head, here):
             raise ConfigError(f"{plain(self.file)} {refusal}")
         counted = int(Nominal.of(setup, path.points, path.counted).counts.sum())

@@ -16,7 +16,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, FailureError, check_type
+from rx90_common.base.errors import (
+    ConfigError,
+    DivergenceError,
+    FailureError,
+    SupervisionError,
+    TrajectoryError,
+    check_type,
+)
 from rx90_common.description.kinematics import tip_position
 from rx90_controller.lines.task import LineTask
 from rx90_controller.paths.path import Path
@@ -235,6 +242,8 @@ def learn(
         where: they run, ENGINE or NODES.
         told: is told of each.
 
+    What ends a later trial, such as an offset beyond the limits, ends learning with what it has kept.
+
     Raises:
         ConfigError: for less than 0 trials.
     """
@@ -244,7 +253,9 @@ def learn(
     for _ in range(trials + 1):
         try:
             learner.take(play(learner.correction))
-        except CorrectionError as error:
+        except (CorrectionError, TrajectoryError, DivergenceError, SupervisionError) as error:
+            if not learner.trials:
+                raise
             remark = str(error)
         if told is not None:
             told(learner.trials[-1])

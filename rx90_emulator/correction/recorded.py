@@ -179,8 +179,11 @@ def _topic(bag: Path | str, name: str) -> Array:
 def _table(file: Path) -> Array:
     rows, units = read_columns(file, ("time", "x", "y", "z"))
     if units[0] != "s" or len(set(units[1:])) > 1 or units[1] not in UNITS:
-        named = ", ".join(str(unit) for unit in units)
-        raise ConfigError(f"{plain(file)}: units {named}; accepted: time [s] and x, y, z in one of {', '.join(UNITS)}")
+        named = ", ".join(unit or "none" for unit in units)
+        raise ConfigError(
+            f"{plain(file)}: time, x, y, z have the units {named}; accepted: the titles time [s] and x, y, z in one of "
+            f"{', '.join(UNITS)}"
+        )
     return rows * [1.0, *[UNITS[units[1]]] * 3]
 
 

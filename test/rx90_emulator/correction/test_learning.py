@@ -284,7 +284,7 @@ def test_a_tip_is_laid_under_the_path(shipped: Setup, task: rx.LineTask, tmp_pat
         with pytest.raises(ConfigError, match=why):
             tip_of_file(file, nominal)
     file.write_text("time [s],x [cm],y,z\n1,2,3,4\n2,3,4,5\n", encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"units s, cm, None, None; accepted: time \[s\] and x, y, z in one of m, mm"):
+    with pytest.raises(ConfigError, match=r"the units s, cm, none, none; accepted: the titles time \[s\] and x, y, z"):
         tip_of_file(file, nominal)
 
 
