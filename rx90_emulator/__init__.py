@@ -13,8 +13,9 @@ Setups          load_setup, parameters, with_parameters, Setup, Rates
 Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints; of lines, arcs and splines:
                 load_path, plan_path, Path, Segment
 Runs            run_line, run_path, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; of set-points in a bag:
-                followed_accuracy; for hours: repeat_line, RepeatedLine; with a controller of one's own: run_controller, ControllerRun; small deviations from a
-                motion: prepare_perturbation, PerturbationModel, PerturbationResult
+                followed_accuracy; for hours: repeat_line, RepeatedLine; with a controller of one's own:
+                run_controller, ControllerRun; small deviations from a motion: prepare_perturbation,
+                PerturbationModel, PerturbationResult
 Corrections     learn_correction, load_correction, write_correction, precompensate, NormOptimal, Filtered,
                 TrajectoryPath, Correction, CorrectionFile, LearnedCorrection; from a record: Learner, measured,
                 learn_from_record

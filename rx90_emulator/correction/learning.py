@@ -46,8 +46,9 @@ SEEN: Final = tuple(f"{what}, {where}" for what in (ENCODERS, TIP) for where in 
 """What a trial was measured by, and where; path errors that were seen otherwise cannot be compared."""
 _LONGEST = 600_000  # set-points: the feedback of norm-optimal takes 1.5 kB for each
 MOST_WORSE: Final = 4
-"""Trials in a row that make the path worse, after which learning has failed."""
-_HELD = 1.0  # s from the release of the brakes to where the path error counts
+"""Trials in a row that make the path worse, after which learning has failed: an eighth of a step that is still worse is
+not too long, but points the wrong way."""
+_HELD = 1.0  # s from the release of the brakes to where the path error counts: the integrators take some 0.1 s
 
 
 class CorrectionError(FailureError):

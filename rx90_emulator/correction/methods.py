@@ -30,7 +30,7 @@ from rx90_emulator.loop.setup import Setup
 
 LEAD_IN = 0.3
 """Errors count from so long before the path on, s, gradually: what rests wrong there is put right by its begin."""
-_LEAST_SHARE = 0.05  # of the largest singular value: less well moved directions of the tip are hardly used
+_LEAST_SHARE = 0.05  # of the largest singular value: directions that take 20 times the joints' motion are hardly used
 _ORDER = 2  # of the Butterworth filter, which is run forwards and backwards
 
 Update: TypeAlias = Callable[[Array, Array, float], Array]

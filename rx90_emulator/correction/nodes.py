@@ -25,7 +25,7 @@ from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.nodes import follow_trajectory
 
 _APPROACH_SPEED, _APPROACH_ACCELERATION = 0.25, 2.0  # share of the joints' speeds; rad/s^2: as rx90_line's
-_HELD = 0.5  # s at the start of the path: several times the time constant of the integrator (1/ki), so the arm stands
+_HELD = 0.5  # s at the start of the path: the integrators take some 0.1 s, then the arm stands
 _SENSOR = 0.5  # s for which a sensor of the tip may lag: a camera with its evaluation
 _GRACE = 20.0  # s for a recorder to write what it holds
 

@@ -30,7 +30,7 @@ from rx90_emulator.loop.setup import Setup
 
 REFERENCE, TRACKING, CORRECTION = (f"rx90_controller/{name}" for name in ("reference", "tracking_error", "correction"))
 _MOST_APART = 0.02  # of the range of a motion, root mean square: what is further off is another motion
-_MOST_ROWS = 10_000_000
+_MOST_ROWS = 10_000_000  # set-points that a record may last: what the search for the motion in it holds takes some GB
 _POSITIONS = {
     "geometry_msgs/msg/PointStamped": "point",
     "geometry_msgs/msg/PoseStamped": "pose.position",
