@@ -130,7 +130,7 @@ def method_named(name: str, **options: float) -> Filtered | NormOptimal:
     for option in options:
         if not hasattr(method, option):
             raise ConfigError(f"the method {name} has no option {option!r}; accepted: {', '.join(vars(method))}")
-    return replace(method, **options)  # type: ignore[type-var, return-value]
+    return replace(method, **options)  # type: ignore[arg-type]
 
 
 def lead_in(nominal: Nominal) -> Array:

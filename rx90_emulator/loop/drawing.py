@@ -244,7 +244,7 @@ class Drawing:
         from scipy.spatial import cKDTree
 
         ends = np.array([end for start, one in drawn for end in (start, one.points[-1])], dtype=np.float64)
-        touching = cKDTree(ends).query_ball_point(ends, _JOINED)
+        touching: list[list[int]] = list(cKDTree(ends).query_ball_point(ends, _JOINED))  # type: ignore[arg-type]
         crowded = max(touching, key=len)
         if len(crowded) > 2:
             place = ends[crowded[0]].tolist()

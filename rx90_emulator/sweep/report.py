@@ -128,16 +128,15 @@ class SweepFigures:
             SweepError: if there are none, they cannot be read, or no run of them has succeeded.
         """
         table = read_results(file)
-        errors = [_MM * _numbers(table, name) for name in _OF_THE_PATH]
-        worst = errors[0]
+        worst, rms, along, turned = (_MM * _numbers(table, name) for name in _OF_THE_PATH)
         if not np.isfinite(worst).any():
             raise SweepError(f"{plain(file)}: no run has succeeded; accepted: results with a path error")
         parameters = [field for field in table.schema if field.metadata[b"kind"] == b"parameter"]
         columns = {field.name: _column(table, field) for field in parameters}
         effects = [main_effect(name, column.values, worst) for name, column in columns.items()]
         effects = sorted((one for one in effects if one.runs), key=lambda one: (-np.nan_to_num(one.share), -one.span))
-        return cls(about(table.schema, file), table["index"].to_numpy(), table["block"].to_pylist(), *errors,
-                   columns, effects, failures(table))  # fmt: skip
+        return cls(about(table.schema, file), table["index"].to_numpy(), table["block"].to_pylist(), worst, rms,
+                   along, turned, columns, effects, failures(table))  # fmt: skip
 
 
 def _numbers(table: pa.Table, name: str) -> Array:

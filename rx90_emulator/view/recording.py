@@ -218,7 +218,7 @@ def path_errors(arm: Track, reference: Track | None, robot: RobotModel) -> PathE
     times, when = ((stamp - arm.begin_ns) / NANOSECONDS for stamp in (arm.stamp_ns[known], reference.stamp_ns[finite]))
     of = followed_accuracy(robot, times, arm.fields["position"][known], when, reference.fields["position"][finite])
     counts = np.flatnonzero(known)[np.searchsorted(times, of.times)]
-    found[:, counts] = of.perpendicular, of.along_track, of.orientation  # type: ignore[assignment]
+    found[:, counts] = of.perpendicular, of.along_track, of.orientation
     names = (PATH_ERROR, "along the path", "orientation")
     return PathErrors(of, *(Track(name, (name,), arm.stamp_ns, values[:, None], gap_ns=arm.gap_ns)
                             for name, values in zip(names, found, strict=True)))  # fmt: skip

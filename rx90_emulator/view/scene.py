@@ -213,8 +213,10 @@ class LineScene:
         ends, whole = self._task.poses(np.array([0.0, self._task.length])).position, self._task.length
         way = np.concatenate([np.zeros(min(1, len(tips))), np.cumsum(length(np.diff(tips, axis=0)))])
         for first, last in combinations(np.flatnonzero(at_rest), 2):
-            travelled = way[last] - way[first]
-            if abs(travelled - whole) > _CHORDS * whole or length(tips[[first, last]] - ends).max() >= _END_TOLERANCE:
+            travelled, moves = way[last] - way[first], way[first] < way[first + 1] and way[last - 1] < way[last]
+            if not moves or abs(travelled - whole) > _CHORDS * whole:
+                continue
+            if length(tips[[first, last]] - ends).max() >= _END_TOLERANCE:
                 continue
             asked = (way[first : last + 1] - way[first]) * (whole / travelled)
             error = self._task.error(tips[first : last + 1], asked)

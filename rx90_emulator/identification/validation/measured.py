@@ -266,7 +266,7 @@ def compare_measured(
         lag -= float(np.sum(difference * velocity)) / float(np.sum(velocity**2))
         lag = float(np.clip(lag, -_MAX_LAG_S, _MAX_LAG_S))
     follows = np.asarray(simulated(time + lag - setpoints.start))
-    when = np.arange(len(setpoints.values)) * setup.rates.position_period  # since the first set-point
+    when = np.arange(len(setpoints.values), dtype=np.float64) * setup.rates.position_period  # since the first of them
     measured_path, simulated_path = (
         followed_accuracy(setup.robot, time - setpoints.start, position, when, setpoints.values[:, 0])
         for position in (measured[:, 0], follows[:, 0])

@@ -185,7 +185,7 @@ def test_what_the_nodes_publish_is_what_the_plots_show(
     watch = SimpleNamespace(
         elements=friction, joints=joints, trajectory=None, elements_at_ticks=ticks, listens_at_ticks=True
     )
-    line: Any = SimpleNamespace(add=lambda times, _: [5e-5 if times[-1] > 1.0 else np.nan])
+    line: Any = SimpleNamespace(add=lambda times, *_: [5e-5 if times[-1] > 1.0 else np.nan])
     made: dict[str, Any] = {}
     add = page.gui.add_uplot
     monkeypatch.setattr(page.gui, "add_uplot", lambda *a, **k: made.setdefault(k["title"], add(*a, **k)))
