@@ -7,15 +7,15 @@ counts as none, and only the path remains, which is what a correction is for.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from contextlib import suppress
 from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
+from rx90_common.bags.comparison import align
 from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array, Mask
@@ -29,6 +29,9 @@ from rx90_emulator.loop.drawing import UNITS, read_columns
 from rx90_emulator.loop.setup import Setup
 
 REFERENCE, TRACKING, CORRECTION = (f"rx90_controller/{name}" for name in ("reference", "tracking_error", "correction"))
+_GAP = (
+    3.5  # times the median interval, or the set-points' own: fewer than three samples that are missing are interpolated
+)
 _MOST_APART = 0.02  # of the range of a motion, root mean square: what is further off is another motion
 _MOST_ROWS = 10_000_000  # set-points that a record may last: what the search for the motion in it holds takes some GB
 _POSITIONS = {
@@ -93,6 +96,13 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
             f"{what}: from {times[0]:.6g} to {times[-1]:.6g} s, the path takes from {begin:.6g} to {end:.6g} s of it; "
             "accepted: a record of all of the path"
         )
+    within = times[max(0, np.searchsorted(times, begin, side="right") - 1) : np.searchsorted(times, end) + 1]
+    steps = np.diff(within)
+    if steps.max(initial=0.0) > max(_GAP * float(np.median(np.diff(times))), _GAP * period):
+        raise ConfigError(
+            f"{what}: nothing for {steps.max():.3g} s from {within[np.argmax(steps)]:.6g} s on, within the path; "
+            "accepted: a record without gaps"
+        )
     found = np.column_stack([np.interp(rows, times, column) for column in values.T])
     apart = float(np.sqrt(np.mean((found - nominal)[counts] ** 2)) / max(np.ptp(nominal, axis=0).max(), 1e-12))
     if apart > _MOST_APART:
@@ -104,7 +114,7 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
 
 
 def joints_of_bag(bag: Path | str, setup: Setup, nominal: Nominal, topic: str = "joint_states") -> tuple[Array, str]:
-    """Return set-points less joints by the encoders on a path's set-points, rad, shape (n, 6), and how they were found.
+    """Return set-points less joints by the encoders, rad, shape (n, joints), and how they were found.
 
     From a bag of the nodes they are the controller's own, with what the correction had added taken off.
 
@@ -124,27 +134,16 @@ def joints_of_bag(bag: Path | str, setup: Setup, nominal: Nominal, topic: str = 
     assert reference.position is not None
     assert tracking.position is not None
     laid = laid_under(reference.time, reference.position, wanted, nominal.period, nominal.counts, plain(bag))
+    error = tracking.position.copy()
+    with suppress(BagError):  # no such topic, or no message on it: no correction was played
+        played = read_joint_states(bag, CORRECTION, names)
+        assert played.position is not None
+        both = align(tracking, played)
+        error[both.rows_a] -= played.position[both.rows_b]
     first = round(laid.shift / nominal.period)
     ticks = np.round(tracking.time / nominal.period).astype(np.int64)
-    offsets = _offsets_of_bag(bag, names, ticks, nominal.period)
     rows = np.clip(np.searchsorted(ticks, first + np.arange(len(wanted))), 0, len(ticks) - 1)
-    return (tracking.position - offsets)[rows], f"the controller's set-points, begun at {first * nominal.period:.6f} s"
-
-
-def _offsets_of_bag(bag: Path | str, names: Sequence[str], ticks: NDArray[np.int64], period: float) -> Array:
-    """Return what a correction had added on the ticks of a bag, rad; 0 where none was played."""
-    offsets = np.zeros((len(ticks), len(names)))
-    try:
-        played = read_joint_states(bag, CORRECTION, names)
-    except BagError:  # no such topic, or no message on it
-        return offsets
-    assert played.position is not None
-    at = np.round(played.time / period).astype(np.int64)
-    rows = np.searchsorted(ticks, at)
-    there = rows < len(ticks)
-    there[there] = ticks[rows[there]] == at[there]
-    offsets[rows[there]] = played.position[there]
-    return offsets
+    return error[rows], f"the controller's set-points, begun at {first * nominal.period:.6f} s"
 
 
 def tip_of_file(file: Path | str, nominal: Nominal, topic: str | None = None) -> tuple[Array, str]:
