@@ -102,12 +102,11 @@ if TYPE_CHECKING:
         LearnedCorrection as LearnedCorrection,
         Learner as Learner,
         learn_correction as learn_correction,
-        learn_from_record as learn_from_record,
     )
     from rx90_emulator.correction.methods import Filtered as Filtered, NormOptimal as NormOptimal
     from rx90_emulator.correction.path import TrajectoryPath as TrajectoryPath
     from rx90_emulator.correction.precompensation import precompensate as precompensate
-    from rx90_emulator.correction.recorded import measured as measured
+    from rx90_emulator.correction.recorded import learn_from_record as learn_from_record, measured as measured
     from rx90_emulator.identification.arm import RigidArm as RigidArm
     from rx90_emulator.identification.excitation.friction import identify_friction_parts as identify_friction_parts
     from rx90_emulator.identification.excitation.identify import identify_excitation as identify_excitation

@@ -98,9 +98,9 @@ def _learn(options: argparse.Namespace) -> int:
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.correction.file import correction_files, load_correction, write_correction
-    from rx90_emulator.correction.learning import NOISE, CorrectionError, Learner, learn_from_record, summary
+    from rx90_emulator.correction.learning import NOISE, CorrectionError, Learner, summary
     from rx90_emulator.correction.methods import method_named
-    from rx90_emulator.correction.recorded import measured
+    from rx90_emulator.correction.recorded import learn_from_record, measured
     from rx90_emulator.loop.setup import Setup
 
     for file in correction_files(options.output):

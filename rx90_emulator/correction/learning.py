@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -34,9 +34,6 @@ from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
-
-if TYPE_CHECKING:
-    from rx90_emulator.correction.file import CorrectionFile
 
 NOISE = 1e-6
 """By how much the worst distance may grow, m, unless another noise is given: of about encoder counts."""
@@ -145,6 +142,10 @@ class Learner:
         self._worse = len(worst) - 1 - max(k for k, one in enumerate(worst) if one <= self._least + self.noise)
         self._gain = 0.5**self._worse
 
+    def seen(self, where: str) -> str:
+        """Return by what trials are measured, and where, as SEEN has it."""
+        return f"{TIP if self.tip else ENCODERS}, {where}"
+
     @property
     def correction(self) -> Correction:
         """Return what is to be played in the next trial.
@@ -224,6 +225,13 @@ class LearnedCorrection:
     best_offsets: Array = field(repr=False)
     remark: str = ""
 
+    @classmethod
+    def of(cls, learner: Learner, where: str, offsets: Array, remark: str = "") -> LearnedCorrection:
+        """Return what a learner has learned from trials somewhere, with the offsets that are to be played, rad."""
+        played = Correction(offsets, learner.nominal.period)
+        return cls(learner.setup, learner.path, learner.method, learner.seen(where), played, tuple(learner.trials),
+                   learner.best, remark)  # fmt: skip
+
     @property
     def best(self) -> TrialRecord:
         """Return the last trial that was kept."""
@@ -262,43 +270,7 @@ def learn(
             told(learner.trials[-1])
         if remark:
             break
-    return _learned(learner, where, learner.best, remark)
-
-
-def learn_from_record(
-    learner: Learner, found: Measured, earlier: CorrectionFile | None = None
-) -> tuple[LearnedCorrection, str]:
-    """Learn from one trial that was recorded, and return the correction of the next one.
-
-    It is compared with the trials before that were measured alike: not with those of the engine, whose arm is another.
-
-    Args:
-        learner: with what was played, if anything, as `previous`.
-        found: what the trial has left.
-        earlier: the file of what was played.
-
-    Returns:
-        The correction, and why the trial was not kept; empty where it was.
-
-    Raises:
-        ConfigError, CorrectionError: as `Learner.take`.
-    """
-    before = () if earlier is None else earlier.last_seen(_seen(learner, RECORD))
-    if earlier is not None and before:
-        learner.go_on(earlier.best, before)
-    why = "" if learner.take(found).kept else f"worse than {min(before) * 1e3:.4f} mm before"
-    return _learned(learner, RECORD, learner.offsets), why
-
-
-def _seen(learner: Learner, where: str) -> str:
-    return f"{TIP if learner.tip else ENCODERS}, {where}"
-
-
-def _learned(learner: Learner, where: str, offsets: Array, remark: str = "") -> LearnedCorrection:
-    return LearnedCorrection(
-        learner.setup, learner.path, learner.method, _seen(learner, where),
-        Correction(offsets, learner.nominal.period), tuple(learner.trials), learner.best, remark,
-    )  # fmt: skip
+    return LearnedCorrection.of(learner, where, learner.best, remark)
 
 
 def run_corrected(

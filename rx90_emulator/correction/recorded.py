@@ -23,7 +23,8 @@ from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
-from rx90_emulator.correction.learning import Measured
+from rx90_emulator.correction.file import CorrectionFile
+from rx90_emulator.correction.learning import RECORD, LearnedCorrection, Learner, Measured
 from rx90_emulator.correction.path import Nominal
 from rx90_emulator.loop.drawing import UNITS, read_columns
 from rx90_emulator.loop.setup import Setup
@@ -208,3 +209,28 @@ def measured(
         error, text = tip_of_file(tip, nominal, tip_topic)
         said.append(text)
     return Measured(joints, error), said
+
+
+def learn_from_record(
+    learner: Learner, found: Measured, earlier: CorrectionFile | None = None
+) -> tuple[LearnedCorrection, str]:
+    """Learn from one trial that was recorded, and return the correction of the next one.
+
+    It is compared with the trials before that were measured alike: not with those of the engine, whose arm is another.
+
+    Args:
+        learner: with what was played, if anything, as `previous`.
+        found: what the trial has left.
+        earlier: the file of what was played.
+
+    Returns:
+        The correction, and why the trial was not kept; empty where it was.
+
+    Raises:
+        ConfigError, CorrectionError: as `Learner.take`.
+    """
+    before = () if earlier is None else earlier.last_seen(learner.seen(RECORD))
+    if earlier is not None and before:
+        learner.go_on(earlier.best, before)
+    why = "" if learner.take(found).kept else f"worse than {min(before) * 1e3:.4f} mm before"
+    return LearnedCorrection.of(learner, RECORD, learner.offsets), why

@@ -20,10 +20,10 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.points import message_content
 from rx90_emulator.cli.frame import run
-from rx90_emulator.correction.learning import CorrectionError, Learner, Measured, learn_from_record, run_corrected
+from rx90_emulator.correction.learning import CorrectionError, Learner, Measured, run_corrected
 from rx90_emulator.correction.methods import zero_phase
 from rx90_emulator.correction.path import TrajectoryPath
-from rx90_emulator.correction.recorded import joints_of_bag, laid_under, tip_of_file
+from rx90_emulator.correction.recorded import joints_of_bag, laid_under, learn_from_record, tip_of_file
 from rx90_emulator.correction.response import best_change, gains, response
 from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.setup import Setup
